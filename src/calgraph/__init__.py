@@ -1,0 +1,1 @@
+"""Extrinsic calibration of cameras, laser scanners and LiDARs from one recording."""

@@ -1,0 +1,1 @@
+"""The two stories, one screen each."""

@@ -1,0 +1,84 @@
+"""What a detector found in one capture: a plane patch, a line segment, printed corners, or a reason why not."""
+
+from dataclasses import dataclass
+
+from calgraph.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PlanePatch:
+    """The board as a 3-D scanner sees it."""
+
+    plane: Array
+    """(4,) unit normal and offset in the sensor frame, oriented towards the sensor (d >= 0)."""
+    covariance: Array
+    """(3, 3) of the plane in the chart of :func:`calgraph.geometry.plane.retract`."""
+    points: Array
+    """(N, 3) measured points on the board, sensor frame, m."""
+    center: Array
+    """(3,) centre of the patch, projected on the plane, m."""
+    match: float = 1.0
+    """How well its outline fits a board of the known size: 1 is perfect, 0 is nothing alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """The board as a 2-D scanner sees it: the cut of its plane with the scan plane z = 0."""
+
+    endpoints: Array
+    """(2, 3) the outermost beams projected on the fitted line, in order of angle, sensor frame, m."""
+    covariance: Array
+    """(6, 6) of the two end points, with a tiny variance in z."""
+    points: Array
+    """(N, 3) measured points on the board, sensor frame, m."""
+    match: float = 1.0
+    """How plausible its length is for a board of the known size."""
+
+    @property
+    def center(self) -> Array:
+        """(3,) the middle of the segment, m."""
+        return 0.5 * (self.endpoints[0] + self.endpoints[1])
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCorners:
+    """The board as a camera sees it."""
+
+    corners_board: Array
+    """(N, 3) the printed corners in the board frame (z = 0), m."""
+    pixels: Array
+    """(N, 2) where they were seen, OpenCV's pixel convention, distorted as measured."""
+    T_camera_board: Array
+    """(4, 4) from one PnP over all corners."""
+    covariance: Array
+    """(6, 6) of that pose, in the camera's fixed axes (translation, rotation)."""
+    plane: Array
+    """(4,) the board's plane in the camera frame, normal towards the camera."""
+    plane_covariance: Array
+    """(3, 3) of the plane in the chart of :func:`calgraph.geometry.plane.retract`."""
+    rms: float
+    """Root mean square reprojection error, pixels."""
+    board: int = 0
+    """Which of the rig's boards."""
+
+    @property
+    def center(self) -> Array:
+        """(3,) the centre of the sheet in the camera frame, m."""
+        return self.T_camera_board[:3, 3]
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """No detection, and why, in words a user can act on."""
+
+    reason: str
+
+
+Detection = PlanePatch | Segment | BoardCorners
+
+
+def plane_of(detection: PlanePatch | BoardCorners) -> tuple[Array, Array]:
+    """The detected plane (4,) and its covariance (3, 3)."""
+    if isinstance(detection, BoardCorners):
+        return detection.plane, detection.plane_covariance
+    return detection.plane, detection.covariance

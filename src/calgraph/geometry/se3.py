@@ -1,0 +1,68 @@
+"""Poses in space as (..., 4, 4) homogeneous matrices; every function broadcasts over leading axes.
+
+``T_a_b`` maps coordinates in b to coordinates in a. Tangent vectors are (translation, rotation):
+``(x, y, z, rx, ry, rz)`` in metres and radians.
+"""
+
+import numpy as np
+
+from calgraph.geometry import so3
+from calgraph.geometry.so3 import Array
+
+
+def pose(R: Array, t: Array) -> Array:
+    """Poses (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
+    R, t = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
+    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1
+    return T
+
+
+def inverse(T_a_b: Array) -> Array:
+    """``T_b_a``, without a general matrix inverse."""
+    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    return pose(R_b_a, -(R_b_a @ T_a_b[..., :3, 3:])[..., 0])
+
+
+def apply(T_a_b: Array, x_b: Array) -> Array:
+    """Points ``x_b`` (..., N, 3) in frame a: (..., N, 3)."""
+    return np.asarray(x_b @ np.swapaxes(T_a_b[..., :3, :3], -1, -2) + T_a_b[..., None, :3, 3])
+
+
+def retract(T: Array, delta: Array) -> Array:
+    """Moves poses by tangent vectors (..., 6) along the fixed axes of their parent frame.
+
+    ``t + delta[:3]`` and ``exp(delta[3:]) @ R``: the perturbation in which calgraph publishes covariances, so
+    that a solver's covariance needs no conversion.
+    """
+    return pose(so3.exp(delta[..., 3:]) @ T[..., :3, :3], T[..., :3, 3] + delta[..., :3])
+
+
+def difference(T_est: Array, T: Array) -> Array:
+    """The tangent vectors (..., 6) with ``retract(T, difference(T_est, T)) == T_est``: the error of T_est."""
+    R = T_est[..., :3, :3] @ np.swapaxes(T[..., :3, :3], -1, -2)
+    return np.concatenate([T_est[..., :3, 3] - T[..., :3, 3], so3.log(R)], axis=-1)
+
+
+def from_xyz_quaternion(xyz: Array, xyzw: Array) -> Array:
+    """Poses from translations (..., 3), m, and quaternions (..., 4) in the order x, y, z, w."""
+    return pose(so3.from_quaternion(xyzw), np.asarray(xyz, dtype=np.float64))
+
+
+def compose_covariance(T_a_b: Array, cov_a_b: Array, cov_b_c: Array, t_b_c: Array) -> Array:
+    """Covariance (6, 6) of ``T_a_c = T_a_b @ T_b_c`` for independent errors, each in its parent's fixed axes."""
+    R = T_a_b[:3, :3]
+    J_ab = np.eye(6)
+    J_ab[:3, 3:] = -so3.hat(R @ t_b_c)
+    J_bc = np.zeros((6, 6))
+    J_bc[:3, :3] = J_bc[3:, 3:] = R
+    return np.asarray(J_ab @ cov_a_b @ J_ab.T + J_bc @ cov_b_c @ J_bc.T)
+
+
+def inverse_covariance(T_a_b: Array, cov_a_b: Array) -> Array:
+    """Covariance (6, 6) of ``T_b_a`` in the fixed axes of b, from that of ``T_a_b`` in the fixed axes of a."""
+    R_b_a = T_a_b[:3, :3].T
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = -R_b_a
+    J[:3, 3:] = -R_b_a @ so3.hat(T_a_b[:3, 3])
+    return np.asarray(J @ cov_a_b @ J.T)

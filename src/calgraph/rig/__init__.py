@@ -1,0 +1,21 @@
+"""rig.yaml: the sensors with their noise, the target, and how captures are marked."""
+
+from calgraph.rig.file import load_rig, save_yaml
+from calgraph.rig.rig import (
+    CameraSpec,
+    Capture,
+    Intrinsics,
+    Lidar2dSpec,
+    Lidar3dSpec,
+    PixelNoise,
+    RangeNoise,
+    Rig,
+    SensorSpec,
+)
+from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard, Cylinder, People, Tag
+
+__all__ = [
+    "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Intrinsics",
+    "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "RangeNoise", "Rig", "SensorSpec", "Tag", "load_rig",
+    "save_yaml",
+]  # fmt: skip

@@ -1,0 +1,115 @@
+"""What sensors say, free of any file format: images, scans, clouds, and the envelope they arrive in."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.sensors.camera import CameraModel
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """One camera image."""
+
+    stamp: float
+    """Header stamp, s."""
+    frame_id: str
+    """The header's frame; empty where there is none."""
+    pixels: NDArray[np.uint8]
+    """(height, width) grey or (height, width, 3) BGR, 8 bits."""
+
+    @property
+    def gray(self) -> NDArray[np.uint8]:
+        """(height, width) grey values."""
+        if self.pixels.ndim == 2:
+            return self.pixels
+        import cv2
+
+        return np.asarray(cv2.cvtColor(self.pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """One scan of a 2-D scanner in its own plane z = 0, x forward, angles counter-clockwise from x."""
+
+    stamp: float
+    """Header stamp: the time of the first beam, s."""
+    frame_id: str
+    angles: Array
+    """(N,) beam angles, rad."""
+    ranges: Array
+    """(N,) distances, m; NaN or infinite where nothing was measured (out of the stated limits included)."""
+    time_increment: float = 0.0
+    """Beam k is measured at ``stamp + k * time_increment``, s."""
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(N,) which beams have a measurement."""
+        return np.asarray(np.isfinite(self.ranges))
+
+    @property
+    def points(self) -> Array:
+        """(N, 3) end points in the scanner's frame (z = 0); NaN where nothing was measured."""
+        r = np.where(self.valid, self.ranges, np.nan)
+        return np.stack([r * np.cos(self.angles), r * np.sin(self.angles), 0 * r], axis=-1)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last beam, s."""
+        return abs(self.time_increment) * max(len(self.angles) - 1, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """One sweep of a 3-D scanner: finite points only, in the order they came."""
+
+    stamp: float
+    """Header stamp, s."""
+    frame_id: str
+    points: Array
+    """(N, 3), m, no NaN."""
+    rings: NDArray[np.int32] | None = None
+    """(N,) index of the beam that measured each point, where the message has one."""
+    times: Array | None = None
+    """(N,) time of each point relative to ``stamp``, s, where the message has one."""
+
+    @property
+    def duration(self) -> float:
+        """Time between the first and the last point, s; 0 where the points have no times."""
+        return float(np.ptp(self.times)) if self.times is not None and len(self.times) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class CameraInfo:
+    """Intrinsics as a recording states them."""
+
+    stamp: float
+    frame_id: str
+    camera: CameraModel
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """A message that marks the start of a capture; only its time matters."""
+
+    stamp: float
+
+
+Message = Image | LaserScan | PointCloud | CameraInfo | Trigger
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A message on its way out of a recording; its content is decoded only when asked for."""
+
+    topic: str
+    """Topic, or folder name in a plain folder."""
+    stamp: float
+    """Header stamp, or arrival time where the message has no header, s."""
+    arrival: float
+    """When the recorder wrote it, s."""
+    decode: Callable[[], Message] = field(repr=False)
+    """Decodes the message; raises RecordingError naming topic and stamp if its content is unusable."""

@@ -1,0 +1,22 @@
+"""Fixtures that every room's tests may use."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20150713)
+
+
+@pytest.fixture
+def data_dir() -> Path:
+    """The folder of real recordings; tests that need it skip where it is missing."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    path = Path(os.environ.get("CALGRAPH_DATA", beside))
+    if not path.is_dir():
+        pytest.skip(f"real recordings are not at {path}; set CALGRAPH_DATA to their folder")
+    return path
