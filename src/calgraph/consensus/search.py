@@ -1,0 +1,143 @@
+"""The one sample-and-score loop: RANSAC and MSAC are its two scores.
+
+Sources: Fischler and Bolles, "Random sample consensus", CACM 1981 (sampling, count of inliers, stopping rule);
+Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there); Chum, Matas, Kittler,
+"Locally optimized RANSAC", DAGM 2003 (re-solving from the inliers of every new best).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+
+Indices = NDArray[np.intp]
+Score = Literal["ransac", "msac"]
+
+
+@dataclass(frozen=True, eq=False)
+class Consensus:
+    """The best model found and the data that agree with it."""
+
+    model: Array
+    """One model, of whatever shape ``solve`` gives for one sample."""
+    inliers: NDArray[np.bool_]
+    """(N,) which data agree: at most one in each group, its best."""
+    cost: float
+    """Sum over groups of the truncated squared residuals, in units of the squared threshold."""
+    samples: int
+    """How many samples were tried."""
+
+    @property
+    def count(self) -> int:
+        """Number of groups with an inlier."""
+        return int(self.inliers.sum())
+
+
+def search(
+    groups: Indices,
+    sample_size: int,
+    solve: Callable[[Indices], Array],
+    squared_residuals: Callable[[Array], Array],
+    threshold2: float,
+    *,
+    rng: np.random.Generator,
+    score: Score = "msac",
+    confidence: float = 0.9999,
+    max_samples: int = 2000,
+    batch: int = 100,
+    polish: int = 5,
+) -> Consensus | None:
+    """Finds the model that the largest part of the data agrees with.
+
+    Data come in groups of mutually exclusive alternatives (candidate detections of one capture, say): a sample
+    takes at most one of a group, and a group's residual is that of its best member. Data without alternatives
+    are groups of one, ``groups = arange(N)``.
+
+    Args:
+        groups: (N,) group of each datum, any non-negative integers.
+        sample_size: how many data make a minimal sample.
+        solve: indices (K, m) of K samples of m >= sample_size data, to K models (K, ...). A sample without
+            solution gets NaN. It is also called with all inliers of a model (K = 1, m = their number).
+        squared_residuals: models (K, ...) to (K, N) squared residuals; NaN counts as infinite.
+        threshold2: squared residual up to which a datum is an inlier, in the same units.
+        rng: source of the samples.
+        score: ``msac`` sums truncated squared residuals, ``ransac`` counts outliers.
+        confidence: stop once an all-inlier sample has been drawn with this probability.
+        max_samples: give up after this many samples.
+        batch: samples solved and scored in one call.
+        polish: how often the best model is re-solved from its own inliers while that improves it.
+
+    Returns:
+        The best model, or None if there are fewer groups than ``sample_size`` or no sample has a solution.
+    """
+    groups = np.asarray(groups)
+    order = np.argsort(groups, kind="stable")
+    _, starts, sizes = np.unique(groups[order], return_index=True, return_counts=True)
+    if len(starts) < sample_size:
+        return None
+
+    def judge(models: Array) -> tuple[Array, Array]:
+        r2 = squared_residuals(models)[:, order] / threshold2
+        best_in_group = np.minimum.reduceat(np.where(np.isnan(r2), np.inf, r2), starts, axis=1)
+        truncated = np.minimum(best_in_group, 1.0) if score == "msac" else 1.0 * (best_in_group > 1.0)
+        return truncated.sum(axis=1), best_in_group <= 1.0
+
+    best: Array | None = None
+    best_cost, tried, needed = np.inf, 0, float(max_samples)
+    while tried < min(needed, max_samples):
+        chosen = _draw(len(starts), sample_size, min(batch, max_samples - tried), rng)
+        members = starts[chosen] + (rng.random(chosen.shape) * sizes[chosen]).astype(np.intp)
+        models = solve(order[members])
+        tried += len(chosen)
+        models = models[np.isfinite(models.reshape(len(models), -1)).all(axis=1)]
+        if not len(models):
+            continue
+        costs, agree = judge(models)
+        winner = int(np.argmin(costs))
+        if costs[winner] < best_cost:
+            best, best_cost = models[winner], float(costs[winner])
+            for _ in range(polish):
+                inliers = np.flatnonzero(_inliers(squared_residuals(best[None])[0] / threshold2, groups))
+                if len(inliers) < sample_size:
+                    break
+                polished = solve(inliers[None])
+                if not np.isfinite(polished).all():
+                    break
+                costs, polished_agree = judge(polished)
+                if costs[0] >= best_cost:
+                    break
+                best, best_cost, agree, winner = polished[0], float(costs[0]), polished_agree, 0
+            chance = float(np.mean(agree[winner] / sizes)) ** sample_size
+            needed = np.log(1 - confidence) / np.log1p(-min(chance, 1 - 1e-12)) if chance > 0 else np.inf
+    if best is None:
+        return None
+    inliers = _inliers(squared_residuals(best[None])[0] / threshold2, groups)
+    return Consensus(best, inliers, best_cost, tried)
+
+
+def _draw(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
+    """Draws ``count`` samples of ``size`` distinct numbers below ``n``: (count, size)."""
+    if n <= 20 * size:
+        return np.argsort(rng.random((count, n)), axis=1)[:, :size]
+    # With many data a repeated number is rare: redrawing the few rows that have one is faster than shuffling all.
+    rows = rng.integers(n, size=(count, size))
+    while True:
+        ordered = np.sort(rows, axis=1)
+        repeated = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
+        if not repeated.any():
+            return rows
+        rows[repeated] = rng.integers(n, size=(int(repeated.sum()), size))
+
+
+def _inliers(r2: Array, groups: Indices) -> NDArray[np.bool_]:
+    """Marks the best member of each group if it is within the threshold: (N,)."""
+    r2 = np.where(np.isnan(r2), np.inf, r2)
+    by_residual = np.argsort(r2, kind="stable")
+    _, first = np.unique(groups[by_residual], return_index=True)
+    inliers = np.zeros(len(r2), dtype=bool)
+    inliers[by_residual[first]] = True
+    return inliers & (r2 <= 1.0)
