@@ -4,11 +4,19 @@ Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.sensors import lens
+from calgraph.sensors.lens import Lens
+
+_ALLOWED = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
+_ROUND_TRIP = 1e-8
+"""A ray counts as found if it projects back to its pixel within this distance, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +34,68 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", np.array(self.K, dtype=np.float64).reshape(3, 3))
-        object.__setattr__(self, "distortion", np.array(self.distortion, dtype=np.float64).ravel())
+        object.__setattr__(self, "distortion", _supported(self.model, np.ravel(self.distortion)))
         self.K.setflags(write=False)
         self.distortion.setflags(write=False)
+
+    @property
+    def focal(self) -> Array:
+        """(2,) fx, fy, pixels."""
+        return self.K[[0, 1], [0, 1]]
+
+    @property
+    def principal_point(self) -> Array:
+        """(2,) cx, cy, pixels."""
+        return self.K[:2, 2]
+
+    @cached_property
+    def lens(self) -> Lens:
+        """The lens: how directions bend before ``K`` scales them to pixels."""
+        return lens.pinhole(self.distortion) if self.model == "pinhole" else lens.fisheye(self.distortion)
+
+    def project(self, points: Array) -> Array:
+        """Pixels (N, 2) of points (N, 3), m, in the camera's frame.
+
+        NaN where the model says nothing: behind the camera (a fisheye may see past 90°), and beyond the angle
+        where the distortion polynomial folds back and would put a point outside the picture into it. Pixels may
+        lie outside the image otherwise; :meth:`contains` tells.
+        """
+        return self.focal * self.lens.bend(np.asarray(points, dtype=np.float64))[0] + self.principal_point
+
+    def project_with_jacobian(self, points: Array) -> tuple[Array, Array]:
+        """Pixels (N, 2) as :meth:`project` gives them, and their derivatives (N, 2, 3) by the points, pixels/m."""
+        bent, J = self.lens.bend(np.asarray(points, dtype=np.float64))
+        return self.focal * bent + self.principal_point, self.focal[:, None] * J
+
+    def rays(self, pixels: Array) -> Array:
+        """Unit vectors (N, 3) from the camera's centre through pixels (N, 2); NaN where no point is seen there.
+
+        Solved by Newton's method to rounding: projecting a ray gives its pixel back.
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        rays = self.lens.straighten((pixels - self.principal_point) / self.focal)
+        # Comparing with NaN is False, so a ray without a projection is no ray.
+        found = np.abs(self.project(rays) - pixels).max(axis=-1, initial=0) < _ROUND_TRIP
+        return np.where(found[:, None], rays, np.nan)
+
+    def contains(self, pixels: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """(N,) which pixels (N, 2) lie in the image, to the outer edge of its border pixels; NaN does not."""
+        inside = (pixels >= -0.5) & (pixels < np.array([self.width, self.height]) - 0.5)
+        return np.asarray(inside.all(axis=-1), dtype=np.bool_)
+
+
+def _supported(model: str, distortion: Array) -> Array:
+    """A copy of the coefficients, without zeros for terms that the model does not have.
+
+    Drivers pad: 12 or 14 coefficients with nothing in the thin-prism and tilt terms are a rational polynomial.
+    """
+    allowed = _ALLOWED[model]
+    coefficients = np.array(distortion, dtype=np.float64)
+    if len(coefficients) > allowed[-1] and not coefficients[allowed[-1] :].any():
+        coefficients = coefficients[: allowed[-1]].copy()
+    if len(coefficients) not in allowed or not np.isfinite(coefficients).all():
+        raise InputError(
+            f"distortion of a {model} camera: {' or '.join(map(str, allowed))} finite coefficients are supported, "
+            f"got {np.array2string(coefficients, separator=', ')}"
+        )
+    return coefficients
