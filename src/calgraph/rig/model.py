@@ -1,9 +1,15 @@
 """The base of all parts of rig.yaml: frozen, and strict about unknown keys."""
 
 from pydantic import BaseModel, ConfigDict
+from pydantic_core import PydanticCustomError
 
 
 class StrictModel(BaseModel):
     """A frozen settings record that rejects keys it does not know."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def wrong(key: str, message: str) -> PydanticCustomError:
+    """The error for a validator to raise: ``key``, below the part it checks, is wrong because of ``message``."""
+    return PydanticCustomError("calgraph", "{message}", {"key": key, "message": message})

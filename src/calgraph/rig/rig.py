@@ -4,15 +4,16 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, Strict, model_validator
 
-from calgraph.rig.model import StrictModel
-from calgraph.rig.target import Board, Cylinder, People, Target
+from calgraph.rig.model import StrictModel, wrong
+from calgraph.rig.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
 from calgraph.sensors import CameraModel
 
-Sigma = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Sigma = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
+Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
+Name = Annotated[str, Field(min_length=1)]
 
 
 class Capture(StrictModel):
@@ -20,16 +21,19 @@ class Capture(StrictModel):
 
     background: Window | None = None
     """Start and end of the time without target and operator, s from the start of the recording."""
-    trigger: str | None = None
+    trigger: Name | None = None
     """Topic whose every message starts a capture; without it holds are found by stillness."""
     exclude: tuple[Window, ...] = ()
     """Times to ignore, s from the start of the recording."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Capture":
-        for start, end in (*([self.background] if self.background else []), *self.exclude):
+        windows = {f"exclude[{i}]": window for i, window in enumerate(self.exclude)}
+        if self.background:
+            windows["background"] = self.background
+        for key, (start, end) in windows.items():
             if end <= start:
-                raise ValueError(f"a window must end after it starts, got [{start}, {end}]")
+                raise wrong(key, f"must end after it starts, got [{start:g}, {end:g}]")
         return self
 
 
@@ -37,18 +41,23 @@ class Intrinsics(StrictModel):
     """A camera's intrinsics, as :class:`calgraph.sensors.CameraModel` explains them."""
 
     model: Literal["pinhole", "fisheye"] = "pinhole"
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    K: tuple[float, float, float, float]
+    """``fisheye`` is OpenCV's equidistant model."""
+    width: AtLeastOne
+    """Pixels."""
+    height: AtLeastOne
+    """Pixels."""
+    K: tuple[Length, Length, Coordinate, Coordinate]
     """fx, fy, cx, cy, pixels."""
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[Coordinate, ...] = ()
+    """OpenCV's coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], or k1 to k4 for fisheye; none for no distortion."""
 
-    @field_validator("distortion")
-    @classmethod
-    def _known_length(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if len(value) not in (0, 4, 5, 8):
-            raise ValueError(f"distortion has 0, 4, 5 or 8 coefficients, got {len(value)}")
-        return value
+    @model_validator(mode="after")
+    def _known_length(self) -> "Intrinsics":
+        lengths = (0, 4) if self.model == "fisheye" else (0, 4, 5, 8)
+        if len(self.distortion) not in lengths:
+            allowed = f"{', '.join(map(str, lengths[:-1]))} or {lengths[-1]}"
+            raise wrong("distortion", f"{self.model} has {allowed} coefficients, got {len(self.distortion)}")
+        return self
 
     def camera(self) -> CameraModel:
         """The camera model with these intrinsics."""
@@ -77,18 +86,20 @@ class CameraSpec(StrictModel):
     """A camera of the rig."""
 
     kind: Literal["camera"]
-    topic: str
+    topic: Name
     """Image topic; in a plain folder the sensor's folder."""
-    camera_info: str | None = None
+    camera_info: Name | None = None
     """Topic with its intrinsics."""
     intrinsics: Intrinsics | None = None
-    frame_id: str | None = None
+    """The intrinsics themselves, instead of a topic."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages' headers if left out."""
     noise: PixelNoise = PixelNoise()
 
     @model_validator(mode="after")
     def _one_source(self) -> "CameraSpec":
         if self.camera_info is not None and self.intrinsics is not None:
-            raise ValueError("give camera_info (a topic) or intrinsics, not both")
+            raise wrong("", "give camera_info (a topic) or intrinsics, not both")
         return self
 
 
@@ -96,8 +107,10 @@ class Lidar2dSpec(StrictModel):
     """A 2-D laser scanner of the rig."""
 
     kind: Literal["lidar2d"]
-    topic: str
-    frame_id: str | None = None
+    topic: Name
+    """Topic of its messages; in a plain folder the sensor's folder."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages' headers if left out."""
     noise: RangeNoise = RangeNoise()
 
 
@@ -105,8 +118,10 @@ class Lidar3dSpec(StrictModel):
     """A 3-D LiDAR of the rig."""
 
     kind: Literal["lidar3d"]
-    topic: str
-    frame_id: str | None = None
+    topic: Name
+    """Topic of its messages; in a plain folder the sensor's folder."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages' headers if left out."""
     noise: RangeNoise = RangeNoise()
 
 
@@ -118,14 +133,44 @@ class Rig(StrictModel):
 
     root: str
     """The sensor whose frame everything is expressed in."""
-    target: Target | tuple[Board, ...]
+    target: Target
+    """What the sensors see: one board, a list of boards, people or a cylinder."""
     capture: Capture = Capture()
-    sensors: dict[str, SensorSpec]
+    """Where in the recording to look for the target."""
+    sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]
+    """The sensors by name."""
 
     @model_validator(mode="after")
     def _root_exists(self) -> "Rig":
         if self.root not in self.sensors:
-            raise ValueError(f"root {self.root!r} is not one of the sensors: {', '.join(self.sensors)}")
+            raise wrong("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
+        return self
+
+    @model_validator(mode="after")
+    def _topics_differ(self) -> "Rig":
+        owners: dict[str, str] = {}
+        for name, sensor in self.sensors.items():
+            other = owners.setdefault(sensor.topic, name)
+            if other != name:
+                raise wrong(f"sensors.{name}.topic", f"is also that of {other}, got {sensor.topic!r}")
+        return self
+
+    @model_validator(mode="after")
+    def _cameras_can_see(self) -> "Rig":
+        printed = [board for board in self.boards if board.tags or board.pattern]
+        if self.boards and not printed and self.cameras():
+            cameras = ", ".join(self.cameras())
+            raise wrong("target", f"needs tags or a pattern, without which no camera sees it ({cameras})")
+        return self
+
+    @model_validator(mode="after")
+    def _boards_tell_apart(self) -> "Rig":
+        owners: dict[tuple[str, int], int] = {}
+        for i, board in enumerate(self.boards):
+            for j, tag in enumerate(board.tags):
+                other = owners.setdefault((board.family, tag.id), i)
+                if other != i:
+                    raise wrong(f"target[{i}].tags[{j}].id", f"is also on target[{other}], got {tag.id}")
         return self
 
     @property

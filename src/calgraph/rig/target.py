@@ -1,20 +1,35 @@
 """What is carried through the sensors' views: a planar board with its printed pattern, people, or a cylinder."""
 
-from typing import Annotated, Literal
+from itertools import combinations
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+import pydantic
+from pydantic import Discriminator, Field, Strict, field_validator, model_validator
 
-from calgraph.rig.model import StrictModel
+from calgraph.rig.model import StrictModel, wrong
 
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Coordinate = Annotated[float, Field(allow_inf_nan=False)]
+# Strict: YAML has types, so a quoted number or a `yes` where a number belongs is a slip worth naming.
+Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
+Coordinate = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+Index = Annotated[int, Strict(), Field(ge=0)]
+AtLeastOne = Annotated[int, Strict(), Field(ge=1)]
+AtLeastTwo = Annotated[int, Strict(), Field(ge=2)]
 Pair = tuple[Coordinate, Coordinate]
+
+_FAMILY_SIZE = {"tag36h11": 587, "tag25h9": 35, "tag16h5": 30}
+_DICTIONARIES = (
+    *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12",
+)  # fmt: skip
+# Prints reach over an edge by a rounded millimetre in many a rig.yaml; more is a slip in a unit or a sign.
+_TOLERANCE = 1e-3
 
 
 class Tag(StrictModel):
     """An AprilTag on the sheet, upright."""
 
-    id: Annotated[int, Field(ge=0)]
+    id: Index
     size: Length
     """Edge of the black square, m."""
     center: Pair = (0.0, 0.0)
@@ -25,42 +40,86 @@ class Checkerboard(StrictModel):
     """A chessboard pattern."""
 
     kind: Literal["checkerboard"]
-    columns: Annotated[int, Field(ge=2)]
+    columns: AtLeastTwo
     """Inner corners along the board's x."""
-    rows: Annotated[int, Field(ge=2)]
+    rows: AtLeastTwo
     """Inner corners along the board's y."""
     square: Length
+    """Edge of a square, m."""
     center: Pair = (0.0, 0.0)
     """Centre of the pattern on the sheet, m."""
+
+    @property
+    def extent(self) -> Pair:
+        """Width and height that must be on the sheet, m; the outermost squares may be cropped to their half."""
+        return self.columns * self.square, self.rows * self.square
 
 
 class Charuco(StrictModel):
     """A ChArUco board: chessboard with markers in its white squares."""
 
     kind: Literal["charuco"]
-    columns: Annotated[int, Field(ge=2)]
+    columns: AtLeastTwo
     """Squares along the board's x."""
-    rows: Annotated[int, Field(ge=2)]
+    rows: AtLeastTwo
     """Squares along the board's y."""
     square: Length
+    """Edge of a square, m."""
     marker: Length
     """Edge of a marker, m; smaller than a square."""
     dictionary: str
     """OpenCV's name, e.g. DICT_5X5_100."""
     center: Pair = (0.0, 0.0)
+    """Centre of the pattern on the sheet, m."""
+
+    @field_validator("dictionary")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if value not in _DICTIONARIES:
+            raise wrong("", f"must be one of OpenCV's dictionaries, {', '.join(_DICTIONARIES)}, got {value!r}")
+        return value
+
+    @model_validator(mode="after")
+    def _marker_fits(self) -> "Charuco":
+        if self.marker >= self.square:
+            raise wrong("marker", f"must be smaller than square ({self.square:g} m), got {self.marker:g}")
+        return self
+
+    @property
+    def extent(self) -> Pair:
+        """Width and height of the pattern, m."""
+        return self.columns * self.square, self.rows * self.square
 
 
 class AprilGrid(StrictModel):
     """Kalibr's grid of AprilTags (2-bit borders)."""
 
     kind: Literal["aprilgrid"]
-    columns: Annotated[int, Field(ge=1)]
-    rows: Annotated[int, Field(ge=1)]
+    columns: AtLeastOne
+    """Tags along the board's x."""
+    rows: AtLeastOne
+    """Tags along the board's y."""
     tag_size: Length
+    """Edge of a tag's black square, m."""
     tag_spacing: Length
     """Gap between tags as a fraction of tag_size, as Kalibr states it."""
-    first_id: Annotated[int, Field(ge=0)] = 0
+    first_id: Index = 0
+    """Id of the tag at the bottom left."""
     center: Pair = (0.0, 0.0)
+    """Centre of the pattern on the sheet, m."""
+
+    @model_validator(mode="after")
+    def _ids_exist(self) -> "AprilGrid":
+        last, count = self.first_id + self.columns * self.rows - 1, _FAMILY_SIZE["tag36h11"]
+        if last >= count:
+            raise wrong("first_id", f"the last tag would be {last}, but tag36h11 ends at {count - 1}")
+        return self
+
+    @property
+    def extent(self) -> Pair:
+        """Width and height of the pattern, m."""
+        gap = self.tag_size * self.tag_spacing
+        return self.columns * (self.tag_size + gap) - gap, self.rows * (self.tag_size + gap) - gap
 
 
 Pattern = Annotated[Checkerboard | Charuco | AprilGrid, Field(discriminator="kind")]
@@ -76,17 +135,45 @@ class Board(StrictModel):
     size: tuple[Length, Length]
     """Width (x) and height (y) of the sheet, m."""
     family: Literal["tag36h11", "tag25h9", "tag16h5"] = "tag36h11"
+    """AprilTag family of the tags."""
     tags: tuple[Tag, ...] = ()
+    """The AprilTags on the sheet."""
     pattern: Pattern | None = None
+    """What is printed instead of tags."""
 
     @model_validator(mode="after")
     def _one_print(self) -> "Board":
         if self.tags and self.pattern:
-            raise ValueError("a board has either tags or a pattern, not both")
-        ids = [tag.id for tag in self.tags]
-        if len(set(ids)) < len(ids):
-            raise ValueError(f"tag ids on one board must differ, got {ids}")
+            raise wrong("pattern", "a board has either tags or a pattern, not both")
+        if self.pattern:
+            _check_on_sheet("pattern", self.size, self.pattern.center, self.pattern.extent)
+        last = _FAMILY_SIZE[self.family] - 1
+        for i, tag in enumerate(self.tags):
+            _check_on_sheet(f"tags[{i}]", self.size, tag.center, (tag.size, tag.size))
+            if tag.id > last:
+                raise wrong(f"tags[{i}].id", f"{self.family} ends at {last}, got {tag.id}")
         return self
+
+    @model_validator(mode="after")
+    def _tags_apart(self) -> "Board":
+        for (i, a), (j, b) in combinations(enumerate(self.tags), 2):
+            if a.id == b.id:
+                raise wrong(f"tags[{j}].id", f"must differ from that of tags[{i}], got {b.id} twice")
+            gap = max(abs(p - q) for p, q in zip(a.center, b.center, strict=True)) - (a.size + b.size) / 2
+            if gap < -_TOLERANCE:
+                raise wrong(f"tags[{j}]", f"overlaps tags[{i}] by {-gap:.3f} m")
+        return self
+
+
+def _check_on_sheet(key: str, sheet: Pair, center: Pair, extent: Pair) -> None:
+    for axis, direction in enumerate(("width", "height")):
+        reach = abs(center[axis]) + extent[axis] / 2
+        if reach > sheet[axis] / 2 + _TOLERANCE:
+            raise wrong(
+                key,
+                f"leaves the sheet: it reaches {reach:.3f} m from the centre, "
+                f"half the sheet's {direction} is {sheet[axis] / 2:.3f} m",
+            )
 
 
 class People(StrictModel):
@@ -102,6 +189,21 @@ class Cylinder(StrictModel):
 
     kind: Literal["cylinder"]
     diameter: Length
+    """Its diameter, m."""
 
 
-Target = Annotated[Board | People | Cylinder, Field(discriminator="kind")]
+def _kind_of_target(value: Any) -> str | None:
+    """The tag that chooses the model for a target; None, an error, unless it is a list or has a known kind."""
+    if isinstance(value, list | tuple):
+        return "boards"
+    kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+    return kind if isinstance(kind, str) else None
+
+
+Target = Annotated[
+    Annotated[Board, pydantic.Tag("board")]
+    | Annotated[People, pydantic.Tag("people")]
+    | Annotated[Cylinder, pydantic.Tag("cylinder")]
+    | Annotated[tuple[Board, ...], pydantic.Tag("boards"), Field(min_length=1)],
+    Discriminator(_kind_of_target),
+]

@@ -1,0 +1,240 @@
+"""YAML files checked against a model, with errors that name file, key, value and what is allowed.
+
+pydantic says where an error is in its own words, tags of unions and names of types included. Here its path is
+walked along the model's types, which gives the key as it stands in the file and the keys known at that level.
+"""
+
+import difflib
+import types
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+import pydantic
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+from ruamel.yaml import YAML
+from ruamel.yaml.constructor import DuplicateKeyError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from calgraph.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_yaml(path: Path) -> dict[Any, Any]:
+    """The mapping a YAML file holds.
+
+    Raises:
+        InputError: the file is missing, is not YAML, gives a key twice, or holds something else than a mapping.
+
+    """
+    try:
+        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+    except YAMLError as error:
+        raise InputError(f"{path}{_explain_syntax(error)}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: must hold a mapping of keys to values, not {_shown(content)}")
+    return content
+
+
+def validated(model: type[Model], content: dict[Any, Any], source: Path) -> Model:
+    """``content`` as a ``model``.
+
+    Raises:
+        InputError: with one line for each wrong key or value, starting with ``source``.
+
+    """
+    try:
+        return model.model_validate(content)
+    except pydantic.ValidationError as error:
+        # A list with wrong elements counts as empty to pydantic, which then complains of that as well.
+        details = [d for d in error.errors() if d["type"] != "too_short" or not d["input"]]
+        lines = dict.fromkeys(f"{source}: {_explain(model, d)}" for d in details)
+        raise InputError("\n".join(lines)) from error
+
+
+def _explain_syntax(error: YAMLError) -> str:
+    mark = error.problem_mark if isinstance(error, MarkedYAMLError) else None
+    where = f", line {mark.line + 1}: " if mark else ": "
+    if isinstance(error, DuplicateKeyError):
+        key = str(error.problem).split('"')[1]
+        return f"{where}the key {key!r} is given twice"
+    problem = (
+        error.problem if isinstance(error, MarkedYAMLError) and error.problem else " ".join(str(error).split())
+    )
+    return f"{where}is not valid YAML ({problem})"
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where in the file an error is."""
+
+    path: list[Any]
+    """Keys and indices as in the file."""
+    owner: type[BaseModel] | None
+    """The model that the last key belongs to."""
+    around: Any
+    """The type of what holds the last key or index."""
+    annotation: Any
+    """The type of the value there."""
+
+
+def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
+    place = _walk(model, details["loc"])
+    path, owner = place.path, place.owner
+    kind, given, context = details["type"], details["input"], details.get("ctx", {})
+    if kind == "calgraph":
+        return f"{_written([*path, context['key']])}: {context['message']}"
+    if kind == "extra_forbidden" and owner is not None:
+        return f"unknown key {_written(path)}{_nearest(path[-1], owner.model_fields)}"
+    if kind == "missing" and path and isinstance(path[-1], int):
+        # pydantic reports each absent element of a fixed-length list; the list is what the user has to mend.
+        return f"{_written(path[:-1])}: must have {len(get_args(place.around))} elements, got {_shown(given)}"
+    if kind == "missing":
+        return f"{_written(path)}: is missing{_description(owner, path)}"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        return _explain_kind(path, given, _kinds(place.annotation))
+    allowed = _allowed(kind, context) or _lowered(details["msg"])
+    return f"{_written(path)}: {allowed}, got {_shown(given)}"
+
+
+def _explain_kind(path: list[Any], given: Any, allowed: list[str]) -> str:
+    """A part with alternatives whose key ``kind`` is absent or not one of them."""
+    listed = ", ".join(allowed)
+    if not isinstance(given, dict):
+        return f"{_written(path)}: must be a mapping with the key kind ({listed}), got {_shown(given)}"
+    if "kind" not in given:
+        return f"{_written([*path, 'kind'])}: is missing; allowed are {listed}"
+    close = difflib.get_close_matches(str(given["kind"]), allowed, n=1, cutoff=0.6)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    return f"{_written([*path, 'kind'])}: must be one of {listed}, got {_shown(given['kind'])}{hint}"
+
+
+_TYPES = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "string_type": "must be a text",
+    "bool_type": "must be true or false",
+    "finite_number": "must be a finite number",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "dict_type": "must be a mapping",
+    "model_type": "must be a mapping",
+    "model_attributes_type": "must be a mapping",
+    "too_short": "must not be empty",
+    "string_too_short": "must not be empty",
+    "invalid_key": "must have texts as keys",
+}
+_LIMITS = {
+    "greater_than": "must be greater than {gt}",
+    "greater_than_equal": "must be {ge} or greater",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be {le} or less",
+    "literal_error": "must be {expected}",
+    "too_long": "must have {max_length} elements",
+}
+
+
+def _allowed(kind: str, context: dict[str, Any]) -> str | None:
+    numbers = {key: f"{value:g}" if isinstance(value, float) else value for key, value in context.items()}
+    return _TYPES.get(kind) or (_LIMITS[kind].format(**numbers) if kind in _LIMITS else None)
+
+
+def _lowered(message: str) -> str:
+    message = message.removeprefix("Value error, ")
+    return message[:1].lower() + message[1:]
+
+
+def _shown(value: object) -> str:
+    """A value as its author would recognise it in the file."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a mapping" if value else "an empty mapping"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _description(owner: type[BaseModel] | None, path: list[Any]) -> str:
+    field = owner.model_fields.get(str(path[-1])) if owner else None
+    return f" ({field.description.splitlines()[0].rstrip('.')})" if field and field.description else ""
+
+
+def _nearest(key: Any, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(str(key), known, n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else f"; known here are {', '.join(known)}"
+
+
+def _written(path: list[Any]) -> str:
+    """The path as one writes about it: ``target.tags[0].size``."""
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in path if part != ""]
+    return "".join(parts).lstrip(".") or "the file"
+
+
+def _walk(model: type[BaseModel], location: tuple[int | str, ...]) -> _Place:
+    """The place in the file, and in the types, of pydantic's location."""
+    annotation: Any = model
+    around: Any = None
+    path: list[Any] = []
+    owner: type[BaseModel] | None = None
+    for part in location:
+        annotation = _unwrapped(annotation)
+        if _members(annotation):
+            annotation = next((member for member in _members(annotation) if _tag(member) == part), None)
+            continue
+        origin, around = get_origin(annotation), annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            owner = annotation
+            field = annotation.model_fields.get(str(part))
+            annotation = field.annotation if field else None
+        elif origin is dict:
+            owner, annotation = None, get_args(annotation)[1]
+        elif origin is tuple and isinstance(part, int):
+            owner, annotation = None, get_args(annotation)[0]
+        else:
+            break  # pydantic's own remarks, such as [key]
+        path.append(part)
+    return _Place(path, owner, around, _unwrapped(annotation))
+
+
+def _unwrapped(annotation: Any) -> Any:
+    """A type without its constraints and without the None of an optional value."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    members = _members(annotation)
+    return _unwrapped(members[0]) if len(members) == 1 else annotation
+
+
+def _members(annotation: Any) -> list[Any]:
+    """The alternatives of a union; none for any other type."""
+    if get_origin(annotation) not in (Union, types.UnionType):
+        return []
+    return [member for member in get_args(annotation) if member is not type(None)]
+
+
+def _tag(member: Any) -> str | None:
+    """The tag by which a union chooses ``member``: stated, or the one value of its key kind."""
+    if get_origin(member) is Annotated:
+        inner, *metadata = get_args(member)
+        return next((m.tag for m in metadata if isinstance(m, pydantic.Tag)), _tag(inner))
+    return _kind(member)
+
+
+def _kind(member: Any) -> str | None:
+    model = _unwrapped(member)
+    is_model = isinstance(model, type) and issubclass(model, BaseModel)
+    return str(get_args(model.model_fields["kind"].annotation)[0]) if is_model else None
+
+
+def _kinds(annotation: Any) -> list[str]:
+    """The values that ``kind`` may have in a union of models."""
+    return [kind for member in _members(annotation) if (kind := _kind(member))]
