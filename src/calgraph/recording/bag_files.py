@@ -1,0 +1,106 @@
+"""Which files make up a bag, and how many messages its metadata.yaml states."""
+
+import re
+import shutil
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from calgraph.errors import RecordingError
+from calgraph.recording.recording import TopicInfo, blamed_on
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+STORAGE_SUFFIXES = (".mcap", ".db3", ".bag")
+_ZSTD_SUFFIXES = (".zstd", ".zst")
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+@dataclass(frozen=True)
+class BagFiles:
+    """The storage files of a bag."""
+
+    files: tuple[Path, ...]
+    """In the order they were recorded."""
+    stated: tuple[TopicInfo, ...]
+    """Topics as metadata.yaml counts them; empty without one."""
+
+
+def is_storage(path: Path) -> bool:
+    """Whether a file is a bag's storage, by its name."""
+    name = path.with_suffix("") if path.suffix in _ZSTD_SUFFIXES else path
+    return name.suffix in STORAGE_SUFFIXES
+
+
+def find_bag_files(path: Path) -> BagFiles | None:
+    """The files of the bag at ``path``: one storage file, or a folder of them; None if it is no bag.
+
+    Raises:
+        RecordingError: metadata.yaml is damaged or names a file that is missing.
+
+    """
+    if path.is_file():
+        return BagFiles((path,), ()) if is_storage(path) else None
+    if (path / "metadata.yaml").is_file():
+        return _from_metadata(path)
+    files = sorted((file for file in path.iterdir() if file.is_file() and is_storage(file)), key=_natural)
+    return BagFiles(tuple(files), ()) if files else None
+
+
+def unpacked(file: Path, stack: ExitStack) -> Path:
+    """The storage file itself, or an uncompressed copy that lives as long as the stack."""
+    if file.suffix not in _ZSTD_SUFFIXES:
+        return file
+    copy = Path(stack.enter_context(TemporaryDirectory(prefix="calgraph-"))) / file.stem
+    with (
+        blamed_on(file, "the compressed file is incomplete or damaged: copy it again"),
+        zstd.open(file, "rb") as packed,
+        copy.open("wb") as plain,
+    ):
+        shutil.copyfileobj(packed, plain)
+    return copy
+
+
+def unpacked_message(raw: bytes) -> bytes:
+    """A message's bytes without rosbag2's per-message compression.
+
+    Neither CDR nor ROS 1 messages of use here start with zstd's magic number, so this works without metadata.
+    """
+    return zstd.decompress(raw) if raw[:4] == _ZSTD_MAGIC else raw
+
+
+def _from_metadata(folder: Path) -> BagFiles:
+    metadata_path = folder / "metadata.yaml"
+    advice = "remove or rename it to read the storage files without it"
+    try:
+        content = YAML(typ="safe").load(metadata_path.read_text(encoding="utf-8"))
+        metadata: Mapping[str, Any] = content["rosbag2_bagfile_information"]
+        files = tuple(folder / PurePath(name).name for name in metadata["relative_file_paths"])
+        stated = tuple(_stated(entry) for entry in metadata.get("topics_with_message_count") or ())
+    except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise RecordingError(f"{metadata_path}: is not the metadata of a rosbag2 ({reason}); {advice}") from error
+    for file in files:
+        if not file.is_file():
+            raise RecordingError(f"{metadata_path}: names {file.name}, which is missing in {folder}; {advice}")
+    return BagFiles(files, stated)
+
+
+def _stated(entry: Mapping[str, Any]) -> TopicInfo:
+    topic = entry["topic_metadata"]
+    return TopicInfo(str(topic["name"]), str(topic["type"]), int(entry["message_count"]))
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Sorts part_2 before part_10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

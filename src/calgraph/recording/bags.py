@@ -1,0 +1,141 @@
+"""ROS bags: rosbag2 in SQLite or MCAP files, and ROS 1 bags.
+
+The storage files are read one by one rather than through rosbags' reader of whole folders: that one matches topics
+including their QoS settings and silently drops those whose metadata.yaml differs from the storage.
+"""
+
+import math
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag2 import Reader as Reader2
+
+from calgraph.errors import RecordingError
+from calgraph.recording.bag_files import BagFiles, unpacked, unpacked_message
+from calgraph.recording.decoding import decode
+from calgraph.recording.message_types import MessageType, message_type
+from calgraph.recording.recording import (
+    TopicInfo,
+    blamed_on,
+    counted,
+    in_order_of_arrival,
+    joined_topics,
+    wanted_topics,
+)
+from calgraph.sensors import Record
+
+_ADVICE = {
+    ".bag": "it may be truncated: try `rosbag reindex` and `rosbag check`, or copy it again",
+    ".mcap": "it may be truncated: try `mcap recover {name} -o fixed.mcap`, or copy it again",
+    ".db3": "it may be truncated: try `sqlite3 {name} .recover | sqlite3 fixed.db3`, or copy it again",
+}
+# Seconds as floats are good to 0.24 µs; the storage is asked for this much more and filtered exactly afterwards.
+_MARGIN_NS = 1000
+
+
+class BagRecording:
+    """A bag of one or more storage files."""
+
+    def __init__(self, path: Path, bag: BagFiles) -> None:
+        self.path = path
+        self._types: dict[tuple[str, str], MessageType] = {}
+        self._stack = ExitStack()
+        try:
+            self._readers = tuple(self._open(file) for file in bag.files)
+        except BaseException:
+            self._stack.close()
+            raise
+        filled = [reader for reader in self._readers if reader.message_count]
+        self.start = min((reader.start_time for reader in filled), default=0) / 1e9
+        # The readers' end is one nanosecond after the last message.
+        self.end = max((reader.end_time - 1 for reader in filled), default=0) / 1e9
+        self.topics = _topics(self._readers, bag.stated)
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Record]:
+        """The messages in order of arrival; see :meth:`Recording.records`."""
+        wanted = wanted_topics(self.path, self.topics, topics)
+        records = in_order_of_arrival(
+            (reader.start_time / 1e9, self._records_of(reader, wanted, start, end))
+            for reader in self._readers
+            if reader.message_count
+        )
+        if start is not None or end is not None:
+            return records
+        stated = {topic.name: topic.count for topic in self.topics if topic.name in wanted}
+        return counted(
+            self.path, records, stated, cause="a file is missing or was not closed: copy it again or reindex it"
+        )
+
+    def close(self) -> None:
+        """Closes the storage files and removes uncompressed copies."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self, file: Path) -> Reader1 | Reader2:
+        storage = unpacked(file, self._stack)
+        if file.stat().st_size == 0:
+            raise RecordingError(f"{file}: is empty; copy it again")
+        with blamed_on(file, _ADVICE[storage.suffix].format(name=file.name)):
+            reader = Reader1(storage) if storage.suffix == ".bag" else Reader2(storage)
+            reader.open()
+        self._stack.callback(reader.close)
+        return reader
+
+    def _records_of(
+        self, reader: Reader1 | Reader2, topics: set[str], start: float | None, end: float | None
+    ) -> Iterator[Record]:
+        connections = [connection for connection in reader.connections if connection.topic in topics]
+        if not connections:
+            return
+        start_ns = None if start is None else max(0, math.floor(start * 1e9) - _MARGIN_NS)
+        stop_ns = None if end is None else math.ceil(end * 1e9) + _MARGIN_NS
+        ros1 = isinstance(reader, Reader1)
+        path = Path(str(reader.path))
+        with blamed_on(path, _ADVICE[path.suffix].format(name=path.name)):
+            for connection, arrival_ns, raw in reader.messages(connections, start_ns, stop_ns):
+                arrival = arrival_ns / 1e9
+                if (start is None or arrival >= start) and (end is None or arrival <= end):
+                    yield self._record(connection, arrival, unpacked_message(raw), ros1=ros1)
+
+    def _record(self, connection: Connection, arrival: float, raw: bytes, *, ros1: bool) -> Record:
+        kind = self._type(connection, ros1=ros1)
+        with blamed_on(f"{self.path}: topic {connection.topic}, arrival {arrival:.6f}"):
+            header_stamp = kind.header_stamp(raw)
+        stamp = arrival if header_stamp is None else header_stamp / 1e9
+        where = f"{self.path}: topic {connection.topic}, stamp {stamp:.6f}"
+        return Record(connection.topic, stamp, arrival, partial(decode, kind, raw, stamp, where))
+
+    def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
+        key = (connection.msgtype, connection.msgdef.data)
+        if key not in self._types:
+            self._types[key] = message_type(connection, ros1=ros1)
+        return self._types[key]
+
+
+def _topics(readers: tuple[Reader1 | Reader2, ...], stated: tuple[TopicInfo, ...]) -> tuple[TopicInfo, ...]:
+    """Topics with the larger of the counts that metadata.yaml and the storage files state."""
+    stored = joined_topics(
+        TopicInfo(name, topic.connections[0].msgtype, topic.msgcount)
+        for reader in readers
+        for name, topic in reader.topics.items()
+    )
+    counts = {topic.name: topic for topic in joined_topics(stated)}
+    for topic in stored:
+        count = max(topic.count, counts.get(topic.name, topic).count)
+        counts[topic.name] = TopicInfo(topic.name, topic.type, count)
+    return tuple(counts[name] for name in sorted(counts))

@@ -1,0 +1,120 @@
+"""Point clouds from named columns, as PointCloud2, PCD, PLY and NPZ hold them."""
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.sensors import PointCloud
+
+_log = logging.getLogger(__name__)
+
+Columns = Mapping[str, NDArray[Any]]
+
+_RING_NAMES = ("ring", "channel", "laser_id", "line", "ring_id")
+_TIME_NAMES = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
+# PointField.datatype to NumPy's type codes.
+_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+# Seconds in one unit of a time column, the likeliest first.
+_FLOAT_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
+_INTEGER_UNITS = (1e-9, 1e-6)
+# No sweep takes longer, s, and none is shorter.
+_LONGEST_SWEEP = 20.0
+_SHORTEST_SWEEP = 1e-3
+
+
+def columns_of_point_cloud2(message: Any) -> Columns:
+    """The coordinates, rings and times of a PointCloud2, one value a point, rows one after the other.
+
+    Raises:
+        ValueError: fields, steps and data do not fit together.
+
+    """
+    height, width, step = int(message.height), int(message.width), int(message.point_step)
+    fields = {field.name: field for field in reversed(message.fields)}
+    names = [name for name in fields if name in ("x", "y", "z", *_RING_NAMES, *_TIME_NAMES)]
+    for name in names:
+        if fields[name].datatype not in _DATATYPES:
+            raise ValueError(f"field {name} has unknown datatype {fields[name].datatype}; 1 to 8 are known")
+    order = ">" if message.is_bigendian else "<"
+    formats = [order + _DATATYPES[fields[name].datatype] for name in names]
+    offsets = [int(fields[name].offset) for name in names]
+    for name, offset, code in zip(names, offsets, formats, strict=True):
+        if offset + np.dtype(code).itemsize > step:
+            raise ValueError(f"field {name} at offset {offset} does not fit into the point step of {step} bytes")
+    dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
+    data = np.ascontiguousarray(message.data, dtype=np.uint8)
+    row = _row_step(message, len(data))
+    if width == 0 or height == 0:
+        return {name: np.empty(0, dtype[name]) for name in names}
+    points = np.ndarray((height, width), dtype, buffer=data.data, strides=(row, step))
+    return {name: points[name].ravel() for name in names}
+
+
+def _row_step(message: Any, size: int) -> int:
+    """Bytes from row to row; drivers of unorganised clouds often leave row_step unset or wrong."""
+    tight = int(message.width) * int(message.point_step)
+    stated = int(message.row_step)
+    row = stated if message.height > 1 and stated >= tight else tight
+    needed = (int(message.height) - 1) * row + tight
+    if size < needed:
+        raise ValueError(
+            f"cloud has {size} bytes of data, {needed} are needed for "
+            f"{message.width} x {message.height} points of {message.point_step} bytes"
+        )
+    return row
+
+
+def cloud_of_columns(columns: Columns, stamp: float, frame_id: str = "") -> PointCloud:
+    """A point cloud from columns (N,) x, y, z and, if there, a ring and a time.
+
+    Points that are not finite or lie in the origin are left out: both are ways to say that nothing came back.
+
+    Raises:
+        ValueError: a coordinate is missing.
+
+    """
+    missing = [axis for axis in "xyz" if axis not in columns]
+    if missing:
+        raise ValueError(f"cloud has no field {', '.join(missing)}; its fields are {', '.join(columns) or 'none'}")
+    points = np.stack([np.asarray(columns[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
+    kept = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    ring_name = next((name for name in _RING_NAMES if name in columns), None)
+    rings = None if ring_name is None else columns[ring_name][kept].astype(np.int32)
+    time_name = next((name for name in _TIME_NAMES if name in columns), None)
+    times = None if time_name is None else relative_times(columns[time_name][kept], stamp)
+    return PointCloud(stamp, frame_id, points[kept], rings, times)
+
+
+def relative_times(values: NDArray[Any], stamp: float) -> Array | None:
+    """Times of the points relative to the cloud's stamp, s; None where the column makes no sense.
+
+    Integers are nanoseconds, floats seconds, unless only another unit gives a sweep of sensible length. Values are
+    taken as absolute if they are nearer to the stamp than to zero.
+
+    Args:
+        values: (N,) a time column in an unknown unit.
+        stamp: of the cloud, s.
+
+    """
+    if len(values) == 0:
+        return np.zeros(0)
+    if not np.isfinite(values).all():
+        return None
+    for unit in _INTEGER_UNITS if np.issubdtype(values.dtype, np.integer) else _FLOAT_UNITS:
+        times = values.astype(np.float64) * unit
+        low, high = times.min(), times.max()
+        if _distance_to(stamp, low, high) < _distance_to(0.0, low, high):
+            times, low, high = times - stamp, low - stamp, high - stamp
+        plausible = max(abs(low), abs(high)) <= _LONGEST_SWEEP
+        if plausible and (high == low or high - low >= _SHORTEST_SWEEP):
+            return times
+    _log.debug("times of points between %s and %s make no sense at stamp %s", values.min(), values.max(), stamp)
+    return None
+
+
+def _distance_to(value: float, low: float, high: float) -> float:
+    return max(low - value, value - high, 0.0)

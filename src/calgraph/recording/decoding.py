@@ -1,0 +1,117 @@
+"""ROS messages to calgraph's: one decoder for each type, chosen from a table."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.recording.clouds import cloud_of_columns, columns_of_point_cloud2
+from calgraph.recording.images import decompressed, pixels_of_buffer
+from calgraph.recording.intrinsics import camera_model
+from calgraph.recording.message_types import MessageType
+from calgraph.recording.recording import blamed_on
+from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
+
+
+def decode(kind: MessageType, raw: bytes, stamp: float, where: str) -> Message:
+    """Decodes one message; a type without a decoder becomes a Trigger.
+
+    Args:
+        kind: the message's type.
+        raw: its serialised bytes.
+        stamp: its stamp, s.
+        where: recording, topic and stamp, for the error message.
+
+    Raises:
+        RecordingError: the content is unusable, and why.
+
+    """
+    decoder = _DECODERS.get(kind.name)
+    if decoder is None:
+        return Trigger(stamp)
+    with blamed_on(where):
+        return decoder(kind.deserialize(raw), stamp)
+
+
+def _laser_scan(message: Any, stamp: float) -> LaserScan:
+    return _scan(message, np.asarray(message.ranges, dtype=np.float64), stamp)
+
+
+def _multi_echo_laser_scan(message: Any, stamp: float) -> LaserScan:
+    first = [beam.echoes[0] if len(beam.echoes) else np.nan for beam in message.ranges]
+    return _scan(message, np.array(first, dtype=np.float64), stamp)
+
+
+def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
+    if not np.isfinite([message.angle_min, message.angle_increment, message.time_increment]).all():
+        raise ValueError("angle_min, angle_increment and time_increment must be finite")
+    angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
+    ranges = within_limits(ranges, message.range_min, message.range_max)
+    return LaserScan(stamp, message.header.frame_id, angles, ranges, float(message.time_increment))
+
+
+def within_limits(ranges: Array, nearest: float, farthest: float) -> Array:
+    """Ranges with NaN where they are outside the scanner's limits, m; limits left at zero do not count."""
+    inside = (ranges > 0) & (ranges >= nearest)
+    if farthest > nearest:
+        inside &= ranges <= farthest
+    return np.where(inside, ranges, np.nan)
+
+
+def _point_cloud2(message: Any, stamp: float) -> PointCloud:
+    return cloud_of_columns(columns_of_point_cloud2(message), stamp, message.header.frame_id)
+
+
+def _image(message: Any, stamp: float) -> Image:
+    pixels = pixels_of_buffer(
+        np.asarray(message.data, dtype=np.uint8),
+        message.height,
+        message.width,
+        message.step,
+        message.encoding,
+        big_endian=bool(message.is_bigendian),
+    )
+    return Image(stamp, message.header.frame_id, pixels)
+
+
+def _compressed_image(message: Any, stamp: float) -> Image:
+    pixels = decompressed(np.asarray(message.data, dtype=np.uint8), message.format)
+    return Image(stamp, message.header.frame_id, pixels)
+
+
+def _camera_info(message: Any, stamp: float) -> CameraInfo:
+    # ROS 1 definitions spell the matrices in capitals.
+    K, D = (getattr(message, key.lower(), None) for key in "KD")
+    full = camera_model(
+        message.distortion_model,
+        message.width,
+        message.height,
+        np.asarray(message.K if K is None else K),
+        np.asarray(message.D if D is None else D),
+    )
+    return CameraInfo(stamp, message.header.frame_id, _cropped_and_binned(full, message))
+
+
+def _cropped_and_binned(full: CameraModel, message: Any) -> CameraModel:
+    """The model of the pixels published: CameraInfo states K for the full, unbinned sensor."""
+    x_bin, y_bin = max(message.binning_x, 1), max(message.binning_y, 1)
+    roi = message.roi
+    # All zero means the full image.
+    width, height = (roi.width, roi.height) if roi.width and roi.height else (full.width, full.height)
+    if (x_bin, y_bin, roi.x_offset, roi.y_offset, width, height) == (1, 1, 0, 0, full.width, full.height):
+        return full
+    # The centre of a binned pixel is the mean of the centres it covers, hence the half pixels.
+    shift = np.array([[1, 0, 0.5 - roi.x_offset], [0, 1, 0.5 - roi.y_offset], [0, 0, 1]])
+    scale = np.array([[1 / x_bin, 0, -0.5], [0, 1 / y_bin, -0.5], [0, 0, 1]])
+    return CameraModel(full.model, width // x_bin, height // y_bin, scale @ shift @ full.K, full.distortion)
+
+
+_DECODERS: dict[str, Callable[[Any, float], Message]] = {
+    "sensor_msgs/msg/LaserScan": _laser_scan,
+    "sensor_msgs/msg/MultiEchoLaserScan": _multi_echo_laser_scan,
+    "sensor_msgs/msg/PointCloud2": _point_cloud2,
+    "sensor_msgs/msg/Image": _image,
+    "sensor_msgs/msg/CompressedImage": _compressed_image,
+    "sensor_msgs/msg/CameraInfo": _camera_info,
+}

@@ -1,0 +1,202 @@
+"""Plain folders: ``<sensor>/<seconds>.<png|jpg|pcd|ply|npz|csv>`` beside an optional ``camera_info.yaml``."""
+
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+
+from calgraph.errors import InputError
+from calgraph.recording.clouds import cloud_of_columns
+from calgraph.recording.decoding import within_limits
+from calgraph.recording.images import decompressed
+from calgraph.recording.intrinsics import camera_of_yaml
+from calgraph.recording.pcd import read_pcd
+from calgraph.recording.ply import read_ply
+from calgraph.recording.recording import TopicInfo, blamed_on, wanted_topics
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
+
+CAMERA_INFO = "camera_info.yaml"
+_SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
+# A scan's own stamp is that of its file's name, which may be rounded to this, s.
+_STAMP_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class _File:
+    stamp: float
+    topic: str
+    path: Path
+
+
+class FolderRecording:
+    """A folder with one folder of files a sensor; its topics are the names of those folders.
+
+    A file's name is its stamp and its arrival. A ``camera_info.yaml`` is one message on the topic
+    ``<sensor>/camera_info`` that arrives with the sensor's first file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        sensors = {folder.name: _files(folder) for folder in sorted(path.iterdir()) if folder.is_dir()}
+        self._files = sorted(
+            (file for files in sensors.values() for file in files), key=lambda file: (file.stamp, file.topic)
+        )
+        if not self._files:
+            raise InputError(
+                f"{path}: is no recording: it has neither bag files nor folders with files named "
+                f"<seconds>.<{'|'.join(suffix[1:] for suffix in _READERS)}>"
+            )
+        self.start, self.end = self._files[0].stamp, self._files[-1].stamp
+        counts: dict[str, int] = {}
+        for file in self._files:
+            counts[file.topic] = counts.get(file.topic, 0) + 1
+        first = {file.topic: file for file in reversed(self._files)}
+        self.topics = tuple(TopicInfo(name, _kind(first[name].path), counts[name]) for name in sorted(counts))
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Record]:
+        """The files in order of their stamps; see :meth:`Recording.records`."""
+        wanted = wanted_topics(self.path, self.topics, topics)
+        return (
+            Record(file.topic, file.stamp, file.stamp, partial(_decode, file))
+            for file in self._files
+            if file.topic in wanted
+            and (start is None or file.stamp >= start)
+            and (end is None or file.stamp <= end)
+        )
+
+    def close(self) -> None:
+        """Does nothing: no file stays open."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def stamp_of_name(name: str) -> float | None:
+    """The stamp in a file's name without suffix: seconds, or nanoseconds if it has 19 digits; else None."""
+    if re.fullmatch(r"\d{19}", name):
+        return int(name) / 1e9
+    return float(name) if re.fullmatch(r"\d+(\.\d+)?", name) else None
+
+
+def _files(folder: Path) -> list[_File]:
+    files = []
+    for path in folder.iterdir():
+        suffix = _suffix(path)
+        if suffix is None or path.name.startswith("."):
+            continue
+        stamp = stamp_of_name(path.name[: -len(suffix)])
+        if stamp is None:
+            raise InputError(f"{path}: is not named by its time: <seconds>{suffix} or 19 digits of nanoseconds")
+        files.append(_File(stamp, folder.name, path))
+    info = folder / CAMERA_INFO
+    if files and info.is_file():
+        files.append(_File(min(file.stamp for file in files), f"{folder.name}/camera_info", info))
+    return files
+
+
+def _suffix(path: Path) -> str | None:
+    name = path.name.lower()
+    return next((suffix for suffix in _READERS if name.endswith(suffix)), None)
+
+
+def _kind(path: Path) -> str:
+    """What a file holds, without reading it (an NPZ only says so in its table of contents)."""
+    if path.name == CAMERA_INFO:
+        return "camera_info"
+    suffix = _suffix(path)
+    if suffix == ".npz":
+        with blamed_on(path), np.load(path, allow_pickle=False) as arrays:
+            return "scan" if "ranges" in arrays else "cloud"
+    return {".csv": "scan", ".pcd": "cloud", ".pcd.gz": "cloud", ".ply": "cloud"}.get(suffix or "", "image")
+
+
+def _decode(file: _File) -> Message:
+    with blamed_on(f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"):
+        if file.path.name == CAMERA_INFO:
+            return _camera_info(file.path, file.stamp)
+        return _READERS[_suffix(file.path) or ""](file.path, file.stamp)
+
+
+def _camera_info(path: Path, stamp: float) -> CameraInfo:
+    content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise ValueError("must hold the keys of a CameraInfo")
+    return CameraInfo(stamp, "", camera_of_yaml(content))
+
+
+def _image(path: Path, stamp: float) -> Image:
+    return Image(stamp, "", decompressed(np.fromfile(path, np.uint8)))
+
+
+def _pcd(path: Path, stamp: float) -> PointCloud:
+    return cloud_of_columns(read_pcd(path), stamp)
+
+
+def _ply(path: Path, stamp: float) -> PointCloud:
+    return cloud_of_columns(read_ply(path), stamp)
+
+
+def _npz(path: Path, stamp: float) -> Message:
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    if "ranges" in arrays:
+        return _scan(arrays, stamp)
+    if "points" not in arrays:
+        raise ValueError(f"an NPZ has either points or ranges, this one has {', '.join(arrays) or 'nothing'}")
+    points = arrays.pop("points")
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points must have the shape (N, 3), got {points.shape}")
+    columns = {name: values.ravel() for name, values in arrays.items() if values.size == len(points)}
+    return cloud_of_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, stamp)
+
+
+def _csv(path: Path, stamp: float) -> LaserScan:
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    names = [name.strip() for name in lines[0].split(",")] if lines else []
+    if tuple(names[:5]) != _SCAN_COLUMNS:
+        raise ValueError(f"the first line must be {','.join(_SCAN_COLUMNS)}")
+    if len(lines) != 2:
+        raise ValueError(f"must have one line of values after the names, got {len(lines) - 1}")
+    values = np.array([float(cell) if cell.strip() else np.nan for cell in lines[1].split(",")])
+    if len(values) < 5:
+        raise ValueError(f"must have at least one range, got {len(values)} values")
+    return _scan({**dict(zip(_SCAN_COLUMNS[:4], values, strict=False)), "ranges": values[4:]}, stamp)
+
+
+def _scan(values: Mapping[str, NDArray[np.float64]], stamp: float) -> LaserScan:
+    missing = [name for name in ("angle_min", "angle_increment") if name not in values]
+    if missing:
+        raise ValueError(f"a scan needs {', '.join(_SCAN_COLUMNS)}; {', '.join(missing)} is missing")
+    own_stamp = float(values.get("stamp", np.array(stamp)))
+    if abs(own_stamp - stamp) > _STAMP_TOLERANCE:
+        raise ValueError(f"its stamp {own_stamp:.6f} is not that of its name")
+    ranges = np.asarray(values["ranges"], dtype=np.float64).ravel()
+    angles = float(values["angle_min"]) + float(values["angle_increment"]) * np.arange(len(ranges))
+    increment = float(values.get("time_increment", np.array(0.0)))
+    return LaserScan(stamp, "", angles, within_limits(ranges, 0.0, np.inf), increment)
+
+
+_READERS: dict[str, Callable[[Path, float], Message]] = {
+    ".png": _image,
+    ".jpg": _image,
+    ".jpeg": _image,
+    ".pcd": _pcd,
+    ".pcd.gz": _pcd,
+    ".ply": _ply,
+    ".npz": _npz,
+    ".csv": _csv,
+}

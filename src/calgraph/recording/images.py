@@ -1,0 +1,147 @@
+"""Pixels as ROS and image files store them, to 8-bit grey or BGR."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Pixels = NDArray[np.uint8]
+
+# ROS names a Bayer pattern by its first two rows; OpenCV by the second row's second and third pixel.
+_BAYER = {
+    "rggb": cv2.COLOR_BayerBG2BGR,
+    "bggr": cv2.COLOR_BayerRG2BGR,
+    "gbrg": cv2.COLOR_BayerGR2BGR,
+    "grbg": cv2.COLOR_BayerGB2BGR,
+}
+# Encoding to channels, bytes a channel, and OpenCV's conversion to BGR, if one is needed.
+_ENCODINGS: dict[str, tuple[int, int, int | None]] = {
+    "mono8": (1, 1, None),
+    "8uc1": (1, 1, None),
+    "mono16": (1, 2, None),
+    "16uc1": (1, 2, None),
+    "bgr8": (3, 1, None),
+    "8uc3": (3, 1, None),
+    "bgr16": (3, 2, None),
+    "16uc3": (3, 2, None),
+    "rgb8": (3, 1, cv2.COLOR_RGB2BGR),
+    "rgb16": (3, 2, cv2.COLOR_RGB2BGR),
+    "bgra8": (4, 1, cv2.COLOR_BGRA2BGR),
+    "8uc4": (4, 1, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, 1, cv2.COLOR_RGBA2BGR),
+    "yuv422": (2, 1, cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": (2, 1, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": (2, 1, cv2.COLOR_YUV2BGR_YUYV),
+    "yuyv": (2, 1, cv2.COLOR_YUV2BGR_YUYV),
+    **{f"bayer_{pattern}8": (1, 1, code) for pattern, code in _BAYER.items()},
+    **{f"bayer_{pattern}16": (1, 2, code) for pattern, code in _BAYER.items()},
+}
+
+
+def pixels_of_buffer(
+    data: Pixels, height: int, width: int, step: int, encoding: str, *, big_endian: bool = False
+) -> Pixels:
+    """Pixels of a ROS Image.
+
+    Args:
+        data: (n,) raw bytes.
+        height: rows.
+        width: columns.
+        step: bytes from one row to the next, padding included; 0 for none.
+        encoding: ROS's name, in either case.
+        big_endian: byte order of 16-bit values.
+
+    Returns:
+        (height, width) grey or (height, width, 3) BGR.
+
+    Raises:
+        ValueError: unknown encoding, or too few bytes.
+
+    """
+    name = encoding.strip().lower()
+    if name not in _ENCODINGS:
+        raise ValueError(f"image encoding {encoding!r} is not supported; known are {', '.join(_ENCODINGS)}")
+    channels, depth, conversion = _ENCODINGS[name]
+    row = width * channels * depth
+    step = step or row
+    if step < row:
+        raise ValueError(f"image step {step} is less than a row of {width} {encoding} pixels ({row} bytes)")
+    if height < 1 or width < 1:
+        raise ValueError(f"image is empty ({width} x {height})")
+    # Some drivers leave out the padding of the last row.
+    needed = (height - 1) * step + row
+    if len(data) < needed:
+        raise ValueError(
+            f"image has {len(data)} bytes of data, {needed} are needed for {width} x {height} {encoding}"
+        )
+    rows = np.lib.stride_tricks.as_strided(np.ascontiguousarray(data), (height, row), (step, 1))
+    values = np.ascontiguousarray(rows)
+    if depth == 2:
+        values = to_8_bits(values.view(">u2" if big_endian else "<u2"))
+    pixels = values.reshape((height, width) if channels == 1 else (height, width, channels))
+    if conversion is None:
+        return pixels
+    return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+
+
+def decompressed(data: Pixels, declared: str = "") -> Pixels:
+    """Pixels of a JPEG, PNG or other image file in memory.
+
+    Args:
+        data: (n,) bytes of the file.
+        declared: ``format`` of a ROS CompressedImage, e.g. ``bgr8; jpeg compressed bgr8``.
+
+    Returns:
+        (height, width) grey or (height, width, 3) BGR.
+
+    Raises:
+        ValueError: the bytes are no image, or an image of depths.
+
+    """
+    original, _, compressed = declared.lower().partition(";")
+    if "compresseddepth" in compressed:
+        raise ValueError(f"format {declared!r} holds depths, not an image")
+    if data.size == 0:
+        raise ValueError("image has no data")
+    # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
+    read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if read is None:
+        raise ValueError(f"image data of {data.size} bytes cannot be decoded (format {declared!r})")
+    pixels = read if read.dtype == np.uint8 else to_8_bits(np.asarray(read))
+    if pixels.ndim == 3 and pixels.shape[2] == 4:
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
+    if pixels.ndim == 2:
+        pattern = original.strip().removeprefix("bayer_").rstrip("0123456789")
+        if pattern in _BAYER and "mono" not in compressed:
+            return np.asarray(cv2.cvtColor(pixels, _BAYER[pattern]), dtype=np.uint8)
+    elif "rgb" in compressed:
+        # The publisher compressed RGB as if it were BGR.
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), dtype=np.uint8)
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def to_8_bits(values: NDArray[np.generic]) -> Pixels:
+    """Values of more than 8 bits, stretched between their 0.1 and 99.9 percentiles.
+
+    16-bit images often use 10 or 12 bits, and some have hot pixels: neither shifting nor the extremes would do.
+    """
+    numbers = values.astype(np.float32)
+    low, high = np.percentile(numbers.ravel()[:: max(1, numbers.size // 100_000)], [0.1, 99.9])
+    if not high > low:
+        return np.full(values.shape, np.clip(low / 256, 0, 255), dtype=np.uint8)
+    return np.asarray(np.clip((numbers - low) * (255 / (high - low)) + 0.5, 0, 255), dtype=np.uint8)
+
+
+def encoded(pixels: Pixels, encoding: str) -> tuple[bytes, str]:
+    """A PNG or JPEG of the pixels, and the ``format`` of a CompressedImage that holds it.
+
+    Args:
+        pixels: (height, width) grey or (height, width, 3) BGR.
+        encoding: ``png`` or ``jpeg``.
+
+    """
+    suffix, options = {"png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, 1]), "jpeg": (".jpg", [])}[encoding]
+    done, data = cv2.imencode(suffix, pixels, options)
+    if not done:
+        raise ValueError(f"image of shape {pixels.shape} cannot be written as {encoding}")
+    kind = "mono8" if pixels.ndim == 2 else "bgr8"
+    return data.tobytes(), f"{kind}; {encoding} compressed {kind}"

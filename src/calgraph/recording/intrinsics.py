@@ -1,0 +1,98 @@
+"""Camera intrinsics as ROS and YAML files spell them."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.sensors import CameraModel
+
+_FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
+_PINHOLE = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "none", "")
+
+
+def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Array) -> CameraModel:
+    """A camera model from the values of a ROS CameraInfo.
+
+    Args:
+        distortion_model: ROS's name; ``fisheye``, ``radtan`` and ``pinhole`` are understood as well.
+        width: of the image, pixels.
+        height: of the image, pixels.
+        K: (9,) or (3, 3) rows of the camera matrix, or (4,) fx, fy, cx, cy, pixels.
+        D: (n,) distortion coefficients in OpenCV's order.
+
+    Raises:
+        ValueError: the camera is not calibrated, or the model or a number of coefficients is not supported.
+
+    """
+    matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise ValueError("K has no focal lengths: the camera is not calibrated; give its intrinsics in rig.yaml")
+    model, distortion = _distortion(distortion_model.strip().lower(), np.asarray(D, dtype=np.float64).ravel())
+    return CameraModel(model, int(width), int(height), matrix, distortion)
+
+
+def camera_of_yaml(content: Mapping[str, Any]) -> CameraModel:
+    """A camera model from a camera_info.yaml.
+
+    Understands the keys of ROS's camera_calibration (``image_width``, ``camera_matrix: {data}``, ...) and those of
+    the CameraInfo message (``width``, ``K``, ``D``, in either case).
+
+    Raises:
+        ValueError: a key is missing or has an unusable value.
+
+    """
+    keys = {str(key).lower(): value for key, value in content.items()}
+    return camera_model(
+        str(_first_of(keys, "distortion_model", "camera_model", default="")),
+        int(_first_of(keys, "width", "image_width")),
+        int(_first_of(keys, "height", "image_height")),
+        _numbers(_first_of(keys, "k", "camera_matrix")),
+        _numbers(_first_of(keys, "d", "distortion_coefficients", default=[])),
+    )
+
+
+def _camera_matrix(K: Array) -> Array:
+    if K.size == 4:
+        fx, fy, cx, cy = K
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    if K.size != 9 or not np.isfinite(K).all():
+        raise ValueError(f"K must have 9 finite values, got {K.tolist()}")
+    return K.reshape(3, 3)
+
+
+def _distortion(name: str, D: Array) -> tuple[Literal["pinhole", "fisheye"], Array]:
+    if not np.isfinite(D).all():
+        raise ValueError(f"distortion must be finite, got {D.tolist()}")
+    if name.startswith(_FISHEYE):
+        if D.size > 4 and not D[4:].any():
+            D = D[:4]
+        if D.size not in (0, 4):
+            raise ValueError(f"a fisheye camera has 4 distortion coefficients, got {D.size}")
+        return "fisheye", D if D.size else np.zeros(4)
+    if name not in _PINHOLE:
+        known = "plumb_bob, rational_polynomial, equidistant"
+        raise ValueError(f"distortion model {name!r} is not supported; known are {known}")
+    # Longer lists carry thin-prism and tilt terms; all-zero ones say nothing.
+    if D.size > 8 and not D[8:].any():
+        D = D[:8]
+    if not D.any():
+        return "pinhole", np.zeros(0)
+    if D.size not in (4, 5, 8):
+        raise ValueError(f"a pinhole camera has 4, 5 or 8 distortion coefficients, got {D.size}")
+    return "pinhole", D
+
+
+def _numbers(value: Any) -> Array:
+    """A list, nested or flat, or OpenCV's mapping with ``data``."""
+    return np.asarray(value["data"] if isinstance(value, Mapping) else value, dtype=np.float64).ravel()
+
+
+def _first_of(keys: Mapping[str, Any], *names: str, default: Any = None) -> Any:
+    for name in names:
+        if keys.get(name) is not None:
+            return keys[name]
+    if default is None:
+        raise ValueError(f"key {names[0]} (or {names[1]}) is missing")
+    return default

@@ -1,0 +1,184 @@
+"""What a recording is to the rest of calgraph: topics, and their messages in order of arrival."""
+
+import difflib
+import heapq
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from calgraph.errors import CalgraphError, InputError, RecordingError
+from calgraph.sensors import Record
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """One topic of a recording."""
+
+    name: str
+    """Topic, or folder name in a plain folder."""
+    type: str
+    """ROS type name such as ``sensor_msgs/msg/LaserScan``; in a plain folder ``image``, ``scan``, ``cloud`` or
+    ``camera_info``."""
+    count: int
+    """How many messages the recording states to have."""
+
+
+class Recording(Protocol):
+    """An open recording; a context manager that closes its files at the end."""
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """All topics, sorted by name."""
+
+    @property
+    def start(self) -> float:
+        """Arrival of the first message, s."""
+
+    @property
+    def end(self) -> float:
+        """Arrival of the last message, s."""
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Record]:
+        """The messages in order of arrival, as a stream.
+
+        A record carries its undecoded bytes until it is dropped: keep stamps rather than records.
+
+        Args:
+            topics: names of the topics wanted; all if left out.
+            start: only messages that arrived at this time or later, s.
+            end: only messages that arrived at this time or earlier, s.
+
+        Raises:
+            InputError: a topic is not in the recording.
+            RecordingError: the file is damaged, or holds fewer messages than it states (noticed at the end of a
+                pass without start and end).
+
+        """
+
+    def close(self) -> None:
+        """Closes the files."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+class JoinedRecording:
+    """Several recordings read as one, merged by arrival time."""
+
+    def __init__(self, recordings: Sequence[Recording]) -> None:
+        self._recordings = tuple(recordings)
+        self.path = self._recordings[0].path
+        self.topics = joined_topics(topic for part in self._recordings for topic in part.topics)
+        self.start = min(part.start for part in self._recordings)
+        self.end = max(part.end for part in self._recordings)
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Record]:
+        """The messages of all parts; see :meth:`Recording.records`."""
+        wanted = wanted_topics(self.path, self.topics, topics)
+        return in_order_of_arrival(
+            (part.start, part.records(wanted & {topic.name for topic in part.topics}, start, end))
+            for part in self._recordings
+        )
+
+    def close(self) -> None:
+        """Closes every part, even if closing one of them fails."""
+        with ExitStack() as stack:
+            for part in self._recordings:
+                stack.callback(part.close)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def joined_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
+    """One entry a name, sorted, with the counts added up; a name with several types keeps the first."""
+    joined: dict[str, TopicInfo] = {}
+    for topic in topics:
+        before = joined.get(topic.name, TopicInfo(topic.name, topic.type, 0))
+        joined[topic.name] = TopicInfo(topic.name, before.type, before.count + topic.count)
+    return tuple(joined[name] for name in sorted(joined))
+
+
+def wanted_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[str] | None) -> set[str]:
+    """The names of the topics to read.
+
+    Raises:
+        InputError: a wanted topic is not present.
+
+    """
+    names = [topic.name for topic in present]
+    for name in wanted or ():
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise InputError(f"{path}: has no topic {name!r}{hint} Its topics are: {', '.join(names) or 'none'}")
+    return set(names if wanted is None else wanted)
+
+
+def in_order_of_arrival(sources: Iterable[tuple[float, Iterable[Record]]]) -> Iterator[Record]:
+    """Merges streams that are each in order, opening each only when its start (s) has come.
+
+    So the first chunks of a hundred split files are not all in memory at once.
+    """
+
+    def lazily(start: float, records: Iterable[Record]) -> Iterator[tuple[float, Record | None]]:
+        yield start, None
+        for record in records:
+            yield record.arrival, record
+
+    merged = heapq.merge(*(lazily(start, records) for start, records in sources), key=lambda entry: entry[0])
+    return (record for _, record in merged if record is not None)
+
+
+def counted(where: Path, records: Iterable[Record], stated: Mapping[str, int], *, cause: str) -> Iterator[Record]:
+    """Passes records on, and complains at the end if a topic had fewer of them than stated.
+
+    Raises:
+        RecordingError: fewer messages than stated, naming the topics.
+
+    """
+    missing = dict(stated)
+    for record in records:
+        missing[record.topic] -= 1
+        yield record
+    short = [f"{topic}: {stated[topic] - n} of {stated[topic]}" for topic, n in missing.items() if n > 0]
+    if short:
+        raise RecordingError(f"{where}: holds fewer messages than it states ({', '.join(short)}); {cause}")
+
+
+@contextmanager
+def blamed_on(where: object, advice: str = "") -> Iterator[None]:
+    """Turns whatever a library or a decoder raises into a RecordingError that says where.
+
+    Damaged bytes make the parsers below us raise nearly anything (struct.error, AssertionError, KeyError, zlib
+    and database errors), hence the broad net; errors that are ours already pass unchanged.
+    """
+    try:
+        yield
+    except CalgraphError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise RecordingError(f"{where}: {reason}{'; ' if advice else ''}{advice}") from error

@@ -1,0 +1,222 @@
+"""Writes recordings as rosbag2 with MCAP storage, as ROS 2's own tools read them."""
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from calgraph.errors import InputError
+from calgraph.recording.images import encoded
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
+
+Encoding = Literal["raw", "png", "jpeg"]
+
+# ROS states one increment for a whole scan; float32 angles are no better than this, rad.
+_UNEVEN = 1e-5
+
+
+class RecordingWriter:
+    """Writes a rosbag2 folder; a context manager.
+
+    The folder appears under its name only when everything is written; an error or interruption leaves nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Starts a recording.
+
+        Args:
+            path: folder to create; its parents are created too.
+
+        Raises:
+            InputError: it exists already.
+
+        """
+        if path.exists():
+            raise InputError(f"{path}: exists already; remove it or choose another name for the recording")
+        self.path = path
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+        self._connections: dict[str, Connection] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # rosbags names the storage file after its folder, so the unfinished one differs by its parent.
+        self._unfinished = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        self._writer = Writer(self._unfinished / path.name, version=8, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+
+    def write(
+        self, topic: str, message: Message, arrival: float | None = None, *, encoding: Encoding = "raw"
+    ) -> None:
+        """Appends a message.
+
+        Args:
+            topic: its topic; always the same kind of message on one topic.
+            message: what to write.
+            arrival: when it arrived, s; its stamp if left out.
+            encoding: of images: ``raw`` writes Image, the others CompressedImage.
+
+        Raises:
+            InputError: the message cannot be expressed in ROS, or the topic has messages of another type.
+
+        """
+        ros_type, content = _MAKERS[type(message)](self._store, message, encoding)
+        connection = self._connections.get(topic)
+        if connection is None:
+            connection = self._writer.add_connection(topic, ros_type, typestore=self._store)
+            self._connections[topic] = connection
+        elif connection.msgtype != ros_type:
+            raise InputError(f"{self.path}: topic {topic} has {connection.msgtype}, cannot add {ros_type}")
+        time = message.stamp if arrival is None else arrival
+        self._writer.write(connection, _nanoseconds(time), self._store.serialize_cdr(content, ros_type))
+
+    def close(self) -> None:
+        """Finishes the recording and gives it its name."""
+        self._writer.close()
+        (self._unfinished / self.path.name).rename(self.path)
+        self._unfinished.rmdir()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self._writer.abort()
+            shutil.rmtree(self._unfinished)
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+def _header(store: Typestore, stamp: float, frame_id: str) -> Any:
+    sec, nanosec = divmod(_nanoseconds(stamp), 10**9)
+    time = store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+    return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+
+
+def _made(store: Typestore, ros_type: str, **fields: Any) -> tuple[str, Any]:
+    return ros_type, store.types[ros_type](**fields)
+
+
+def _image(store: Typestore, image: Image, encoding: Encoding) -> tuple[str, Any]:
+    header = _header(store, image.stamp, image.frame_id)
+    if encoding != "raw":
+        data, declared = encoded(image.pixels, encoding)
+        return _made(
+            store,
+            "sensor_msgs/msg/CompressedImage",
+            header=header,
+            format=declared,
+            data=np.frombuffer(data, np.uint8),
+        )
+    height, width = image.pixels.shape[:2]
+    return _made(
+        store,
+        "sensor_msgs/msg/Image",
+        header=header,
+        height=height,
+        width=width,
+        encoding="mono8" if image.pixels.ndim == 2 else "bgr8",
+        is_bigendian=0,
+        step=image.pixels[0].size,
+        data=np.ascontiguousarray(image.pixels).ravel(),
+    )
+
+
+def _laser_scan(store: Typestore, scan: LaserScan, _: Encoding) -> tuple[str, Any]:
+    n = len(scan.angles)
+    increment = float(scan.angles[-1] - scan.angles[0]) / (n - 1) if n > 1 else 0.0
+    start = float(scan.angles[0]) if n else 0.0
+    if n and np.abs(start + increment * np.arange(n) - scan.angles).max() > _UNEVEN:
+        raise InputError(f"scan at {scan.stamp:.6f}: its beams are not evenly spaced, which LaserScan cannot say")
+    farthest = float(scan.ranges[scan.valid].max(initial=0))
+    return _made(
+        store,
+        "sensor_msgs/msg/LaserScan",
+        header=_header(store, scan.stamp, scan.frame_id),
+        angle_min=start,
+        angle_max=float(scan.angles[-1]) if n else 0.0,
+        angle_increment=increment,
+        time_increment=scan.time_increment,
+        scan_time=scan.duration,
+        range_min=0.0,
+        # Rounded up, so that the farthest beam stays within it as a float32.
+        range_max=float(np.ceil(farthest)) + 1,
+        ranges=scan.ranges.astype(np.float32),
+        intensities=np.zeros(0, np.float32),
+    )
+
+
+def _point_cloud(store: Typestore, cloud: PointCloud, _: Encoding) -> tuple[str, Any]:
+    columns: list[tuple[str, str, int, Any]] = [
+        (axis, "<f4", 7, cloud.points[:, i]) for i, axis in enumerate("xyz")
+    ]
+    if cloud.rings is not None:
+        columns.append(("ring", "<u2", 4, cloud.rings))
+    if cloud.times is not None:
+        columns.append(("time", "<f4", 7, cloud.times))
+    points = np.empty(len(cloud.points), np.dtype([(name, code) for name, code, _, _ in columns]))
+    for name, _code, _datatype, values in columns:
+        points[name] = values
+    field = store.types["sensor_msgs/msg/PointField"]
+    offsets = {name: points.dtype.fields[name][1] for name in points.dtype.names or () if points.dtype.fields}
+    return _made(
+        store,
+        "sensor_msgs/msg/PointCloud2",
+        header=_header(store, cloud.stamp, cloud.frame_id),
+        height=1,
+        width=len(points),
+        fields=[
+            field(name=name, offset=offsets[name], datatype=datatype, count=1)
+            for name, _code, datatype, _values in columns
+        ],
+        is_bigendian=False,
+        point_step=points.dtype.itemsize,
+        row_step=points.nbytes,
+        data=points.view(np.uint8),
+        is_dense=True,
+    )
+
+
+def _camera_info(store: Typestore, info: CameraInfo, _: Encoding) -> tuple[str, Any]:
+    camera = info.camera
+    pinhole = "rational_polynomial" if camera.distortion.size == 8 else "plumb_bob"
+    roi = store.types["sensor_msgs/msg/RegionOfInterest"]
+    return _made(
+        store,
+        "sensor_msgs/msg/CameraInfo",
+        header=_header(store, info.stamp, info.frame_id),
+        height=camera.height,
+        width=camera.width,
+        distortion_model="equidistant" if camera.model == "fisheye" else pinhole,
+        d=camera.distortion.copy(),
+        k=camera.K.ravel().copy(),
+        r=np.eye(3).ravel(),
+        p=np.hstack([camera.K, np.zeros((3, 1))]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=roi(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+
+
+def _trigger(store: Typestore, trigger: Trigger, _: Encoding) -> tuple[str, Any]:
+    return "std_msgs/msg/Header", _header(store, trigger.stamp, "")
+
+
+_MAKERS: dict[type, Callable[[Typestore, Any, Encoding], tuple[str, Any]]] = {
+    Image: _image,
+    LaserScan: _laser_scan,
+    PointCloud: _point_cloud,
+    CameraInfo: _camera_info,
+    Trigger: _trigger,
+}
