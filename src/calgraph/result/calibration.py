@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from calgraph.geometry import Array
+from calgraph.result.tree import TransformTree
 
 Grade = Literal["good", "weak", "unobservable"]
 
@@ -50,9 +53,15 @@ class Edge:
     in_tree: bool
     """Whether the start values of the joint solution came along this edge."""
     residuals: Array
-    """(inliers,) distances between the two detections under the final poses, m."""
+    """(inliers,) distances between the two detections under the final poses, m; empty in a result read back."""
     note: str = ""
     """Why the pair was not used, where it was not."""
+    residual_rms: float | None = None
+    """Root mean square of ``residuals``, m, taken from them if left out; None where there are none."""
+
+    def __post_init__(self) -> None:
+        if self.residual_rms is None:
+            object.__setattr__(self, "residual_rms", rms(self.residuals))
 
 
 @dataclass(frozen=True)
@@ -95,10 +104,39 @@ class Calibration:
     """Whitened residuals of the joint solution by kind of edge, for histograms and their RMS."""
     outlines: tuple[BoardOutline, ...] = ()
     estimator: str = "hypergraph"
+    residual_rms: Mapping[str, float] = field(default_factory=dict)
+    """Root mean square of ``residuals`` by kind, taken from them if left out."""
+
+    def __post_init__(self) -> None:
+        if not self.residual_rms:
+            by_kind = {kind: rms(values) for kind, values in self.residuals.items()}
+            known = {kind: value for kind, value in by_kind.items() if value is not None}
+            object.__setattr__(self, "residual_rms", known)
 
     def __getitem__(self, name: str) -> SensorPose:
-        """The pose of the sensor called ``name``; KeyError names the sensors there are."""
-        for sensor in self.sensors:
-            if sensor.name == name:
-                return sensor
-        raise KeyError(f"no sensor {name!r} in this calibration; it has {', '.join(s.name for s in self.sensors)}")
+        """The pose of the sensor called ``name``.
+
+        Raises:
+            InputError: there is no such sensor; the message names those there are.
+            CalibrationError: the sensor is not connected to the root; the message says why.
+
+        """
+        self.tree.check(name)
+        return next(sensor for sensor in self.sensors if sensor.name == name)
+
+    @property
+    def tree(self) -> TransformTree:
+        """The poses as a tree that answers any pair of sensors."""
+        poses = {sensor.name: sensor.T_root_sensor for sensor in self.sensors}
+        return TransformTree(self.root, poses, dict(self.unconnected))
+
+    def transform(self, a: str, b: str) -> Array:
+        """``T_a_b`` (4, 4) of any two sensors; raises as :meth:`TransformTree.transform` does."""
+        return self.tree.transform(a, b)
+
+
+def rms(values: Array) -> float | None:
+    """Root mean square of the finite values; None where there are none."""
+    finite = np.asarray(values, dtype=np.float64)
+    finite = finite[np.isfinite(finite)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else None

@@ -1,5 +1,6 @@
 """rig.yaml: the sensors with their noise, the target, and how captures are marked."""
 
+from calgraph.rig.atomic import replacing, replacing_folder, write_text
 from calgraph.rig.file import load_rig, save_yaml
 from calgraph.rig.rig import (
     CameraSpec,
@@ -17,5 +18,5 @@ from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard, Cylinde
 __all__ = [
     "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Intrinsics",
     "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "RangeNoise", "Rig", "SensorSpec", "Tag", "load_rig",
-    "save_yaml",
+    "replacing", "replacing_folder", "save_yaml", "write_text",
 ]  # fmt: skip

@@ -1,0 +1,138 @@
+"""Writing calibration.yaml, which other programs read, and captures.csv, one row a capture and sensor."""
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+
+from calgraph.geometry import Array, so3
+from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
+from calgraph.rig import replacing, save_yaml
+
+FORMAT = "calgraph/1"
+_HEADER = """\
+Poses map coordinates in a sensor's frame to the root's: translation in metres, rotation as quaternion x, y, z, w.
+covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. residual_rms of edges in m, of kinds
+in standard deviations (1 is as the noise says).
+"""
+_CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Writes a calibration.yaml in one step.
+
+    Residuals are summed up as their root mean squares; everything else comes back with :func:`load_calibration`.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+
+    """
+    content = CommentedMap(
+        {
+            "format": FORMAT,
+            "root": calibration.root,
+            "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
+            "quality": _quality(calibration),
+        }
+    )
+    content.yaml_set_start_comment(_HEADER)
+    save_yaml(path, content)
+
+
+def save_captures(calibration: Calibration, path: Path) -> None:
+    """Writes captures.csv in one step: one row a capture and sensor, which says used, or why not.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(_CAPTURE_COLUMNS)
+        writer.writerows(_capture_row(row) for row in calibration.captures)
+
+
+def _capture_row(row: CaptureRow) -> tuple[object, ...]:
+    residual = "" if row.residual is None else f"{row.residual:.5f}"
+    used = "yes" if row.used else "no"
+    return row.capture, f"{row.start:.3f}", f"{row.end:.3f}", row.sensor, used, row.reason, residual
+
+
+def _sensor(sensor: SensorPose) -> dict[str, Any]:
+    entry: dict[str, Any] = {} if sensor.parent is None else {"parent": sensor.parent}
+    entry["kind"] = sensor.kind
+    entry["frame_id"] = sensor.frame_id
+    # So many digits keep poses to better than 1e-12 at any distance that a rig has.
+    entry["translation"] = _on_one_line(_digits(sensor.T_root_sensor[:3, 3], 15))
+    entry["rotation"] = _on_one_line(_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
+    symmetric = 0.5 * (sensor.covariance + sensor.covariance.T)
+    entry["covariance"] = [_on_one_line(_digits(row, 9)) for row in symmetric]
+    if sensor.clock_offset is not None:
+        entry["clock_offset"] = sensor.clock_offset
+    if sensor.clock_offset_stddev is not None:
+        entry["clock_offset_stddev"] = sensor.clock_offset_stddev
+    return entry
+
+
+def _quality(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "estimator": calibration.estimator,
+        "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
+        "unconnected": dict(calibration.unconnected),
+        "residual_rms": {kind: _digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
+        "edges": [_edge(edge) for edge in calibration.edges],
+        "captures": _captures(calibration.captures),
+    }
+
+
+def _verdict(sensor: SensorPose) -> dict[str, str]:
+    reason = {"reason": sensor.verdict.reason} if sensor.verdict.reason else {}
+    return {"grade": sensor.verdict.grade, **reason}
+
+
+def _edge(edge: Edge) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "sensors": _on_one_line([edge.sensor_a, edge.sensor_b]),
+        "captures": edge.captures,
+        "inliers": edge.inliers,
+        "in_tree": edge.in_tree,
+    }
+    if edge.residual_rms is not None:
+        entry["residual_rms"] = _digits([edge.residual_rms], 4)[0]
+    if edge.note:
+        entry["note"] = edge.note
+    return entry
+
+
+def _captures(rows: Sequence[CaptureRow]) -> dict[str, Any]:
+    """When each capture was, and by sensor which were used and which rejected, by reason."""
+    windows = {row.capture: (row.start, row.end) for row in reversed(rows)}
+    by_sensor: dict[str, list[CaptureRow]] = {}
+    for row in rows:
+        by_sensor.setdefault(row.sensor, []).append(row)
+    return {
+        "windows": {n: _on_one_line(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
+        "sensors": {name: _used_and_rejected(own) for name, own in by_sensor.items()},
+    }
+
+
+def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
+    used: list[int] = []
+    rejected: dict[str, list[int]] = {}
+    for row in rows:
+        (used if row.used else rejected.setdefault(row.reason, [])).append(row.capture)
+    return {"used": _on_one_line(used), "rejected": {why: _on_one_line(n) for why, n in rejected.items()}}
+
+
+def _digits(values: Iterable[float] | Array, digits: int) -> list[float]:
+    """The values with at most so many significant digits."""
+    return [float(f"{value:.{digits}g}") + 0.0 for value in np.asarray(values, dtype=np.float64)]
+
+
+def _on_one_line(values: Iterable[object]) -> CommentedSeq:
+    sequence = CommentedSeq(values)
+    sequence.fa.set_flow_style()
+    return sequence

@@ -1,0 +1,235 @@
+"""calibration.yaml and captures.csv: what is written comes back, and damage is named."""
+
+import csv
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from calgraph.errors import InputError
+from calgraph.geometry import se3, so3
+from calgraph.result import Calibration, CaptureRow, SensorPose, Verdict, load_calibration, save_calibration
+from calgraph.result import save_captures as save_captures_csv
+
+
+@pytest.fixture
+def saved(calibration: Calibration, tmp_path: Path) -> Path:
+    path = tmp_path / "calibration.yaml"
+    save_calibration(calibration, path)
+    return path
+
+
+def damaged(saved: Path, old: str, new: str) -> Path:
+    text = saved.read_text(encoding="utf-8")
+    changed = re.sub(old, new, text, count=1, flags=re.DOTALL)
+    assert changed != text
+    saved.write_text(changed, encoding="utf-8")
+    return saved
+
+
+def test_poses_come_back_to_1e_12(calibration: Calibration, saved: Path) -> None:
+    loaded = load_calibration(saved)
+    for sensor in calibration.sensors:
+        np.testing.assert_allclose(loaded[sensor.name].T_root_sensor, sensor.T_root_sensor, rtol=0, atol=1e-12)
+
+
+def test_covariances_come_back_to_eight_digits(calibration: Calibration, saved: Path) -> None:
+    loaded = load_calibration(saved)
+    for sensor in calibration.sensors:
+        np.testing.assert_allclose(loaded[sensor.name].covariance, sensor.covariance, rtol=1e-8)
+
+
+def test_names_verdicts_and_clocks_come_back(calibration: Calibration, saved: Path) -> None:
+    def facts(c: Calibration) -> list[object]:
+        return [(s.name, s.parent, s.kind, s.frame_id, s.verdict, s.clock_offset, s.clock_offset_stddev)
+                for s in c.sensors]  # fmt: skip
+
+    assert facts(load_calibration(saved)) == facts(calibration)
+
+
+def test_edges_come_back_with_their_rms(calibration: Calibration, saved: Path) -> None:
+    def facts(c: Calibration) -> list[object]:
+        return [(e.sensor_a, e.sensor_b, e.captures, e.inliers, e.in_tree, e.note,
+                 None if e.residual_rms is None else float(f"{e.residual_rms:.4g}"))
+                for e in c.edges]  # fmt: skip
+
+    assert facts(load_calibration(saved)) == facts(calibration)
+
+
+def test_captures_come_back_without_their_residuals(calibration: Calibration, saved: Path) -> None:
+    expected = {dataclasses.replace(row, residual=None) for row in calibration.captures}
+    assert set(load_calibration(saved).captures) == expected
+
+
+def test_root_estimator_unconnected_and_rms_come_back(calibration: Calibration, saved: Path) -> None:
+    loaded = load_calibration(saved)
+    assert (loaded.root, loaded.estimator, loaded.unconnected) == ("lidar", "bundle", calibration.unconnected)
+    assert loaded.residual_rms == pytest.approx(calibration.residual_rms, rel=1e-3)
+
+
+def test_writing_what_was_read_gives_the_same_file(saved: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.yaml"
+    save_calibration(load_calibration(saved), again)
+    assert again.read_text(encoding="utf-8") == saved.read_text(encoding="utf-8")
+
+
+def test_the_file_has_the_keys_of_the_published_format(saved: Path) -> None:
+    content = YAML(typ="safe").load(saved.read_text(encoding="utf-8"))
+    assert list(content) == ["format", "root", "sensors", "quality"]
+    assert set(content["sensors"]["camera"]) == {
+        "parent", "kind", "frame_id", "translation", "rotation", "covariance", "clock_offset",
+        "clock_offset_stddev",
+    }  # fmt: skip
+    assert "parent" not in content["sensors"]["lidar"]
+
+
+def test_vectors_are_written_on_one_line(saved: Path) -> None:
+    lines = saved.read_text(encoding="utf-8").splitlines()
+    assert sum(bool(re.fullmatch(r"    (translation|rotation): \[.*\]", line)) for line in lines) == 8
+    assert sum(line.startswith("    - [") and line.endswith("]") for line in lines) >= 24
+
+
+def test_small_numbers_are_numbers_for_yaml_1_1_too(calibration: Calibration, tmp_path: Path) -> None:
+    tiny = dataclasses.replace(calibration["camera"], covariance=1e-6 * np.eye(6))
+    path = tmp_path / "tiny.yaml"
+    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], tiny)), path)
+    text = path.read_text(encoding="utf-8")
+    assert "1.0e-06" in text
+    assert not re.search(r"[ \[]\d+e-", text)
+
+
+@given(
+    rotation=st.tuples(*[st.floats(-np.pi, np.pi)] * 3),
+    translation=st.tuples(*[st.floats(-100, 100, allow_subnormal=False)] * 3),
+)
+@settings(max_examples=40, deadline=None)
+def test_any_pose_comes_back(
+    tmp_path_factory: pytest.TempPathFactory,
+    rotation: tuple[float, float, float],
+    translation: tuple[float, float, float],
+) -> None:
+    T = se3.pose(so3.exp(np.array(rotation)), np.array(translation))
+    root = SensorPose("a", None, "a", "lidar3d", np.eye(4), np.zeros((6, 6)), Verdict("good"))
+    other = SensorPose("b", "a", "b", "lidar2d", T, np.eye(6), Verdict("good"))
+    path = tmp_path_factory.mktemp("pose") / "c.yaml"
+    save_calibration(Calibration("a", (root, other)), path)
+    np.testing.assert_allclose(load_calibration(path)["b"].T_root_sensor, T, rtol=0, atol=1e-12)
+
+
+def test_quaternions_are_written_with_w_not_negative(calibration: Calibration, tmp_path: Path) -> None:
+    half_turn = se3.pose(so3.exp(np.array([0, 0, -3.5])), np.zeros(3))
+    turned = dataclasses.replace(calibration["camera"], T_root_sensor=half_turn)
+    path = tmp_path / "c.yaml"
+    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], turned)), path)
+    assert YAML(typ="safe").load(path.read_text(encoding="utf-8"))["sensors"]["camera"]["rotation"][3] >= 0
+
+
+def test_an_unobserved_direction_may_be_infinite(calibration: Calibration, tmp_path: Path) -> None:
+    loose = dataclasses.replace(calibration["laser"], covariance=np.diag([1e-6, 1e-6, np.inf, 1e-8, 1e-8, 1e12]))
+    path = tmp_path / "c.yaml"
+    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], loose)), path)
+    np.testing.assert_array_equal(load_calibration(path)["laser"].covariance, loose.covariance)
+
+
+def test_names_may_hold_any_text(calibration: Calibration, tmp_path: Path) -> None:
+    name = 'kamera: "vorn"\n# ümläut 前'
+    odd = dataclasses.replace(calibration["camera"], name=name)
+    path = tmp_path / "c.yaml"
+    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], odd)), path)
+    assert load_calibration(path)[name].frame_id == "camera_optical"
+
+
+def test_nothing_is_left_behind_but_the_file(saved: Path) -> None:
+    assert [p.name for p in saved.parent.iterdir()] == ["calibration.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("calgraph/1", "calgraph/2", "format: must be calgraph/1, which this calgraph reads, got 'calgraph/2'"),
+        ("format: calgraph/1\n", "", "format: must be calgraph/1, which this calgraph reads, got nothing"),
+        ("root: lidar", "root: lidr",
+         "root: must be one of the sensors, lidar, camera, camera_2, laser, got 'lidr'"),
+        ("root: lidar\n", "", "root: is missing (The sensor whose frame the poses are in)"),
+        ("    parent: lidar\n", "    parent: radar\n",
+         "sensors.camera.parent: must be one of the sensors, lidar, camera, camera_2, laser, got 'radar'"),
+        ("    parent: lidar\n", "    parent: camera_2\n",
+         "sensors.camera.parent: the parents lead in a circle and not to the root 'lidar'"),
+        ("    parent: lidar\n", "    parents: lidar\n",
+         "unknown key sensors.camera.parents; did you mean 'parent'?"),
+        ("    rotation: [^\n]*\n    covariance", "    covariance",
+         "sensors.lidar.rotation: is missing (Unit quaternion x, y, z, w)"),
+        (r"(camera_optical\n.*?rotation: )\[.*?\]", r"\1[0.0, 0.0, 0.6, 0.6]",
+         "sensors.camera.rotation: must be a quaternion x, y, z, w of length 1, its length is 0.8485"),
+        (r"(camera_optical\n.*?rotation: )\[.*?\]", r"\1[0.0, 0.0, 1.0]",
+         "sensors.camera.rotation: must have 4 elements, got [0.0, 0.0, 1.0]"),
+        (r"(camera_optical\n.*?translation: )\[.*?\]", r"\1[0.0, .nan, 1.0]",
+         "sensors.camera.translation[1]: must be a finite number, got nan"),
+        (r"(camera_optical\n.*?covariance:\n    - \[[^,]*, )[^,]*", r"\g<1>7.0",
+         "sensors.camera.covariance[0][1]: must equal covariance[1][0], got 7 and "),
+        (r"(camera_optical\n.*?covariance:\n    - \[)[^,]*", r"\1-7.0",
+         "sensors.camera.covariance: must have variances of 0 or more on its diagonal and no NaN"),
+        (r"(camera_optical\n.*?covariance:\n)    - \[[^\n]*\n", r"\1",
+         "sensors.camera.covariance: must have 6 elements, got "),
+        ("translation: .0.0, 0.0, 0.0.", "translation: [1.0, 0.0, 0.0]",
+         "sensors.lidar: is the root, its translation must be 0 and its rotation none"),
+        ("grade: good", "grade: fine",
+         "quality.verdicts.lidar.grade: must be 'good', 'weak' or 'unobservable', got 'fine'"),
+        ("quality:.*", "", "quality: is missing (How far the poses can be relied on)"),
+        ("captures: 40", "captures: many", "quality.edges[0].captures: must be a whole number, got 'many'"),
+        ("root: lidar", "root: lidar\nroot: lidar", "the key 'root' is given twice"),
+    ],
+)  # fmt: skip
+def test_damage_is_named(saved: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        load_calibration(damaged(saved, old, new))
+    assert str(raised.value).startswith(str(saved))
+    assert message in str(raised.value)
+
+
+def test_a_quaternion_typed_with_three_digits_is_normalised(saved: Path) -> None:
+    path = damaged(saved, r"(camera_optical\n.*?rotation: )\[.*?\]", r"\1[0.0, 0.0, 0.383, 0.924]")
+    R = load_calibration(path)["camera"].T_root_sensor[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.yaml: cannot be read \(No such file"):
+        load_calibration(tmp_path / "none.yaml")
+
+
+def test_a_missing_folder_is_named(calibration: Calibration, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="its folder does not exist"):
+        save_calibration(calibration, tmp_path / "none" / "calibration.yaml")
+
+
+def test_captures_csv_has_a_row_for_each_capture_and_sensor(calibration: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "captures.csv"
+    save_captures_csv(calibration, path)
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0] == {"capture": "0", "start": "1.500", "end": "4.000", "sensor": "lidar", "used": "yes",
+                       "reason": "", "residual": "0.00400"}  # fmt: skip
+    assert rows[1]["used"] == "no"
+    assert rows[1]["reason"] == 'no tag found, "glare", maybe'
+    assert rows[1]["residual"] == ""
+    assert len(rows) == 4
+
+
+def test_captures_csv_without_captures_has_its_header(tmp_path: Path, calibration: Calibration) -> None:
+    path = tmp_path / "captures.csv"
+    save_captures_csv(dataclasses.replace(calibration, captures=()), path)
+    assert path.read_text(encoding="utf-8").split() == ["capture,start,end,sensor,used,reason,residual"]
+
+
+def test_a_reason_may_hold_line_breaks(tmp_path: Path, calibration: Calibration) -> None:
+    row = CaptureRow(0, 0.0, 1.0, "lidar", False, "two\nlines")
+    path = tmp_path / "captures.csv"
+    save_captures_csv(dataclasses.replace(calibration, captures=(row,)), path)
+    with path.open(encoding="utf-8", newline="") as file:
+        assert next(csv.DictReader(file))["reason"] == "two\nlines"
