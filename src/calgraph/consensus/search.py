@@ -80,7 +80,7 @@ def search(
     if len(starts) < sample_size:
         return None
 
-    def judge(models: Array) -> tuple[Array, Array]:
+    def judge(models: Array) -> tuple[Array, NDArray[np.bool_]]:
         r2 = squared_residuals(models)[:, order] / threshold2
         best_in_group = np.minimum.reduceat(np.where(np.isnan(r2), np.inf, r2), starts, axis=1)
         truncated = np.minimum(best_in_group, 1.0) if score == "msac" else 1.0 * (best_in_group > 1.0)
@@ -101,10 +101,10 @@ def search(
         if costs[winner] < best_cost:
             best, best_cost = models[winner], float(costs[winner])
             for _ in range(polish):
-                inliers = np.flatnonzero(_inliers(squared_residuals(best[None])[0] / threshold2, groups))
-                if len(inliers) < sample_size:
+                agreeing = np.flatnonzero(_inliers(squared_residuals(best[None])[0] / threshold2, groups))
+                if len(agreeing) < sample_size:
                     break
-                polished = solve(inliers[None])
+                polished = solve(agreeing[None])
                 if not np.isfinite(polished).all():
                     break
                 costs, polished_agree = judge(polished)

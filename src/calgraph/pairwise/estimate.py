@@ -1,0 +1,102 @@
+"""What the two sensors of a pair know of each other: the correspondence kinds' interface and their result."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, se3, so3
+
+# Two detections agree if they differ by no more than this many standard deviations ...
+_GATE = 3.0
+# ... of their noise together with what no noise model knows: the board's bend, range bias, stamps (m).
+MODEL_ERROR = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class PairwiseEstimate:
+    """Relative pose of two sensors from the captures in which both saw the board."""
+
+    sensor_a: str
+    sensor_b: str
+    T_a_b: Array
+    """(4, 4)."""
+    information: Array
+    """(6, 6) inverse covariance of T_a_b's error in the fixed axes of a; singular where data fix nothing."""
+    matches: NDArray[np.intp]
+    """(M, 3) of all candidate matches: capture, index of the detection in a, index in b."""
+    inliers: NDArray[np.bool_]
+    """(M,) the matches that agree with T_a_b: at most one per capture."""
+    residuals: Array
+    """(M,) root mean square distance between the two detections under T_a_b, m."""
+
+    @property
+    def squared_error(self) -> float:
+        """Sum of the inliers' squared residuals, m²: the paper's weight of this edge in the spanning tree."""
+        return float(np.sum(self.residuals[self.inliers] ** 2))
+
+    def inverse(self) -> "PairwiseEstimate":
+        """The same estimate as ``T_b_a``."""
+        R = self.T_a_b[:3, :3]
+        # Inverse of se3.inverse_covariance's Jacobian: a perturbation of T_b_a as one of T_a_b.
+        J = np.zeros((6, 6))
+        J[:3, :3] = J[3:, 3:] = -R
+        J[:3, 3:] = -so3.hat(self.T_a_b[:3, 3]) @ R
+        return PairwiseEstimate(
+            self.sensor_b, self.sensor_a, se3.inverse(self.T_a_b), J.T @ self.information @ J,
+            self.matches[:, [0, 2, 1]], self.inliers, self.residuals,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """Residuals of all matches at one pose, with what they depend on."""
+
+    residuals: Array
+    """(M, k) distances, m."""
+    jacobian: Array
+    """(M, k, 6) with respect to a perturbation of T_a_b along the fixed axes of a."""
+    covariance: Array
+    """(M, k, k) from the two detections' covariances, m²."""
+
+
+class Matches(Protocol):
+    """Matches of one (kind, kind); M of them."""
+
+    @property
+    def sample_size(self) -> int:
+        """How many matches make a minimal sample."""
+
+    def solve(self, samples: NDArray[np.intp]) -> Array:
+        """Poses T_a_b (K, 4, 4) from samples (K, m) of the matches; NaN for those without solution."""
+
+    def linearize(self, T_a_b: Array) -> Linearization:
+        """Residuals of all matches under poses (K, 4, 4), with a leading axis K on every field."""
+
+    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+        """(K, M) whether both detections can lie on one board of the known size."""
+
+
+def squared_residuals(matches: Matches) -> Callable[[Array], Array]:
+    """For the consensus: squared residuals (K, M) in units of the squared gate; infinite where out of reach."""
+
+    def of(T_a_b: Array) -> Array:
+        at = matches.linearize(T_a_b)
+        variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + MODEL_ERROR**2
+        r2 = np.mean(at.residuals**2 / variance, axis=-1) / _GATE**2
+        return np.asarray(np.where(matches.reachable(T_a_b), r2, np.inf))
+
+    return of
+
+
+def information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
+    """(6, 6) information of the inliers, scaled down by their scatter where it exceeds their covariances."""
+    r, J, covariance = at.residuals[inliers], at.jacobian[inliers], at.covariance[inliers]
+    floor = 1e-8 * np.eye(r.shape[1])
+    W = np.linalg.inv(covariance + floor)
+    H = np.einsum("mki,mkl,mlj->ij", J, W, J)
+    chi2 = float(np.einsum("mk,mkl,ml->", r, W, r))
+    freedom = max(r.size - 6, 1)
+    return np.asarray(H / max(1.0, chi2 / freedom))
