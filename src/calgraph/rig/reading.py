@@ -170,7 +170,7 @@ def _description(owner: type[BaseModel] | None, path: list[Any]) -> str:
 
 
 def _nearest(key: Any, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(str(key), known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(key), known, n=1, cutoff=0.6)
     return f"; did you mean {close[0]!r}?" if close else f"; known here are {', '.join(known)}"
 
 

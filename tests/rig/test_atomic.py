@@ -1,0 +1,84 @@
+"""Files and folders appear whole or not at all."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from calgraph.errors import InputError
+from calgraph.rig import replacing, replacing_folder, write_text
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_file_is_not_there_before_the_block_ends(tmp_path: Path) -> None:
+    with replacing(tmp_path / "a.txt") as temporary:
+        temporary.write_text("new")
+        assert not (tmp_path / "a.txt").exists()
+    assert (tmp_path / "a.txt").read_text() == "new"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
+    write_text(tmp_path / "a.txt", "old")
+    with suppress(ZeroDivisionError), replacing(tmp_path / "a.txt") as temporary:
+        temporary.write_text("half")
+        raise ZeroDivisionError
+    assert (tmp_path / "a.txt").read_text() == "old"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_a_folder_in_the_place_of_the_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a folder, a file is to be written there"):
+        write_text(tmp_path, "x")
+
+
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="its folder does not exist"):
+        write_text(tmp_path / "none" / "a.txt", "x")
+
+
+def test_a_new_folder_appears_with_its_files(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    with replacing_folder(out) as temporary:
+        (temporary / "a.txt").write_text("a")
+        assert not out.exists()
+    assert names(out) == ["a.txt"]
+    assert names(out.parent) == ["out"]
+
+
+def test_an_error_leaves_no_folder(tmp_path: Path) -> None:
+    with suppress(ZeroDivisionError), replacing_folder(tmp_path / "out") as temporary:
+        (temporary / "a.txt").write_text("a")
+        raise ZeroDivisionError
+    assert names(tmp_path) == []
+
+
+def test_files_of_others_in_the_folder_stay(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    (tmp_path / "out" / "a.txt").write_text("old")
+    with replacing_folder(tmp_path / "out") as temporary:
+        (temporary / "a.txt").write_text("new")
+    assert names(tmp_path / "out") == ["a.txt", "mine.txt"]
+    assert (tmp_path / "out" / "a.txt").read_text() == "new"
+
+
+def test_a_folder_inside_replaces_its_namesake_whole(tmp_path: Path) -> None:
+    (tmp_path / "out" / "plots").mkdir(parents=True)
+    (tmp_path / "out" / "plots" / "stale.png").write_text("x")
+    with replacing_folder(tmp_path / "out") as temporary:
+        (temporary / "plots").mkdir()
+        (temporary / "plots" / "fresh.png").write_text("x")
+    assert names(tmp_path / "out" / "plots") == ["fresh.png"]
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    write_text(tmp_path / "out", "x")
+    with (
+        pytest.raises(InputError, match="is a file, a folder is to be written there"),
+        replacing_folder(tmp_path / "out"),
+    ):
+        pass
