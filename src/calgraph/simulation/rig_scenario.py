@@ -1,0 +1,199 @@
+"""Every knob of a simulated rig recording. Angles are in degrees here, and only here, for the command line."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from calgraph.rig import Board, Tag
+from calgraph.rig.model import StrictModel
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=0)]
+
+MEASURING_TWICE = 2
+
+
+class CameraKnobs(StrictModel):
+    """The cameras of the simulated robot."""
+
+    count: Count = 1
+    """How many cameras, side by side 60 degrees apart, the middle one looking ahead."""
+    rate: Positive = 4.0
+    """Images per second."""
+    width: Annotated[int, Field(ge=32)] = 1280
+    """Pixels."""
+    height: Annotated[int, Field(ge=32)] = 960
+    """Pixels."""
+    field_of_view: Annotated[float, Field(gt=1, lt=200)] = 90.0
+    """Horizontal, of the undistorted lens, degrees; a pinhole needs less than 180."""
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+    """Lens: pinhole with optional plumb_bob or rational distortion, or equidistant fisheye."""
+    distortion: tuple[Finite, ...] = ()
+    """Coefficients in OpenCV's order: none, 4, 5 or 8 for a pinhole, none or 4 for a fisheye."""
+    noise: NotNegative = 2.0
+    """Standard deviation of a pixel, grey values of 255."""
+    blur: NotNegative = 0.6
+    """Standard deviation of the lens' point spread, pixels."""
+    encoding: Literal["jpeg", "png", "raw"] = "jpeg"
+    """How images are stored."""
+    texels_per_mm: Positive = 2.0
+    """Resolution at which the board's face is drawn."""
+
+    @model_validator(mode="after")
+    def _possible_lens(self) -> "CameraKnobs":
+        if self.model == "pinhole" and self.field_of_view >= 175:
+            raise ValueError("a pinhole's field_of_view must be below 175 degrees; take model fisheye")
+        return self
+
+
+class BeamKnobs(StrictModel):
+    """How the beams of a scanner measure."""
+
+    range_noise: NotNegative = 0.012
+    """Standard deviation along the beam, m."""
+    angle_noise: NotNegative = 0.001
+    """Standard deviation of a beam's direction, rad."""
+    mixed_pixels: Probability = 0.3
+    """Probability that a beam beside a depth edge falls between the two depths."""
+    dropout: Probability = 0.005
+    """Probability that a beam returns nothing."""
+    min_range: NotNegative = 0.1
+    """m."""
+    max_range: Positive = 30.0
+    """m."""
+
+
+class LaserKnobs(BeamKnobs):
+    """The 2-D scanners of the simulated robot."""
+
+    count: Count = 3
+    """How many: front, left, right, then behind."""
+    rate: Positive = 20.0
+    """Scans per second that are sent; a driver may skip some that the mirror makes."""
+    mirror_rate: Positive = 40.0
+    """Turns of the mirror per second."""
+    field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
+    """Degrees."""
+    resolution: Positive = 0.25
+    """Degrees between beams."""
+    tilt: Finite = 6.0
+    """By how much the scan planes are tilted, each in another direction, degrees."""
+
+    @model_validator(mode="after")
+    def _mirror_keeps_up(self) -> "LaserKnobs":
+        if self.mirror_rate < self.rate:
+            raise ValueError(f"mirror_rate must be at least the rate, {self.rate}")
+        return self
+
+
+class SpinningKnobs(BeamKnobs):
+    """The 3-D scanners made of a slowly spinning 2-D scanner (MSG-Cal, Fig. 4)."""
+
+    range_noise: NotNegative = 0.015
+    """Standard deviation along the beam, m."""
+    count: Count = 1
+    """How many."""
+    scan_rate: Positive = 50.0
+    """Scans per second of the 2-D scanner."""
+    field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
+    """Of the 2-D scanner, degrees."""
+    resolution: Positive = 0.5
+    """Between the beams of the 2-D scanner, degrees."""
+    tilt: Finite = 8.0
+    """Of its forward axis away from the axis of rotation, degrees."""
+    offset: Finite = 0.05
+    """Of the 2-D scanner from the axis of rotation, m."""
+    scans_per_degree: Positive = 1 / 3
+    """Scans made while it turns by a degree; with scan_rate and scan_angle this decides how long a sweep takes."""
+    scan_angle: Annotated[float, Field(gt=0, le=360)] = 180.0
+    """That a sweep turns, degrees; 180 see all around because the scanner looks to both sides."""
+
+
+class MultibeamKnobs(BeamKnobs):
+    """The 3-D LiDARs with several beams at fixed elevations."""
+
+    count: Count = 0
+    """How many."""
+    rate: Positive = 10.0
+    """Sweeps per second."""
+    rings: Annotated[int, Field(ge=2)] = 16
+    """Beams."""
+    lowest: Finite = -15.0
+    """Elevation of the lowest beam, degrees."""
+    highest: Finite = 15.0
+    """Elevation of the highest beam, degrees."""
+    resolution: Positive = 0.2
+    """Degrees of azimuth between columns."""
+
+
+class RigScenario(StrictModel):
+    """A robot, a board, and an operator who carries it around."""
+
+    camera: CameraKnobs = CameraKnobs()
+    laser: LaserKnobs = LaserKnobs()
+    spinning: SpinningKnobs = SpinningKnobs()
+    multibeam: MultibeamKnobs = MultibeamKnobs()
+    root: str | None = None
+    """The sensor that everything is expressed in; the first LiDAR, or else the first sensor, if left out."""
+    mount_position: NotNegative = 0.15
+    """Each sensor is up to this far from its nominal place along each axis, m."""
+    mount_rotation: NotNegative = 4.0
+    """Each sensor is turned by up to this about each axis, degrees."""
+
+    board: Board = Board(
+        size=(1.2, 0.9),
+        tags=(
+            Tag(id=0, size=0.32, center=(-0.38, 0.2)),
+            Tag(id=1, size=0.32, center=(0.38, 0.2)),
+            Tag(id=2, size=0.32, center=(0.0, -0.2)),
+        ),
+    )
+    """The sheet and what is printed on it."""
+
+    bearings: Annotated[tuple[Finite, ...], Field(min_length=1)] = (
+        -130, -80, -45, -30, -20, -10, 10, 20, 30, 45, 80, 130,
+    )  # fmt: skip
+    """Directions in which the board is shown, degrees to the left of ahead, in the order of the walk."""
+    radii: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.7, 2.5)
+    """Distances at which the board is shown, m."""
+    samples: Annotated[int, Field(ge=1)] = 2
+    """Random rotations of the board at each bearing and radius."""
+    max_rotation: Annotated[float, Field(ge=0, le=80)] = 30.0
+    """Roll, pitch and yaw away from facing the robot are each up to this, degrees."""
+    heights: tuple[Finite, Finite] = (0.75, 1.1)
+    """Lowest and highest centre of the board, m above the ground."""
+
+    background: Positive = 5.0
+    """How long the room is empty at the start, s."""
+    move_time: Positive = 0.8
+    """How long the operator takes from one pose to the next, s."""
+    hold_time: Positive | None = None
+    """How long the board rests, s; until every sensor has measured twice in full if left out."""
+    trigger: bool = True
+    """Whether a message marks the start of every hold."""
+    disturbed: Probability = 0.0
+    """Fraction of the captures in which the board slips during the hold."""
+    slip_distance: NotNegative = 0.06
+    """How far it slips, m."""
+    slip_rotation: NotNegative = 4.0
+    """How far it turns while slipping, degrees."""
+    clutter: Count = 8
+    """Boxes and columns that stand in the room."""
+    start_time: NotNegative = 1_700_000_000.0
+    """Stamp at the start of the recording, s."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "RigScenario":
+        if self.camera.count + self.laser.count + self.spinning.count + self.multibeam.count < 2:
+            raise ValueError("a rig needs at least two sensors")
+        if self.heights[1] < self.heights[0]:
+            raise ValueError(f"heights must be lowest, highest, got {list(self.heights)}")
+        return self
+
+    @property
+    def captures(self) -> int:
+        """How often the board is shown."""
+        return len(self.bearings) * len(self.radii) * self.samples

@@ -1,0 +1,199 @@
+"""2-D scanners, spinning 2-D scanners and multi-beam LiDARs as patterns of beams, and their measurements."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, se3, so3
+from calgraph.sensors import LaserScan, PointCloud
+from calgraph.simulation.scene import Solid, cast
+
+SceneAt = Callable[[float, float], Sequence[tuple[float, Sequence[Solid]]]]
+"""The scene between two times: its states as (end of validity, solids), in order; the last reaches the end."""
+
+_EDGE = 0.1
+"""Neighbouring beams that differ by more than this see two surfaces, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class BeamPattern:
+    """The beams of one scan or sweep, in the order in which they are measured."""
+
+    origins: Array
+    """(N, 3) where beams start, sensor frame, m."""
+    directions: Array
+    """(N, 3) unit vectors, sensor frame."""
+    sideways: Array
+    """(N, 3) unit vectors, derivative of the direction by the beam angle."""
+    times: Array
+    """(N,) ascending, s from the stamp."""
+    neighbours: NDArray[np.intp]
+    """(N,) index of the beam that is next to each in the direction of its angle."""
+    angles: Array
+    """(N,) beam angles of a 2-D scanner, rad."""
+    rings: NDArray[np.int32] | None = None
+    """(N,) for a multi-beam LiDAR."""
+
+
+@dataclass(frozen=True)
+class BeamNoise:
+    """How measured ranges differ from true ones (MSG-Cal, eqs. 7–9)."""
+
+    range: float
+    """Standard deviation along the beam, m."""
+    angle: float
+    """Standard deviation of the beam's direction, rad."""
+    mixed: float
+    """Probability that a beam beside a depth edge falls between the two depths."""
+    dropout: float
+    """Probability that a beam returns nothing."""
+    min_range: float
+    """m."""
+    max_range: float
+    """m."""
+
+
+def laser_pattern(field_of_view: float, resolution: float, scan_time: float) -> BeamPattern:
+    """A 2-D scanner: angles from ``-field_of_view / 2`` counter-clockwise, one turn of its mirror a scan.
+
+    Args:
+        field_of_view: between the first and the last beam, rad.
+        resolution: between beams, rad.
+        scan_time: of a whole turn of the mirror, s.
+
+    """
+    count = round(field_of_view / resolution) + 1
+    angles: Array = resolution * np.arange(count, dtype=np.float64) - field_of_view / 2
+    directions, sideways = _in_plane(angles)
+    return BeamPattern(
+        origins=np.zeros((count, 3)),
+        directions=directions,
+        sideways=sideways,
+        times=np.arange(count, dtype=np.float64) * (scan_time * resolution / (2 * np.pi)),
+        neighbours=np.minimum(np.arange(count) + 1, count - 1),
+        angles=angles,
+    )
+
+
+def spinning_pattern(
+    laser: BeamPattern, scan_period: float, tilt: float, offset: float, scans_per_degree: float, scan_angle: float
+) -> BeamPattern:
+    """A 2-D scanner that spins about the vertical axis (MSG-Cal, section VI-D and Fig. 4).
+
+    With no tilt and offset the scanner's forward axis points up the axis of rotation and its scan plane is
+    vertical. It keeps turning while it scans, so each beam has its own azimuth.
+
+    Args:
+        laser: the beams of the 2-D scanner.
+        scan_period: between the starts of its scans, s.
+        tilt: of the forward axis away from the vertical, out of the scan plane, rad.
+        offset: of the scanner from the axis of rotation, along the direction of tilt, m.
+        scans_per_degree: of rotation.
+        scan_angle: that a whole sweep turns, rad.
+
+    """
+    scans = max(1, round(np.degrees(scan_angle) * scans_per_degree))
+    speed = np.radians(1 / scans_per_degree) / scan_period
+    times = (np.arange(scans)[:, None] * scan_period + laser.times).ravel()
+    # At azimuth 0 the scanner's x is up and its y is the spin frame's y: its normal z then points backwards.
+    R_spin_upright = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    R_spin_laser = so3.exp(np.array([0.0, tilt, 0.0])) @ R_spin_upright
+    R_sensor_spin = so3.exp(np.outer(speed * times, [0.0, 0.0, 1.0]))
+    beams = len(laser.angles)
+
+    def turned(vectors: Array) -> Array:
+        return np.asarray((R_sensor_spin @ np.tile(vectors @ R_spin_laser.T, (scans, 1))[..., None])[..., 0])
+
+    return BeamPattern(
+        origins=R_sensor_spin @ np.array([offset, 0.0, 0.0]),
+        directions=turned(laser.directions),
+        sideways=turned(laser.sideways),
+        times=times,
+        neighbours=(beams * np.arange(scans)[:, None] + laser.neighbours).ravel(),
+        angles=np.tile(laser.angles, scans),
+    )
+
+
+def multibeam_pattern(elevations: Array, azimuth_resolution: float, period: float) -> BeamPattern:
+    """A LiDAR whose column of beams turns once a period; all beams of a column fire together.
+
+    Args:
+        elevations: (rings,) of the beams above the horizontal, rad.
+        azimuth_resolution: between columns, rad.
+        period: of a turn, s.
+
+    """
+    columns, rings = round(2 * np.pi / azimuth_resolution), len(elevations)
+    azimuths = np.repeat(azimuth_resolution * np.arange(columns), rings)
+    flat, sideways = _in_plane(azimuths)
+    up = np.tile(elevations, columns)[:, None]
+    count = columns * rings
+    return BeamPattern(
+        origins=np.zeros((count, 3)),
+        directions=np.cos(up) * flat + np.sin(up) * [0.0, 0.0, 1.0],
+        sideways=sideways,
+        times=np.repeat(np.arange(columns) * period / columns, rings),
+        neighbours=(np.arange(count) + rings) % count,
+        angles=azimuths,
+        rings=np.tile(np.arange(rings, dtype=np.int32), columns),
+    )
+
+
+def measure(
+    pattern: BeamPattern,
+    T_world_sensor: Array,
+    start: float,
+    scene_at: SceneAt,
+    noise: BeamNoise,
+    rng: np.random.Generator,
+) -> Array:
+    """Measured ranges (N,) of one scan or sweep that starts at a time, m; NaN where nothing came back.
+
+    Beams are cast where they really point, which is off their nominal direction by the angle noise.
+    """
+    error = rng.normal(0.0, noise.angle, len(pattern.times))[:, None]
+    R = T_world_sensor[:3, :3]
+    directions = (np.cos(error) * pattern.directions + np.sin(error) * pattern.sideways) @ R.T
+    origins = se3.apply(T_world_sensor, pattern.origins)
+    true = np.full(len(directions), np.inf)
+    first = 0
+    for until, solids in scene_at(start, start + float(pattern.times[-1])):
+        last = int(np.searchsorted(pattern.times, until - start, side="right"))
+        part = slice(first, last)
+        true[part] = cast(solids, origins[part], directions[part]).ranges
+        first = last
+    ranges = _mixed(true, pattern.neighbours, noise.mixed, rng) + rng.normal(0.0, noise.range, len(true))
+    lost = rng.random(len(true)) < noise.dropout
+    measured = np.isfinite(ranges) & (ranges >= noise.min_range) & (ranges <= noise.max_range) & ~lost
+    return np.where(measured, ranges, np.nan)
+
+
+def laser_scan(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str) -> LaserScan:
+    """The message of a 2-D scanner."""
+    increment = float(pattern.times[-1]) / max(len(pattern.times) - 1, 1)
+    return LaserScan(stamp, frame_id, pattern.angles, ranges, increment)
+
+
+def point_cloud(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str) -> PointCloud:
+    """The message of a 3-D scanner: the beams that measured something, at their nominal directions."""
+    kept = np.isfinite(ranges)
+    points = pattern.origins[kept] + ranges[kept, None] * pattern.directions[kept]
+    rings = None if pattern.rings is None else pattern.rings[kept]
+    return PointCloud(stamp, frame_id, points, rings, pattern.times[kept])
+
+
+def _mixed(true: Array, neighbours: NDArray[np.intp], probability: float, rng: np.random.Generator) -> Array:
+    """Ranges as beams with a footprint see them: at depth edges some lie anywhere between the two depths."""
+    beside = true[neighbours]
+    with np.errstate(invalid="ignore"):
+        step = beside - true
+    mixed = np.isfinite(step) & (np.abs(step) > _EDGE) & (rng.random(len(true)) < probability)
+    return true + np.where(mixed, rng.random(len(true)) * np.where(np.isfinite(step), step, 0), 0)
+
+
+def _in_plane(angles: Array) -> tuple[Array, Array]:
+    """Unit vectors (N, 3) at angles in the plane z = 0, and their derivatives by the angle."""
+    c, s, zero = np.cos(angles), np.sin(angles), np.zeros_like(angles)
+    return np.stack([c, s, zero], axis=-1), np.stack([-s, c, zero], axis=-1)
