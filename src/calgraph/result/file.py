@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from calgraph.geometry import Array, so3
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import replacing, save_yaml
+from calgraph.rig.writing import on_one_line
 
 FORMAT = "calgraph/1"
 _HEADER = """\
@@ -30,16 +30,13 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         InputError: ``path`` cannot be written.
 
     """
-    content = CommentedMap(
-        {
-            "format": FORMAT,
-            "root": calibration.root,
-            "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
-            "quality": _quality(calibration),
-        }
-    )
-    content.yaml_set_start_comment(_HEADER)
-    save_yaml(path, content)
+    content = {
+        "format": FORMAT,
+        "root": calibration.root,
+        "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
+        "quality": _quality(calibration),
+    }
+    save_yaml(path, content, _HEADER)
 
 
 def save_captures(calibration: Calibration, path: Path) -> None:
@@ -66,10 +63,10 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry["kind"] = sensor.kind
     entry["frame_id"] = sensor.frame_id
     # So many digits keep poses to better than 1e-12 at any distance that a rig has.
-    entry["translation"] = _on_one_line(_digits(sensor.T_root_sensor[:3, 3], 15))
-    entry["rotation"] = _on_one_line(_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
+    entry["translation"] = on_one_line(_digits(sensor.T_root_sensor[:3, 3], 15))
+    entry["rotation"] = on_one_line(_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
     symmetric = 0.5 * (sensor.covariance + sensor.covariance.T)
-    entry["covariance"] = [_on_one_line(_digits(row, 9)) for row in symmetric]
+    entry["covariance"] = [on_one_line(_digits(row, 9)) for row in symmetric]
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
     if sensor.clock_offset_stddev is not None:
@@ -95,7 +92,7 @@ def _verdict(sensor: SensorPose) -> dict[str, str]:
 
 def _edge(edge: Edge) -> dict[str, Any]:
     entry: dict[str, Any] = {
-        "sensors": _on_one_line([edge.sensor_a, edge.sensor_b]),
+        "sensors": on_one_line([edge.sensor_a, edge.sensor_b]),
         "captures": edge.captures,
         "inliers": edge.inliers,
         "in_tree": edge.in_tree,
@@ -114,7 +111,7 @@ def _captures(rows: Sequence[CaptureRow]) -> dict[str, Any]:
     for row in rows:
         by_sensor.setdefault(row.sensor, []).append(row)
     return {
-        "windows": {n: _on_one_line(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
+        "windows": {n: on_one_line(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
         "sensors": {name: _used_and_rejected(own) for name, own in by_sensor.items()},
     }
 
@@ -124,15 +121,9 @@ def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
     rejected: dict[str, list[int]] = {}
     for row in rows:
         (used if row.used else rejected.setdefault(row.reason, [])).append(row.capture)
-    return {"used": _on_one_line(used), "rejected": {why: _on_one_line(n) for why, n in rejected.items()}}
+    return {"used": on_one_line(used), "rejected": {why: on_one_line(n) for why, n in rejected.items()}}
 
 
 def _digits(values: Iterable[float] | Array, digits: int) -> list[float]:
     """The values with at most so many significant digits."""
     return [float(f"{value:.{digits}g}") + 0.0 for value in np.asarray(values, dtype=np.float64)]
-
-
-def _on_one_line(values: Iterable[object]) -> CommentedSeq:
-    sequence = CommentedSeq(values)
-    sequence.fa.set_flow_style()
-    return sequence

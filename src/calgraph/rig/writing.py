@@ -1,0 +1,57 @@
+"""Plain values as YAML that people, and readers of YAML 1.1 and 1.2, read alike."""
+
+import math
+from collections.abc import Iterable, Mapping
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedSeq
+from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.representer import RoundTripRepresenter
+
+from calgraph.rig.atomic import write_text
+
+
+def yaml_text(content: Mapping[str, Any], comment: str = "") -> str:
+    """Plain values as YAML, innermost lists and mappings on one line, below a comment."""
+    yaml = YAML()
+    yaml.Representer = _Representer
+    yaml.default_flow_style = None
+    yaml.width = 200
+    yaml.allow_unicode = True
+    stream = StringIO()
+    yaml.dump(content, stream)
+    return "".join(f"# {line}\n" for line in comment.splitlines()) + stream.getvalue()
+
+
+def save_yaml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
+    """Writes plain values as YAML in one step.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+
+    """
+    write_text(path, yaml_text(content, comment))
+
+
+def on_one_line(values: Iterable[object]) -> CommentedSeq:
+    """A list that is written on one line whatever stands around it."""
+    sequence = CommentedSeq(values)
+    sequence.fa.set_flow_style()
+    return sequence
+
+
+class _Representer(RoundTripRepresenter):
+    """Writes 0.000001 as 1.0e-06: readers of YAML 1.1 (ROS) take ruamel's 1e-06 for a text."""
+
+    def represent_number(self, value: float) -> ScalarNode:
+        text = {math.inf: ".inf", -math.inf: "-.inf"}.get(value, ".nan" if math.isnan(value) else repr(value))
+        if "e" in text and "." not in text:
+            text = text.replace("e", ".0e")
+        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", text)
+        return node
+
+
+_Representer.add_representer(float, _Representer.represent_number)
