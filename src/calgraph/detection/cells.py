@@ -1,0 +1,129 @@
+"""A cloud of any density as cells of even spacing, with normals from neighbours in other rings too.
+
+Multi-beam scanners measure every few millimetres along a ring and every few decimetres across: the nearest points
+all lie on one line there, and have no normal. Averaging the points in cells of direction evens that out, lowers
+the noise, and makes the work independent of the number of points.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calgraph.geometry import Array
+
+Indices = NDArray[np.intp]
+
+# Edge of a direction cell where the scanner is dense, rad.
+_STEP = np.radians(0.7)
+# Points of one direction cell that differ by more in range are two surfaces, m.
+_DEPTH = 0.10
+_NEIGHBOURS = 24
+# Neighbours lie within this many spacings of each other.
+_REACH = 3.0
+_MIN_NEIGHBOURS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Averages of the points in one cell each."""
+
+    points: Array
+    """(M, 3) m."""
+    of_point: Indices
+    """(N,) cell of each point of the cloud; -1 where the cell was dropped as an outlier."""
+    spacing: float
+    """Angle between neighbouring cells in the direction in which they are sparser, rad."""
+    neighbours: Indices
+    """(M, K) cells near each cell, itself first; -1 where there are fewer."""
+    normals: Array
+    """(M, 3) unit normals, towards the sensor; zero where the neighbours lie on a line."""
+    curvature: Array
+    """(M,) share of the neighbours' scatter along the normal: 0 is flat, 1/3 is round, inf has no normal."""
+
+
+def make_cells(points: Array, rings: NDArray[np.int32] | None) -> Cells | None:
+    """Averages points (N, 3) in cells, removes stray cells and finds normals; None if too few are left."""
+    levels = _ring_elevations(points, rings)
+    across = float(np.percentile(np.diff(levels), 75)) if levels is not None else _STEP
+    along = max(np.radians(0.4), across / 3) if levels is not None else _STEP
+    cell = _cell_of(points, levels, along)
+    means = _means(points, cell)
+    if len(means) <= _MIN_NEIGHBOURS:
+        return None
+    radius = np.linalg.norm(means, axis=1)
+    k = min(_NEIGHBOURS, len(means))
+    distance, neighbours = cKDTree(means).query(means, k=k)
+    # On a square grid the eighth neighbour is a diagonal away; rarer than that are the planes of a slow spinner.
+    spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))
+    near = distance <= _REACH * spacing * radius[:, None]
+    keep = _not_stray(distance / radius[:, None], near)
+    if keep.sum() <= _MIN_NEIGHBOURS:
+        return None
+    new_index = np.where(keep, np.cumsum(keep) - 1, -1)
+    neighbours = np.where(near, new_index[neighbours], -1)[keep]
+    normals, curvature = _normals(means[keep], neighbours)
+    return Cells(means[keep], new_index[cell], spacing, neighbours, normals, curvature)
+
+
+def _ring_elevations(points: Array, rings: NDArray[np.int32] | None) -> Array | None:
+    """Ascending elevations of the rings of a multi-beam scanner, rad; None if the scanner has no sparse rings."""
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    if rings is not None:
+        levels = np.sort([np.median(elevation[rings == ring]) for ring in np.unique(rings)])
+    else:
+        # The elevations of a multi-beam scanner are few narrow peaks.
+        bins = np.floor(elevation / np.radians(0.1)).astype(np.int64)
+        values, count = np.unique(bins, return_counts=True)
+        values = values[count > 2e-4 * len(points)]
+        peaks = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
+        levels = np.array([np.radians(0.1) * (peak.mean() + 0.5) for peak in peaks if len(peak)])
+    levels = levels[np.append(True, np.diff(levels) > np.radians(0.05))] if len(levels) else levels
+    if len(levels) < 2 or np.percentile(np.diff(levels), 75) < 1.5 * _STEP:
+        return None
+    return np.asarray(levels)
+
+
+def _cell_of(points: Array, levels: Array | None, along: float) -> Indices:
+    """Numbers 0..M-1 of the cell that each point belongs to."""
+    radius = np.linalg.norm(points, axis=1)
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    if levels is None:
+        row = np.floor((elevation + np.pi) / along).astype(np.int64)
+    else:
+        row = np.searchsorted(0.5 * (levels[1:] + levels[:-1]), elevation)
+    # Cells keep their width towards the poles.
+    width = along / np.maximum(np.cos(row * along - np.pi if levels is None else levels[row]), 0.02)
+    column = np.floor((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / width).astype(np.int64)
+    depth = np.floor(radius / _DEPTH).astype(np.int64)
+    _, cell = np.unique((row << 40) | (column << 24) | np.minimum(depth, 2**24 - 1), return_inverse=True)
+    return np.asarray(cell).ravel()
+
+
+def _means(points: Array, cell: Indices) -> Array:
+    count = np.bincount(cell)
+    return np.stack([np.bincount(cell, points[:, i]) / count for i in range(3)], axis=-1)
+
+
+def _not_stray(relative: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Statistical outlier removal (MSG-Cal, III-B) on distances relative to range, as density falls with it."""
+    mean = relative.mean(axis=1)
+    usual = mean[near.sum(axis=1) > _MIN_NEIGHBOURS]
+    if not len(usual):
+        return np.zeros(len(mean), dtype=bool)
+    return np.asarray((near.sum(axis=1) > _MIN_NEIGHBOURS) & (mean < usual.mean() + 3 * usual.std() + 1e-9))
+
+
+def _normals(points: Array, neighbours: Indices) -> tuple[Array, Array]:
+    there = neighbours >= 0
+    offsets = np.where(there[..., None], points[neighbours] - points[:, None], 0)
+    count = np.maximum(there.sum(axis=1), 1)
+    mean = offsets.sum(axis=1) / count[:, None]
+    scatter = np.einsum("nki,nkj->nij", offsets, offsets) / count[:, None, None] - mean[:, :, None] * mean[:, None]
+    values, vectors = np.linalg.eigh(scatter)
+    normals = vectors[..., 0]
+    normals *= -np.sign(np.sum(normals * points, axis=1, keepdims=True))
+    line = (values[:, 1] < 0.02 * values[:, 2]) | (count <= _MIN_NEIGHBOURS)
+    curvature = np.where(line, np.inf, np.maximum(values[:, 0], 0) / np.maximum(values.sum(axis=1), 1e-12))
+    return np.where(line[:, None], 0, normals), curvature

@@ -1,0 +1,126 @@
+"""Lines and planes fitted to ranges along beams, with their covariance.
+
+The beams' directions are the regressors and the ranges the observations, as the noise has it. Total least squares
+on the points takes noise along the beam for a spread of the surface too, which turns an inclined board by more
+than its standard deviation once it has some hundred points.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from calgraph.geometry import Array, plane
+
+Whitened = Callable[[Array], tuple[Array, Array]]
+"""Parameters to whitened residuals (N,) and the Jacobian (N, P) of the whitened predictions."""
+
+_ROUNDS = 2
+_REJECT = 3.0
+_ITERATIONS = 6
+# Flatter than this a beam grazes the surface and its range says nothing about it.
+_MIN_COSINE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A line or plane in the sensor frame."""
+
+    parameters: Array
+    """(2,) angle of the normal (rad) and distance (m) of a line; (4,) normal and offset of a plane."""
+    covariance: Array
+    """(2, 2) of the line's parameters; (3, 3) of the plane in the chart of ``plane.retract``."""
+    inliers: NDArray[np.bool_]
+    """(N,) which measurements the last round kept."""
+    scale: float
+    """Robust standard deviation of the whitened residuals: 1 if the stated noise is right."""
+
+
+def fit_line(angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array, start: Array) -> Fit | None:
+    """The line ``x cos(a) + y sin(a) = p`` through the ends of beams, in two rounds of rejection.
+
+    Args:
+        angles: (N,) of the beams, rad.
+        ranges: (N,) m.
+        sigma_range: (N,) m.
+        sigma_angle: (N,) rad.
+        start: (2,) a near the solution, p > 0.
+
+    Returns:
+        The fit, or None if fewer than three beams agree or the beams graze the line.
+
+    """
+
+    def whitened(line: Array) -> tuple[Array, Array]:
+        cosine = np.maximum(np.cos(angles - line[0]), _MIN_COSINE)
+        tangent = np.sin(angles - line[0]) / cosine
+        sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
+        J = np.stack([-line[1] * tangent / cosine, 1 / cosine], axis=-1)  # of the predicted range
+        return (ranges - line[1] / cosine) / sigma, J / sigma[:, None]
+
+    return _robust(whitened, lambda line, step: line + step, np.asarray(start, dtype=np.float64))
+
+
+def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Array) -> Fit | None:
+    """The plane through the ends of beams from the origin, in two rounds of rejection.
+
+    Args:
+        points: (N, 3) ends of the beams, m.
+        sigma_range: of each beam, m.
+        sigma_angle: of each beam's direction, about each axis, rad.
+        start: (4,) near the solution, oriented towards the origin.
+
+    Returns:
+        The fit, or None if fewer than four beams agree or the beams graze the plane.
+
+    """
+    ranges = np.linalg.norm(points, axis=1)
+    directions = points / ranges[:, None]
+
+    def whitened(planes: Array) -> tuple[Array, Array]:
+        n, d = planes[:3], planes[3]
+        cosine = np.minimum(directions @ n, -_MIN_COSINE)
+        tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
+        sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
+        J = np.column_stack([d / cosine[:, None] ** 2 * (directions @ plane.tangent_basis(n)), -1 / cosine])
+        return (ranges + d / cosine) / sigma, J / sigma[:, None]
+
+    return _robust(whitened, plane.retract, start)
+
+
+def _robust(whitened: Whitened, retract: Callable[[Array, Array], Array], parameters: Array) -> Fit | None:
+    """Gauss–Newton in rounds, each on the measurements that agreed with the round before."""
+    used = np.ones(len(whitened(parameters)[0]), dtype=bool)
+    scale = 1.0
+    for round_ in range(_ROUNDS + 1):
+        for _ in range(_ITERATIONS):
+            residuals, J = whitened(parameters)
+            # Before the first rejection the weights have to hold the outliers off.
+            weights = 1.0 * used if round_ else _huber(residuals)
+            H = (J * weights[:, None]).T @ J
+            if used.sum() <= J.shape[1] or np.linalg.cond(H) > 1e14:
+                return None
+            step: Array = np.asarray(np.linalg.solve(H, J.T @ (weights * residuals)), dtype=np.float64)
+            parameters = retract(parameters, step)
+            if np.abs(step).max() < 1e-9:
+                break
+        residuals, J = whitened(parameters)
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(residuals[used]))))
+        used = np.abs(residuals) < _REJECT * scale
+    if used.sum() <= J.shape[1]:
+        return None
+    covariance = np.linalg.inv(J[used].T @ J[used]) * _inflation(residuals[used], J.shape[1])
+    return Fit(parameters, np.asarray(covariance, dtype=np.float64), used, scale)
+
+
+def _huber(residuals: Array) -> Array:
+    return np.minimum(1.0, 1.5 / np.maximum(np.abs(residuals), 1e-12))
+
+
+def _inflation(residuals: Array, parameters: int) -> float:
+    """The reduced chi-square where it is significantly above one: the stated noise is too small there."""
+    freedom = len(residuals) - parameters
+    total = float(residuals @ residuals)
+    return total / freedom if total > chi2.ppf(0.999, freedom) else 1.0

@@ -1,0 +1,97 @@
+"""The scans of one capture as one scan: the board rested, so a beam's repeated ranges are one, better, range."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.rig import RangeNoise
+from calgraph.sensors import LaserScan
+
+
+@dataclass(frozen=True, eq=False)
+class MergedScan:
+    """Beams that measured something, in order of angle."""
+
+    angles: Array
+    """(N,) ascending, rad; past pi where the scanner looks all around and the seam was moved."""
+    ranges: Array
+    """(N,) m, finite."""
+    sigma_range: Array
+    """(N,) standard deviation of each range, m."""
+    sigma_angle: Array
+    """(N,) standard deviation of each direction, rad."""
+    fresh: NDArray[np.bool_]
+    """(N,) which beams are foreground."""
+    spacing: float
+    """Angle between neighbouring beams, rad."""
+
+    @property
+    def points(self) -> Array:
+        """(N, 2) end points in the scan plane, m."""
+        return np.asarray(self.ranges[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1))
+
+
+def merge_scans(
+    scans: Sequence[LaserScan], noise: RangeNoise, fresh: Sequence[NDArray[np.bool_]]
+) -> MergedScan | None:
+    """The robust mean of every beam over scans of a scene at rest, or None if no beam measured anything.
+
+    A beam keeps the ranges near its median; a beam that answered in less than half of the scans is left out, and
+    so is one that has no majority near its median: it flickers between two depths at an edge.
+
+    Args:
+        scans: one or more, of one sensor; not necessarily with the same beams.
+        noise: of a single beam.
+        fresh: for each scan which beams (N,) are foreground; a beam is if it is in most scans.
+
+    """
+    reference = max(scans, key=lambda scan: len(scan.angles))
+    angles = np.sort(reference.angles)
+    if len(angles) < 2:
+        return None
+    ranges = np.full((len(scans), len(angles)), np.nan)
+    votes = np.zeros(len(angles))
+    for row, scan, new in zip(ranges, scans, fresh, strict=True):
+        beams = np.clip(np.rint(np.interp(scan.angles, angles, np.arange(len(angles)))).astype(int), 0, None)
+        row[beams[scan.valid]] = scan.ranges[scan.valid]
+        votes[beams[scan.valid]] += new[scan.valid]
+    answered = np.isfinite(ranges).sum(axis=0)
+    kept = np.flatnonzero(2 * answered >= len(scans))
+    kept = kept[answered[kept] > 0]
+    ranges = ranges[:, kept]
+    near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max(4 * noise.range, 0.03) if len(kept) else ranges > 0
+    agreed = 2 * near.sum(axis=0) > answered[kept]
+    if not agreed.any():
+        return None
+    kept, ranges, near = kept[agreed], ranges[:, agreed], near[:, agreed]
+    count = near.sum(axis=0)
+    return _move_seam(
+        MergedScan(
+            angles[kept],
+            np.where(near, ranges, 0).sum(axis=0) / count,
+            noise.range / np.sqrt(count),
+            noise.angle / np.sqrt(count),
+            np.asarray(2 * votes[kept] > answered[kept]),
+            float(np.median(np.diff(angles))),
+        )
+    )
+
+
+def _move_seam(scan: MergedScan) -> MergedScan:
+    """Starts a scan that goes all around at its largest jump in range, so that no board lies across the seam."""
+    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - 20 * scan.spacing:
+        return scan
+    start = int(np.argmax(np.abs(np.diff(scan.ranges)))) + 1
+    turned = np.roll(scan.angles, -start)
+    turned[len(turned) - start :] += 2 * np.pi
+    return MergedScan(
+        turned,
+        np.roll(scan.ranges, -start),
+        np.roll(scan.sigma_range, -start),
+        np.roll(scan.sigma_angle, -start),
+        np.roll(scan.fresh, -start),
+        scan.spacing,
+    )
