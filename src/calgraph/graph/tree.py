@@ -1,0 +1,60 @@
+"""The graph of sensors: what is connected to the root, and start poses along its minimum spanning tree."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.pairwise import PairwiseEstimate
+
+# A pair whose weakest direction is known worse than this (m or rad) is a branch only where nothing else reaches.
+_WEAK = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class SpanningTree:
+    """Sensors hung from the root, each from its parent."""
+
+    root: str
+    parents: Mapping[str, str]
+    """Parent of every connected sensor but the root, parents before their children."""
+    T_root_sensor: Mapping[str, Array]
+    """Start pose (4, 4) of every connected sensor, the root included."""
+
+    def joins(self, a: str, b: str) -> bool:
+        """Whether one of the two sensors hangs from the other."""
+        return self.parents.get(a) == b or self.parents.get(b) == a
+
+
+def spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
+    """Grows the minimum spanning tree from the root (Prim), by summed squared error (MSG-Cal, V).
+
+    Pairs that leave a direction open are taken only where no other pair reaches a sensor.
+
+    Args:
+        root: name of the root sensor.
+        estimates: pairwise estimates; at most one for each pair.
+
+    Returns:
+        The tree of all sensors that are connected to the root.
+    """
+    poses: dict[str, Array] = {root: np.eye(4)}
+    parents: dict[str, str] = {}
+    directed = [*estimates, *(e.inverse() for e in estimates)]
+    while True:
+        leaving = [e for e in directed if e.sensor_a in poses and e.sensor_b not in poses]
+        if not leaving:
+            return SpanningTree(root, parents, poses)
+        best = min(leaving, key=lambda e: (_has_open_direction(e), e.squared_error))
+        parents[best.sensor_b] = best.sensor_a
+        poses[best.sensor_b] = poses[best.sensor_a] @ best.T_a_b
+
+
+def unconnected(sensors: Collection[str], tree: SpanningTree) -> tuple[str, ...]:
+    """The sensors that no chain of pairs connects to the root, in the order given."""
+    return tuple(name for name in sensors if name not in tree.T_root_sensor)
+
+
+def _has_open_direction(estimate: PairwiseEstimate) -> bool:
+    return bool(np.linalg.eigvalsh(estimate.information)[0] < _WEAK**-2)
