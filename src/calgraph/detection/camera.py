@@ -1,0 +1,288 @@
+"""Finding boards in the images of one capture."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
+from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
+from calgraph.detection.detections import BoardCorners, Rejected
+from calgraph.detection.landmarks import Landmarks, landmarks
+from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder, no_marks
+from calgraph.errors import InputError
+from calgraph.geometry import Array, plane, se3
+from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
+from calgraph.sensors import CameraModel, Image
+
+Averaging = Literal["pnp", "mean_plane"]
+Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder
+
+_log = logging.getLogger(__name__)
+
+_MOVED = 5.0
+"""A board whose corners lie so many standard deviations (or pixels, if more) from their mean was moved."""
+_DARK, _FLAT = 12.0, 4.0
+"""Brightest and most varied images (99th percentile, standard deviation) that count as dark and as blank."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Printed:
+    """One board with what finds it."""
+
+    number: int
+    board: Board
+    landmarks: Landmarks
+    finder: Finder
+
+
+class CameraDetector:
+    """Finds a rig's boards in one camera's images; build it once a camera, and use it from one thread.
+
+    Args:
+        boards: the rig's boards; those without a print are never seen.
+        camera: intrinsics of the images.
+        noise: start value of the corners' noise.
+        averaging: ``pnp`` takes the plane from one PnP over all corners; ``mean_plane`` is MSG-Cal's: the mean
+            of the normals and of the offsets of one PnP a tag (boards without tags: as ``pnp``).
+
+    Raises:
+        InputError: two boards share a tag id, or a dictionary is unknown.
+
+    """
+
+    def __init__(
+        self, boards: Sequence[Board], camera: CameraModel, noise: PixelNoise, averaging: Averaging = "pnp"
+    ) -> None:
+        self._camera, self._noise, self._averaging = camera, noise, averaging
+        self._printed = _with_finders(boards)
+
+    def find(self, images: Sequence[Image]) -> tuple[BoardCorners, ...] | Rejected:
+        """Every board seen in the images of one capture, during which the boards rested.
+
+        Corners seen in several images are averaged; a board that moved between them is rejected.
+
+        Raises:
+            InputError: an image is not of the size that the intrinsics are for.
+
+        """
+        if not images:
+            return Rejected("no image in this capture")
+        if not self._printed:
+            return Rejected("the rig has no board with tags or a pattern for cameras to see")
+        grays = [self._checked(image) for image in images]
+        found: list[BoardCorners] = []
+        reasons: list[str] = []
+        seen = [{printed.finder: printed.finder.find(gray) for printed in self._printed} for gray in grays]
+        for printed in self._printed:
+            detection = self._find_one(printed, grays, [marks[printed.finder] for marks in seen])
+            if isinstance(detection, BoardCorners):
+                found.append(detection)
+            else:
+                reasons.append(
+                    f"board {printed.number}: {detection.reason}" if len(self._printed) > 1 else detection.reason
+                )
+        if found:
+            for reason in reasons:
+                _log.debug("in the image at %.3f s: %s", images[0].stamp, reason)
+            return tuple(found)
+        return Rejected("; ".join(reasons) + _exposure(grays))
+
+    def _checked(self, image: Image) -> Gray:
+        gray = image.gray
+        if gray.shape != (self._camera.height, self._camera.width):
+            height, width = gray.shape
+            raise InputError(
+                f"image of {image.frame_id or 'a camera'} at {image.stamp:.3f} s is {width}x{height}, "
+                f"its intrinsics are for {self._camera.width}x{self._camera.height}"
+            )
+        return gray
+
+    def _find_one(
+        self, printed: _Printed, grays: Sequence[Gray], seen: Sequence[Marks]
+    ) -> BoardCorners | Rejected:
+        """One board in all images."""
+        sightings: list[Marks] = []
+        reason: Rejected | None = None
+        for gray, marks in zip(grays, seen, strict=True):
+            sighting = self._sight(printed, gray, marks)
+            if isinstance(sighting, Rejected):
+                reason = reason or sighting
+            else:
+                sightings.append(sighting)
+        if not sightings:
+            return reason or Rejected("no image in this capture")
+        averaged = _averaged(sightings, _MOVED * max(self._noise.pixel, 0.2))
+        if isinstance(averaged, Rejected):
+            return averaged
+        pose = self._fit(printed, averaged)
+        return pose if isinstance(pose, Rejected) else self._detection(printed, averaged, pose)
+
+    def _sight(self, printed: _Printed, gray: Gray, seen: Marks) -> Marks | Rejected:
+        """The marks that are the board's, each once, in one image."""
+        marks = seen.select(np.isin(seen.ids, printed.landmarks.ids))
+        if not len(marks):
+            return Rejected(_missing(printed, seen))
+        pose = self._fit(printed, marks)
+        if isinstance(pose, Rejected):
+            return pose
+        if isinstance(printed.finder, TagFinder):
+            more = self._overlooked(printed, printed.finder, gray, marks, pose)
+            if len(more):
+                marks = marks + more
+                again = self._fit(printed, marks)
+                if isinstance(again, Rejected):
+                    return again
+                pose = again
+        return marks.select(np.asarray(pose.used.any(axis=1)))
+
+    def _overlooked(
+        self, printed: _Printed, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
+    ) -> Marks:
+        """Tags that the first look missed, found where the pose expects them."""
+        missing = ~np.isin(printed.landmarks.ids, marks.ids)
+        corners = printed.landmarks.corners[missing].reshape(-1, 3)
+        expected = self._camera.project(se3.apply(pose.T_camera_board, corners))
+        inside = self._camera.contains(expected).reshape(-1, 4).all(axis=1)
+        if not inside.any():
+            return no_marks(4)
+        more = finder.find_within(gray, expected.reshape(-1, 4, 2)[inside])
+        return more.select(np.isin(more.ids, printed.landmarks.ids[missing]))
+
+    def _fit(self, printed: _Printed, marks: Marks) -> BoardPose | Rejected:
+        return fit_pose(marks.ids, printed.landmarks.of(marks.ids), marks.pixels, self._camera, self._noise.pixel)
+
+    def _detection(self, printed: _Printed, marks: Marks, pose: BoardPose) -> BoardCorners:
+        corners = printed.landmarks.of(marks.ids)
+        the_plane = plane.towards_origin(plane.from_pose(pose.T_camera_board))
+        covariance = plane_covariance(pose.T_camera_board, pose.covariance)
+        if self._averaging == "mean_plane" and marks.pixels.shape[1] == 4:
+            mean = mean_plane(marks, corners, self._camera, max(self._noise.pixel, pose.rms))
+            the_plane, covariance = mean or (the_plane, covariance)
+        return BoardCorners(
+            corners_board=corners[pose.used],
+            pixels=marks.pixels[pose.used],
+            T_camera_board=pose.T_camera_board,
+            covariance=pose.covariance,
+            plane=the_plane,
+            plane_covariance=covariance,
+            rms=pose.rms,
+            board=printed.number,
+        )
+
+
+def find_boards(
+    images: Sequence[Image],
+    boards: Sequence[Board],
+    camera: CameraModel,
+    noise: PixelNoise,
+    *,
+    averaging: Averaging = "pnp",
+) -> tuple[BoardCorners, ...] | Rejected:
+    """Every board seen in the images of one capture; :class:`CameraDetector` for many captures."""
+    return CameraDetector(boards, camera, noise, averaging).find(images)
+
+
+def mean_plane(marks: Marks, corners: Array, camera: CameraModel, sigma: float) -> tuple[Array, Array] | None:
+    """The mean of the planes of single tags (MSG-Cal, section III-C): plane (4,) and covariance (3, 3).
+
+    None if no tag by itself determines its plane.
+    """
+    planes, covariances = [], []
+    for i in range(len(marks)):
+        pose = fit_pose(marks.ids[i : i + 1], corners[i : i + 1], marks.pixels[i : i + 1], camera, sigma)
+        if isinstance(pose, Rejected):
+            continue
+        one = plane.from_pose(pose.T_camera_board)
+        chart = _chart(one[:3])
+        planes.append(one)
+        covariances.append(chart @ plane_covariance(pose.T_camera_board, pose.covariance) @ chart.T)
+    if not planes:
+        return None
+    mean = np.mean(planes, axis=0)
+    mean[:3] /= np.linalg.norm(mean[:3])
+    back = _chart(mean[:3]).T
+    return mean, np.asarray(back @ np.sum(covariances, axis=0) @ back.T / len(planes) ** 2)
+
+
+def _chart(normal: Array) -> Array:
+    """Derivative (4, 3) of a plane by its tangent vector in ``plane.retract``."""
+    J = np.zeros((4, 3))
+    J[:3, :2] = plane.tangent_basis(normal)
+    J[3, 2] = 1
+    return J
+
+
+def _averaged(sightings: Sequence[Marks], tolerance: float) -> Marks | Rejected:
+    """Every mark's mean over the images that show it, unless the board moved by more than ``tolerance`` pixels."""
+    ids = np.unique(np.concatenate([marks.ids for marks in sightings]))
+    pixels = np.full((len(sightings), len(ids), *sightings[0].pixels.shape[1:]), np.nan)
+    for row, marks in zip(pixels, sightings, strict=True):
+        row[np.searchsorted(ids, marks.ids)] = marks.pixels
+    center = np.nanmedian(pixels, axis=0)
+    away = np.linalg.norm(pixels - center, axis=-1)
+    shift = np.array([np.nanmedian(one) for one in away])
+    if shift.max() > tolerance:
+        return Rejected(f"board moved between images: its corners by {2 * shift.max():.1f} px")
+    # A mark that jumps while the board rests was misread in that image.
+    pixels[(away > tolerance).any(axis=-1)] = np.nan
+    return Marks(ids, np.nanmean(pixels, axis=0))
+
+
+def _with_finders(boards: Sequence[Board]) -> tuple[_Printed, ...]:
+    """The boards that cameras can see; boards with tags of one family are looked for together."""
+    shared: dict[tuple[type, str], TagFinder | GridFinder] = {}
+    owners: dict[tuple[type, str, int], int] = {}
+    printed = []
+    for number, board in enumerate(boards):
+        marks = landmarks(board)
+        if not len(marks.ids):
+            continue
+        finder: Finder
+        match board.pattern:
+            case Checkerboard() as pattern:
+                finder = CheckerboardFinder(pattern)
+            case Charuco() as pattern:
+                finder = CharucoFinder(pattern)
+            case None | AprilGrid():
+                kind = TagFinder if board.pattern is None else GridFinder
+                finder = shared.setdefault((kind, board.family), kind(board.family))
+                for mark in marks.ids.tolist():
+                    other = owners.setdefault((kind, board.family, mark), number)
+                    if other != number:
+                        raise InputError(
+                            f"target: boards {other} and {number} both have tag {mark} of {board.family}"
+                        )
+        printed.append(_Printed(number, board, marks, finder))
+    return tuple(printed)
+
+
+def _missing(printed: _Printed, seen: Marks) -> str:
+    """Why a board was not seen, in words."""
+    match printed.board.pattern:
+        case Checkerboard() as pattern:
+            return f"checkerboard of {pattern.columns}x{pattern.rows} inner corners not found"
+        case Charuco() as pattern:
+            return f"no corner of the {pattern.columns}x{pattern.rows} ChArUco board of {pattern.dictionary} found"
+    expected = _listed(printed.landmarks.ids.tolist())
+    if not len(seen):
+        return f"no tag of family {printed.board.family} found; {expected} expected"
+    return f"only {_listed(np.unique(seen.ids).tolist())} seen, which are not on the board; {expected} expected"
+
+
+def _listed(ids: Sequence[int]) -> str:
+    if len(ids) > 2 and list(ids) == list(range(ids[0], ids[-1] + 1)):
+        return f"ids {ids[0]} to {ids[-1]}"
+    return ("id " if len(ids) == 1 else "ids ") + ", ".join(map(str, ids))
+
+
+def _exposure(grays: Sequence[Gray]) -> str:
+    """What is wrong with images that show nothing."""
+    brightest = max(float(np.percentile(gray, 99)) for gray in grays)
+    if brightest < _DARK:
+        return f" (the image is too dark: 99 % of it below grey value {brightest:.0f})"
+    if max(float(gray.std()) for gray in grays) < _FLAT:
+        return " (the image is blank)"
+    return ""

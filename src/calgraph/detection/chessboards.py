@@ -1,0 +1,116 @@
+"""Finding chessboard corners in an image: plain checkerboards and ChArUco boards, by OpenCV."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calgraph.detection.tags import Gray, Marks, no_marks
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+from calgraph.rig import Charuco, Checkerboard
+
+_SIDES = (640, 1280)
+"""Longer sides of the reduced images in which checkerboards are looked for, pixels."""
+_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+
+
+class CheckerboardFinder:
+    """Finds a whole checkerboard and tells which of its corners is which.
+
+    The top-left square of the print is dark. Where a half turn swaps colours (columns + rows odd) that decides
+    which end is up; where it does not, the print looks the same both ways and the end that is up in the image
+    counts as up. The board's plane is the same either way.
+    """
+
+    def __init__(self, pattern: Checkerboard) -> None:
+        self.pattern = pattern
+
+    def find(self, gray: Gray) -> Marks:
+        """All inner corners of the board in an image (height, width), or none."""
+        corners = self._locate(gray)
+        if corners is None:
+            return no_marks(1)
+        corners = _labelled(gray, corners, self.pattern.columns == self.pattern.rows)
+        if corners is None:
+            return no_marks(1)
+        return Marks(np.arange(corners.shape[0] * corners.shape[1]), corners.reshape(-1, 1, 2))
+
+    def _locate(self, gray: Gray) -> Array | None:
+        """Corners (rows, columns, 2) in some orientation, refined in the full image."""
+        columns, rows = self.pattern.columns, self.pattern.rows
+        longest = max(gray.shape)
+        for side in (side for side in _SIDES if side == _SIDES[0] or longest > _SIDES[0]):
+            scale = min(1.0, side / longest)
+            small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else gray
+            for flags in (cv2.CALIB_CB_NORMALIZE_IMAGE, 0):
+                found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=flags)
+                if found:
+                    lattice = np.reshape(corners, (rows, columns, 2)).astype(np.float64)
+                    ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
+                    return _refined(gray, (lattice + 0.5) * ratio - 0.5)
+        return None
+
+
+class CharucoFinder:
+    """Finds the chessboard corners of a ChArUco board whose neighbouring markers are visible."""
+
+    def __init__(self, pattern: Charuco) -> None:
+        name = pattern.dictionary
+        number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
+        if number is None:
+            known = ", ".join(sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_")))
+            raise InputError(f"target.pattern.dictionary: OpenCV has no {name!r}; it has {known}")
+        dictionary = cv2.aruco.getPredefinedDictionary(number)
+        board = cv2.aruco.CharucoBoard((pattern.columns, pattern.rows), pattern.square, pattern.marker, dictionary)
+        self._detector = cv2.aruco.CharucoDetector(board)
+
+    def find(self, gray: Gray) -> Marks:
+        """Inner corners in an image (height, width), each known by its number."""
+        # OpenCV's stubs do not know that it answers None when it sees nothing.
+        found: tuple[Any, ...] = self._detector.detectBoard(gray)
+        corners, ids = found[:2]
+        if ids is None:
+            return no_marks(1)
+        return Marks(np.asarray(ids, dtype=np.intp).ravel(), np.reshape(corners, (-1, 1, 2)).astype(np.float64))
+
+
+def _refined(gray: Gray, lattice: Array) -> Array:
+    """Corners (rows, columns, 2) at sub-pixel places of the full image."""
+    gaps = [np.linalg.norm(np.diff(lattice, axis=axis), axis=-1).min() for axis in (0, 1)]
+    reach = int(np.clip(0.35 * min(gaps), 2, 12))
+    start = lattice.reshape(-1, 1, 2).astype(np.float32)
+    return np.reshape(cv2.cornerSubPix(gray, start, (reach, reach), (-1, -1), _CRITERIA), lattice.shape).astype(
+        np.float64
+    )
+
+
+def _labelled(gray: Gray, lattice: Array, square: bool) -> Array | None:
+    """The corners (rows, columns, 2) row by row from the top left of the print, as its reader sees it."""
+    turns = [lattice, lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1]]
+    if square:
+        turns += [np.swapaxes(turn, 0, 1) for turn in turns]
+    # In an image (y down) the print's right and down are a right-handed pair; its mirror images are not.
+    front = [turn for turn in turns if _handedness(turn) > 0]
+    if not front:
+        return None
+    dark_first = [turn for turn in front if _first_square_is_dark(gray, turn)]
+    upright = [-(turn[-1] - turn[0]).mean(axis=0)[1] for turn in dark_first or front]
+    return (dark_first or front)[int(np.argmin(upright))]
+
+
+def _handedness(lattice: Array) -> float:
+    right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
+    return float(right[0] * down[1] - right[1] * down[0])
+
+
+def _first_square_is_dark(gray: Gray, lattice: Array) -> bool:
+    """Whether the squares of the same colour as the top-left one are the dark ones."""
+    middles = 0.25 * (lattice[:-1, :-1] + lattice[1:, :-1] + lattice[:-1, 1:] + lattice[1:, 1:])
+    column, row = np.rint(middles).astype(int).reshape(-1, 2).T
+    values = gray[row.clip(0, gray.shape[0] - 1), column.clip(0, gray.shape[1] - 1)].astype(np.float64)
+    # The inner square next to the first corner is on a diagonal with the top-left one.
+    same = np.indices(middles.shape[:2]).sum(axis=0).ravel() % 2 == 0
+    if same.all():
+        return True
+    return bool(values[same].mean() < values[~same].mean())
