@@ -19,8 +19,10 @@ Gray = NDArray[np.float32]
 
 _COARSE = 4
 """Step of the pixel grid on which the surroundings are drawn and the board is looked for."""
-_SUBPIXELS = 3
+_SUBPIXELS = 2
 """Samples along each side of a pixel."""
+_FAR = 1e3
+"""Positions farther than this from the sheet need not be told apart, m."""
 _INK, _PAPER = 25.0, 225.0
 """Grey values of the print in full light."""
 _BACK = 110.0
@@ -34,32 +36,31 @@ class PrintedBoard:
     size: tuple[float, float]
     """Width and height of the sheet, m."""
     levels: tuple[NDArray[np.uint8], ...]
-    """(rows, columns, 2) each: reflectance and coverage, 0 to 255."""
+    """(rows, columns) each: reflectance, 0 to 255."""
 
 
 @dataclass(frozen=True, eq=False)
 class Darkroom:
     """What stays the same from image to image of one camera: its rays and the picture of the empty room."""
 
-    camera: CameraModel
     T_world_camera: Array
     """(4, 4)."""
-    rays: Array
-    """(height, width, 3) unit vectors in the camera frame, NaN where the lens sees nothing."""
+    rays: Gray
+    """(3, height, width) unit vectors in the camera frame, NaN where the lens sees nothing."""
+    coarse: Array
+    """(rows, columns, 3) every fourth of them in the world frame; those that see nothing point into the sky."""
     background: Gray
     """(height, width) grey values of the empty room."""
 
 
 def printed_board(face: Array, size: tuple[float, float]) -> PrintedBoard:
     """Prepares a face from :func:`calgraph.simulation.board_texture.board_texture` for rendering."""
-    levels = []
-    while True:
-        coverage = np.full_like(face, 255)
-        levels.append(np.stack([255 * face, coverage], axis=-1).round().astype(np.uint8))
-        if min(face.shape) < 32:
-            return PrintedBoard(size, tuple(levels))
-        rows, columns = face.shape[0] // 2, face.shape[1] // 2
-        face = np.asarray(cv2.resize(face, (columns, rows), interpolation=cv2.INTER_AREA))
+    levels = [face]
+    while min(levels[-1].shape) >= 32:
+        rows, columns = levels[-1].shape
+        half = cv2.resize(levels[-1], (columns // 2, rows // 2), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(half, dtype=np.float64))
+    return PrintedBoard(size, tuple((255 * level).round().astype(np.uint8) for level in levels))
 
 
 def darkroom(
@@ -69,10 +70,13 @@ def darkroom(
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.float64)
     rays = camera.rays(pixels).reshape(camera.height, camera.width, 3)
-    coarse = rays[::_COARSE, ::_COARSE]
-    gray, _ = _shade(coarse, T_world_camera, room)
-    gray = gray * (1 + 0.25 * _marbling(coarse, T_world_camera, room, rng))
-    return Darkroom(camera, T_world_camera, rays, _enlarge(gray, camera))
+    coarse = rays[::_COARSE, ::_COARSE] @ T_world_camera[:3, :3].T
+    coarse = np.where(np.isfinite(coarse), coarse, [0.0, 0.0, 1.0])
+    gray, ranges = _shade(coarse, T_world_camera, room)
+    points = T_world_camera[:3, 3] + np.where(np.isfinite(ranges), ranges, 0)[..., None] * coarse
+    background = _enlarged(gray * (1 + 0.25 * _marbling(points, rng)))[: camera.height, : camera.width]
+    planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0), dtype=np.float32)
+    return Darkroom(T_world_camera, planes, coarse, np.ascontiguousarray(background))
 
 
 def render(
@@ -88,7 +92,8 @@ def render(
         blur: standard deviation of the lens' point spread, pixels; 0 for none.
 
     """
-    image = _with_solids(room, operator)
+    image = room.background.copy()
+    _draw_solids(image, room, operator)
     _draw_board(image, room, T_world_board, board)
     return blurred(image, blur)
 
@@ -127,103 +132,105 @@ def grain(camera: CameraModel, sigma: float, rng: np.random.Generator) -> Grain:
 def _draw_board(image: Gray, room: Darkroom, T_world_board: Array, board: PrintedBoard) -> None:
     """Draws the sheet over the image, in place."""
     T_board_camera = se3.inverse(T_world_board) @ room.T_world_camera
-    window = _window(room, T_board_camera, board.size)
+    window = _sheet_window(room, T_board_camera, board.size)
     if window is None:
         return
-    rows, columns = window
-    xy, seen = _on_sheet(room.rays[rows, columns], T_board_camera)
-    seen &= (np.abs(xy) < board.size).all(axis=-1)
-    # The neighbours of a pixel that misses are of no use for interpolation, and far off the sheet.
-    seen = cv2.erode(seen.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    reflectance, coverage = np.moveaxis(_sample(board, np.where(seen[..., None], xy, 0)), -1, 0)
-    reflectance, coverage = reflectance * seen, coverage * seen
+    part = image[window]
+    x, y = _on_sheet(room.rays[:, window[0], window[1]], T_board_camera)
+    coverage = _coverage(x, board.size[0]) * _coverage(y, board.size[1])
     in_front = T_board_camera[2, 3] > 0
     light = _light(T_world_board[:3, 2] if in_front else -T_world_board[:3, 2])
-    face = _INK * coverage + (_PAPER - _INK) * reflectance if in_front else _BACK * coverage
-    image[rows, columns] = image[rows, columns] * (1 - coverage) + light * face
+    face = _INK + (_PAPER - _INK) * _sample(board, x, y) if in_front else np.float32(_BACK)
+    part += coverage * (np.float32(light) * face - part)
 
 
-def _window(room: Darkroom, T_board_camera: Array, size: tuple[float, float]) -> tuple[slice, slice] | None:
-    """The rows and columns that the sheet appears in, found on the coarse grid."""
-    xy, seen = _on_sheet(room.rays[::_COARSE, ::_COARSE], T_board_camera)
-    hit = seen & (np.abs(xy) <= np.array(size) / 2).all(axis=-1)
+def _sheet_window(room: Darkroom, T_board_camera: Array, size: tuple[float, float]) -> tuple[slice, slice] | None:
+    """The rows and columns of pixels that the sheet appears in, found on the coarse grid."""
+    x, y = _on_sheet(room.rays[:, ::_COARSE, ::_COARSE], T_board_camera)
+    return _window((np.abs(x) <= size[0] / 2) & (np.abs(y) <= size[1] / 2))
+
+
+def _window(hit: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+    """The rows and columns of pixels around the hits (rows, columns) on the coarse grid; None without any."""
     if not hit.any():
         return None
     spans = []
-    for axis, length in ((1, hit.shape[0]), (0, hit.shape[1])):
+    for axis in (1, 0):
         where = np.flatnonzero(hit.any(axis=axis))
-        # Two more steps: the sheet's corner may lie between grid points, and erosion takes a pixel.
-        spans.append(slice(_COARSE * max(where[0] - 2, 0), _COARSE * min(where[-1] + 3, length)))
+        # Two steps more on each side, because an outermost corner may lie between grid points.
+        spans.append(slice(_COARSE * max(int(where[0]) - 2, 0), _COARSE * (int(where[-1]) + 3)))
     return spans[0], spans[1]
 
 
-def _on_sheet(rays: Array, T_board_camera: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Where rays (..., 3) in the camera frame meet the board's plane: x and y (..., 2), and which do at all."""
-    R, t = T_board_camera[:3, :3], T_board_camera[:3, 3]
-    d = rays @ R.T
+def _on_sheet(rays: Gray, T_board_camera: Array) -> tuple[Gray, Gray]:
+    """Where rays (3, rows, columns) in the camera frame meet the board's plane: x and y, m; far off if nowhere."""
+    t = T_board_camera[:3, 3].astype(np.float32)
+    d = np.tensordot(T_board_camera[:3, :3].astype(np.float32), rays, axes=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = -t[2] / d[..., 2]
-        xy = t[:2] + s[..., None] * d[..., :2]
-    seen = np.isfinite(xy).all(axis=-1) & (s > 0)
-    return np.where(seen[..., None], xy, np.inf), seen
+        s = -t[2] / d[2]
+        # Also false for rays that are NaN.
+        met = (s > 0) & (s < _FAR)
+    s = np.where(met, s, np.float32(0))
+    x, y = t[0] + s * d[0], t[1] + s * d[1]
+    return np.where(met, x, np.float32(_FAR)), np.where(met, y, np.float32(_FAR))
 
 
-def _sample(board: PrintedBoard, xy: Array) -> Array:
-    """Reflectance and coverage (rows, columns, 2), 0 to 1, averaged over the area of each pixel."""
+def _coverage(position: Gray, length: float) -> Gray:
+    """The part of each pixel's width that lies on the sheet, along one of the sheet's axes."""
+    pixel = np.abs(np.gradient(position, axis=0)) + np.abs(np.gradient(position, axis=1))
+    inside = length / 2 - np.abs(position)
+    return np.asarray(np.clip(inside / np.maximum(pixel, 1e-9) + 0.5, 0, 1), dtype=np.float32)
+
+
+def _sample(board: PrintedBoard, x: Gray, y: Gray) -> Gray:
+    """Reflectance 0 to 1 at positions on the sheet (rows, columns), averaged over the area of each pixel."""
     width, height = board.size
-    texels = board.levels[0].shape[1] / width
-    pixel = np.median(np.abs(np.diff(xy[..., 0], axis=1)) + np.abs(np.diff(xy[..., 1], axis=1)))
-    level = int(np.clip(np.log2(max(texels * pixel / _SUBPIXELS, 1.0)), 0, len(board.levels) - 1))
-    texture = board.levels[level]
-    u = (xy[..., 0] / width + 0.5) * texture.shape[1] - 0.5
-    v = (0.5 - xy[..., 1] / height) * texture.shape[0] - 0.5
-    shape = (_SUBPIXELS * xy.shape[1], _SUBPIXELS * xy.shape[0])
+    pixel = float(np.median(np.abs(np.diff(x, axis=1)) + np.abs(np.diff(y, axis=1))))
+    texels = board.levels[0].shape[1] / width * pixel / _SUBPIXELS
+    texture = board.levels[int(np.clip(np.log2(max(texels, 1.0)), 0, len(board.levels) - 1))]
+    u = (x / width + 0.5) * texture.shape[1] - 0.5
+    v = (0.5 - y / height) * texture.shape[0] - 0.5
+    shape = (_SUBPIXELS * x.shape[1], _SUBPIXELS * x.shape[0])
     u, v = (cv2.resize(m.astype(np.float32), shape, interpolation=cv2.INTER_LINEAR) for m in (u, v))
-    samples = cv2.remap(texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0, 0))
-    means = cv2.resize(samples, (xy.shape[1], xy.shape[0]), interpolation=cv2.INTER_AREA)
-    return np.asarray(means, dtype=np.float64) / 255
+    samples = cv2.remap(texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    means = cv2.resize(samples, (x.shape[1], x.shape[0]), interpolation=cv2.INTER_AREA)
+    return np.asarray(means * np.float32(1 / 255), dtype=np.float32)
 
 
-def _with_solids(room: Darkroom, solids: Sequence[Solid]) -> Gray:
-    """A copy of the background with solids drawn on it, at the coarse resolution."""
-    gray, hit = _shade(room.rays[::_COARSE, ::_COARSE], room.T_world_camera, solids)
-    if not hit.any():
-        return room.background.copy()
-    mask = _enlarge(hit.astype(np.float64), room.camera)
-    return room.background * (1 - mask) + _enlarge(gray, room.camera) * mask
+def _draw_solids(image: Gray, room: Darkroom, solids: Sequence[Solid]) -> None:
+    """Draws solids over the image, in place, at the coarse resolution."""
+    gray, ranges = _shade(room.coarse, room.T_world_camera, solids)
+    hit = np.isfinite(ranges)
+    window = _window(hit)
+    if window is None:
+        return
+    part = image[window]
+    coarse = tuple(slice(span.start // _COARSE, span.stop // _COARSE) for span in window)
+    mask = _enlarged(hit[coarse].astype(np.float64))[: part.shape[0], : part.shape[1]]
+    # Outside the mask the grey value is 0, so interpolated values are products already.
+    part += _enlarged(gray[coarse])[: part.shape[0], : part.shape[1]] - mask * part
 
 
-def _shade(rays: Array, T_world_camera: Array, solids: Sequence[Solid]) -> tuple[Array, NDArray[np.bool_]]:
-    """Grey values of the solids that rays (rows, columns, 3) hit, 0 where none, and which hit one."""
-    hits = cast(solids, T_world_camera[:3, 3], _in_world(rays, T_world_camera))
+def _shade(directions: Array, T_world_camera: Array, solids: Sequence[Solid]) -> tuple[Array, Array]:
+    """Grey values of the solids that rays (rows, columns, 3) in the world frame hit, 0 for none; their ranges."""
+    hits = cast(solids, T_world_camera[None, :3, 3], directions.reshape(-1, 3))
     brightness = np.array([*(solid.brightness for solid in solids), 0.0])
     gray = brightness[hits.solid] / (1 + 0.08 * np.where(np.isfinite(hits.ranges), hits.ranges, 0))
-    return gray.reshape(rays.shape[:2]), (hits.solid >= 0).reshape(rays.shape[:2])
+    return gray.reshape(directions.shape[:2]), hits.ranges.reshape(directions.shape[:2])
 
 
-def _marbling(rays: Array, T_world_camera: Array, solids: Sequence[Solid], rng: np.random.Generator) -> Array:
-    """A smooth random pattern in space of about unit amplitude, where the rays meet the solids."""
-    directions = _in_world(rays, T_world_camera)
-    ranges = cast(solids, T_world_camera[:3, 3], directions).ranges
-    points = T_world_camera[:3, 3] + np.where(np.isfinite(ranges), ranges, 0)[:, None] * directions
-    waves = rng.standard_normal((3, 12)) * np.geomspace(2, 30, 12)
-    pattern = np.sin(points @ waves + rng.uniform(0, 2 * np.pi, 12)).sum(axis=1) / np.sqrt(12)
-    return np.asarray(pattern.reshape(rays.shape[:2]))
-
-
-def _in_world(rays: Array, T_world_camera: Array) -> Array:
-    """Rays as (N, 3) in the world frame; those of blind pixels point into the sky and hit little."""
-    directions = rays.reshape(-1, 3) @ T_world_camera[:3, :3].T
-    return np.where(np.isfinite(directions), directions, [0.0, 0.0, 1.0])
+def _marbling(points: Array, rng: np.random.Generator) -> Array:
+    """A smooth random pattern of about unit amplitude at points (rows, columns, 3)."""
+    waves = rng.standard_normal((3, 12)) * np.geomspace(1, 10, 12)
+    return np.asarray(np.sin(points @ waves + rng.uniform(0, 2 * np.pi, 12)).sum(axis=-1) / np.sqrt(12))
 
 
 def _light(normal: Array) -> float:
     """How brightly a surface is lit: lamps hang under the ceiling, the rest is diffuse."""
-    return float(0.62 + 0.38 * max(normal @ np.array([0.0, 0.0, 1.0]), 0) + 0.2 * (1 - abs(normal[2])))
+    return float(0.62 + 0.38 * max(normal[2], 0) + 0.2 * (1 - abs(normal[2])))
 
 
-def _enlarge(coarse: Array, camera: CameraModel) -> Gray:
-    """A picture drawn on the coarse grid at the camera's full size."""
+def _enlarged(coarse: Array) -> Gray:
+    """A picture drawn on the coarse grid at full size, up to three rows and columns larger than needed."""
     shape = (_COARSE * coarse.shape[1], _COARSE * coarse.shape[0])
-    full = cv2.resize(coarse.astype(np.float32), shape, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(full[: camera.height, : camera.width])
+    return np.asarray(cv2.resize(coarse.astype(np.float32), shape, interpolation=cv2.INTER_CUBIC))

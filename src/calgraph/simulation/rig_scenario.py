@@ -33,7 +33,7 @@ class CameraKnobs(StrictModel):
     """Lens: pinhole with optional plumb_bob or rational distortion, or equidistant fisheye."""
     distortion: tuple[Finite, ...] = ()
     """Coefficients in OpenCV's order: none, 4, 5 or 8 for a pinhole, none or 4 for a fisheye."""
-    noise: NotNegative = 2.0
+    noise: NotNegative = 1.5
     """Standard deviation of a pixel, grey values of 255."""
     blur: NotNegative = 0.6
     """Standard deviation of the lens' point spread, pixels."""

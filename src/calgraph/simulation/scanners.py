@@ -22,7 +22,7 @@ class BeamPattern:
     """The beams of one scan or sweep, in the order in which they are measured."""
 
     origins: Array
-    """(N, 3) where beams start, sensor frame, m."""
+    """(N, 3) where beams start, or (1, 3) where all start at one place, sensor frame, m."""
     directions: Array
     """(N, 3) unit vectors, sensor frame."""
     sideways: Array
@@ -68,7 +68,7 @@ def laser_pattern(field_of_view: float, resolution: float, scan_time: float) -> 
     angles: Array = resolution * np.arange(count, dtype=np.float64) - field_of_view / 2
     directions, sideways = _in_plane(angles)
     return BeamPattern(
-        origins=np.zeros((count, 3)),
+        origins=np.zeros((1, 3)),
         directions=directions,
         sideways=sideways,
         times=np.arange(count, dtype=np.float64) * (scan_time * resolution / (2 * np.pi)),
@@ -131,7 +131,7 @@ def multibeam_pattern(elevations: Array, azimuth_resolution: float, period: floa
     up = np.tile(elevations, columns)[:, None]
     count = columns * rings
     return BeamPattern(
-        origins=np.zeros((count, 3)),
+        origins=np.zeros((1, 3)),
         directions=np.cos(up) * flat + np.sin(up) * [0.0, 0.0, 1.0],
         sideways=sideways,
         times=np.repeat(np.arange(columns) * period / columns, rings),
@@ -162,7 +162,8 @@ def measure(
     for until, solids in scene_at(start, start + float(pattern.times[-1])):
         last = int(np.searchsorted(pattern.times, until - start, side="right"))
         part = slice(first, last)
-        true[part] = cast(solids, origins[part], directions[part]).ranges
+        starts = origins if len(origins) == 1 else origins[part]
+        true[part] = cast(solids, starts, directions[part]).ranges
         first = last
     ranges = _mixed(true, pattern.neighbours, noise.mixed, rng) + rng.normal(0.0, noise.range, len(true))
     lost = rng.random(len(true)) < noise.dropout
@@ -179,7 +180,8 @@ def laser_scan(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str)
 def point_cloud(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str) -> PointCloud:
     """The message of a 3-D scanner: the beams that measured something, at their nominal directions."""
     kept = np.isfinite(ranges)
-    points = pattern.origins[kept] + ranges[kept, None] * pattern.directions[kept]
+    origins = pattern.origins if len(pattern.origins) == 1 else pattern.origins[kept]
+    points = origins + ranges[kept, None] * pattern.directions[kept]
     rings = None if pattern.rings is None else pattern.rings[kept]
     return PointCloud(stamp, frame_id, points, rings, pattern.times[kept])
 

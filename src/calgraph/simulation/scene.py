@@ -1,4 +1,7 @@
-"""A world of solids that beams and camera rays can be cast against."""
+"""A world of solids that beams and camera rays can be cast against.
+
+Inside, rays are (3, N) arrays: NumPy is several times faster on long rows than on rows of three.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,9 +30,9 @@ class Sheet:
         return 0.5 * float(np.hypot(self.width, self.height))
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """Distances (N,) along rays (N, 3) in the shape's frame, infinite where they miss (eqs. 12–14)."""
-        t = -origins[:, 2] / _away_from_zero(directions[:, 2])
-        x, y = (origins[:, i] + t * directions[:, i] for i in (0, 1))
+        """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss (eqs. 12–14)."""
+        t = -origins[2] / _away_from_zero(directions[2])
+        x, y = (origins[i] + t * directions[i] for i in (0, 1))
         hit = (t > 0) & (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2)
         return np.where(hit, t, np.inf)
 
@@ -51,12 +54,12 @@ class Box:
         return 0.5 * float(np.linalg.norm([self.length, self.width, self.height]))
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """Distances (N,) along rays (N, 3) in the shape's frame, infinite where they miss (slab method)."""
-        half = 0.5 * np.array([self.length, self.width, self.height])
+        """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss (slab method)."""
+        half = 0.5 * np.array([[self.length], [self.width], [self.height]])
         inverse = 1 / _away_from_zero(directions)
         middle = -origins * inverse
         reach = half * np.abs(inverse)
-        enter, leave = (middle - reach).max(axis=1), (middle + reach).min(axis=1)
+        enter, leave = (middle - reach).max(axis=0), (middle + reach).min(axis=0)
         t = np.where(enter > 0, enter, leave)
         return np.where((enter <= leave) & (t > 0), t, np.inf)
 
@@ -76,15 +79,15 @@ class Cylinder:
         return float(np.hypot(self.radius, self.height / 2))
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """Distances (N,) along rays (N, 3) in the shape's frame, infinite where they miss."""
-        o, d = origins[:, :2], directions[:, :2]
-        a = np.maximum(np.sum(d * d, axis=1), _PARALLEL)
-        b = np.sum(o * d, axis=1) / a
-        discriminant = b * b - (np.sum(o * o, axis=1) - self.radius**2) / a
+        """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss."""
+        o, d = origins[:2], directions[:2]
+        a = np.maximum(np.sum(d * d, axis=0), _PARALLEL)
+        b = np.sum(o * d, axis=0) / a
+        discriminant = b * b - (np.sum(o * o, axis=0) - self.radius**2) / a
         root = np.sqrt(np.maximum(discriminant, 0))
         # The solid is the overlap of the endless cylinder and the slab between its caps.
-        inverse = 1 / _away_from_zero(directions[:, 2])
-        middle, reach = -origins[:, 2] * inverse, self.height / 2 * np.abs(inverse)
+        inverse = 1 / _away_from_zero(directions[2])
+        middle, reach = -origins[2] * inverse, self.height / 2 * np.abs(inverse)
         enter, leave = np.maximum(-b - root, middle - reach), np.minimum(-b + root, middle + reach)
         t = np.where(enter > 0, enter, leave)
         return np.where((discriminant >= 0) & (enter <= leave) & (t > 0), t, np.inf)
@@ -119,32 +122,37 @@ def cast(solids: Sequence[Solid], origins: Array, directions: Array) -> Hits:
 
     Args:
         solids: what may be hit.
-        origins: (N, 3) or (3,), world frame, m.
+        origins: (N, 3), or (1, 3) where all rays start at one place, world frame, m.
         directions: (N, 3) unit vectors, world frame.
 
     """
-    ranges = np.full(len(directions), np.inf)
-    which = np.full(len(directions), -1, dtype=np.int32)
-    for index, solid in enumerate(solids):
-        rays = _near(solid, origins, directions)
+    count = len(directions)
+    ranges = np.full(count, np.inf)
+    which = np.full(count, -1, dtype=np.int32)
+    if not solids:
+        return Hits(ranges, which)
+    o, d = np.ascontiguousarray(origins.T), np.ascontiguousarray(directions.T)
+    for index, (solid, near) in enumerate(zip(solids, _near(solids, o, d), strict=True)):
+        rays = np.flatnonzero(near)
         if not len(rays):
             continue
-        R, t = solid.T_world_shape[:3, :3], solid.T_world_shape[:3, 3]
-        local = np.broadcast_to((origins - t) @ R, directions.shape)[rays]
-        distance = solid.shape.distance(local, directions[rays] @ R)
+        R, t = solid.T_world_shape[:3, :3], solid.T_world_shape[:3, 3:]
+        starts = o if o.shape[1] == 1 else o[:, rays]
+        distance = solid.shape.distance(R.T @ (starts - t), R.T @ d[:, rays])
         closer = distance < ranges[rays]
         ranges[rays[closer]] = distance[closer]
         which[rays[closer]] = index
     return Hits(ranges, which)
 
 
-def _near(solid: Solid, origins: Array, directions: Array) -> NDArray[np.intp]:
-    """Indices of the rays that meet the solid's bounding sphere: most solids are met by few rays."""
-    to_centre = solid.T_world_shape[:3, 3] - origins
-    along = directions @ to_centre if to_centre.ndim == 1 else np.sum(directions * to_centre, axis=1)
-    radius = solid.shape.bounding_radius
-    aside = np.sum(to_centre * to_centre, axis=-1) - along * along
-    return np.flatnonzero((aside <= radius**2) & (along > -radius))
+def _near(solids: Sequence[Solid], origins: Array, directions: Array) -> NDArray[np.bool_]:
+    """(S, N) which rays meet the bounding spheres of which solids: most solids are met by few rays."""
+    centres = np.stack([solid.T_world_shape[:3, 3] for solid in solids])
+    radii = np.array([[solid.shape.bounding_radius] for solid in solids])
+    # The ray's way to the point nearest to a centre c is (c - o) · d, its distance there |c - o|² - way².
+    way = centres @ directions - np.sum(origins * directions, axis=0)
+    square = np.sum(centres**2, axis=1)[:, None] - 2 * centres @ origins + np.sum(origins**2, axis=0)
+    return np.asarray((square - way**2 <= radii**2) & (way > -radii))
 
 
 def _away_from_zero(values: Array) -> Array:
