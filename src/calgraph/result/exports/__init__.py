@@ -1,0 +1,6 @@
+"""A calibration in the formats of other programs."""
+
+from calgraph.result.exports.formats import FORMATS, export
+from calgraph.result.exports.json_text import to_json
+
+__all__ = ["FORMATS", "export", "to_json"]

@@ -1,0 +1,68 @@
+"""The table of export formats."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from calgraph.errors import InputError
+from calgraph.result.calibration import Calibration
+from calgraph.result.exports.json_text import to_json
+from calgraph.result.exports.kalibr import to_camchain
+from calgraph.result.exports.launch import to_launch
+from calgraph.result.exports.tf import to_tf_yaml
+from calgraph.result.exports.urdf import to_urdf
+from calgraph.result.exports.urdf_update import update_urdf
+from calgraph.rig import Rig
+from calgraph.sensors import CameraModel
+
+
+@dataclass(frozen=True)
+class _Request:
+    """A calibration and what some formats need besides."""
+
+    calibration: Calibration
+    rig: Rig | None = None
+    cameras: Mapping[str, CameraModel] = field(default_factory=dict)
+    urdf: str | None = None
+
+
+def _urdf(request: _Request) -> str:
+    if request.urdf is None:
+        return to_urdf(request.calibration)
+    return update_urdf(request.calibration, request.urdf)
+
+
+FORMATS: Mapping[str, Callable[[_Request], str]] = {
+    "launch": lambda request: to_launch(request.calibration),
+    "tf": lambda request: to_tf_yaml(request.calibration),
+    "urdf": _urdf,
+    "kalibr": lambda request: to_camchain(request.calibration, request.rig, request.cameras),
+    "json": lambda request: to_json(request.calibration),
+}
+"""Writers by the name of their format."""
+
+
+def export(
+    calibration: Calibration,
+    format: str,
+    *,
+    rig: Rig | None = None,
+    cameras: Mapping[str, CameraModel] | None = None,
+    urdf: str | None = None,
+) -> str:
+    """The calibration as the text of a file of another program.
+
+    Args:
+        calibration: what to export.
+        format: ``launch`` (ROS 2 launch file in Python with static transform publishers), ``tf`` (YAML in the
+            layout of tf2_msgs/TFMessage), ``urdf``, ``kalibr`` (camchain) or ``json`` (the whole result).
+        rig: kalibr: topics of the cameras, and their intrinsics where rig.yaml states them.
+        cameras: kalibr: intrinsics by sensor; they take precedence over those of the rig.
+        urdf: urdf: text of a URDF whose joints are to be corrected; without it a new one is made.
+
+    Raises:
+        InputError: there is no such format, or this calibration cannot be written in it; the message says why.
+
+    """
+    if format not in FORMATS:
+        raise InputError(f"there is no export format {format!r}; there are {', '.join(FORMATS)}")
+    return FORMATS[format](_Request(calibration, rig, cameras or {}, urdf))

@@ -1,0 +1,85 @@
+"""The calibrated tree in terms of frames, as ROS names them."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array, so3
+from calgraph.result.calibration import Calibration
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """One edge of the tree."""
+
+    parent: str
+    """Frame of the sensor nearer to the root."""
+    child: str
+    T_parent_child: Array
+    """(4, 4)."""
+
+    @property
+    def xyz(self) -> Array:
+        """(3,) the child's origin in the parent's frame, m."""
+        return self.T_parent_child[:3, 3]
+
+    @property
+    def xyzw(self) -> Array:
+        """(4,) unit quaternion."""
+        return so3.quaternion(self.T_parent_child[:3, :3])
+
+
+def frames(calibration: Calibration) -> dict[str, str]:
+    """The frame of each sensor, by the sensor's name, without the leading slash that tf2 refuses.
+
+    Raises:
+        InputError: a sensor has no frame, or two have the same.
+
+    """
+    by_sensor = {sensor.name: sensor.frame_id.lstrip("/") for sensor in calibration.sensors}
+    for name, frame in by_sensor.items():
+        if not frame:
+            raise InputError(f"sensor {name!r} has no frame_id; give it one in rig.yaml (sensors.{name}.frame_id)")
+    frame, count = Counter(by_sensor.values()).most_common(1)[0]
+    if count > 1:
+        same = [name for name in by_sensor if by_sensor[name] == frame]
+        raise InputError(
+            f"sensors {', '.join(same)} have the same frame_id {frame!r}, so that their transforms cannot be told "
+            f"apart; give them different ones in rig.yaml (sensors.{same[-1]}.frame_id)"
+        )
+    return by_sensor
+
+
+def links(calibration: Calibration) -> list[Link]:
+    """The edges of the tree, parents before their children; raises as :func:`frames` does."""
+    frame_of = frames(calibration)
+    children: dict[str, list[str]] = {}
+    for sensor in calibration.sensors:
+        if sensor.parent is not None:
+            children.setdefault(sensor.parent, []).append(sensor.name)
+    found: list[Link] = []
+    waiting = [calibration.root]
+    while waiting:
+        parent = waiting.pop(0)
+        for child in children.get(parent, []):
+            found.append(Link(frame_of[parent], frame_of[child], calibration.transform(parent, child)))
+            waiting.append(child)
+    return found
+
+
+def number(value: float) -> str:
+    """A coordinate as text: to 1e-13, and 0 for -0."""
+    return repr(round(float(value), 13) + 0.0)
+
+
+def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """Angles about the fixed axes x, y, z, rad, with ``R = Rz(yaw) @ Ry(pitch) @ Rx(roll)`` also at pitch ±90°.
+
+    There roll and yaw turn about the same axis; whatever yaw comes out, pitch and roll are read off what is left.
+    """
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    rest = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R
+    return float(np.arctan2(-rest[1, 2], rest[1, 1])), float(np.arctan2(-rest[2, 0], rest[0, 0])), float(yaw)

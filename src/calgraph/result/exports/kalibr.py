@@ -1,0 +1,85 @@
+"""The cameras of a rig as a Kalibr camchain."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+from calgraph.result.calibration import Calibration
+from calgraph.result.exports.frames import number
+from calgraph.rig import CameraSpec, Rig, yaml_text
+from calgraph.rig.writing import on_one_line
+from calgraph.sensors import CameraModel
+
+_COMMENT = "Kalibr camchain, calibrated by calgraph. T_cn_cnm1 maps coordinates in the camera before to this one."
+
+
+def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str, CameraModel]) -> str:
+    """The text of a camchain with the cameras in the order of the calibration.
+
+    Kalibr knows pinhole cameras with its distortion models ``radtan`` (k1 k2 p1 p2), ``equidistant`` and ``none``.
+
+    Args:
+        calibration: the poses.
+        rig: topics of the cameras, and intrinsics where rig.yaml states them.
+        cameras: intrinsics by sensor; they take precedence over those of the rig.
+
+    Raises:
+        InputError: there is no camera, or the intrinsics of one are not known or not of a kind Kalibr has.
+
+    """
+    names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
+    if not names:
+        raise InputError("a Kalibr camchain needs a camera, this calibration has none")
+    specs = rig.cameras() if rig else {}
+    chain: dict[str, Any] = {}
+    for index, name in enumerate(names):
+        entry: dict[str, Any] = {"cam_overlaps": on_one_line(i for i in range(len(names)) if i != index)}
+        if index > 0:
+            entry["T_cn_cnm1"] = _matrix(calibration.transform(name, names[index - 1]))
+        entry |= _intrinsics(name, _camera(name, specs, cameras))
+        if name in specs:
+            entry["rostopic"] = specs[name].topic
+        chain[f"cam{index}"] = entry
+    return yaml_text(chain, "\n".join([_COMMENT, *(f"cam{i}: {name!r}" for i, name in enumerate(names))]))
+
+
+def _camera(name: str, specs: Mapping[str, CameraSpec], cameras: Mapping[str, CameraModel]) -> CameraModel:
+    spec = specs.get(name)
+    if name in cameras:
+        return cameras[name]
+    if spec and spec.intrinsics:
+        return spec.intrinsics.camera()
+    raise InputError(
+        f"the intrinsics of {name!r} are not known; state them in rig.yaml (sensors.{name}.intrinsics)"
+    )
+
+
+def _intrinsics(name: str, camera: CameraModel) -> dict[str, Any]:
+    K = camera.K
+    model, coefficients = _distortion(name, camera)
+    return {
+        "camera_model": "pinhole",
+        "distortion_coeffs": on_one_line(coefficients),
+        "distortion_model": model,
+        "intrinsics": on_one_line(float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])),
+        "resolution": on_one_line([camera.width, camera.height]),
+    }
+
+
+def _distortion(name: str, camera: CameraModel) -> tuple[str, list[float]]:
+    coefficients = camera.distortion.tolist()
+    if camera.model == "fisheye":
+        return "equidistant", coefficients or [0.0] * 4
+    if np.any(camera.distortion[4:]):
+        raise InputError(
+            f"Kalibr has no distortion model for {name!r}: its radtan ends at k1 k2 p1 p2, "
+            f"this camera has {len(coefficients)} coefficients"
+        )
+    return ("radtan", coefficients[:4]) if coefficients else ("none", [])
+
+
+def _matrix(T: Array) -> list[Any]:
+    return [on_one_line(float(number(value)) for value in row) for row in T]

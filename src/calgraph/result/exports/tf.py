@@ -1,0 +1,35 @@
+"""The calibrated tree as YAML in the layout of ROS' tf2_msgs/TFMessage."""
+
+from typing import Any
+
+from calgraph.result.calibration import Calibration
+from calgraph.result.exports.frames import Link, links, number
+from calgraph.rig import yaml_text
+
+_COMMENT = """\
+Static transforms in the layout of tf2_msgs/TFMessage: each maps coordinates in child_frame_id to header.frame_id.
+translation in metres; rotation is a unit quaternion. Calibrated by calgraph."""
+
+
+def to_tf_yaml(calibration: Calibration) -> str:
+    """A mapping with the one key ``transforms``: a list of geometry_msgs/TransformStamped, parents first.
+
+    Each has ``header: {stamp: {sec, nanosec}, frame_id}``, ``child_frame_id`` and ``transform: {translation:
+    {x, y, z}, rotation: {x, y, z, w}}``, with the names and the nesting of the ROS messages; the stamp is zero.
+
+    Raises:
+        InputError: a sensor has no frame_id, or two have the same.
+
+    """
+    return yaml_text({"transforms": [_stamped(link) for link in links(calibration)]}, _COMMENT)
+
+
+def _stamped(link: Link) -> dict[str, Any]:
+    return {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": link.parent},
+        "child_frame_id": link.child,
+        "transform": {
+            "translation": {key: float(number(v)) for key, v in zip("xyz", link.xyz, strict=True)},
+            "rotation": {key: float(number(v)) for key, v in zip("xyzw", link.xyzw, strict=True)},
+        },
+    }

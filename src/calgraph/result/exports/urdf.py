@@ -1,0 +1,38 @@
+"""A new URDF: a link for each sensor's frame, a fixed joint for each edge of the tree."""
+
+from xml.sax.saxutils import quoteattr
+
+from calgraph.geometry import Array
+from calgraph.result.calibration import Calibration
+from calgraph.result.exports.frames import Link, frames, links, number, roll_pitch_yaw
+
+
+def to_urdf(calibration: Calibration) -> str:
+    """The text of a URDF whose links are the sensors' frames.
+
+    Raises:
+        InputError: a sensor has no frame_id, or two have the same.
+
+    """
+    lines = ['<?xml version="1.0"?>', "<!-- Calibrated by calgraph. -->", '<robot name="calgraph">']
+    lines += [f"  <link name={quoteattr(frame)}/>" for frame in frames(calibration).values()]
+    for link in links(calibration):
+        lines += _joint(link)
+    return "\n".join([*lines, "</robot>", ""])
+
+
+def origin_attributes(T_parent_child: Array) -> str:
+    """``xyz="..." rpy="..."`` of an origin: metres, and angles about fixed axes, rad."""
+    xyz = " ".join(map(number, T_parent_child[:3, 3]))
+    rpy = " ".join(map(number, roll_pitch_yaw(T_parent_child[:3, :3])))
+    return f'xyz="{xyz}" rpy="{rpy}"'
+
+
+def _joint(link: Link) -> list[str]:
+    return [
+        f'  <joint name={quoteattr(f"{link.parent}_to_{link.child}")} type="fixed">',
+        f"    <parent link={quoteattr(link.parent)}/>",
+        f"    <child link={quoteattr(link.child)}/>",
+        f"    <origin {origin_attributes(link.T_parent_child)}/>",
+        "  </joint>",
+    ]
