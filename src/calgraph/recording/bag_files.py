@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import struct
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -77,6 +78,33 @@ def unpacked_message(raw: bytes) -> bytes:
     Neither CDR nor ROS 1 messages of use here start with zstd's magic number, so this works without metadata.
     """
     return zstd.decompress(raw) if raw[:4] == _ZSTD_MAGIC else raw
+
+
+def check_sqlite(file: Path) -> None:
+    """Checks what SQLite itself reads over: a file cut short in its last pages, or messages still in its log.
+
+    Source: "Database File Format", section 1.3, sqlite.org.
+
+    Raises:
+        RecordingError: the log of the database has not been merged.
+        ValueError: the file is shorter than it states.
+
+    """
+    log = file.with_name(f"{file.name}-wal")
+    if log.is_file() and log.stat().st_size > 0:
+        raise RecordingError(
+            f"{file}: its last messages are still in {log.name}; merge them with "
+            f"`sqlite3 {file.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+        )
+    with file.open("rb") as opened:
+        header = opened.read(100)
+    if len(header) < 100:
+        raise ValueError(f"has {len(header)} bytes, too few for a database")
+    page_size, change, pages, pages_of_change = struct.unpack(">16xH6x2I60xI4x", header)
+    # A page of 65536 bytes is written as 1; the number of pages holds only for the change it was written at.
+    stated = (65536 if page_size == 1 else page_size) * pages
+    if change == pages_of_change and file.stat().st_size < stated:
+        raise ValueError(f"has {file.stat().st_size} bytes, states {stated}")
 
 
 def _from_metadata(folder: Path) -> BagFiles:

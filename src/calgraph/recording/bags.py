@@ -17,7 +17,7 @@ from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
 from calgraph.errors import RecordingError
-from calgraph.recording.bag_files import BagFiles, unpacked, unpacked_message
+from calgraph.recording.bag_files import BagFiles, check_sqlite, unpacked, unpacked_message
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType, message_type
 from calgraph.recording.recording import (
@@ -87,10 +87,12 @@ class BagRecording:
         self.close()
 
     def _open(self, file: Path) -> Reader1 | Reader2:
-        storage = unpacked(file, self._stack)
         if file.stat().st_size == 0:
             raise RecordingError(f"{file}: is empty; copy it again")
+        storage = unpacked(file, self._stack)
         with blamed_on(file, _ADVICE[storage.suffix].format(name=file.name)):
+            if storage.suffix == ".db3":
+                check_sqlite(storage)
             reader = Reader1(storage) if storage.suffix == ".bag" else Reader2(storage)
             reader.open()
         self._stack.callback(reader.close)

@@ -34,7 +34,7 @@ def columns_of_point_cloud2(message: Any) -> Columns:
 
     """
     height, width, step = int(message.height), int(message.width), int(message.point_step)
-    fields = {field.name: field for field in reversed(message.fields)}
+    fields = {field.name: field for field in message.fields}
     names = [name for name in fields if name in ("x", "y", "z", *_RING_NAMES, *_TIME_NAMES)]
     for name in names:
         if fields[name].datatype not in _DATATYPES:
@@ -79,11 +79,11 @@ def cloud_of_columns(columns: Columns, stamp: float, frame_id: str = "") -> Poin
     """
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing:
-        raise ValueError(f"cloud has no field {', '.join(missing)}; its fields are {', '.join(columns) or 'none'}")
+        raise ValueError(f"cloud has no field {', '.join(missing)}, only {', '.join(columns) or 'unknown ones'}")
     points = np.stack([np.asarray(columns[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
     kept = np.isfinite(points).all(axis=1) & points.any(axis=1)
     ring_name = next((name for name in _RING_NAMES if name in columns), None)
-    rings = None if ring_name is None else columns[ring_name][kept].astype(np.int32)
+    rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
     time_name = next((name for name in _TIME_NAMES if name in columns), None)
     times = None if time_name is None else relative_times(columns[time_name][kept], stamp)
     return PointCloud(stamp, frame_id, points[kept], rings, times)

@@ -52,9 +52,11 @@ def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
 
 
 def within_limits(ranges: Array, nearest: float, farthest: float) -> Array:
-    """Ranges with NaN where they are outside the scanner's limits, m; limits left at zero do not count."""
-    inside = (ranges > 0) & (ranges >= nearest)
-    if farthest > nearest:
+    """Ranges with NaN where they are outside the scanner's limits, m; limits left at zero or NaN do not count."""
+    inside = ranges > 0
+    if nearest > 0:
+        inside &= ranges >= nearest
+    if farthest > 0:
         inside &= ranges <= farthest
     return np.where(inside, ranges, np.nan)
 

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from calgraph.errors import InputError
+from calgraph.geometry import Array
 from calgraph.recording.clouds import cloud_of_columns
 from calgraph.recording.decoding import within_limits
 from calgraph.recording.images import decompressed
@@ -177,17 +178,26 @@ def _csv(path: Path, stamp: float) -> LaserScan:
     return _scan({**dict(zip(_SCAN_COLUMNS[:4], values, strict=False)), "ranges": values[4:]}, stamp)
 
 
-def _scan(values: Mapping[str, NDArray[np.float64]], stamp: float) -> LaserScan:
+def _scan(values: Mapping[str, NDArray[Any]], stamp: float) -> LaserScan:
     missing = [name for name in ("angle_min", "angle_increment") if name not in values]
     if missing:
-        raise ValueError(f"a scan needs {', '.join(_SCAN_COLUMNS)}; {', '.join(missing)} is missing")
-    own_stamp = float(values.get("stamp", np.array(stamp)))
+        raise ValueError(f"a scan needs {', '.join(_SCAN_COLUMNS)}; {' and '.join(missing)} is missing")
+    own_stamp = _number(values, "stamp", stamp)
     if abs(own_stamp - stamp) > _STAMP_TOLERANCE:
         raise ValueError(f"its stamp {own_stamp:.6f} is not that of its name")
-    ranges = np.asarray(values["ranges"], dtype=np.float64).ravel()
-    angles = float(values["angle_min"]) + float(values["angle_increment"]) * np.arange(len(ranges))
-    increment = float(values.get("time_increment", np.array(0.0)))
+    ranges: Array = np.asarray(values["ranges"], dtype=np.float64).ravel()
+    angles = _number(values, "angle_min") + _number(values, "angle_increment") * np.arange(
+        len(ranges), dtype=np.float64
+    )
+    increment = _number(values, "time_increment", 0.0)
     return LaserScan(stamp, "", angles, within_limits(ranges, 0.0, np.inf), increment)
+
+
+def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.nan) -> float:
+    number = float(np.asarray(values.get(name, default)).item())
+    if not np.isfinite(number):
+        raise ValueError(f"{name} must be a finite number, got {number}")
+    return number
 
 
 _READERS: dict[str, Callable[[Path, float], Message]] = {

@@ -113,7 +113,7 @@ def _ascii(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
     names = dtype.names or ()
     firsts = np.cumsum([0] + [dtype[name].shape[0] for name in names])
     if table.shape != (n, firsts[-1]):
-        raise ValueError(f"has {table.shape[0]} points of {table.shape[1]} values, states {n} of {firsts[-1]}")
+        raise ValueError(f"has {table.shape[0]} points of {table.shape[1]} values, not {n} of {firsts[-1]}")
     return {
         name: table[:, first].astype(dtype[name].base)
         for name, first in zip(names, firsts[:-1], strict=True)

@@ -87,11 +87,13 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self._writer.abort()
-            shutil.rmtree(self._unfinished)
+        try:
+            if kind is None:
+                self.close()
+            else:
+                self._writer.abort()
+        finally:
+            shutil.rmtree(self._unfinished, ignore_errors=True)
 
 
 def _nanoseconds(seconds: float) -> int:

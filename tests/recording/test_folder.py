@@ -1,0 +1,226 @@
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from calgraph.errors import InputError, RecordingError
+from calgraph.recording import open_recording
+from calgraph.recording.folder import stamp_of_name
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud
+
+POINTS = np.array([[1.0, 2, 3], [4, 5, 6]])
+SCAN = {
+    "stamp": 1.5,
+    "angle_min": -0.1,
+    "angle_increment": 0.1,
+    "time_increment": 1e-4,
+    "ranges": [1.0, np.nan, 3.0],
+}
+HEADER = "stamp,angle_min,angle_increment,time_increment,ranges\n"
+
+
+def put(folder: Path, name: str, content: bytes | str) -> None:
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def put_npz(folder: Path, name: str, **arrays: Any) -> None:
+    (folder / name).parent.mkdir(exist_ok=True)
+    np.savez(folder / name, **arrays)
+
+
+def only_message(folder: Path) -> Message:
+    with open_recording(folder) as recording:
+        (record,) = recording.records()
+    return record.decode()
+
+
+def png(value: int = 7) -> bytes:
+    return cv2.imencode(".png", np.full((4, 5), value, np.uint8))[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp"),
+    [
+        ("12", 12.0),
+        ("12.25", 12.25),
+        ("0", 0.0),
+        ("1773380642793311604", 1773380642.793311604),
+        ("1773380642.793311604", 1773380642.793311604),
+    ],
+)
+def test_file_names_are_seconds_or_nanoseconds(name: str, stamp: float) -> None:
+    assert stamp_of_name(name) == stamp
+
+
+@pytest.mark.parametrize("name", ["pose1", "", "1.2.3", "-1", "1e3", "nan"])
+def test_other_file_names_are_no_times(name: str) -> None:
+    assert stamp_of_name(name) is None
+
+
+def test_badly_named_file_is_an_error_that_says_how_to_name_it(tmp_path: Path) -> None:
+    put(tmp_path, "camera/pose1.png", png())
+    with pytest.raises(InputError, match=r"pose1\.png: is not named by its time"):
+        open_recording(tmp_path)
+
+
+def test_files_of_all_sensors_come_in_order_of_time(tmp_path: Path) -> None:
+    for name in ("a/3.png", "a/10.png", "b/4.5.png", "b/.4.png", "b/notes.txt", "c/notes.txt"):
+        put(tmp_path, name, png())
+    with open_recording(tmp_path) as recording:
+        assert [(r.topic, r.stamp, r.arrival) for r in recording.records()] == [
+            ("a", 3.0, 3.0),
+            ("b", 4.5, 4.5),
+            ("a", 10.0, 10.0),
+        ]
+
+
+def test_start_and_end_are_those_of_the_first_and_last_file(tmp_path: Path) -> None:
+    for name in ("a/3.png", "a/10.png"):
+        put(tmp_path, name, png())
+    with open_recording(tmp_path) as recording:
+        assert (recording.start, recording.end) == (3.0, 10.0)
+        assert [r.stamp for r in recording.records(start=3.5, end=10.0)] == [10.0]
+
+
+def test_topics_tell_what_the_folders_hold(tmp_path: Path) -> None:
+    put(tmp_path, "camera/1.png", png())
+    put(tmp_path, "camera/camera_info.yaml", "{}")
+    put(tmp_path, "laser/1.csv", HEADER)
+    put_npz(tmp_path, "lidar/1.npz", points=POINTS)
+    put_npz(tmp_path, "lrf/1.npz", **SCAN)
+    with open_recording(tmp_path) as recording:
+        assert {topic.name: (topic.type, topic.count) for topic in recording.topics} == {
+            "camera": ("image", 1),
+            "camera/camera_info": ("camera_info", 1),
+            "laser": ("scan", 1),
+            "lidar": ("cloud", 1),
+            "lrf": ("scan", 1),
+        }
+
+
+def test_image_is_read(tmp_path: Path) -> None:
+    put(tmp_path, "camera/1.png", png(42))
+    image = only_message(tmp_path)
+    assert isinstance(image, Image)
+    np.testing.assert_array_equal(image.pixels, np.full((4, 5), 42))
+
+
+def test_cloud_of_npz_is_read_with_rings_and_times(tmp_path: Path) -> None:
+    put_npz(tmp_path, "lidar/1.npz", points=POINTS, ring=np.array([3, 4]), time=np.array([0.0, 0.05]))
+    cloud = only_message(tmp_path)
+    assert isinstance(cloud, PointCloud)
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    np.testing.assert_array_equal(cloud.rings, [3, 4])
+    np.testing.assert_array_equal(cloud.times, [0, 0.05])
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv"])
+def test_scan_is_read(tmp_path: Path, suffix: str) -> None:
+    if suffix == "npz":
+        put_npz(tmp_path, "laser/1.5.npz", **SCAN)
+    else:
+        put(tmp_path, "laser/1.5.csv", f"{HEADER}1.5,-0.1,0.1,1e-4,1.0,,3.0\n")
+    scan = only_message(tmp_path)
+    assert isinstance(scan, LaserScan)
+    np.testing.assert_allclose(scan.angles, [-0.1, 0, 0.1], atol=1e-12)
+    np.testing.assert_array_equal(scan.ranges, [1, np.nan, 3])
+    assert scan.time_increment == 1e-4
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("", "first line must be stamp,"),
+        ("1.5,-0.1,0.1,1e-4,1.0\n", "first line must be stamp,"),
+        (HEADER, "one line of values"),
+        (f"{HEADER}1.5,-0.1,0.1,1e-4\n", "at least one range"),
+        (f"{HEADER}9.5,-0.1,0.1,1e-4,1.0\n", "stamp 9.500000 is not that of its name"),
+        (f"{HEADER}1.5,-0.1,,1e-4,1.0\n", "angle_increment must be a finite number"),
+        (f"{HEADER}1.5,-0.1,0.1,1e-4,one\n", "could not convert string to float: 'one'"),
+    ],
+)
+def test_unusable_scan_file_says_what_is_wrong(tmp_path: Path, content: str, complaint: str) -> None:
+    put(tmp_path, "laser/1.5.csv", content)
+    with pytest.raises(RecordingError, match=complaint):
+        only_message(tmp_path)
+
+
+def test_npz_without_points_or_ranges_is_refused(tmp_path: Path) -> None:
+    put_npz(tmp_path, "lidar/1.npz", xyz=POINTS)
+    with pytest.raises(RecordingError, match="either points or ranges, this one has xyz"):
+        only_message(tmp_path)
+
+
+ROS_CALIBRATION = """\
+image_width: 640
+image_height: 480
+camera_name: front
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 510, 240, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0.2, 0.3, 0.4, 0.5]}
+"""
+MESSAGE_KEYS = """\
+width: 640
+height: 480
+distortion_model: fisheye
+K: [500, 0, 320, 0, 510, 240, 0, 0, 1]
+D: [0.1, 0.2, 0.3, 0.4]
+"""
+
+
+@pytest.mark.parametrize(
+    ("content", "model", "coefficients"), [(ROS_CALIBRATION, "pinhole", 5), (MESSAGE_KEYS, "fisheye", 4)]
+)
+def test_camera_info_comes_with_the_first_image(
+    tmp_path: Path, content: str, model: str, coefficients: int
+) -> None:
+    put(tmp_path, "camera/4.png", png())
+    put(tmp_path, "camera/camera_info.yaml", content)
+    with open_recording(tmp_path) as recording:
+        (record,) = recording.records(["camera/camera_info"])
+    info = record.decode()
+    assert record.stamp == 4.0
+    assert isinstance(info, CameraInfo)
+    assert (info.camera.model, info.camera.distortion.size) == (model, coefficients)
+    np.testing.assert_array_equal(info.camera.K, [[500, 0, 320], [0, 510, 240], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [("[]", "keys of a CameraInfo"), ("width: 640\nheight: 480\n", "key k"), ("a: [", "camera_info.yaml")],
+)
+def test_unusable_camera_info_says_what_is_wrong(tmp_path: Path, content: str, complaint: str) -> None:
+    put(tmp_path, "camera/4.png", png())
+    put(tmp_path, "camera/camera_info.yaml", content)
+    with open_recording(tmp_path) as recording:
+        (record,) = recording.records(["camera/camera_info"])
+    with pytest.raises(RecordingError, match=complaint):
+        record.decode()
+
+
+def test_real_fisheye_intrinsics_are_read(tmp_path: Path, data_dir: Path) -> None:
+    put(tmp_path, "camera/4.png", png())
+    content = (data_dir / "acfr-vlp16-checkerboard/camera_info_first_commit.yaml").read_bytes()
+    put(tmp_path, "camera/camera_info.yaml", content)
+    with open_recording(tmp_path) as recording:
+        (record,) = recording.records(["camera/camera_info"])
+    info = record.decode()
+    assert isinstance(info, CameraInfo)
+    np.testing.assert_array_equal(info.camera.distortion, [-0.0540096, -0.0784275, 0.0959641, -0.0515253])
+
+
+def test_real_camera_and_laser_folders_interleave(data_dir: Path) -> None:
+    with open_recording(data_dir / "acfr-rpg-camera-2dlidar") as recording:
+        stamps = [(record.topic, record.stamp) for record in recording.records()]
+    assert len(stamps) == 10
+    assert sorted(stamps, key=lambda entry: entry[1]) == stamps
+    assert stamps[0] == ("lasers", 1773380642.785313094)
+
+
+def test_folder_without_recording_says_what_is_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"neither bag files nor folders with files named <seconds>\.<png"):
+        open_recording(tmp_path)
