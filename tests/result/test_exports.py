@@ -249,10 +249,12 @@ def test_writing_back_twice_changes_nothing(calibration: Calibration) -> None:
     [
         # a sensor below a bracket below another sensor
         (joint("base", "velodyne", OLD), joint("velodyne", "camera_optical", OLD),
-         joint("camera_optical", "mast", OLD), joint("mast", "camera_2_optical", OLD), joint("base", "laser_link", OLD)),
+         joint("camera_optical", "mast", OLD), joint("mast", "camera_2_optical", OLD),
+         joint("base", "laser_link", OLD)),
         # the root hangs from another sensor, over a bracket
         (joint("base", "camera_optical", OLD), joint("camera_optical", "mast", OLD),
-         joint("mast", "velodyne", OLD), joint("camera_optical", "camera_2_optical"), joint("base", "laser_link", OLD)),
+         joint("mast", "velodyne", OLD), joint("camera_optical", "camera_2_optical"),
+         joint("base", "laser_link", OLD)),
         # the root is the top
         (joint("velodyne", "camera_optical"), joint("velodyne", "laser_link"),
          joint("velodyne", "camera_2_optical")),
