@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.errors import RecordingError
-from calgraph.recording import open_recording, scan_of_cloud
-from calgraph.sensors import PointCloud
+from calgraph.recording import open_recording
+from calgraph.sensors import PointCloud, scan_of_cloud
 
 
 def cloud_at(angles: list[float], ranges: list[float], z: float = 0.0) -> PointCloud:
