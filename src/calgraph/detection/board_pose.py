@@ -68,21 +68,27 @@ def fit_pose(
     """
     seen = np.isfinite(camera.rays(pixels.reshape(-1, 2)))
     in_view = np.asarray(seen.reshape(len(pixels), -1).all(axis=1))
-    marks = _consistent(ids, corners, pixels, in_view, camera, sigma)
-    if isinstance(marks, Rejected):
-        return marks
-    used = candidates = np.repeat(marks[:, None], pixels.shape[1], axis=1)
+    consistent = _consistent(ids, corners, pixels, in_view, camera, sigma)
+    if isinstance(consistent, Rejected):
+        return consistent
+    marks, minima = consistent
+    used = np.repeat(marks[:, None], pixels.shape[1], axis=1)
+    readmissible = in_view & ~np.isin(ids, ids[marks])
     for _ in range(5):
-        minima = _minima(corners[used], pixels[used], camera)
         if not minima:
             return Rejected("the corners seen do not determine a pose: too few of them, or all on one line")
         distance = _distances(minima[0].T, corners, pixels, camera)
         # Where the picture is worse than stated (blur), the corners' own spread is the measure.
         spread = max(sigma, float(np.median(distance[used])) / _RAYLEIGH_MEDIAN)
-        kept = candidates & (distance < _OUTLIER * spread)
+        near = distance < _OUTLIER * spread
+        # A true tag with one bad corner agreed with nothing as a whole; three good corners bring it back.
+        kept = near & (marks | (readmissible & (near.sum(axis=1) >= 3)))[:, None]
         if (kept == used).all():
             break
         used = kept
+        minima = _minima(corners[used], pixels[used], camera)
+    if not minima:
+        return Rejected("the corners seen contradict each other")
     best = minima[0]
     rms = float(np.sqrt(best.cost / (2 * used.sum())))
     if rms > _HOPELESS * sigma:
@@ -120,21 +126,21 @@ def _consistent(
     in_view: NDArray[np.bool_],
     camera: CameraModel,
     sigma: float,
-) -> NDArray[np.bool_] | Rejected:
-    """Marks (M,) that lie on one plane as printed: all, or the largest set that agrees with one of them."""
+) -> tuple[NDArray[np.bool_], list[_Fit]] | Rejected:
+    """Marks (M,) that lie on one plane as printed, and their poses: all marks, or most of them."""
     unique = len(np.unique(ids[in_view])) == in_view.sum()
     everything = _minima(corners[in_view], pixels[in_view], camera) if unique else []
+    if pixels.shape[1] < 4 or in_view.sum() <= 1:
+        return in_view, everything
     if everything:
         distance = _distances(everything[0].T, corners[in_view], pixels[in_view], camera)
         if distance.max() < _OUTLIER * sigma:
-            return in_view
-    if pixels.shape[1] < 4:
-        return in_view
+            return in_view, everything
     # A blurred picture has worse corners than stated; still, believe the statement first.
     for scale in (1.0, 3.0):
         agreeing = _largest_agreement(ids, corners, pixels, in_view, camera, scale * sigma)
-        if agreeing.sum() > 1 or len(np.unique(ids[in_view])) == 1:
-            return agreeing
+        if agreeing.sum() > 1 or (agreeing.any() and len(np.unique(ids[in_view])) == 1):
+            return agreeing, _minima(corners[agreeing], pixels[agreeing], camera)
     names = ", ".join(map(str, np.unique(ids[in_view])))
     return Rejected(f"tags {names} do not lie on one board as printed: no two of them agree")
 
@@ -193,8 +199,10 @@ def _minima(corners: Array, pixels: Array, camera: CameraModel) -> list[_Fit]:
 
 def _starts(corners: Array, rays: Array) -> list[Array]:
     """Both poses (4, 4) of infinitesimal plane-based pose estimation, in the direction of the rays (N, 3)."""
+    if len(corners) < 4:
+        return []
     spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-    if len(corners) < 4 or spread[1] < 1e-3 * spread[0]:
+    if spread[1] < 1e-3 * spread[0]:
         return []
     # A pinhole looking at the board's middle: fisheye rays may be far from, or behind, the optical axis.
     axis = rays.sum(axis=0)

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -104,7 +104,7 @@ class CameraDetector:
         self, printed: _Printed, grays: Sequence[Gray], seen: Sequence[Marks]
     ) -> BoardCorners | Rejected:
         """One board in all images."""
-        sightings: list[Marks] = []
+        sightings: list[tuple[Marks, BoardPose]] = []
         reason: Rejected | None = None
         for gray, marks in zip(grays, seen, strict=True):
             sighting = self._sight(printed, gray, marks)
@@ -114,14 +114,16 @@ class CameraDetector:
                 sightings.append(sighting)
         if not sightings:
             return reason or Rejected("no image in this capture")
-        averaged = _averaged(sightings, _MOVED * max(self._noise.pixel, 0.2))
+        if len(sightings) == 1:
+            return self._detection(printed, *sightings[0])
+        averaged = _averaged([marks for marks, _ in sightings], _MOVED * max(self._noise.pixel, 0.2))
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)
         return pose if isinstance(pose, Rejected) else self._detection(printed, averaged, pose)
 
-    def _sight(self, printed: _Printed, gray: Gray, seen: Marks) -> Marks | Rejected:
-        """The marks that are the board's, each once, in one image."""
+    def _sight(self, printed: _Printed, gray: Gray, seen: Marks) -> tuple[Marks, BoardPose] | Rejected:
+        """The marks that are the board's, each once, and its pose, in one image."""
         marks = seen.select(np.isin(seen.ids, printed.landmarks.ids))
         if not len(marks):
             return Rejected(_missing(printed, seen))
@@ -136,7 +138,8 @@ class CameraDetector:
                 if isinstance(again, Rejected):
                     return again
                 pose = again
-        return marks.select(np.asarray(pose.used.any(axis=1)))
+        kept = np.asarray(pose.used.any(axis=1))
+        return marks.select(kept), replace(pose, used=pose.used[kept])
 
     def _overlooked(
         self, printed: _Printed, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
