@@ -1,1 +1,12 @@
-"""The room of captures."""
+"""When the board rests, which messages were measured then, and what is found in them."""
+
+from calgraph.captures.detectors import detectors, learn_backgrounds
+from calgraph.captures.holds import Hold, find_holds, is_snapshots
+from calgraph.captures.observe import Captured, Detect, Observation, gather, observe, thinned
+from calgraph.captures.stillness import ActivityMeter
+from calgraph.captures.timeline import SensorTimes, Timeline, survey
+
+__all__ = [
+    "ActivityMeter", "Captured", "Detect", "Hold", "Observation", "SensorTimes", "Timeline", "detectors",
+    "find_holds", "gather", "is_snapshots", "learn_backgrounds", "observe", "survey", "thinned",
+]  # fmt: skip

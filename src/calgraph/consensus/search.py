@@ -101,7 +101,7 @@ def search(
         if costs[winner] < best_cost:
             best, best_cost = models[winner], float(costs[winner])
             for _ in range(polish):
-                agreeing = np.flatnonzero(_inliers(squared_residuals(best[None])[0] / threshold2, groups))
+                agreeing = np.flatnonzero(best_of_groups(squared_residuals(best[None])[0] / threshold2, groups))
                 if len(agreeing) < sample_size:
                     break
                 polished = solve(agreeing[None])
@@ -115,7 +115,7 @@ def search(
             needed = np.log(1 - confidence) / np.log1p(-min(chance, 1 - 1e-12)) if chance > 0 else np.inf
     if best is None:
         return None
-    inliers = _inliers(squared_residuals(best[None])[0] / threshold2, groups)
+    inliers = best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
     return Consensus(best, inliers, best_cost, tried)
 
 
@@ -133,8 +133,16 @@ def _draw(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
         rows[repeated] = rng.integers(n, size=(int(repeated.sum()), size))
 
 
-def _inliers(r2: Array, groups: Indices) -> NDArray[np.bool_]:
-    """Marks the best member of each group if it is within the threshold: (N,)."""
+def best_of_groups(r2: Array, groups: Indices) -> NDArray[np.bool_]:
+    """Marks the best member of each group if it is within the threshold.
+
+    Args:
+        r2: (N,) squared residuals in units of the squared threshold; NaN counts as infinite.
+        groups: (N,).
+
+    Returns:
+        (N,) with at most one True in each group.
+    """
     r2 = np.where(np.isnan(r2), np.inf, r2)
     by_residual = np.argsort(r2, kind="stable")
     _, first = np.unique(groups[by_residual], return_index=True)

@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.consensus import search
+from calgraph.consensus import best_of_groups, search
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
-from calgraph.geometry import Array
-from calgraph.pairwise.estimate import Matches, PairwiseEstimate, information, squared_residuals
+from calgraph.geometry import Array, se3
+from calgraph.pairwise.estimate import Linearization, Matches, PairwiseEstimate, information, squared_residuals
 from calgraph.pairwise.lines import LineLine, PlaneLine
 from calgraph.pairwise.planes import PlanePlane
 
@@ -45,26 +45,76 @@ def estimate_pair(
         swapped = estimate_pair(sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
 
-    table = match_table(candidates_a, candidates_b)
-    matches = _MATCHES[kinds](
-        [candidates_a[c][i] for c, i, _ in table], [candidates_b[c][j] for c, _, j in table], board_size, rng
-    )
+    table, matches = _matches(candidates_a, candidates_b, board_size, rng)
     if len(common) < matches.sample_size:
         return Rejected(f"{len(common)} captures show the board to both, {matches.sample_size} are needed")
     found = search(table[:, 0], matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
     if found is None or found.count < matches.sample_size:
         return Rejected(f"no relative pose agrees with {matches.sample_size} of the {len(common)} common captures")
-    at = matches.linearize(found.model[None])
-    at_model = type(at)(at.residuals[0], at.jacobian[0], at.covariance[0])
-    return PairwiseEstimate(
-        sensor_a,
-        sensor_b,
-        found.model,
-        information(at_model, found.inliers),
-        table,
-        found.inliers,
-        np.sqrt(np.mean(at_model.residuals**2, axis=-1)),
-    )
+    return _estimate(sensor_a, sensor_b, found.model, table, matches, found.inliers)
+
+
+def reconsider(
+    estimate: PairwiseEstimate,
+    T_a_b: Array,
+    candidates_a: Candidates,
+    candidates_b: Candidates,
+    board_size: tuple[float, float],
+    rng: np.random.Generator,
+) -> PairwiseEstimate:
+    """Selects a pair's inliers anew, under a pose that more than this pair's data determined.
+
+    The consensus had to be lenient, as a pose from few captures is uncertain. Now the inliers' own scatter tells
+    how far a good match strays, and matches beyond 3.5 times that are out.
+
+    Args:
+        estimate: as found by :func:`estimate_pair`.
+        T_a_b: the better pose (4, 4).
+        candidates_a: detections by the estimate's sensor a.
+        candidates_b: detections by its sensor b.
+        board_size: width and height of the (largest) board, m.
+        rng: for the matches' solver; not drawn from.
+
+    Returns:
+        The estimate at ``T_a_b`` with the new inliers; unchanged if too few would be left.
+    """
+    if (
+        _kind(candidates_a[estimate.matches[0, 0]][0]) == "line"
+        and _kind(candidates_b[estimate.matches[0, 0]][0]) == "plane"
+    ):
+        swapped = reconsider(estimate.inverse(), se3.inverse(T_a_b), candidates_b, candidates_a, board_size, rng)
+        return swapped.inverse()
+    table, matches = _matches(candidates_a, candidates_b, board_size, rng)
+    r2 = squared_residuals(matches)(T_a_b[None])[0]
+    scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
+    gate = min(1.0, 3.5**2 * scale2)
+    inliers = best_of_groups(r2 / gate, table[:, 0])
+    if inliers.sum() < matches.sample_size:
+        return estimate
+    return _estimate(estimate.sensor_a, estimate.sensor_b, T_a_b, table, matches, inliers)
+
+
+def _matches(
+    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float], rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Matches]:
+    table = match_table(candidates_a, candidates_b)
+    a = [candidates_a[capture][i] for capture, i, _ in table]
+    b = [candidates_b[capture][j] for capture, _, j in table]
+    return table, _MATCHES[_kind(a[0]), _kind(b[0])](a, b, size, rng)
+
+
+def _estimate(
+    sensor_a: str,
+    sensor_b: str,
+    T_a_b: Array,
+    table: NDArray[np.intp],
+    matches: Matches,
+    inliers: NDArray[np.bool_],
+) -> PairwiseEstimate:
+    at = matches.linearize(T_a_b[None])
+    at = Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
+    rms = np.sqrt(np.mean(at.residuals**2, axis=-1))
+    return PairwiseEstimate(sensor_a, sensor_b, T_a_b, information(at, inliers), table, inliers, rms)
 
 
 def match_table(candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:

@@ -1,6 +1,7 @@
 """Models of cameras and scanners, and the messages they send."""
 
 from calgraph.sensors.camera import CameraModel
+from calgraph.sensors.flat import scan_of_cloud
 from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
 
-__all__ = ["CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "PointCloud", "Record", "Trigger"]
+__all__ = ["CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "PointCloud", "Record", "Trigger", "scan_of_cloud"]

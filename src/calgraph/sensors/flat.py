@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
-from calgraph.sensors import LaserScan, PointCloud
+from calgraph.sensors.messages import LaserScan, PointCloud
 
 # A scan has no more beams than this a turn, which bounds what a gap is filled with.
 _MOST_BEAMS = 20_000

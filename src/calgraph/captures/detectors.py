@@ -1,0 +1,100 @@
+"""One detector for every sensor of a rig, with what it learnt of the background."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from calgraph.captures.observe import Detect
+from calgraph.detection import (
+    CameraDetector,
+    CloudBackground,
+    Detection,
+    Rejected,
+    ScanBackground,
+    find_patches,
+    find_segments,
+)
+from calgraph.rig import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
+from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, scan_of_cloud
+
+Background = CloudBackground | ScanBackground
+
+# A background needs a few messages, but not thousands: a fast scanner sends enough in a second or two.
+_ENOUGH = 60
+
+
+def learn_backgrounds(
+    records: Iterable[Record], rig: Rig, *, progress: Callable[[float], None] | None = None
+) -> Mapping[str, Background]:
+    """Models of what the scanners see without target and operator.
+
+    Args:
+        records: the scanners' records in the background window.
+        rig: the rig.
+        progress: called with the arrival time of records.
+
+    Returns:
+        By scanner; no entry for one that sent nothing in the window.
+    """
+    by_topic = {spec.topic: name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)}
+    seen: dict[str, list[Message]] = {}
+    for record in records:
+        if progress:
+            progress(record.arrival)
+        messages = seen.setdefault(by_topic[record.topic], [])
+        if len(messages) < _ENOUGH:
+            messages.append(record.decode())
+    return {name: _background(messages, rig.sensors[name]) for name, messages in seen.items()}
+
+
+def _background(messages: Sequence[Message], spec: object) -> Background:
+    if isinstance(spec, Lidar2dSpec):
+        return ScanBackground.build(as_scans(messages))
+    return CloudBackground.build([m for m in messages if isinstance(m, PointCloud)])
+
+
+def as_scans(messages: Iterable[Message]) -> list[LaserScan]:
+    """Scans of a 2-D scanner, also where its driver sends them as clouds."""
+    return [
+        m if isinstance(m, LaserScan) else scan_of_cloud(m)
+        for m in messages
+        if isinstance(m, LaserScan | PointCloud)
+    ]
+
+
+def detectors(
+    rig: Rig, cameras: Mapping[str, CameraModel], backgrounds: Mapping[str, Background], rng: np.random.Generator
+) -> Mapping[str, Detect]:
+    """The detector of each sensor.
+
+    Args:
+        rig: the rig.
+        cameras: intrinsics by camera.
+        backgrounds: by scanner; those without one search by size and shape.
+        rng: source of the detectors' samples.
+    """
+    found: dict[str, Detect] = {}
+    for (name, spec), generator in zip(rig.sensors.items(), rng.spawn(len(rig.sensors)), strict=True):
+        background = backgrounds.get(name)
+        if isinstance(spec, CameraSpec):
+            found[name] = CameraDetector(rig.boards, cameras[name], spec.noise).find
+        elif isinstance(spec, Lidar3dSpec):
+            known = background if isinstance(background, CloudBackground) else None
+            found[name] = partial(
+                find_patches, boards=rig.boards, noise=spec.noise, background=known, rng=generator
+            )
+        else:
+            quiet = background if isinstance(background, ScanBackground) else None
+            found[name] = partial(_segments, rig=rig, spec=spec, background=quiet, rng=generator)
+    return found
+
+
+def _segments(
+    messages: Sequence[Message],
+    rig: Rig,
+    spec: Lidar2dSpec,
+    background: ScanBackground | None,
+    rng: np.random.Generator,
+) -> tuple[Detection, ...] | Rejected:
+    return find_segments(as_scans(messages), rig.boards, spec.noise, background, rng)

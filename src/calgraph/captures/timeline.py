@@ -1,0 +1,95 @@
+"""When each sensor measured: the only thing the search for captures keeps of a whole recording."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.captures.stillness import ActivityMeter
+from calgraph.geometry import Array
+from calgraph.sensors import LaserScan, PointCloud, Record
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTimes:
+    """When one sensor measured."""
+
+    stamps: Array
+    """(N,) header stamps in ascending order, s."""
+    duration: float
+    """How long one message takes to measure, s; 0 for images, and where the messages do not say."""
+    activity: Array
+    """(N,) how much changed since the message before, 0 where that was not asked for."""
+    frame_id: str = ""
+    """The frame its messages state."""
+
+    @property
+    def period(self) -> float:
+        """Typical time between messages, s; infinite for a single one."""
+        return float(np.median(np.diff(self.stamps))) if len(self.stamps) > 1 else float("inf")
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """When all sensors measured, and when captures were triggered."""
+
+    start: float
+    """Start of the recording, s: windows in rig.yaml count from here."""
+    sensors: Mapping[str, SensorTimes]
+    triggers: Array
+    """(T,) s, ascending."""
+
+
+def survey(
+    records: Iterable[Record],
+    start: float,
+    topics: Mapping[str, str],
+    trigger: str | None,
+    *,
+    meters: Mapping[str, ActivityMeter] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Timeline:
+    """Passes once over a recording and notes when each sensor measured.
+
+    Args:
+        records: all records of the sensors and of the trigger, streamed.
+        start: start of the recording, s.
+        topics: topic by sensor.
+        trigger: topic of the triggers, if there is one.
+        meters: by sensor, to measure what changed from message to message (decodes every message).
+        progress: called with the arrival time of records.
+
+    Returns:
+        The timeline, with an entry for every sensor, empty for those without messages.
+    """
+    by_topic = {topic: name for name, topic in topics.items()}
+    stamps: dict[str, list[float]] = {name: [] for name in topics}
+    activity: dict[str, list[float]] = {name: [] for name in topics}
+    first: dict[str, tuple[float, str]] = {}
+    triggers: list[float] = []
+    for record in records:
+        if progress:
+            progress(record.arrival)
+        if record.topic == trigger:
+            triggers.append(record.stamp)
+        name = by_topic.get(record.topic)
+        if name is None:
+            continue
+        stamps[name].append(record.stamp)
+        meter = (meters or {}).get(name)
+        # One message tells how long a sensor takes; decoding them all would take as long as the detection.
+        message = record.decode() if meter or name not in first else None
+        if name not in first:
+            duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0
+            first[name] = duration, getattr(message, "frame_id", "")
+        activity[name].append(meter.change(message) if meter and message else 0.0)
+    return Timeline(
+        start,
+        {name: _sorted(stamps[name], activity[name], *first.get(name, (0.0, ""))) for name in topics},
+        np.sort(np.array(triggers)),
+    )
+
+
+def _sorted(stamps: list[float], activity: list[float], duration: float, frame_id: str) -> SensorTimes:
+    order = np.argsort(stamps, kind="stable")
+    return SensorTimes(np.array(stamps)[order], duration, np.array(activity)[order], frame_id)

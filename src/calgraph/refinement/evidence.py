@@ -1,0 +1,147 @@
+"""From a joint solution to a Calibration: poses with verdicts, and what became of every pair and capture."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calgraph.captures import Captured, Hold
+from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
+from calgraph.geometry import Array, plane, se3
+from calgraph.graph import SpanningTree
+from calgraph.pairwise import Candidates, PairwiseEstimate
+from calgraph.refinement.hypergraph import Joint
+from calgraph.refinement.observability import verdict
+from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
+from calgraph.rig import Rig
+
+Pairs = Mapping[tuple[str, str], PairwiseEstimate | Rejected]
+Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
+
+
+def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joint: Joint) -> Calibration:
+    """Collects everything a calibration tells its user.
+
+    Args:
+        rig: the rig.
+        captured: what the recording says of it.
+        pairs: estimate, or the reason why there is none, by pair of sensors.
+        tree: the spanning tree.
+        joint: the joint solution of the connected sensors.
+    """
+    estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
+    connected = tree.T_root_sensor
+    used = _residuals_of_used([e for e in estimates if e.sensor_a in connected and e.sensor_b in connected])
+    root_first = sorted(rig.sensors, key=lambda name: name != rig.root)
+    return Calibration(
+        root=rig.root,
+        sensors=tuple(_pose(name, rig, captured, tree, joint) for name in root_first if name in connected),
+        edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
+        captures=tuple(_row(hold, name, captured, used) for hold in captured.holds for name in rig.sensors),
+        unconnected={
+            name: _why_alone(name, captured.detections[name], pairs)
+            for name in rig.sensors
+            if name not in connected
+        },
+        residuals=joint.residuals,
+        outlines=tuple(_outlines(rig, captured, used, joint)),
+    )
+
+
+def _pose(name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Joint) -> SensorPose:
+    spec = rig.sensors[name]
+    T, covariance = joint.T_root_sensor[name], joint.covariance[name]
+    return SensorPose(
+        name=name,
+        parent=tree.parents.get(name),
+        frame_id=spec.frame_id or captured.frames[name] or name,
+        kind=spec.kind,
+        T_root_sensor=T,
+        covariance=covariance,
+        verdict=verdict(name, spec.kind, T, covariance),
+    )
+
+
+def _edge(
+    names: tuple[str, str], pair: PairwiseEstimate | Rejected, tree: SpanningTree, captured: Captured
+) -> Edge:
+    common = len(set(captured.detections[names[0]]) & set(captured.detections[names[1]]))
+    if isinstance(pair, Rejected):
+        return Edge(*names, common, 0, in_tree=False, residuals=np.zeros(0), note=pair.reason)
+    residuals = pair.residuals[pair.inliers]
+    return Edge(*names, common, len(residuals), in_tree=tree.joins(*names), residuals=residuals)
+
+
+def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:
+    """By capture and sensor: residuals of its inlier matches, by candidate."""
+    used: dict[tuple[int, str], dict[int, list[float]]] = {}
+    for pair in estimates:
+        for (capture, i, j), r in zip(pair.matches[pair.inliers], pair.residuals[pair.inliers], strict=True):
+            used.setdefault((int(capture), pair.sensor_a), {}).setdefault(int(i), []).append(float(r))
+            used.setdefault((int(capture), pair.sensor_b), {}).setdefault(int(j), []).append(float(r))
+    return used
+
+
+def _row(hold: Hold, name: str, captured: Captured, used: Used) -> CaptureRow:
+    residual, reason = None, ""
+    if (hold.index, name) in used:
+        matched = np.concatenate(list(used[hold.index, name].values()))
+        residual = float(np.sqrt(np.mean(matched**2)))
+    elif hold.index not in captured.detections[name]:
+        reason = captured.misses[hold.index, name]
+    elif any(hold.index in seen for other, seen in captured.detections.items() if other != name):
+        reason = "disagrees with what the other sensors saw"
+    else:
+        reason = "no other sensor saw the board"
+    return CaptureRow(
+        hold.index,
+        hold.start - captured.start,
+        hold.end - captured.start,
+        name,
+        residual is not None,
+        reason,
+        residual,
+    )
+
+
+def _why_alone(name: str, seen: Candidates, pairs: Pairs) -> str:
+    if not seen:
+        return "found the board in no capture"
+    reasons = [
+        f"{b if a == name else a}: {pair.reason}"
+        for (a, b), pair in pairs.items()
+        if name in (a, b) and isinstance(pair, Rejected)
+    ]
+    return f"found the board in {len(seen)} captures, but " + "; ".join(reasons or ["no other sensor did"])
+
+
+def _outlines(rig: Rig, captured: Captured, used: Used, joint: Joint) -> list[BoardOutline]:
+    """The board of each capture, best from a camera, else from a cloud."""
+    outlines = []
+    for hold in captured.holds:
+        seen: list[tuple[Detection, str]] = [
+            (captured.detections[name][hold.index][k], name)
+            for name in joint.T_root_sensor
+            for k in used.get((hold.index, name), {})
+        ]
+        for kind in (BoardCorners, PlanePatch):
+            found = next(((d, name) for d, name in seen if isinstance(d, kind)), None)
+            if found:
+                corners = _corners(found[0], rig.boards[0].size)
+                outlines.append(BoardOutline(hold.index, se3.apply(joint.T_root_sensor[found[1]], corners)))
+                break
+    return outlines
+
+
+def _corners(detection: Detection, size: tuple[float, float]) -> Array:
+    """(4, 3) corners of the sheet, or of the patch that was seen, in the sensor's frame."""
+    if isinstance(detection, BoardCorners):
+        half = np.array(size) / 2
+        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return se3.apply(detection.T_camera_board, np.column_stack([signs * half, np.zeros(4)]))
+    assert isinstance(detection, PlanePatch)
+    basis = plane.tangent_basis(detection.plane[:3])
+    _, _, axes = np.linalg.svd((detection.points - detection.center) @ basis, full_matrices=False)
+    along = (detection.points - detection.center) @ basis @ axes.T
+    low, high = np.percentile(along, [1, 99], axis=0)
+    flat = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    return np.asarray(detection.center + flat @ axes @ basis.T)
