@@ -1,1 +1,5 @@
-"""The room of cli."""
+"""The command line: parse, call, print."""
+
+from calgraph.cli.app import main
+
+__all__ = ["main"]
