@@ -26,7 +26,7 @@ def board_texture(board: Board, texels_per_meter: float) -> Array:
         and ``y = height / 2 - (row + 0.5) / rows * height`` in the board frame.
 
     Raises:
-        InputError: the pattern has an unknown dictionary, more markers than that has, or a tag id it lacks.
+        InputError: a pattern needs more markers than its dictionary has.
 
     """
     width, height = board.size
@@ -55,10 +55,7 @@ def _prints(board: Board) -> list[tuple[Array, tuple[float, float], tuple[float,
 
 def _charuco(pattern: Charuco) -> list[tuple[Array, tuple[float, float], tuple[float, float]]]:
     """OpenCV's layout: black top-left square, markers numbered row by row through the white squares."""
-    code = getattr(cv2.aruco, pattern.dictionary, None)
-    if code is None:
-        raise InputError(f"target.pattern.dictionary: OpenCV knows no {pattern.dictionary!r}, e.g. DICT_5X5_100")
-    dictionary = cv2.aruco.getPredefinedDictionary(code)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
     rows, columns = np.indices((pattern.rows, pattern.columns))
     squares = ((rows + columns) % 2).astype(np.float64)
     x0, y0 = pattern.center
@@ -96,7 +93,7 @@ def _marker(dictionary: cv2.aruco.Dictionary, number: int, border: int = 1) -> A
     """The bitmap of a marker, one pixel a module, upright as OpenCV draws it."""
     available = len(dictionary.bytesList)
     if number >= available:
-        raise InputError(f"target: there is no tag {number}; its family has ids 0 to {available - 1}")
+        raise InputError(f"target.pattern: needs marker {number}, but its dictionary ends at {available - 1}")
     modules = dictionary.markerSize + 2 * border
     image = cv2.aruco.generateImageMarker(dictionary, number, modules, borderBits=border)
     return np.asarray(image, dtype=np.float64) / 255

@@ -21,7 +21,7 @@ class CameraKnobs(StrictModel):
 
     count: Count = 1
     """How many cameras, side by side 60 degrees apart, the middle one looking ahead."""
-    rate: Positive = 4.0
+    rate: Positive = 3.0
     """Images per second."""
     width: Annotated[int, Field(ge=32)] = 1280
     """Pixels."""
@@ -33,7 +33,7 @@ class CameraKnobs(StrictModel):
     """Lens: pinhole with optional plumb_bob or rational distortion, or equidistant fisheye."""
     distortion: tuple[Finite, ...] = ()
     """Coefficients in OpenCV's order: none, 4, 5 or 8 for a pinhole, none or 4 for a fisheye."""
-    noise: NotNegative = 1.5
+    noise: NotNegative = 1.0
     """Standard deviation of a pixel, grey values of 255."""
     blur: NotNegative = 0.6
     """Standard deviation of the lens' point spread, pixels."""
@@ -57,7 +57,7 @@ class BeamKnobs(StrictModel):
     angle_noise: NotNegative = 0.001
     """Standard deviation of a beam's direction, rad."""
     mixed_pixels: Probability = 0.3
-    """Probability that a beam beside a depth edge falls between the two depths."""
+    """Probability that one of the two beams at a depth edge falls between the two depths."""
     dropout: Probability = 0.005
     """Probability that a beam returns nothing."""
     min_range: NotNegative = 0.1

@@ -46,7 +46,7 @@ class BeamNoise:
     angle: float
     """Standard deviation of the beam's direction, rad."""
     mixed: float
-    """Probability that a beam beside a depth edge falls between the two depths."""
+    """Probability that one of the two beams at a depth edge falls between the two depths."""
     dropout: float
     """Probability that a beam returns nothing."""
     min_range: float
@@ -188,11 +188,15 @@ def point_cloud(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str
 
 def _mixed(true: Array, neighbours: NDArray[np.intp], probability: float, rng: np.random.Generator) -> Array:
     """Ranges as beams with a footprint see them: at depth edges some lie anywhere between the two depths."""
-    beside = true[neighbours]
     with np.errstate(invalid="ignore"):
-        step = beside - true
-    mixed = np.isfinite(step) & (np.abs(step) > _EDGE) & (rng.random(len(true)) < probability)
-    return true + np.where(mixed, rng.random(len(true)) * np.where(np.isfinite(step), step, 0), 0)
+        step = true[neighbours] - true
+    edge = np.isfinite(step) & (np.abs(step) > _EDGE)
+    pairs = np.flatnonzero(edge & (rng.random(len(true)) < probability))
+    # Either beam of the pair may be the one whose footprint lies across the edge.
+    straddling = np.where(rng.random(len(pairs)) < 0.5, pairs, neighbours[pairs])
+    ranges = true.copy()
+    ranges[straddling] = true[pairs] + rng.random(len(pairs)) * step[pairs]
+    return ranges
 
 
 def _in_plane(angles: Array) -> tuple[Array, Array]:

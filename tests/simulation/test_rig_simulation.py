@@ -1,0 +1,183 @@
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+
+from calgraph.errors import InputError
+from calgraph.geometry import se3
+from calgraph.rig import load_rig
+from calgraph.sensors import Image, LaserScan, Message, PointCloud
+from calgraph.simulation import (
+    CameraKnobs,
+    LaserKnobs,
+    MultibeamKnobs,
+    RigScenario,
+    SimulatedCapture,
+    SpinningKnobs,
+    load_truth,
+    rig_of,
+    set_stage,
+    simulate_background,
+    simulate_captures,
+    simulate_rig,
+    truth_of,
+)
+
+SMALL = RigScenario(
+    camera=CameraKnobs(width=320, height=240, texels_per_mm=0.5),
+    laser=LaserKnobs(count=2, rate=10, resolution=1.0),
+    spinning=SpinningKnobs(resolution=1.0, scans_per_degree=1 / 6),
+    bearings=(-20, 20),
+    radii=(2.0,),
+    samples=1,
+    background=1.0,
+)
+
+
+def values(message: Message) -> np.ndarray:
+    if isinstance(message, Image):
+        return message.pixels.ravel()
+    if isinstance(message, PointCloud):
+        return message.points.ravel()
+    assert isinstance(message, LaserScan)
+    return message.ranges
+
+
+def captures(scenario: RigScenario, seed: int = 0) -> list[SimulatedCapture]:
+    return list(simulate_captures(set_stage(scenario, seed)))
+
+
+def same(a: Sequence[SimulatedCapture], b: Sequence[SimulatedCapture]) -> list[bool]:
+    """For every message of two runs, whether they are equal."""
+    return [
+        np.array_equal(values(m), values(n), equal_nan=not isinstance(m, Image))
+        for x, y in zip(a, b, strict=True)
+        for name in x.messages
+        for m, n in zip(x.messages[name], y.messages[name], strict=True)
+    ]
+
+
+def test_same_seed_gives_the_same_messages() -> None:
+    assert all(same(captures(SMALL, 4), captures(SMALL, 4)))
+
+
+def test_another_seed_gives_other_messages() -> None:
+    assert not any(same(captures(SMALL, 4), captures(SMALL, 5)))
+
+
+def test_measurements_do_not_depend_on_what_else_is_measured() -> None:
+    stage = set_stage(SMALL, 1)
+    alone = list(simulate_captures(stage, sensors=["laser_left"]))
+    for a, b in zip(alone, simulate_captures(stage), strict=True):
+        for m, n in zip(a.messages["laser_left"], b.messages["laser_left"], strict=True):
+            assert np.array_equal(values(m), values(n), equal_nan=True)
+
+
+def test_every_sensor_measures_twice_in_every_hold() -> None:
+    for capture in captures(RigScenario(**{**SMALL.model_dump(), "samples": 3})):
+        assert {name: len(m) for name, m in capture.messages.items()} == dict.fromkeys(capture.messages, 2)
+
+
+def test_measurements_lie_in_their_hold_in_full() -> None:
+    for capture in simulate_captures(set_stage(SMALL, 2), measurements=None):
+        for messages in capture.messages.values():
+            for m in messages:
+                duration = 0.0 if isinstance(m, Image) else m.duration  # type: ignore[union-attr]
+                assert capture.board.trigger <= m.stamp <= m.stamp + duration <= capture.board.end
+
+
+def test_lidar_sees_the_board_where_the_truth_puts_it() -> None:
+    exact = SpinningKnobs(range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
+    stage = set_stage(RigScenario(**{**SMALL.model_dump(), "spinning": exact}), 0)
+    for capture in simulate_captures(stage, sensors=["lidar"]):
+        (cloud, _) = capture.messages["lidar"]
+        assert isinstance(cloud, PointCloud)
+        x, y, z = se3.apply(se3.inverse(capture.board.T_root_board), cloud.points).T
+        on_sheet = (np.abs(x) < 0.6) & (np.abs(y) < 0.45) & (np.abs(z) < 0.08)
+        assert on_sheet.sum() > 50
+        # Hands grip the edges, so only the middle of the sheet is sure to be bare.
+        assert np.abs(z[on_sheet & (np.abs(x) < 0.45)]).max() < 1e-9
+
+
+def test_lasers_see_the_board_where_the_truth_puts_it() -> None:
+    exact = LaserKnobs(count=3, range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
+    stage = set_stage(RigScenario(**{**SMALL.model_dump(), "laser": exact}), 0)
+    poses = truth_of(stage).T_root_sensor
+    for capture in simulate_captures(stage, sensors=["laser_front"]):
+        scan = capture.messages["laser_front"][0]
+        assert isinstance(scan, LaserScan)
+        T_board_laser = se3.inverse(capture.board.T_root_board) @ poses["laser_front"]
+        x, y, z = se3.apply(T_board_laser, scan.points[scan.valid]).T
+        assert ((np.abs(x) < 0.6) & (np.abs(y) < 0.45) & (np.abs(z) < 1e-9)).sum() > 60
+
+
+def test_background_is_measured_without_the_board() -> None:
+    stage = set_stage(SMALL, 0)
+    for name, messages in simulate_background(stage).items():
+        assert messages, name
+        assert messages[-1].stamp < SMALL.start_time + SMALL.background
+
+
+def test_disturbed_captures_have_the_stated_share_and_are_marked() -> None:
+    stage = set_stage(RigScenario(**{**SMALL.model_dump(), "samples": 10, "disturbed": 0.2}), 0)
+    assert sum(b.disturbed for b in truth_of(stage).boards) == 4
+
+
+def test_mounts_differ_from_seed_to_seed_by_centimetres_and_degrees() -> None:
+    poses = [truth_of(set_stage(SMALL, seed)).T_root_sensor["camera"] for seed in range(2)]
+    error = se3.difference(poses[0], poses[1])
+    assert 0.01 < np.linalg.norm(error[:3]) < 0.8
+    assert 0.5 < np.degrees(np.linalg.norm(error[3:])) < 25
+
+
+def test_robot_can_have_any_number_of_sensors() -> None:
+    rig = rig_of(
+        set_stage(
+            RigScenario(
+                camera=CameraKnobs(count=2, width=64, height=48, texels_per_mm=0.1),
+                laser=LaserKnobs(count=5),
+                spinning=SpinningKnobs(count=0),
+                multibeam=MultibeamKnobs(count=2),
+            ),
+            0,
+        )
+    )
+    assert list(rig.sensors) == [
+        "camera", "camera_2", "lidar", "lidar_2",
+        "laser_front", "laser_left", "laser_right", "laser_back", "laser_5",
+    ]  # fmt: skip
+
+
+def test_unknown_root_is_named() -> None:
+    with pytest.raises(InputError, match="root 'imu' is not a sensor of this robot; it has camera, lidar"):
+        set_stage(RigScenario(**{**SMALL.model_dump(), "root": "imu"}), 0)
+
+
+def test_recording_comes_with_rig_and_truth(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    simulate_rig(SMALL, tmp_path, seed=3, progress=lambda done, total: told.append((done, total)))
+    stage = set_stage(SMALL, 3)
+    assert load_rig(tmp_path / "rig.yaml") == rig_of(stage)
+    truth = load_truth(tmp_path / "truth.yaml")
+    for name, T in truth_of(stage).T_root_sensor.items():
+        assert truth.T_root_sensor[name] == pytest.approx(T, abs=1e-12)
+    assert [b.trigger for b in truth.boards] == [b.trigger for b in truth_of(stage).boards]
+    assert told[-1] == (len(told), len(told))
+
+
+def test_recording_has_every_topic_and_a_trigger_for_each_capture(tmp_path: Path) -> None:
+    simulate_rig(SMALL, tmp_path)
+    with Reader(tmp_path / "recording") as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts["/trigger"] == 2
+    assert counts["/camera/image_raw/compressed"] == counts["/camera/camera_info"] > 10
+    assert counts.keys() >= {"/lidar/points", "/laser_front/scan", "/laser_left/scan"}
+
+
+def test_recording_without_trigger_says_so_in_its_rig(tmp_path: Path) -> None:
+    simulate_rig(RigScenario(**{**SMALL.model_dump(), "trigger": False}), tmp_path)
+    assert load_rig(tmp_path / "rig.yaml").capture.trigger is None
+    with Reader(tmp_path / "recording") as reader:
+        assert "/trigger" not in {c.topic for c in reader.connections}
