@@ -19,7 +19,8 @@ Indices = NDArray[np.intp]
 _STEP = np.radians(0.7)
 # Points of one direction cell that differ by more in range are two surfaces, m.
 _DEPTH = 0.10
-_NEIGHBOURS = 24
+# Rings need more, to reach across to the next ones.
+_NEIGHBOURS, _RING_NEIGHBOURS = 16, 24
 # Neighbours lie within this many spacings of each other.
 _REACH = 3.0
 _MIN_NEIGHBOURS = 5
@@ -53,7 +54,7 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None) -> Cells | None:
     if len(means) <= _MIN_NEIGHBOURS:
         return None
     radius = np.linalg.norm(means, axis=1)
-    k = min(_NEIGHBOURS, len(means))
+    k = min(_NEIGHBOURS if levels is None else _RING_NEIGHBOURS, len(means))
     distance, neighbours = cKDTree(means).query(means, k=k)
     # On a square grid the eighth neighbour is a diagonal away; rarer than that are the planes of a slow spinner.
     spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))

@@ -21,13 +21,18 @@ from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import PointCloud
 
 _MAX_CANDIDATES = 8
-_MIN_MATCH = 0.05
+_MIN_MATCH = 0.1
 _MIN_POINTS = 20
+_MIN_RINGS = 3
 _MIN_RANGE = 0.1
 # Scanners bias and scatter their rings against each other by this much, whatever their noise is said to be, m.
 _MIN_THICKNESS = 0.03
 _SAMPLE_POINTS = 400
 _SCENE_POINTS = 30_000
+# From this match on the board's rectangle says which points are the board's.
+_TRUSTED = 0.5
+# Of worse matches than this share of the best one the board is none.
+_WORTH = 0.25
 # Within this of the outline a beam may have hit the edge and averaged board and background, m.
 _EDGE = 0.02
 
@@ -67,18 +72,25 @@ def find_patches(
             else f"the clouds hold {fresh.sum()} points"
         )
     points = scene[fresh]
+    what = f"{len(points)} {'points' if background is None else 'foreground points'}"
+    hit = _MIN_RINGS if rings is None else len(np.unique(rings[fresh]))
+    if hit < _MIN_RINGS:
+        return Rejected(
+            f"only {hit} of the rings hit the board ({what}), a plane needs {_MIN_RINGS}: "
+            "bring the board nearer or turn its longer side across the rings"
+        )
     cells = make_cells(points, None if rings is None else rings[fresh])
     thickness = max(3 * noise.range, _MIN_THICKNESS)
     regions = [] if cells is None else flat_regions(cells, thickness)
     if cells is None or not regions:
-        return Rejected(f"the {len(points)} {'foreground ' if background else ''}points hold no flat patch")
+        return Rejected(f"{what} hold no flat patch: the board is not in view, too far or seen edge-on")
     few = scene[:: max(1, len(scene) // _SCENE_POINTS)]
     likely = _most_likely(cells, regions, boards, few, thickness)
     patches = [_patch(points, cells, region, boards, noise, thickness, few, rng) for region in likely]
     found = sorted((p for p in patches if p is not None and p.match >= _MIN_MATCH), key=lambda p: -p.match)
     if not found:
         return _no_match(cells, regions, boards)
-    return tuple(found)
+    return tuple(p for p in found if p.match >= _WORTH * found[0].match)
 
 
 def _most_likely(
@@ -112,17 +124,18 @@ def _patch(
     if surface is None:
         return None
     members = _gather(points, cells, region, surface, thickness)
-    interior = members[_interior(points[members], surface)]
+    flat = cells.points[np.unique(cells.of_point[members])]
+    match, sheet = max(
+        (_match(surface, flat, board, cells.spacing, scene, thickness) for board in boards),
+        key=lambda matched: matched[0],
+    )
+    interior = members[_interior(points[members], sheet, match)]
     fit = fit_plane(points[interior], noise.range, noise.angle, surface)
     if fit is None or fit.inliers.sum() < _MIN_POINTS:
         return None
-    on = points[interior[fit.inliers]]
-    flat = cells.points[np.unique(cells.of_point[members])]
-    match, sheet = max(
-        (_match(fit.parameters, flat, board, cells.spacing, scene, thickness) for board in boards),
-        key=lambda matched: matched[0],
-    )
-    return PlanePatch(fit.parameters, fit.covariance, on, sheet.center, match)
+    n, d = fit.parameters[:3], fit.parameters[3]
+    center = sheet.center - (n @ sheet.center + d) * n
+    return PlanePatch(fit.parameters, fit.covariance, points[interior[fit.inliers]], center, match)
 
 
 def _consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
@@ -153,15 +166,23 @@ def _gather(points: Array, cells: Cells, region: Indices, surface: Array, thickn
     return np.asarray(near[distance < cells.spacing * np.linalg.norm(points[near], axis=1)])
 
 
-def _interior(points: Array, surface: Array) -> NDArray[np.bool_]:
+def _interior(points: Array, sheet: Sheet, match: float) -> NDArray[np.bool_]:
     """Which points (N, 3) lie clear of the patch's outline; all if that would leave too few."""
-    flat = points @ plane.tangent_basis(surface[:3])
+    surface = sheet.surface
+    # Where the beam meets the plane, not where noise put the point: on an inclined board that would keep the far
+    # points at one edge and the near ones at the other, and turn the plane.
+    flat = sheet.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
+    kept: NDArray[np.bool_] = np.ones(len(flat), dtype=np.bool_)
+    if match > _TRUSTED:
+        # The sheet leaves out stand and arms.
+        kept = np.asarray(np.all(np.abs(flat) < 0.5 * np.array(sheet.size), axis=1), dtype=np.bool_)
     try:
-        hull = ConvexHull(flat)
+        hull = ConvexHull(flat[kept])
     except (QhullError, ValueError):
-        return np.ones(len(points), dtype=bool)
-    clear = (hull.equations[:, :2] @ flat.T + hull.equations[:, 2:]).max(axis=0) < -_EDGE
-    return np.asarray(clear) if clear.sum() > max(_MIN_POINTS, 0.6 * len(points)) else np.ones(len(points), bool)
+        return kept
+    depth = np.max(hull.equations[:, :2] @ flat.T + hull.equations[:, 2:], axis=0)
+    clear: NDArray[np.bool_] = np.asarray(kept & (depth < -_EDGE), dtype=np.bool_)
+    return clear if clear.sum() > max(_MIN_POINTS, 0.6 * kept.sum()) else kept
 
 
 def _match(
@@ -172,8 +193,12 @@ def _match(
     step = spacing * float(np.linalg.norm(centre))
     cosine = max(abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre)), 0.3)
     sheet = lay_sheet(surface, cells, board.size, min(0.6 * step / cosine, min(board.size) / 4))
+    if sheet.covered * sheet.inside < _MIN_MATCH:
+        return 0.0, sheet
     solid, free = standing_free(sheet, scene, thickness, max(0.15, 1.5 * step))
-    return sheet.covered * sheet.inside * solid * free, sheet
+    # A few cells fit any outline: far walls seen by few rings must not pass for boards.
+    resolved = min(1.0, min(board.size) / (4 * step))
+    return sheet.covered * sheet.inside * solid * free * resolved, sheet
 
 
 def _extent(points: Array) -> tuple[float, float]:

@@ -13,6 +13,8 @@ from calgraph.geometry import Array, plane
 _MAX_CURVATURE = 0.08
 _MIN_COSINE = np.cos(np.radians(35.0))
 _MIN_CELLS = 8
+# A region's plane is fitted anew whenever the region has grown by this factor.
+_REFIT = 1.2
 
 
 def flat_regions(cells: Cells, thickness: float) -> list[Indices]:
@@ -41,23 +43,22 @@ def flat_regions(cells: Cells, thickness: float) -> list[Indices]:
 def _grow(cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float) -> Indices:
     n = cells.normals[seed]
     around = cells.neighbours[seed]
-    around = around[(around >= 0)]
+    around = around[around >= 0]
     surface = np.append(n, -n @ cells.points[around].mean(axis=0))
     inside = np.zeros(len(free), dtype=bool)
     inside[seed] = True
+    size, fitted = 1, 1
     frontier = np.array([seed])
     while len(frontier):
-        # A mask rather than a sorted set: regions are many and mostly small.
         reached = cells.neighbours[frontier].ravel()
         reached = np.unique(reached[reached >= 0])
         reached = reached[free[reached] & ~inside[reached]]
         joins = _belongs(cells, reached, surface, thickness)
         frontier = reached[joins]
         inside[frontier] = True
-        if len(frontier):
-            members = np.flatnonzero(inside)
-            if len(members) >= _MIN_CELLS:
-                surface = plane.fit(cells.points[members])
+        size += len(frontier)
+        if size >= max(_MIN_CELLS, _REFIT * fitted):
+            surface, fitted = plane.fit(cells.points[inside]), size
     members = np.flatnonzero(inside)
     # The plane moved while the region grew: those that joined early may be off it now.
     return members[_belongs(cells, members, surface, thickness)]
