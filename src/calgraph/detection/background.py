@@ -58,7 +58,10 @@ class CloudBackground:
         """
         keys = np.empty(0, dtype=np.int64)
         reach = np.zeros((round(np.pi / _DIRECTION), round(2 * np.pi / _DIRECTION)))
-        corners = voxel / 2 * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+        # Just less than half a voxel: a cube as wide as a voxel could straddle three of them by rounding.
+        corners = (
+            0.499 * voxel * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+        )
         for cloud in clouds:
             claimed = np.unique(_keys((cloud.points + corners).reshape(-1, 3), voxel))
             keys = np.union1d(keys, claimed)

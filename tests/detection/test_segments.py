@@ -1,0 +1,220 @@
+"""Boards in 2-D scans: by ray casting with a known answer, and in real scans of an office."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calgraph.detection import Rejected, ScanBackground, Segment, find_segments
+from calgraph.geometry import Array
+from calgraph.rig import Board, RangeNoise
+from calgraph.sensors import LaserScan
+
+NOISE = RangeNoise(range=0.015, angle=0.0005)
+BOARD = Board(size=(1.0, 0.8))
+ANGLES = np.radians(np.arange(-135, 135.01, 0.25))
+CENTER, ALONG, LENGTH = np.array([2.4, 0.6]), np.array([np.sin(0.5), np.cos(0.5)]), 0.9
+ENDS = np.stack([CENTER - 0.5 * LENGTH * ALONG, CENTER + 0.5 * LENGTH * ALONG])
+ROOM = np.array([[(5, -4), (5, 4)], [(5, 4), (-3, 4)], [(5, -4), (-3, -4)], [(-3, -4), (-3, 4)]], dtype=float)
+
+
+def cast_wall(start: Array, end: Array, angles: Array) -> Array:
+    """Ranges (N,) to a straight wall, inf where beams miss it."""
+    u = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    edge = np.asarray(end, dtype=float) - start
+    cross = u[:, 0] * edge[1] - u[:, 1] * edge[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (start[0] * edge[1] - start[1] * edge[0]) / cross
+        at = (start[0] * u[:, 1] - start[1] * u[:, 0]) / cross
+    return np.where((r > 0) & (at >= 0) & (at <= 1), r, np.inf)
+
+
+def cast_leg(x: float, y: float, radius: float, angles: Array) -> Array:
+    """Ranges (N,) to an upright cylinder."""
+    along = x * np.cos(angles) + y * np.sin(angles)
+    inside = radius**2 - (x**2 + y**2 - along**2)
+    return np.where((inside > 0) & (along > 0), along - np.sqrt(np.maximum(inside, 0)), np.inf)
+
+
+def ranges_to(
+    walls: Sequence[Sequence[Array]], legs: Sequence[tuple[float, float, float]], angles: Array
+) -> Array:
+    cast = [cast_wall(a, b, angles) for a, b in walls]
+    return np.asarray(np.min([*cast, *(cast_leg(*leg, angles) for leg in legs)], axis=0))
+
+
+def measure(
+    rng: np.random.Generator,
+    *,
+    ends: Array | None = ENDS,
+    walls: Sequence[Array] | Array = ROOM,
+    legs: Sequence[tuple[float, float, float]] = (),
+    angles: Array = ANGLES,
+    noise: RangeNoise = NOISE,
+    dropouts: float = 0.02,
+) -> LaserScan:
+    """One noisy scan; a beam near an edge may average the two depths."""
+    shapes = [*walls, *([ends] if ends is not None else [])]
+    true = angles + rng.normal(0, noise.angle, len(angles))
+    ranges, beside = ranges_to(shapes, legs, true), ranges_to(shapes, legs, true + rng.normal(0, 0.001, len(true)))
+    edge = np.isfinite(ranges) & np.isfinite(beside) & (rng.random(len(true)) < 0.5)
+    jump = np.where(edge, np.where(edge, beside, 0) - np.where(edge, ranges, 0), 0)
+    ranges = ranges + np.where(np.abs(jump) > 0.2, rng.random(len(true)) * jump, 0)
+    ranges = np.where(np.isfinite(ranges), ranges + rng.normal(0, noise.range, len(ranges)), np.inf)
+    ranges[rng.random(len(ranges)) < dropouts] = np.nan
+    return LaserScan(0.0, "laser", angles, ranges)
+
+
+def found(result: tuple[Segment, ...] | Rejected) -> tuple[Segment, ...]:
+    assert not isinstance(result, Rejected), result.reason
+    return result
+
+
+def rejection(result: tuple[Segment, ...] | Rejected) -> str:
+    assert isinstance(result, Rejected), result
+    return result.reason
+
+
+def distances(segment: Segment, ends: Array = ENDS) -> Array:
+    """(2,) perpendicular distances of the end points from the true line, m, signed."""
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    off = segment.endpoints[:, :2] - ends[0]
+    return np.asarray(off @ np.array([-along[1], along[0]]))
+
+
+def test_finds_a_board_without_background(rng: np.random.Generator) -> None:
+    best = found(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    assert np.abs(distances(best)).max() < 0.01
+    assert np.linalg.norm(best.endpoints[:, :2] - ENDS, axis=1).max() < 0.04
+
+
+def test_finds_a_board_with_background(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    segments = found(find_segments([measure(rng)], [BOARD], NOISE, background, rng))
+    assert len(segments) == 1
+    assert np.abs(distances(segments[0])).max() < 0.01
+
+
+def test_end_points_come_in_order_of_angle(rng: np.random.Generator) -> None:
+    for segment in found(find_segments([measure(rng)], [BOARD], NOISE, None, rng)):
+        first, last = np.arctan2(segment.endpoints[:, 1], segment.endpoints[:, 0])
+        assert first < last
+
+
+def test_operator_beside_the_board_does_not_extend_it(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    leg = (*(ENDS[1] + 0.08 * ALONG), 0.08)
+    scan = measure(rng, legs=[(float(leg[0]), float(leg[1]), leg[2])])
+    best = found(find_segments([scan], [BOARD], NOISE, background, rng))[0]
+    assert np.linalg.norm(best.endpoints[1, :2] - ENDS[1]) < 0.06
+    assert np.abs(distances(best)).max() < 0.015
+
+
+def test_a_body_alone_is_a_bad_match(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    result = find_segments([measure(rng, ends=None, legs=[(2.0, 0.3, 0.2)])], [BOARD], NOISE, background, rng)
+    assert isinstance(result, Rejected) or result[0].match < 0.35
+
+
+def test_repeated_scans_are_averaged(rng: np.random.Generator) -> None:
+    one = found(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    many = found(find_segments([measure(rng) for _ in range(16)], [BOARD], NOISE, None, rng))[0]
+    n = np.array([-ALONG[1], ALONG[0], 0])
+    ratio = (n @ many.covariance[:3, :3] @ n) / (n @ one.covariance[:3, :3] @ n)
+    assert np.sqrt(ratio) == pytest.approx(0.25, rel=0.2)
+
+
+def test_a_board_across_the_seam_of_a_full_turn_is_one_segment(rng: np.random.Generator) -> None:
+    around = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
+    ends = np.array([[1.5, -0.4], [1.6, 0.5]])
+    best = found(find_segments([measure(rng, ends=ends, angles=around)], [BOARD], NOISE, None, rng))[0]
+    assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.906, abs=0.04)
+
+
+def test_dark_print_that_swallows_beams_does_not_split_the_board(rng: np.random.Generator) -> None:
+    scan = measure(rng, dropouts=0.3)
+    best = found(find_segments([scan], [BOARD], NOISE, None, rng))[0]
+    assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(LENGTH, abs=0.05)
+
+
+def test_descending_angles_are_the_same_scan(rng: np.random.Generator) -> None:
+    scan = measure(rng)
+    reverse = LaserScan(0.0, "laser", scan.angles[::-1], scan.ranges[::-1])
+    forward = found(find_segments([scan], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
+    backward = found(find_segments([reverse], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
+    assert np.allclose(forward.endpoints, backward.endpoints)
+
+
+def test_covariance_is_that_of_repeated_scans() -> None:
+    """Perpendicular errors of both end points, whitened, have the length that chi-square gives them."""
+    total, seeds = 0.0, 150
+    n = np.array([-ALONG[1], ALONG[0], 0])
+    N = np.zeros((2, 6))
+    N[0, :3], N[1, 3:] = n, n
+    near = ANGLES[np.abs(ANGLES - 0.25) < 0.4]
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        scan = measure(rng, walls=[], angles=near)
+        best = found(find_segments([scan], [BOARD], NOISE, None, rng))[0]
+        error = distances(best)
+        total += float(error @ np.linalg.solve(N @ best.covariance @ N.T, error))
+    low, high = chi2.ppf([0.005, 0.995], 2 * seeds)
+    assert low < total < high
+
+
+def test_end_points_are_uncertain_by_the_beam_spacing_along_the_line(rng: np.random.Generator) -> None:
+    best = found(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    t = np.append(ALONG, 0)
+    for i in range(2):
+        end = best.endpoints[i]
+        cosine = abs(np.cross(t, end / np.linalg.norm(end))[2])
+        spacing = np.radians(0.25) * np.linalg.norm(end) / cosine
+        own = best.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        assert np.sqrt(t @ own @ t) == pytest.approx(spacing / np.sqrt(12), rel=0.15)
+        assert own[2, 2] == pytest.approx(1e-8)
+
+
+def test_a_wall_is_too_long(rng: np.random.Generator) -> None:
+    wall = np.array([[3.0, -2.5], [3.0, 2.5]])
+    reason = rejection(find_segments([measure(rng, ends=wall, walls=[])], [BOARD], NOISE, None, rng))
+    assert "the board 1 x 0.8 m" in reason
+    assert "4.9" in reason or "5.0" in reason
+
+
+def test_says_that_there_was_no_scan(rng: np.random.Generator) -> None:
+    assert "no scan" in rejection(find_segments([], [BOARD], NOISE, None, rng))
+
+
+def test_says_that_a_scan_is_empty(rng: np.random.Generator) -> None:
+    blind = LaserScan(0.0, "laser", ANGLES, np.full(len(ANGLES), np.inf))
+    assert "no steady returns" in rejection(find_segments([blind], [BOARD], NOISE, None, rng))
+
+
+def test_says_that_nothing_is_new(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    still = [measure(rng, ends=None) for _ in range(5)]
+    assert "no foreground beams" in rejection(find_segments(still, [BOARD], NOISE, background, rng))
+
+
+def test_says_that_few_beams_hit_the_board(rng: np.random.Generator) -> None:
+    edge_on = np.array([[2.0, 0.5], [2.3, 0.6]])
+    scan = measure(rng, ends=edge_on, walls=[], dropouts=0.0)
+    assert "seen edge-on" in rejection(find_segments([scan], [BOARD], NOISE, None, rng))
+
+
+def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random.Generator) -> None:
+    """The sheet is 0.50 x 0.30 m by the proportions of the images; it stands 0.7 to 1.2 m before the scanner."""
+    files = sorted((data_dir / "acfr-rpg-camera-2dlidar" / "lasers").glob("*.pcd"))
+    assert len(files) == 5
+    for file in files:
+        xy = np.loadtxt(file, skiprows=11)[:, :2]
+        ranges = np.hypot(*xy.T)
+        order = np.argsort(np.arctan2(xy[:, 1], xy[:, 0]))
+        scan = LaserScan(
+            0.0, "laser", np.arctan2(xy[:, 1], xy[:, 0])[order], np.where(ranges > 0, ranges, np.inf)[order]
+        )
+        best = found(find_segments([scan], [Board(size=(0.5, 0.3))], RangeNoise(), None, rng))[0]
+        assert 0.7 < best.center[0] < 1.2
+        assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.5, abs=0.04)
