@@ -49,7 +49,7 @@ class CameraDetector:
             of the normals and of the offsets of one PnP a tag (boards without tags: as ``pnp``).
 
     Raises:
-        InputError: two boards share a tag id, or a dictionary is unknown.
+        InputError: two boards share a tag id.
 
     """
 
@@ -272,7 +272,9 @@ def _missing(printed: _Printed, seen: Marks) -> str:
     expected = _listed(printed.landmarks.ids.tolist())
     if not len(seen):
         return f"no tag of family {printed.board.family} found; {expected} expected"
-    return f"only {_listed(np.unique(seen.ids).tolist())} seen, which are not on the board; {expected} expected"
+    others = _listed(np.unique(seen.ids).tolist())
+    are = "is" if others.startswith("id ") else "are"
+    return f"only {others} seen, which {are} not on the board; {expected} expected"
 
 
 def _listed(ids: Sequence[int]) -> str:

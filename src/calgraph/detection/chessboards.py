@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from calgraph.detection.tags import Gray, Marks, no_marks
-from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.rig import Charuco, Checkerboard
 
@@ -56,12 +55,7 @@ class CharucoFinder:
     """Finds the chessboard corners of a ChArUco board whose neighbouring markers are visible."""
 
     def __init__(self, pattern: Charuco) -> None:
-        name = pattern.dictionary
-        number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
-        if number is None:
-            known = ", ".join(sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_")))
-            raise InputError(f"target.pattern.dictionary: OpenCV has no {name!r}; it has {known}")
-        dictionary = cv2.aruco.getPredefinedDictionary(number)
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
         board = cv2.aruco.CharucoBoard((pattern.columns, pattern.rows), pattern.square, pattern.marker, dictionary)
         self._detector = cv2.aruco.CharucoDetector(board)
 

@@ -18,7 +18,7 @@ _WIDEST = np.deg2rad(89.9)
 _FISHEYE_WIDEST = np.pi - 1e-6
 _ITERATIONS = 25
 """Newton's method takes 3 to 5 steps, and more only near the limit, where the slope vanishes."""
-_CONVERGED = 1e-15
+_CONVERGED = 1e-14
 _START_SAMPLES = 256
 _TINY = 1e-300
 
@@ -170,7 +170,8 @@ def fisheye(distortion: Array) -> Fisheye:
 
 def _first_root(polynomial: np.polynomial.Polynomial) -> float:
     """The smallest positive real root, or infinity."""
-    roots = polynomial.trim().roots()
+    # Terms this small act beyond any angle of view, but their roots overflow.
+    roots = polynomial.trim(1e-30).roots()
     real = roots[np.abs(roots.imag) < 1e-9 * np.maximum(1, np.abs(roots))].real
     positive = real[real > 0]
     return float(positive.min()) if len(positive) else np.inf

@@ -1,0 +1,270 @@
+"""Boards in images drawn with known poses."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from calgraph.detection import BoardCorners, CameraDetector, Rejected, find_boards
+from calgraph.errors import InputError
+from calgraph.geometry import Array, plane, se3, so3
+from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
+from calgraph.sensors import CameraModel, Image
+
+Gray = NDArray[np.uint8]
+Render = Callable[..., Gray]
+
+NOISE = PixelNoise(pixel=0.2)
+K = np.array([[700.0, 0, 640], [0, 700, 480], [0, 0, 1]])
+HALF = np.array([[350.0, 0, 320], [0, 350, 240], [0, 0, 1]])
+CAMERA = CameraModel("pinhole", 1280, 960, K, np.zeros(0))
+SMALL = CameraModel("pinhole", 640, 480, HALF, np.zeros(0))
+BARREL = CameraModel("pinhole", 640, 480, HALF, np.array([-0.3, 0.1, 0.001, -0.002]))
+FISHEYE = CameraModel(
+    "fisheye", 640, 480, HALF * [[0.8, 1, 1], [1, 0.8, 1], [1, 1, 1]], np.array([0.05, 0.01, 0, 0])
+)
+
+TAGS = (
+    Tag(id=3, size=0.3, center=(-0.28, 0.16)),
+    Tag(id=5, size=0.3, center=(0.28, 0.16)),
+    Tag(id=7, size=0.24, center=(0, -0.2)),
+)
+TAGGED = Board(size=(1.0, 0.8), tags=TAGS)
+CHECKERBOARD = Board(
+    size=(1.0, 0.8), pattern=Checkerboard(kind="checkerboard", columns=8, rows=5, square=0.1, center=(0.01, -0.02))
+)
+SYMMETRIC = Board(size=(1.0, 0.8), pattern=Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.1))
+SQUARE = Board(size=(0.8, 0.8), pattern=Checkerboard(kind="checkerboard", columns=5, rows=5, square=0.1))
+CHARUCO = Board(
+    size=(1.0, 0.8),
+    pattern=Charuco(kind="charuco", columns=8, rows=6, square=0.1, marker=0.07, dictionary="DICT_5X5_100"),
+)
+APRILGRID = Board(
+    size=(0.8, 0.8), pattern=AprilGrid(kind="aprilgrid", columns=5, rows=5, tag_size=0.1, tag_spacing=0.3)
+)
+BOARDS = {
+    "tags": TAGGED, "checkerboard": CHECKERBOARD, "charuco": CHARUCO, "aprilgrid": APRILGRID,
+    "tag25h9": Board(size=(1.0, 0.8), family="tag25h9", tags=TAGS),
+    "tag16h5": Board(size=(1.0, 0.8), family="tag16h5", tags=TAGS),
+}  # fmt: skip
+UPSIDE = np.diag([1.0, -1, -1])
+
+
+def a_pose(
+    turn: tuple[float, float, float] = (0.3, 0.25, 0.1), t: tuple[float, float, float] = (0.1, -0.1, 2)
+) -> Array:
+    return se3.pose(so3.exp(np.array(turn)) @ UPSIDE, np.array(t))
+
+
+def image(pixels: Gray, stamp: float = 0.0) -> Image:
+    return Image(stamp, "camera", pixels)
+
+
+def one(found: tuple[BoardCorners, ...] | Rejected) -> BoardCorners:
+    assert not isinstance(found, Rejected), found.reason
+    (board,) = found
+    return board
+
+
+def reason(found: tuple[BoardCorners, ...] | Rejected) -> str:
+    assert isinstance(found, Rejected)
+    return found.reason
+
+
+def detect(board: Board, pixels: Gray, camera: CameraModel = CAMERA) -> BoardCorners:
+    return one(find_boards([image(pixels)], [board], camera, NOISE))
+
+
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
+def test_board_is_found_where_it_is(board: Board, render: Render, rng: np.random.Generator) -> None:
+    T = a_pose()
+    error = se3.difference(detect(board, render(board, CAMERA, T, rng)).T_camera_board, T)
+    assert np.linalg.norm(error[:3]) < 0.002
+    assert np.degrees(np.linalg.norm(error[3:])) < 0.2
+
+
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
+def test_corners_are_unbiased_to_a_twentieth_pixel(board: Board, render: Render, rng: np.random.Generator) -> None:
+    offsets = []
+    for turn in ((0.3, 0.25, 0.1), (-0.2, 0.3, 0.8)):
+        T = a_pose(turn)
+        found = detect(board, render(board, CAMERA, T, rng))
+        offsets.append(found.pixels - CAMERA.project(se3.apply(T, found.corners_board)))
+    np.testing.assert_allclose(np.concatenate(offsets).mean(axis=0), 0, atol=0.05)
+
+
+@pytest.mark.parametrize("camera", [BARREL, FISHEYE], ids=["barrel", "fisheye"])
+@pytest.mark.parametrize("board", [TAGGED, CHECKERBOARD], ids=["tags", "checkerboard"])
+def test_distortion_is_respected(
+    board: Board, camera: CameraModel, render: Render, rng: np.random.Generator
+) -> None:
+    T = a_pose(t=(-0.3, 0.2, 1.3))
+    error = se3.difference(detect(board, render(board, camera, T, rng), camera).T_camera_board, T)
+    assert np.linalg.norm(error[:3]) < 0.004
+    assert np.degrees(np.linalg.norm(error[3:])) < 0.3
+
+
+def test_error_of_a_drawn_board_is_within_its_covariance(render: Render, rng: np.random.Generator) -> None:
+    T = a_pose()
+    found = detect(TAGGED, render(TAGGED, CAMERA, T, rng))
+    error = se3.difference(found.T_camera_board, T)
+    assert error @ np.linalg.solve(found.covariance, error) < 22.5  # χ²(6), 99.9 %
+
+
+@pytest.mark.parametrize("averaging", ["pnp", "mean_plane"])
+def test_plane_points_at_the_camera(averaging: str, render: Render, rng: np.random.Generator) -> None:
+    T = a_pose()
+    pixels = render(TAGGED, CAMERA, T, rng)
+    found = one(find_boards([image(pixels)], [TAGGED], CAMERA, NOISE, averaging=averaging))  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.plane, plane.from_pose(T), atol=0.01)
+    assert found.plane[3] > 0
+
+
+def test_mean_of_the_tags_planes_is_less_certain_than_one_pnp(render: Render, rng: np.random.Generator) -> None:
+    pixels = render(TAGGED, CAMERA, a_pose(), rng)
+    pnp, mean = (
+        one(CameraDetector([TAGGED], CAMERA, NOISE, averaging).find([image(pixels)]))
+        for averaging in ("pnp", "mean_plane")
+    )
+    assert (np.diag(mean.plane_covariance) > 1.5 * np.diag(pnp.plane_covariance)).all()
+
+
+@pytest.mark.parametrize(
+    ("board", "roll"),
+    [(CHECKERBOARD, 0.0), (CHECKERBOARD, 1.5), (CHECKERBOARD, 3.1), (SQUARE, 0.0), (SQUARE, 1.5), (SQUARE, -1.5)],
+)
+def test_colours_tell_which_side_of_a_checkerboard_is_up(
+    board: Board, roll: float, render: Render, rng: np.random.Generator
+) -> None:
+    T = a_pose((0.1, 0.2, 0))
+    T[:3, :3] = T[:3, :3] @ so3.exp(np.array([0, 0, roll]))
+    error = se3.difference(detect(board, render(board, SMALL, T, rng), SMALL).T_camera_board, T)
+    assert np.linalg.norm(error[3:]) < 0.02
+
+
+def test_symmetric_checkerboard_is_taken_as_upright(render: Render, rng: np.random.Generator) -> None:
+    T = a_pose((0.1, 0.2, 0))
+    upside_down = T @ np.diag([-1.0, -1, 1, 1])
+    found = detect(SYMMETRIC, render(SYMMETRIC, SMALL, upside_down, rng), SMALL)
+    assert np.linalg.norm(se3.difference(found.T_camera_board, T)[3:]) < 0.02
+
+
+def test_a_covered_tag_is_done_without(render: Render, rng: np.random.Generator) -> None:
+    T = a_pose()
+    two = Board(size=(1.0, 0.8), tags=TAGS[:2])
+    found = detect(TAGGED, render(two, CAMERA, T, rng))
+    assert len(found.pixels) == 8
+
+
+def test_a_tag_half_out_of_the_image_is_done_without(render: Render, rng: np.random.Generator) -> None:
+    found = detect(TAGGED, render(TAGGED, CAMERA, a_pose((0, 0, 0), (-1.45, 0, 2)), rng))
+    assert found.corners_board[:, 0].min() > -0.13
+
+
+def test_small_tags_are_found_where_large_ones_expect_them(render: Render, rng: np.random.Generator) -> None:
+    board = Board(size=(1.0, 0.8), tags=(*TAGS[:2], Tag(id=9, size=0.06, center=(0, -0.2))))
+    found = detect(board, render(board, CAMERA, a_pose((0.2, 0.1, 0), (0, 0, 2.6)), rng))
+    assert len(found.pixels) == 12
+
+
+def test_a_dim_and_noisy_image_will_do(render: Render, rng: np.random.Generator) -> None:
+    pixels = render(TAGGED, CAMERA, a_pose(), rng, contrast=0.15, noise=3.0)
+    assert len(detect(TAGGED, pixels).pixels) == 12
+
+
+def test_colour_images_will_do(render: Render, rng: np.random.Generator) -> None:
+    pixels = cv2.cvtColor(render(TAGGED, CAMERA, a_pose(), rng), cv2.COLOR_GRAY2BGR)
+    assert len(detect(TAGGED, np.asarray(pixels, dtype=np.uint8)).pixels) == 12
+
+
+def test_several_boards_are_told_apart(render: Render, rng: np.random.Generator) -> None:
+    left = Board(size=(0.4, 0.4), tags=(Tag(id=1, size=0.3),))
+    right = Board(size=(0.4, 0.4), tags=(Tag(id=2, size=0.3),))
+    a, b = (render(board, CAMERA, a_pose(t=(x, 0, 2)), rng) for board, x in ((left, -0.5), (right, 0.5)))
+    pixels = np.where(np.arange(1280) < 640, a, b)
+    found = find_boards([image(pixels)], [left, right], CAMERA, NOISE)
+    assert not isinstance(found, Rejected)
+    assert [(board.board, round(float(board.center[0]), 1)) for board in found] == [(0, -0.5), (1, 0.5)]
+
+
+def test_images_of_a_resting_board_are_averaged(render: Render, rng: np.random.Generator) -> None:
+    images = [image(render(TAGGED, SMALL, a_pose(), rng, noise=8), 0.1 * i) for i in range(4)]
+    truth = SMALL.project(se3.apply(a_pose(), one(find_boards(images, [TAGGED], SMALL, NOISE)).corners_board))
+    detector = CameraDetector([TAGGED], SMALL, NOISE)
+    single = [np.std(one(detector.find([shot])).pixels - truth) for shot in images]
+    assert np.std(one(detector.find(images)).pixels - truth) < 0.8 * np.mean(single)
+
+
+def test_a_board_that_moved_is_rejected(render: Render, rng: np.random.Generator) -> None:
+    images = [image(render(TAGGED, SMALL, a_pose(t=(x, 0, 2)), rng)) for x in (0, 0.02)]
+    assert "moved between images" in reason(find_boards(images, [TAGGED], SMALL, NOISE))
+
+
+def test_an_image_without_the_board_is_done_without(render: Render, rng: np.random.Generator) -> None:
+    empty = np.full((480, 640), 90, dtype=np.uint8)
+    images = [image(empty), image(render(TAGGED, SMALL, a_pose(), rng))]
+    assert len(one(find_boards(images, [TAGGED], SMALL, NOISE)).pixels) == 12
+
+
+def noise_image(rng: np.random.Generator) -> Gray:
+    return np.asarray(np.clip(rng.normal(100, 20, (480, 640)), 0, 255), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("board", "message"),
+    [
+        (TAGGED, "no tag of family tag36h11 found; ids 3, 5, 7 expected"),
+        (BOARDS["tag16h5"], "no tag of family tag16h5 found; ids 3, 5, 7 expected"),
+        (CHECKERBOARD, "checkerboard of 8x5 inner corners not found"),
+        (CHARUCO, "no corner of the 8x6 ChArUco board of DICT_5X5_100 found"),
+        (APRILGRID, "no tag of family tag36h11 found; ids 0 to 24 expected"),
+    ],
+)
+def test_a_miss_says_what_was_looked_for(board: Board, message: str, rng: np.random.Generator) -> None:
+    assert reason(find_boards([image(noise_image(rng))], [board], SMALL, NOISE)) == message
+
+
+def test_tags_of_another_board_are_named(render: Render, rng: np.random.Generator) -> None:
+    other = Board(size=(1.0, 0.8), tags=(Tag(id=17, size=0.3),))
+    found = find_boards([image(render(other, SMALL, a_pose(), rng))], [TAGGED], SMALL, NOISE)
+    assert reason(found) == "only id 17 seen, which is not on the board; ids 3, 5, 7 expected"
+
+
+def test_a_dark_image_is_called_dark() -> None:
+    dark = np.full((480, 640), 3, dtype=np.uint8)
+    assert "too dark" in reason(find_boards([image(dark)], [TAGGED], SMALL, NOISE))
+
+
+def test_a_blank_image_is_called_blank() -> None:
+    assert "blank" in reason(
+        find_boards([image(np.full((480, 640), 200, dtype=np.uint8))], [TAGGED], SMALL, NOISE)
+    )
+
+
+def test_no_images_are_a_miss() -> None:
+    assert reason(find_boards([], [TAGGED], SMALL, NOISE)) == "no image in this capture"
+
+
+def test_a_bare_board_cannot_be_seen() -> None:
+    bare = Board(size=(1, 1))
+    assert "no board with tags" in reason(
+        find_boards([image(np.zeros((480, 640), np.uint8))], [bare], SMALL, NOISE)
+    )
+
+
+def test_images_of_another_size_than_the_intrinsics_are_refused() -> None:
+    with pytest.raises(InputError, match=r"is 640x480, its intrinsics are for 1280x960"):
+        find_boards([image(np.zeros((480, 640), np.uint8))], [TAGGED], CAMERA, NOISE)
+
+
+def test_boards_that_share_a_tag_are_refused() -> None:
+    with pytest.raises(InputError, match="boards 0 and 1 both have tag 3 of tag36h11"):
+        CameraDetector([TAGGED, TAGGED], CAMERA, NOISE)
+
+
+def test_detectors_can_be_built_and_dropped_at_will() -> None:
+    """The AprilTag library corrupts the heap when it frees its families by itself."""
+    for _ in range(10):
+        CameraDetector([BOARDS["tag25h9"]], SMALL, NOISE).find([image(np.zeros((480, 640), np.uint8))])
