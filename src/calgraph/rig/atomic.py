@@ -23,12 +23,11 @@ def replacing(path: Path) -> Iterator[Path]:
     if not path.parent.is_dir():
         raise InputError(f"{path}: its folder does not exist")
     # Same folder, hence same file system: the rename is then one step for everybody who looks.
-    temporary = _beside(path)
+    temporary = path.parent / _unfinished(path)
     try:
-        yield temporary
-        temporary.replace(path)
-    except PermissionError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+        with _blamed_on(path):
+            yield temporary
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -41,23 +40,17 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     step. Only the top level is moved: a folder replaces the folder of its name whole.
 
     Raises:
-        InputError: ``path`` is a file, or cannot be made or written to.
+        InputError: ``path`` is a file, or cannot be made or written to; said before the block is entered.
 
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, a folder is to be written there")
-    temporary = _beside(path)
+    with _blamed_on(path):
+        temporary = _folder_for(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.mkdir()
         yield temporary
-        if path.exists():
-            for entry in sorted(temporary.iterdir()):
-                _move(entry, path / entry.name)
-        else:
-            temporary.rename(path)
-    except PermissionError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+        with _blamed_on(path):
+            _hand_over(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -68,11 +61,36 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def _folder_for(path: Path) -> Path:
+    """An empty folder on the file system of ``path``: inside it if it exists (it may be a mount point)."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = (path if path.exists() else path.parent) / _unfinished(path)
+    temporary.mkdir()
+    return temporary
+
+
+def _hand_over(temporary: Path, path: Path) -> None:
+    if path.exists():
+        for entry in sorted(temporary.iterdir()):
+            _move(entry, path / entry.name)
+    else:
+        temporary.rename(path)
+
+
 def _move(source: Path, target: Path) -> None:
     if target.is_dir() and not target.is_symlink():
         shutil.rmtree(target)
     source.replace(target)
 
 
-def _beside(path: Path) -> Path:
-    return path.parent / f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+def _unfinished(path: Path) -> str:
+    return f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+
+
+@contextmanager
+def _blamed_on(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
