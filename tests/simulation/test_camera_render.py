@@ -38,7 +38,7 @@ def test_checkerboard_corners_are_where_the_lens_projects_them(lens: str, rng: n
     room, board = darkroom(camera, T_WORLD_CAMERA, (), rng), printed(CHECKERBOARD)
     grid = np.stack(np.meshgrid((np.arange(9) - 4) * 0.1, (np.arange(6) - 2.5) * 0.1), axis=-1).reshape(-1, 2)
     errors = []
-    for stance in draw_stances(rng, np.radians([-20, -5, 15]).tolist(), [1.5, 2.2], 2, np.radians(25), (0.8, 1.0)):
+    for stance in draw_stances(rng, np.radians([-20, -5, 15]).tolist(), [1.5, 2.2], 1, np.radians(25), (0.8, 1.0)):
         image = cv2.convertScaleAbs(render(room, board_pose(stance), board, (), 0.6))
         T_camera_board = se3.inverse(T_WORLD_CAMERA) @ board_pose(stance)
         pixels = camera.project(se3.apply(T_camera_board, np.pad(grid, ((0, 0), (0, 1)))))
@@ -46,7 +46,7 @@ def test_checkerboard_corners_are_where_the_lens_projects_them(lens: str, rng: n
         # The search starts off the truth, so that finding it is the image's merit.
         start = (pixels + 0.3).astype(np.float32).reshape(-1, 1, 2)
         errors.append(cv2.cornerSubPix(image, start, (5, 5), (-1, -1), (3, 50, 1e-4)).reshape(-1, 2) - pixels)
-    assert len(np.concatenate(errors)) > 450
+    assert len(np.concatenate(errors)) > 250
     assert np.concatenate(errors).mean(axis=0) == pytest.approx([0, 0], abs=0.01)
 
 

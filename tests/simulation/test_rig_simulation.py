@@ -76,7 +76,7 @@ def test_measurements_do_not_depend_on_what_else_is_measured() -> None:
 
 
 def test_every_sensor_measures_twice_in_every_hold() -> None:
-    for capture in captures(RigScenario(**{**SMALL.model_dump(), "samples": 3})):
+    for capture in captures(SMALL.model_copy(update={"samples": 3})):
         assert {name: len(m) for name, m in capture.messages.items()} == dict.fromkeys(capture.messages, 2)
 
 
@@ -90,7 +90,7 @@ def test_measurements_lie_in_their_hold_in_full() -> None:
 
 def test_lidar_sees_the_board_where_the_truth_puts_it() -> None:
     exact = SpinningKnobs(range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
-    stage = set_stage(RigScenario(**{**SMALL.model_dump(), "spinning": exact}), 0)
+    stage = set_stage(SMALL.model_copy(update={"spinning": exact}), 0)
     for capture in simulate_captures(stage, sensors=["lidar"]):
         (cloud, _) = capture.messages["lidar"]
         assert isinstance(cloud, PointCloud)
@@ -103,7 +103,7 @@ def test_lidar_sees_the_board_where_the_truth_puts_it() -> None:
 
 def test_lasers_see_the_board_where_the_truth_puts_it() -> None:
     exact = LaserKnobs(count=3, range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
-    stage = set_stage(RigScenario(**{**SMALL.model_dump(), "laser": exact}), 0)
+    stage = set_stage(SMALL.model_copy(update={"laser": exact}), 0)
     poses = truth_of(stage).T_root_sensor
     for capture in simulate_captures(stage, sensors=["laser_front"]):
         scan = capture.messages["laser_front"][0]
@@ -111,6 +111,18 @@ def test_lasers_see_the_board_where_the_truth_puts_it() -> None:
         T_board_laser = se3.inverse(capture.board.T_root_board) @ poses["laser_front"]
         x, y, z = se3.apply(T_board_laser, scan.points[scan.valid]).T
         assert ((np.abs(x) < 0.6) & (np.abs(y) < 0.45) & (np.abs(z) < 1e-9)).sum() > 60
+
+
+def test_multibeam_lidar_reports_the_ring_and_time_of_every_point() -> None:
+    spinning, multibeam = SpinningKnobs(count=0), MultibeamKnobs(count=1, rings=16, resolution=1.0)
+    stage = set_stage(SMALL.model_copy(update={"spinning": spinning, "multibeam": multibeam}), 0)
+    capture = next(simulate_captures(stage, sensors=["lidar"]))
+    cloud = capture.messages["lidar"][0]
+    assert isinstance(cloud, PointCloud)
+    assert cloud.rings is not None
+    assert cloud.times is not None
+    assert set(cloud.rings.tolist()) == set(range(16))
+    assert 0.09 < cloud.times[-1] < 0.1
 
 
 def test_background_is_measured_without_the_board() -> None:
@@ -121,7 +133,7 @@ def test_background_is_measured_without_the_board() -> None:
 
 
 def test_disturbed_captures_have_the_stated_share_and_are_marked() -> None:
-    stage = set_stage(RigScenario(**{**SMALL.model_dump(), "samples": 10, "disturbed": 0.2}), 0)
+    stage = set_stage(SMALL.model_copy(update={"samples": 10, "disturbed": 0.2}), 0)
     assert sum(b.disturbed for b in truth_of(stage).boards) == 4
 
 
@@ -152,7 +164,7 @@ def test_robot_can_have_any_number_of_sensors() -> None:
 
 def test_unknown_root_is_named() -> None:
     with pytest.raises(InputError, match="root 'imu' is not a sensor of this robot; it has camera, lidar"):
-        set_stage(RigScenario(**{**SMALL.model_dump(), "root": "imu"}), 0)
+        set_stage(SMALL.model_copy(update={"root": "imu"}), 0)
 
 
 def test_recording_comes_with_rig_and_truth(tmp_path: Path) -> None:
@@ -177,7 +189,7 @@ def test_recording_has_every_topic_and_a_trigger_for_each_capture(tmp_path: Path
 
 
 def test_recording_without_trigger_says_so_in_its_rig(tmp_path: Path) -> None:
-    simulate_rig(RigScenario(**{**SMALL.model_dump(), "trigger": False}), tmp_path)
+    simulate_rig(SMALL.model_copy(update={"trigger": False}), tmp_path)
     assert load_rig(tmp_path / "rig.yaml").capture.trigger is None
     with Reader(tmp_path / "recording") as reader:
         assert "/trigger" not in {c.topic for c in reader.connections}

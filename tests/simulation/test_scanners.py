@@ -61,11 +61,11 @@ def test_range_noise_has_the_stated_deviation(rng: np.random.Generator) -> None:
 def test_angle_noise_moves_ranges_on_a_slanted_wall(rng: np.random.Generator) -> None:
     pattern = laser_pattern(np.radians(130), np.radians(1), 0.025)
     noise = BeamNoise(range=0.0, angle=0.002, mixed=0.0, dropout=0.0, min_range=0.1, max_range=30.0)
-    ranges = many(pattern, unchanging(wall(2.0)), noise, 4000, rng)
+    ranges = many(pattern, unchanging(wall(2.0)), noise, 1500, rng)
     slanted = np.abs(pattern.angles) > np.radians(20)
     # r = 2 / cos(a), so dr/da = r tan(a).
     expected = (0.002 * 2.0 / np.cos(pattern.angles) * np.abs(np.tan(pattern.angles)))[slanted]
-    assert ranges.std(axis=0)[slanted] == pytest.approx(expected, rel=0.06)
+    assert ranges.std(axis=0)[slanted] == pytest.approx(expected, rel=0.1)
 
 
 def test_dropouts_have_the_stated_share(rng: np.random.Generator) -> None:

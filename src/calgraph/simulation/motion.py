@@ -8,7 +8,7 @@ import numpy as np
 from calgraph.geometry import Array, se3, so3
 
 _DISTURBANCE_TIME = 0.3
-"""How long the board takes to slip in a disturbed hold, s."""
+"""How long the board takes to slip in a disturbed hold, s; less in a hold that is over before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ def schedule(
         knots.append((start, stance))
         if slipped is not None:
             middle = (start + time) / 2
-            knots += [(middle, stance), (middle + _DISTURBANCE_TIME, slipped)]
+            knots += [(middle, stance), (min(middle + _DISTURBANCE_TIME, (middle + time) / 2), slipped)]
         knots.append((time, slipped or stance))
     return Timeline(np.array([t for t, _ in knots]), tuple(s for _, s in knots), tuple(holds), time)
 

@@ -83,7 +83,7 @@ def spinning_pattern(
     """A 2-D scanner that spins about the vertical axis (MSG-Cal, section VI-D and Fig. 4).
 
     With no tilt and offset the scanner's forward axis points up the axis of rotation and its scan plane is
-    vertical. It keeps turning while it scans, so each beam has its own azimuth.
+    vertical. It keeps turning while it scans, so each beam has its own azimuth. Every sweep starts at azimuth 0.
 
     Args:
         laser: the beams of the 2-D scanner.
@@ -94,7 +94,8 @@ def spinning_pattern(
         scan_angle: that a whole sweep turns, rad.
 
     """
-    scans = max(1, round(np.degrees(scan_angle) * scans_per_degree))
+    # Whole scans that fit into the sweep; the small number makes up for rounding of the angle.
+    scans = max(1, int(np.degrees(scan_angle) * scans_per_degree + 1e-9))
     speed = np.radians(1 / scans_per_degree) / scan_period
     times = (np.arange(scans)[:, None] * scan_period + laser.times).ravel()
     # At azimuth 0 the scanner's x is up and its y is the spin frame's y: its normal z then points backwards.
