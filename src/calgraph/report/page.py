@@ -1,0 +1,62 @@
+"""report.html: one page, which needs nothing else, on what was found and how far it can be relied on."""
+
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from plotly.offline import get_plotlyjs
+
+from calgraph.report.capture_view import captures
+from calgraph.report.graph_view import edge_table, graph
+from calgraph.report.pose_table import pose_table
+from calgraph.report.residual_view import histograms
+from calgraph.report.rig_view import rig_view
+from calgraph.report.text import counted, escaped
+from calgraph.report.verdicts import cards, headline
+from calgraph.result import Calibration
+from calgraph.rig import Rig, write_text
+
+
+def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
+    """Writes the report as one self-contained HTML file, in one step.
+
+    Args:
+        calibration: what was found.
+        rig: what was asked for; a camera's intrinsics, where it states them, shape the camera's view.
+        path: the file, e.g. ``OUT/report.html``.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+
+    """
+    write_text(path, report_html(calibration, rig))
+
+
+def report_html(calibration: Calibration, rig: Rig) -> str:
+    """The text of the report."""
+    return Template(_part("page.html")).substitute(
+        title=escaped(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
+        headline=escaped(headline(calibration)),
+        facts=_facts(calibration),
+        root=escaped(calibration.root),
+        cards=cards(calibration),
+        graph=graph(calibration),
+        edges=edge_table(calibration),
+        poses=pose_table(calibration),
+        residuals=histograms(calibration),
+        view=rig_view(calibration, rig),
+        captures=captures(calibration),
+        style=_part("style.css"),
+        plotly=get_plotlyjs(),
+        script=_part("page.js"),
+    )
+
+
+def _part(name: str) -> str:
+    return files("calgraph.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _facts(calibration: Calibration) -> str:
+    count = len({row.capture for row in calibration.captures})
+    facts = [f"root {calibration.root}", counted(count, "capture"), f"estimator {calibration.estimator}"]
+    return " · ".join(map(escaped, facts))

@@ -1,0 +1,154 @@
+"""A rig of five sensors as a user may have it, and an ugly one."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array, se3
+from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose, Verdict
+from calgraph.rig import Rig
+
+FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+"""Rotation of a camera that looks along the robot's x."""
+
+
+def sigma(translation: float, rotation: float) -> Array:
+    covariance: Array = np.diag([translation**2] * 3 + [rotation**2] * 3)
+    return covariance
+
+
+def rig_of(sensors: dict[str, str]) -> Rig:
+    entries: dict[str, Any] = {
+        name: {"kind": kind, "topic": f"/{i}"} for i, (name, kind) in enumerate(sensors.items())
+    }
+    intrinsics = {"width": 1280, "height": 720, "K": [900.0, 900.0, 640.0, 360.0]}
+    entries = {n: e | ({"intrinsics": intrinsics} if e["kind"] == "camera" else {}) for n, e in entries.items()}
+    target = {"kind": "board", "size": [1.0, 0.8], "tags": [{"id": 3, "size": 0.3}]}
+    return Rig.model_validate({"root": next(iter(sensors)), "target": target, "sensors": entries})
+
+
+SENSORS = {
+    "lidar": "lidar3d",
+    "camera": "camera",
+    "camera_rear": "camera",
+    "laser": "lidar2d",
+    "laser_low": "lidar2d",
+}
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return rig_of(SENSORS)
+
+
+@pytest.fixture
+def calibration(rng: np.random.Generator) -> Calibration:
+    turn = np.diag([-1.0, -1, 1])
+    poses = {
+        "lidar": np.eye(4),
+        "camera": se3.pose(FORWARD, np.array([0.21, 0.06, -0.12])),
+        "camera_rear": se3.pose(turn @ FORWARD, np.array([-0.25, -0.04, -0.1])),
+        "laser": se3.pose(np.eye(3), np.array([0.3, 0.0, -0.45])),
+        "laser_low": se3.pose(turn, np.array([-0.32, 0.02, -0.6])),
+    }
+    parents = {"camera": "lidar", "camera_rear": "lidar", "laser": "lidar", "laser_low": "laser"}
+    covariances = {
+        "lidar": np.zeros((6, 6)), "camera": sigma(0.0016, 0.0006), "camera_rear": sigma(0.0024, 0.0009),
+        "laser": sigma(0.0031, 0.0011), "laser_low": np.diag([4e-6, 5e-6, 6.4e-3, 2e-4, 3e-4, 1e-6]),
+    }  # fmt: skip
+    weak = Verdict(
+        "weak",
+        "height (z) is known to ± 80 mm only: hold the board leaning, so that the scan crosses its slanted edges",
+    )
+    sensors = tuple(
+        SensorPose(name, parents.get(name), f"{name}_link", SENSORS[name], poses[name], covariances[name],  # type: ignore[arg-type]
+                   weak if name == "laser_low" else Verdict("good"),
+                   clock_offset=0.0123 if name == "camera" else None,
+                   clock_offset_stddev=0.0004 if name == "camera" else None)
+        for name in SENSORS
+    )  # fmt: skip
+
+    def edge(a: str, b: str, n: int, kept: int, tree: bool, rms: float, note: str = "") -> Edge:
+        return Edge(a, b, n, kept, tree, rng.normal(0, rms, kept), note)
+
+    edges = (
+        edge("lidar", "camera", 41, 40, True, 0.0039),
+        edge("lidar", "camera_rear", 28, 27, True, 0.0046),
+        edge("lidar", "laser", 33, 29, True, 0.0071),
+        edge("laser", "laser_low", 12, 11, True, 0.0093),
+        edge("camera", "laser", 30, 28, False, 0.0065),
+        edge("lidar", "laser_low", 14, 9, False, 0.011),
+        edge("camera", "laser_low", 3, 0, False, 0.0, "needs 5 captures, has 3"),
+        edge("camera", "camera_rear", 0, 0, False, 0.0, "never saw the board in the same capture"),
+    )
+    reasons = {
+        "camera": ["no tag found in any image", "board not at rest: tags moved by 4.1 pixels"],
+        "camera_rear": ["no tag found in any image"],
+        "lidar": ["no plane patch of the board's size after background subtraction"],
+        "laser": ["the scan plane misses the board", "line too short: 0.21 m"],
+        "laser_low": ["the scan plane misses the board"],
+    }
+    chance = {"lidar": 0.95, "camera": 0.85, "camera_rear": 0.55, "laser": 0.65, "laser_low": 0.25}
+    captures = []
+    for n in range(48):
+        for name in SENSORS:
+            used = bool(rng.random() < chance[name])
+            reason = "" if used else str(rng.choice(reasons[name]))
+            start = 6.0 + 3.4 * n
+            captures.append(
+                CaptureRow(n, start, start + 2, name, used, reason, abs(rng.normal(0, 0.005)) if used else None)
+            )
+    outlines = []
+    for n in range(48):
+        bearing, radius = rng.uniform(-np.pi, np.pi), rng.uniform(1.5, 4)
+        center = np.array([radius * np.cos(bearing), radius * np.sin(bearing), rng.uniform(-0.5, 0.3)])
+        right = np.array([-np.sin(bearing), np.cos(bearing), 0])
+        up = np.array([0, 0, 1]) + rng.normal(0, 0.2, 3)
+        corners = [center + 0.5 * x * right + 0.4 * y * up for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        outlines.append(BoardOutline(n, np.array(corners)))
+    residuals = {
+        "camera corners": rng.normal(0, 1.02, 3000),
+        "plane-point 3-D": rng.standard_t(5, 9000),
+        "plane-point 2-D": rng.normal(0, 0.8, 1200),
+    }
+    return Calibration("lidar", sensors, edges, tuple(captures), {}, residuals, tuple(outlines), "bundle")
+
+
+EVIL = '<script>alert("1")</script> & <b>ümläut</b> 前 $root </style>'
+
+
+@pytest.fixture
+def ugly() -> Calibration:
+    """Names with markup, a root with a long name, infinite and NaN numbers, sensors without a pose or captures."""
+    root = "a_very_long_name_of_a_sensor_that_goes_on_and_on_and_on"
+    lost = np.diag([1e6, np.inf, 1e-6, 10.0, 1e-6, 1e-6])
+    sensors = (
+        SensorPose(root, None, "x" * 80, "lidar2d", np.eye(4), np.zeros((6, 6)), Verdict("good")),
+        SensorPose(EVIL, root, EVIL, "camera", se3.pose(np.eye(3), np.array([1e-9, -2, 30.0])), lost,
+                   Verdict("unobservable", f"x and y are not observable {EVIL}")),
+        SensorPose("", EVIL, "", "lidar3d", np.eye(4), np.full((6, 6), np.nan), Verdict("weak")),
+    )  # fmt: skip
+    edges = (
+        Edge(root, EVIL, 4, 4, True, np.array([np.nan, np.inf, 0.1, 2.0]), EVIL),
+        Edge(EVIL, "", 2, 0, False, np.empty(0), EVIL),
+        Edge(root, "gone", 2, 0, False, np.empty(0), "an edge to a sensor without a pose"),
+    )
+    captures = (
+        CaptureRow(-1, np.nan, np.inf, EVIL, False, EVIL),
+        CaptureRow(7, 0.0, 1e9, "never heard of", True, "", np.nan),
+    )
+    residuals = {
+        EVIL: np.array([np.nan, 1.0, -2, 900]), "empty": np.empty(0), "all nan": np.full(3, np.nan),
+        "zero": np.zeros(4),
+    }  # fmt: skip
+    outlines = (BoardOutline(0, np.full((4, 3), np.nan)),)
+    return Calibration(root, sensors, edges, captures, {"gone": EVIL, EVIL + "2": ""}, residuals, outlines, EVIL)
+
+
+@pytest.fixture
+def bare() -> Calibration:
+    """A root and nothing else."""
+    return Calibration(
+        "lidar", (SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), np.zeros((6, 6)), Verdict("good")),)
+    )

@@ -1,0 +1,244 @@
+"""The report: one page that needs nothing else, says what was found first, and stands any text and number."""
+
+import dataclasses
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calgraph.errors import InputError
+from calgraph.report import write_report
+from calgraph.report.page import report_html
+from calgraph.result import Calibration, CaptureRow, Edge, Verdict
+from calgraph.rig import Rig
+
+VOID = {"meta", "br", "input", "link", "img"}
+
+
+class Page(HTMLParser):
+    """What a browser finds in the page: elements with their attributes, and the text outside of scripts."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.open: list[str] = []
+        self.mismatches: list[str] = []
+        self.figures: dict[str, dict[str, Any]] = {}
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open.pop() != tag:
+            self.mismatches.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            name = self.elements[-1][1].get("data-for")
+            if name is not None:
+                self.figures[name] = json.loads(data)
+        elif self.open and self.open[-1] != "style":
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.text).split())
+
+    def count(self, tag: str, css: str) -> int:
+        return sum(t == tag and css in (a.get("class") or "").split() for t, a in self.elements)
+
+
+@pytest.fixture
+def page(calibration: Calibration, rig: Rig) -> Page:
+    return Page(report_html(calibration, rig))
+
+
+def test_the_file_is_written_whole_and_below_6_mb(calibration: Calibration, rig: Rig, tmp_path: Path) -> None:
+    write_report(calibration, rig, tmp_path / "report.html")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert (tmp_path / "report.html").stat().st_size < 6e6
+
+
+def test_a_missing_folder_is_named(calibration: Calibration, rig: Rig, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="its folder does not exist"):
+        write_report(calibration, rig, tmp_path / "none" / "report.html")
+
+
+def test_nothing_is_loaded_from_elsewhere(page: Page) -> None:
+    loading = {"src", "href", "xlink:href", "srcset", "data", "action"}
+    addresses = [v for _, attributes in page.elements for k, v in attributes.items() if k in loading]
+    assert all(address is not None and address.startswith("#") for address in addresses)
+
+
+def test_styles_load_nothing(calibration: Calibration, rig: Rig) -> None:
+    (style,) = re.findall(r"<style>(.*?)</style>", report_html(calibration, rig), flags=re.DOTALL)
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_plotly_is_in_the_page_once(calibration: Calibration, rig: Rig) -> None:
+    assert len(re.findall(r"\* plotly\.js v", report_html(calibration, rig))) == 1
+
+
+@pytest.mark.parametrize("which", ["calibration", "ugly", "bare"])
+def test_elements_are_nested_well(which: str, rig: Rig, request: pytest.FixtureRequest) -> None:
+    page = Page(report_html(request.getfixturevalue(which), rig))
+    assert (page.mismatches, page.open) == ([], [])
+
+
+def test_every_link_within_the_page_has_its_target(page: Page) -> None:
+    ids = [a["id"] for _, a in page.elements if "id" in a]
+    assert len(ids) == len(set(ids))
+    assert {a["href"] for t, a in page.elements if t == "a"} <= {f"#{name}" for name in ids}
+
+
+def test_every_figure_has_its_place(page: Page) -> None:
+    ids = {a.get("id") for _, a in page.elements}
+    assert set(page.figures) <= ids
+    assert {"rig", "captures", "residuals-0", "residuals-2"} <= set(page.figures)
+
+
+def test_the_headline_says_how_it_went(page: Page) -> None:
+    assert "Of 4 sensors besides the root: 3 calibrated well, 1 weak." in page.words
+
+
+def test_a_good_result_is_called_so(calibration: Calibration, rig: Rig) -> None:
+    good = tuple(dataclasses.replace(s, verdict=Verdict("good")) for s in calibration.sensors)
+    html = report_html(dataclasses.replace(calibration, sensors=good), rig)
+    assert "<h1>Every sensor is calibrated well.</h1>" in html
+
+
+def test_sensors_that_need_attention_come_first(page: Page) -> None:
+    cards = page.words[: page.words.index("Sensor graph A line")]
+    assert cards.index("laser_low") < cards.index("camera")
+    assert "Height (z) is known to ± 80 mm only: hold the board leaning" in cards
+
+
+def test_cards_state_the_worst_deviation(page: Page) -> None:
+    assert "2-D scanner · σ 80 mm, 0.99° in the worst direction" in page.words
+
+
+def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibration, rig: Rig) -> None:
+    lost = dataclasses.replace(calibration, unconnected={"sonar": "saw no board at all"})
+    page = Page(report_html(lost, rig))
+    assert "sonar ✕ not connected no pose Saw no board at all" in page.words
+    assert "1 not connected." in page.words
+
+
+def test_a_verdict_without_words_still_says_what_to_do(calibration: Calibration, rig: Rig) -> None:
+    sensors = (calibration.sensors[0], dataclasses.replace(calibration["laser"], verdict=Verdict("unobservable")))
+    page = Page(report_html(dataclasses.replace(calibration, sensors=sensors), rig))
+    assert "Do not use this pose. Record captures in which the board is tilted" in page.words
+
+
+def test_the_pose_table_has_positions_rotations_and_deviations(page: Page) -> None:
+    assert (
+        "0.2100 ± 1.6 mm 0.0600 ± 1.6 mm −0.1200 ± 1.6 mm −90.000° 0.000° −90.000° 0.034° 0.034° 0.034°"
+        in page.words
+    )
+
+
+def test_the_pose_table_has_the_clock_offset(page: Page) -> None:
+    assert "12.30 ms ± 0.40 ms" in page.words
+
+
+def test_tree_edges_are_bold_and_failed_ones_dashed(page: Page) -> None:
+    assert (page.count("line", "tree"), page.count("line", "other"), page.count("line", "failed")) == (4, 2, 1)
+
+
+def test_edges_carry_captures_and_residuals(calibration: Calibration, rig: Rig) -> None:
+    edge = Edge("lidar", "camera", 41, 40, True, np.full(40, 0.0039))
+    page = Page(report_html(dataclasses.replace(calibration, edges=(edge,)), rig))
+    assert "40 of 41 · 3.9 mm" in page.words
+
+
+def test_pairs_that_could_not_be_used_say_why(page: Page) -> None:
+    assert "camera – laser_low 3 0 – needs 5 captures, has 3" in page.words
+
+
+def test_histograms_hold_every_residual(page: Page, calibration: Calibration) -> None:
+    for i, values in enumerate(calibration.residuals.values()):
+        assert sum(page.figures[f"residuals-{i}"]["data"][0]["y"]) == values.size
+
+
+def test_histograms_say_what_they_left_out(ugly: Calibration, rig: Rig) -> None:
+    page = Page(report_html(ugly, rig))
+    assert "3 residuals · RMS 520 · 1 beyond ±5, in the outer bars · 1 not finite, left out" in page.words
+
+
+def test_a_result_read_back_shows_its_rms(calibration: Calibration, rig: Rig) -> None:
+    read_back = dataclasses.replace(calibration, residuals={}, residual_rms={"plane-plane": 1.034})
+    page = Page(report_html(read_back, rig))
+    assert "Only the root mean squares of the residuals are known: plane-plane 1.03." in page.words
+
+
+def test_the_matrix_has_a_cell_for_each_sensor_and_capture(page: Page, calibration: Calibration) -> None:
+    cells = np.array(page.figures["captures"]["data"][0]["z"])
+    assert cells.shape == (5, 48)
+    assert np.sum(cells == 2) == sum(row.used for row in calibration.captures)
+
+
+def test_the_matrix_tells_why_on_hover(page: Page, calibration: Calibration) -> None:
+    row = next(row for row in calibration.captures if row.sensor == "laser" and not row.used)
+    words = page.figures["captures"]["data"][0]["text"][3][row.capture]
+    assert (
+        words
+        == f"<b>laser</b>, capture {row.capture}, {row.start:.1f} – {row.end:.1f} s<br>not used: {row.reason}"
+    )
+
+
+def test_the_table_lists_every_row(page: Page, calibration: Calibration) -> None:
+    rows = [a for t, a in page.elements if t == "tr" and "data-outcome" in a]
+    assert len(rows) == len(calibration.captures)
+    assert sum(a["data-outcome"] == "used" for a in rows) == sum(row.used for row in calibration.captures)
+
+
+def test_the_commonest_reasons_are_counted(calibration: Calibration, rig: Rig) -> None:
+    rows = [CaptureRow(i, 0.0, 1.0, "laser", i == 0, "" if i == 0 else "misses the board") for i in range(4)]
+    page = Page(report_html(dataclasses.replace(calibration, captures=tuple(rows)), rig))
+    assert "laser 1 of 4 misses the board (3)" in page.words
+
+
+@pytest.mark.parametrize("part", ["captures", "edges", "outlines"])
+def test_parts_may_be_missing(calibration: Calibration, rig: Rig, part: str) -> None:
+    without: Calibration = dataclasses.replace(calibration, **{part: ()})  # type: ignore[arg-type]
+    assert "Verdict" in Page(report_html(without, rig)).words
+
+
+def test_a_root_alone_is_a_page(bare: Calibration, rig: Rig) -> None:
+    words = Page(report_html(bare, rig)).words
+    assert "There is nothing to calibrate" in words
+    assert "There are no captures" in words
+    assert "No two sensors saw the board" in words
+
+
+def test_text_with_markup_is_shown_and_not_run(ugly: Calibration, rig: Rig, bare: Calibration) -> None:
+    evil = Page(report_html(ugly, rig))
+    scripts = sum(tag == "script" for tag, _ in evil.elements) - len(evil.figures)
+    assert scripts == sum(tag == "script" for tag, _ in Page(report_html(bare, rig)).elements) - 1
+    assert '<script>alert("1")</script> & <b>ümläut</b> 前 $root </style>' in evil.words
+
+
+def test_plotly_gets_markup_escaped(ugly: Calibration, rig: Rig) -> None:
+    matrix = Page(report_html(ugly, rig)).figures["captures"]["data"][0]
+    assert matrix["y"][1].startswith("&lt;script&gt;alert")
+    assert "<script" not in json.dumps(matrix)
+
+
+def test_numbers_that_are_none_are_shown_as_such(ugly: Calibration, rig: Rig) -> None:
+    words = Page(report_html(ugly, rig)).words
+    assert "± 1000 m" in words
+    assert "± ∞" in words
+    assert "± ?" in words
+    assert "> 180°" in words
