@@ -3,8 +3,13 @@
 import os
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
+
+# How long one example takes says more of what else the machine does than of the code.
+hypothesis.settings.register_profile("calgraph", deadline=None, max_examples=60)
+hypothesis.settings.load_profile("calgraph")
 
 
 @pytest.fixture

@@ -1,0 +1,116 @@
+"""Start poses along the spanning tree, and the sensors it does not reach."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from calgraph.geometry import Array, se3
+from calgraph.graph import SpanningTree, spanning_tree, unconnected
+from calgraph.pairwise import PairwiseEstimate
+
+TRUTH = {
+    name: se3.retract(np.eye(4), np.array(tangent))
+    for name, tangent in {
+        "lidar": [0, 0, 0, 0, 0, 0],
+        "camera": [0.5, 0.1, -0.2, -1.2, 1.2, -1.2],
+        "laser": [0.3, -0.4, -0.5, 0.1, 0, 3.0],
+        "rear": [-0.6, 0, 0.1, 0, 0, 1.5],
+    }.items()
+}
+
+
+def pair(
+    a: str, b: str, residual: float, captures: int = 10, information: Array | None = None
+) -> PairwiseEstimate:
+    """A true estimate whose inliers all have the residual given, m."""
+    return PairwiseEstimate(
+        sensor_a=a,
+        sensor_b=b,
+        T_a_b=se3.inverse(TRUTH[a]) @ TRUTH[b],
+        information=np.eye(6) * 1e6 if information is None else information,
+        matches=np.column_stack([np.arange(captures), np.zeros((captures, 2), dtype=np.intp)]),
+        inliers=np.ones(captures, dtype=bool),
+        residuals=np.full(captures, residual),
+    )
+
+
+CHAIN = (pair("lidar", "camera", 0.01), pair("camera", "laser", 0.01), pair("laser", "rear", 0.01))
+
+
+def assert_true_poses(tree: SpanningTree) -> None:
+    for name, T in tree.T_root_sensor.items():
+        assert_allclose(T, se3.inverse(TRUTH[tree.root]) @ TRUTH[name], atol=1e-12)
+
+
+def test_poses_are_chained_along_the_tree() -> None:
+    tree = spanning_tree(
+        "lidar", [pair("lidar", "camera", 0.01), pair("camera", "laser", 0.01), pair("laser", "rear", 0.01)]
+    )
+    assert dict(tree.parents) == {"camera": "lidar", "laser": "camera", "rear": "laser"}
+    assert_true_poses(tree)
+
+
+def test_pairs_may_be_given_either_way_round() -> None:
+    tree = spanning_tree("lidar", [pair("camera", "lidar", 0.01), pair("laser", "camera", 0.01)])
+    assert set(tree.T_root_sensor) == {"lidar", "camera", "laser"}
+    assert_true_poses(tree)
+
+
+def test_the_detour_with_less_error_is_taken() -> None:
+    direct = pair("lidar", "laser", 0.03)
+    tree = spanning_tree("lidar", [direct, pair("lidar", "camera", 0.01), pair("camera", "laser", 0.01)])
+    assert tree.parents["laser"] == "camera"
+
+
+def test_weight_is_the_sum_of_squared_errors_over_captures() -> None:
+    many, few = pair("lidar", "laser", 0.01, captures=50), pair("camera", "laser", 0.012, captures=20)
+    tree = spanning_tree("lidar", [many, few, pair("lidar", "camera", 0.001)])
+    assert tree.parents["laser"] == "camera"  # 50 · 0.01² > 20 · 0.012²
+
+
+def test_a_pair_with_an_open_direction_is_avoided_in_spite_of_its_small_error() -> None:
+    hinge = np.diag([1e6, 1e6, 1e6, 1e6, 1e6, 0.0])
+    small = pair("lidar", "laser", 0.0001, information=hinge)
+    tree = spanning_tree("lidar", [small, pair("lidar", "camera", 0.01), pair("camera", "laser", 0.05)])
+    assert tree.parents["laser"] == "camera"
+
+
+def test_a_pair_with_an_open_direction_serves_where_nothing_else_reaches() -> None:
+    hinge = np.diag([1e6, 1e6, 1e6, 1e6, 1e6, 0.0])
+    tree = spanning_tree("lidar", [pair("lidar", "laser", 0.01, information=hinge)])
+    assert tree.parents["laser"] == "lidar"
+
+
+def test_parents_come_before_their_children() -> None:
+    tree = spanning_tree(
+        "rear", [pair("camera", "laser", 0.001), pair("lidar", "camera", 0.001), pair("rear", "lidar", 0.1)]
+    )
+    reached = {tree.root}
+    for child, parent in tree.parents.items():
+        assert parent in reached
+        reached.add(child)
+
+
+@pytest.mark.parametrize("root", list(TRUTH))
+def test_any_sensor_can_be_the_root(root: str) -> None:
+    tree = spanning_tree(root, CHAIN)
+    assert_allclose(tree.T_root_sensor[root], np.eye(4))
+    assert_true_poses(tree)
+
+
+def test_sensors_without_a_chain_to_the_root_are_named_in_order() -> None:
+    tree = spanning_tree("lidar", [pair("lidar", "camera", 0.01), pair("laser", "rear", 0.01)])
+    assert unconnected(["rear", "camera", "lidar", "laser"], tree) == ("rear", "laser")
+
+
+def test_without_any_pair_the_root_stands_alone() -> None:
+    tree = spanning_tree("lidar", [])
+    assert set(tree.T_root_sensor) == {"lidar"}
+    assert unconnected(list(TRUTH), tree) == ("camera", "laser", "rear")
+
+
+def test_tree_knows_which_pairs_it_joins() -> None:
+    tree = spanning_tree("lidar", [pair("lidar", "camera", 0.01), pair("camera", "laser", 0.01)])
+    assert tree.joins("lidar", "camera")
+    assert tree.joins("laser", "camera")
+    assert not tree.joins("lidar", "laser")
