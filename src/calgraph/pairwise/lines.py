@@ -1,7 +1,7 @@
 """Matches with a 2-D scanner: plane–line (MSG-Cal, IV.B) and line–line (coplanarity; not in the paper)."""
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,10 @@ class PlaneLine:
     reach: float
     """The board's diagonal: how far apart the two centres may be, m."""
 
-    sample_size: int = 5
+    @property
+    def sample_size(self) -> int:
+        """Five as in the paper; three where the boards' poses leave half of the unknowns open anyway."""
+        return 5 if self._determined else 3
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
         """Minimises the end points' distances to the planes (eq. 4), with no initial estimate.
@@ -66,7 +69,7 @@ class PlaneLine:
         costs = np.stack([cost for _, cost in solutions]) + (0.02 * turned) ** 2
         return np.asarray(np.take_along_axis(poses, costs.argmin(axis=0)[None, :, None, None], axis=0)[0])
 
-    @property
+    @cached_property
     def _determined(self) -> bool:
         """Whether all matches together determine the linear solution."""
         n = np.repeat(self.planes[:, :3], 2, axis=0)
@@ -145,7 +148,7 @@ class LineLine:
         return np.asarray(np.linalg.norm(middle - self.endpoints_a.mean(axis=1), axis=-1) <= self.reach)
 
 
-_STARTS = 12
+_STARTS = 4
 # Sine of the angle between scan planes below which coplanarity says nothing of their pose.
 _PARALLEL = 0.05
 
