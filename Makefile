@@ -1,0 +1,48 @@
+# Everything happens in .venv; each target does its own set-up. See CONTRIBUTING.md.
+#
+# Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check format requirements clean
+
+BIN := .venv/bin
+READY := .venv/.ready
+# pip asks no questions, and looks for no newer self.
+export PIP_NO_INPUT := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+help:  ## say what there is
+	@grep -hE '^[a-z]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*  ## (.*)/make \1\t\2/' | expand -t 20
+
+setup: $(READY)  ## make .venv with calgraph and all tools in it
+
+demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in demo/
+	$(BIN)/calgraph demo --out demo
+
+test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
+	$(BIN)/python -m pytest $(ARGS)
+
+check: $(READY)  ## lint, format, types, and who may import whom
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy src tests
+	$(BIN)/lint-imports
+
+format: $(READY)  ## put all code into the format that check asks for
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+requirements: $(READY)  ## pin the newest versions that pyproject.toml allows, with hashes
+	requirements/compile $(BIN)/uv
+
+clean:  ## remove .venv, results of the demo and all caches
+	rm -rf .venv demo build src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+
+# The environment is made anew only when what is pinned has changed; a change of pyproject.toml needs no network.
+.venv/.pinned: requirements/dev.txt requirements/install
+	requirements/install .venv
+	touch $@
+
+$(READY): .venv/.pinned pyproject.toml
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
