@@ -103,7 +103,7 @@ def solve_rig(
     rig: Rig, captured: Captured, options: Options, rng: np.random.Generator, progress: Progress
 ) -> Calibration:
     """From detections to a calibration: every pair, the tree they span, and all sensors jointly."""
-    pairs = _estimate_pairs(rig, captured, rng, progress)
+    pairs = estimate_pairs(rig, captured, rng, progress)
     estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
     tree = spanning_tree(rig.root, estimates)
     joint = solve_hypergraph(tree, estimates, captured.detections, keep=options.keep, start=options.start)
@@ -115,7 +115,8 @@ def solve_rig(
     return assemble(rig, captured, pairs, tree, joint)
 
 
-def _estimate_pairs(rig: Rig, captured: Captured, rng: np.random.Generator, progress: Progress) -> Pairs:
+def estimate_pairs(rig: Rig, captured: Captured, rng: np.random.Generator, progress: Progress) -> Pairs:
+    """Estimates the relative pose of every pair of sensors."""
     names = list(itertools.combinations(rig.sensors, 2))
     seen = captured.detections
     pairs = {}

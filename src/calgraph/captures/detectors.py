@@ -45,10 +45,10 @@ def learn_backgrounds(
         messages = seen.setdefault(by_topic[record.topic], [])
         if len(messages) < _ENOUGH:
             messages.append(record.decode())
-    return {name: _background(messages, rig.sensors[name]) for name, messages in seen.items()}
+    return {name: background_of(messages, rig.sensors[name]) for name, messages in seen.items()}
 
 
-def _background(messages: Sequence[Message], spec: object) -> Background:
+def background_of(messages: Sequence[Message], spec: object) -> Background:
     if isinstance(spec, Lidar2dSpec):
         return ScanBackground.build(as_scans(messages))
     return CloudBackground.build([m for m in messages if isinstance(m, PointCloud)])

@@ -1,0 +1,78 @@
+"""Figure 5 (a–d) of MSG-Cal as tables: pairwise against global, filtered against unfiltered.
+
+    python benchmarks/msg_cal.py --seeds 20
+
+Each seed is another robot, room and walk of 120 captures, a tenth of them disturbed as on a real robot, where
+operators slip. Errors are means over the sensors; tables give mean and standard deviation over the seeds.
+"""
+
+import argparse
+
+import numpy as np
+from simulated import detected, errors
+
+from calgraph.calibrate import estimate_pairs
+from calgraph.detection import Rejected
+from calgraph.geometry import Array
+from calgraph.graph import spanning_tree
+from calgraph.refinement import Joint, solve_hypergraph
+from calgraph.simulation import RigScenario
+
+VARIANTS = ("pairwise", "global", "global, from identity", "global, unfiltered")
+
+
+def main() -> None:
+    """Prints the four tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--disturbed", type=float, default=0.1)
+    arguments = parser.parse_args()
+    scenario = RigScenario(samples=5, disturbed=arguments.disturbed)
+    print(f"{arguments.seeds} seeds of {scenario.captures} captures, {arguments.disturbed:.0%} disturbed")
+    rows = []
+    for seed in range(arguments.seeds):
+        rows.append(run(scenario, seed))
+        print(
+            f"seed {seed}: " + ", ".join(f"{name} {1000 * r[0]:.2f} mm" for name, r in rows[-1].items()),
+            flush=True,
+        )
+    table = {name: np.array([row[name] for row in rows]) for name in VARIANTS}
+    show("(a) mean translation error, mm", table, ("pairwise", "global"), 0, 1000)
+    show("(b) graph error, m²", table, ("pairwise", "global"), 2, 1)
+    show("(c) graph error, m²", table, ("global", "global, unfiltered"), 2, 1)
+    show("(d) mean rotation error, degrees", table, ("pairwise", "global"), 1, 1)
+    print("Other comparisons of section VII")
+    show("    translation error, mm", table, ("global, from identity", "global, unfiltered"), 0, 1000)
+    show("    rotation error, degrees", table, ("global, from identity", "global, unfiltered"), 1, 1)
+
+
+def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float]]:
+    """Mean translation (m) and rotation (degrees) error and graph error (m²) of each variant."""
+    rig, captured, truth = detected(scenario, seed)
+    pairs = estimate_pairs(rig, captured, np.random.default_rng(seed), lambda step, done: None)
+    estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
+    tree = spanning_tree(rig.root, estimates)
+
+    def judge(joint: Joint) -> tuple[float, float, float]:
+        metres, degrees = errors(dict(joint.T_root_sensor), truth)
+        return float(metres.mean()), float(degrees.mean()), joint.graph_error
+
+    seen = captured.detections
+    return {
+        "pairwise": judge(solve_hypergraph(tree, estimates, seen, optimize=False)),
+        "global": judge(solve_hypergraph(tree, estimates, seen)),
+        "global, from identity": judge(solve_hypergraph(tree, estimates, seen, start="identity")),
+        "global, unfiltered": judge(solve_hypergraph(tree, estimates, seen, keep="none")),
+    }
+
+
+def show(title: str, table: dict[str, Array], names: tuple[str, ...], column: int, scale: float) -> None:
+    """Prints mean, standard deviation, median, smallest and largest of one figure."""
+    print(f"\n{title}\n{'':24}{'mean':>10}{'std':>10}{'median':>10}{'min':>10}{'max':>10}")
+    for name in names:
+        v = scale * table[name][:, column]
+        print(f"{name:24}{v.mean():10.4f}{v.std():10.4f}{np.median(v):10.4f}{v.min():10.4f}{v.max():10.4f}")
+
+
+if __name__ == "__main__":
+    main()

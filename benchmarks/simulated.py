@@ -1,0 +1,69 @@
+"""What the benchmarks share: detections of a simulated rig, made in memory or from a recording."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from calgraph.calibrate import capture_board
+from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, detectors, gather
+from calgraph.captures.detectors import background_of
+from calgraph.geometry import Array, se3
+from calgraph.recording import open_recording
+from calgraph.result import Calibration
+from calgraph.rig import CameraSpec, Rig, load_rig
+from calgraph.simulation import (
+    RigScenario,
+    Truth,
+    load_truth,
+    rig_of,
+    set_stage,
+    simulate_background,
+    simulate_captures,
+    simulate_rig,
+    truth_of,
+)
+
+
+def detected(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
+    """Simulates the holds alone, without a recording, and finds the board in them."""
+    stage = set_stage(scenario, seed)
+    rig, truth = rig_of(stage), truth_of(stage)
+    cameras = {s.name: s.camera for s in stage.robot if s.kind == "camera"}
+    backgrounds = {
+        name: background_of(messages, rig.sensors[name])
+        for name, messages in simulate_background(stage).items()
+        if not isinstance(rig.sensors[name], CameraSpec)
+    }
+    detect = detectors(rig, cameras, backgrounds, np.random.default_rng(seed))
+    holds = [Hold(i, board.trigger, board.end) for i, board in enumerate(truth.boards)]
+    observations = [
+        Observation(i, name, detect[name](messages))
+        for i, capture in enumerate(simulate_captures(stage))
+        for name, messages in capture.messages.items()
+    ]
+    never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
+    timeline = Timeline(scenario.start_time, dict.fromkeys(rig.sensors, never), np.zeros(0))
+    return rig, gather(timeline, holds, observations), truth
+
+
+def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
+    """Simulates a whole recording on disc, motion included, and finds captures and board in it."""
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "rig"
+        simulate_rig(scenario, out, seed)
+        rig = load_rig(out / "rig.yaml")
+        with open_recording(out / "recording") as recording:
+            captured = capture_board(rig, recording, np.random.default_rng(seed), lambda step, done: None)
+        return rig, captured, load_truth(out / "truth.yaml")
+
+
+def errors(poses: dict[str, Array], truth: Truth) -> tuple[Array, Array]:
+    """Translation (m) and rotation (degrees) errors of all sensors but the root."""
+    d = np.array([se3.difference(T, truth.T_root_sensor[n]) for n, T in poses.items() if n != truth.root])
+    return np.linalg.norm(d[:, :3], axis=1), np.degrees(np.linalg.norm(d[:, 3:], axis=1))
+
+
+def poses_of(calibration: Calibration) -> dict[str, Array]:
+    """T_root_sensor by sensor."""
+    return {sensor.name: sensor.T_root_sensor for sensor in calibration.sensors}
