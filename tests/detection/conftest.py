@@ -40,8 +40,7 @@ def _render(
     contrast: float = 0.7,
     background: int = 90,
 ) -> Gray:
-    undistorted = camera.model == "pinhole" and not camera.distortion.any()
-    fine, scale = 3 if undistorted else 2, _PER_METRE
+    fine, scale = 2, _PER_METRE
     sheet = _print(board)
     # Sheet pixel (0, 0) has its centre half a pixel inside the top left corner of the sheet.
     width, height = board.size
@@ -49,7 +48,7 @@ def _render(
         [[1 / scale, 0, -width / 2 + 0.5 / scale], [0, -1 / scale, height / 2 - 0.5 / scale], [0, 0, 1]]
     )
     size = (fine * camera.width, fine * camera.height)
-    if undistorted:
+    if camera.model == "pinhole" and not camera.distortion.any():
         # Centres of coarse pixels lie between the centres of their fine ones.
         fine_pixel = np.array([[fine, 0, (fine - 1) / 2], [0, fine, (fine - 1) / 2], [0, 0, 1]])
         H = fine_pixel @ camera.K @ T_camera_board[:3, [0, 1, 3]] @ board_sheet

@@ -231,7 +231,8 @@ def _averaged(sightings: Sequence[Marks], tolerance: float) -> Marks | Rejected:
         return Rejected(f"board moved between images: its corners by {2 * shift.max():.1f} px")
     # A mark that jumps while the board rests was misread in that image.
     pixels[(away > tolerance).any(axis=-1)] = np.nan
-    return Marks(ids, np.nanmean(pixels, axis=0))
+    steady = np.isfinite(pixels).all(axis=(2, 3)).any(axis=0)
+    return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
 
 
 def _with_finders(boards: Sequence[Board]) -> tuple[_Printed, ...]:
