@@ -33,6 +33,10 @@ _MAX_GAP = 0.12
 # A cut that bulges by more than this, m, is a body.
 _BULGE = 0.01
 _FREE_END = 0.10
+# Beams whose mean tells whether an end of the line is bent.
+_BLOCK = 5
+# Scanners bend a straight board by this much, m.
+_SYSTEMATIC = 0.006
 _Z_VARIANCE = 1e-8
 
 
@@ -161,6 +165,7 @@ def _refit(scan: MergedScan, beams: Indices, start: Array) -> _Line | None:
     """The line by least squares in range; beams that disagree with it are dropped, at the ends too."""
     if len(beams) < _MIN_POINTS:
         return None
+    beams = _without_bent_ends(scan, beams, start)
     # An end beam may have hit the edge and averaged board and background: it sets the end but not the line.
     core = beams[1:-1] if len(beams) >= 2 * _MIN_POINTS else beams
     fit = fit_line(scan.angles[core], scan.ranges[core], scan.sigma_range[core], scan.sigma_angle[core], start)
@@ -172,6 +177,40 @@ def _refit(scan: MergedScan, beams: Indices, start: Array) -> _Line | None:
     kept = beams[agrees]
     s = _along(scan.angles[kept[[0, -1]]], fit.parameters)
     return _Line(kept, fit, float(abs(s[1] - s[0])))
+
+
+def _without_bent_ends(scan: MergedScan, beams: Indices, start: Array) -> Indices:
+    """Drops the ends of a stretch that leave the line through its middle: legs, hands, corners beside the board.
+
+    Each of their beams lies within the noise; their means, over a block of beams, do not.
+    """
+    blocks = np.array_split(beams, len(beams) // _BLOCK) if len(beams) >= 5 * _BLOCK else []
+    outer = len(blocks) // 5
+    if not outer:
+        return beams
+    middle = np.concatenate(blocks[outer:-outer])
+    fit = fit_line(
+        scan.angles[middle], scan.ranges[middle], scan.sigma_range[middle], scan.sigma_angle[middle], start
+    )
+    if fit is None:
+        return beams
+    straight = [_is_on(scan, block, fit) for block in blocks]
+    first, last = 0, len(blocks)
+    for i in range(outer):
+        first = i + 1 if not straight[i] else first
+        last = len(blocks) - i - 1 if not straight[-1 - i] else last
+    return np.concatenate(blocks[first:last])
+
+
+def _is_on(scan: MergedScan, block: Indices, fit: Fit) -> bool:
+    """Whether a block of beams lies on a line on average, as far as the line is known there."""
+    angle, p = fit.parameters
+    cosine = np.cos(scan.angles[block] - angle)
+    offset = float(np.median(scan.ranges[block] * cosine - p))
+    s = float(np.mean(_along(scan.angles[block], fit.parameters)))
+    J = np.array([-s, 1.0])
+    own = fit.scale * float(np.mean(scan.sigma_range[block] * cosine)) * np.sqrt(np.pi / 2 / len(block))
+    return abs(offset) < max(_SYSTEMATIC, 3 * float(np.sqrt(own**2 + J @ fit.covariance @ J)))
 
 
 def _residuals(scan: MergedScan, beams: Indices, line: Array) -> Array:
