@@ -9,7 +9,6 @@ operators slip. Errors are means over the sensors; tables give mean and standard
 import argparse
 
 import numpy as np
-from simulated import detected, errors
 
 from calgraph.calibrate import estimate_pairs
 from calgraph.detection import Rejected
@@ -17,6 +16,7 @@ from calgraph.geometry import Array
 from calgraph.graph import spanning_tree
 from calgraph.refinement import Joint, solve_hypergraph
 from calgraph.simulation import RigScenario
+from simulated import detected, errors
 
 VARIANTS = ("pairwise", "global", "global, from identity", "global, unfiltered")
 
@@ -49,7 +49,7 @@ def main() -> None:
 def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float]]:
     """Mean translation (m) and rotation (degrees) error and graph error (m²) of each variant."""
     rig, captured, truth = detected(scenario, seed)
-    pairs = estimate_pairs(rig, captured, np.random.default_rng(seed), lambda step, done: None)
+    pairs = estimate_pairs(rig, captured, np.random.default_rng(seed))
     estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
     tree = spanning_tree(rig.root, estimates)
 

@@ -8,10 +8,12 @@ import argparse
 import time
 
 import numpy as np
-from simulated import errors, poses_of, recorded
 
 from calgraph.calibrate import Options, solve_rig
-from calgraph.simulation import RigScenario
+from calgraph.geometry import se3
+from calgraph.result import Calibration
+from calgraph.simulation import RigScenario, Truth
+from simulated import errors, poses_of, recorded
 
 
 def main() -> None:
@@ -27,7 +29,7 @@ def main() -> None:
     for seed in range(arguments.seeds):
         rig, captured, truth = recorded(scenario, seed)
         began = time.perf_counter()
-        calibration = solve_rig(rig, captured, Options(), np.random.default_rng(seed), lambda step, done: None)
+        calibration = solve_rig(rig, captured, Options(), np.random.default_rng(seed))
         seconds = time.perf_counter() - began
         metres, degrees = errors(poses_of(calibration), truth)
         complete = len(calibration.sensors) == len(rig.sensors)
@@ -40,10 +42,8 @@ def main() -> None:
     print(f"{good} of {arguments.seeds} with every sensor within 10 mm and 0.3 degrees")
 
 
-def _nees(calibration, truth) -> float:
+def _nees(calibration: Calibration, truth: Truth) -> float:
     """Mean normalised estimation error squared per degree of freedom: 1 where covariances are honest."""
-    from calgraph.geometry import se3
-
     values = []
     for sensor in calibration.sensors:
         if sensor.parent is not None:

@@ -54,7 +54,7 @@ def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
         simulate_rig(scenario, out, seed)
         rig = load_rig(out / "rig.yaml")
         with open_recording(out / "recording") as recording:
-            captured = capture_board(rig, recording, np.random.default_rng(seed), lambda step, done: None)
+            captured = capture_board(rig, recording, np.random.default_rng(seed))
         return rig, captured, load_truth(out / "truth.yaml")
 
 

@@ -32,6 +32,10 @@ Progress = Callable[[str, float], None]
 """Called with the name of the step under way and how much of it is done, 0..1."""
 
 
+def silent(_step: str, _done: float) -> None:
+    """Progress for nobody."""
+
+
 @dataclass(frozen=True)
 class Options:
     """How to calibrate."""
@@ -44,7 +48,7 @@ class Options:
     """Of the random samples; the same seed gives the same result."""
 
 
-def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress) -> Calibration:
+def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
     """Calibrates a robot's sensors from one recording of a board carried around it (MSG-Cal).
 
     Args:
@@ -65,7 +69,9 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
     return solve_rig(rig, captured, options, rng, progress)
 
 
-def capture_board(rig: Rig, recording: Recording, rng: np.random.Generator, progress: Progress) -> Captured:
+def capture_board(
+    rig: Rig, recording: Recording, rng: np.random.Generator, progress: Progress = silent
+) -> Captured:
     """Finds the times at which the board rests, and the board in what every sensor measured then."""
     cameras = read_cameras(rig, recording)
     topics = {name: spec.topic for name, spec in rig.sensors.items()}
@@ -100,7 +106,7 @@ def capture_board(rig: Rig, recording: Recording, rng: np.random.Generator, prog
 
 
 def solve_rig(
-    rig: Rig, captured: Captured, options: Options, rng: np.random.Generator, progress: Progress
+    rig: Rig, captured: Captured, options: Options, rng: np.random.Generator, progress: Progress = silent
 ) -> Calibration:
     """From detections to a calibration: every pair, the tree they span, and all sensors jointly."""
     pairs = estimate_pairs(rig, captured, rng, progress)
@@ -115,7 +121,7 @@ def solve_rig(
     return assemble(rig, captured, pairs, tree, joint)
 
 
-def estimate_pairs(rig: Rig, captured: Captured, rng: np.random.Generator, progress: Progress) -> Pairs:
+def estimate_pairs(rig: Rig, captured: Captured, rng: np.random.Generator, progress: Progress = silent) -> Pairs:
     """Estimates the relative pose of every pair of sensors."""
     names = list(itertools.combinations(rig.sensors, 2))
     seen = captured.detections

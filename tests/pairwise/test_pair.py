@@ -3,66 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.detection import PlanePatch, Rejected, Segment
-from calgraph.geometry import plane, se3, so3
+from board_scenes import SIZE, boards, observe, patch, random_pose
+from calgraph.detection import Rejected
+from calgraph.geometry import se3, so3
 from calgraph.pairwise import coplanarity, estimate_pair
-
-SIZE = (1.2, 0.9)
-
-
-def random_pose(rng, translation=0.3, rotation=3.0):
-    axis = rng.normal(size=3)
-    return se3.pose(
-        so3.exp(axis / np.linalg.norm(axis) * rng.uniform(0, rotation)), rng.normal(size=3) * translation
-    )
-
-
-def boards(rng, count, tilt=0.6):
-    """Boards 1.5–3 m away all around frame a, facing it, turned by up to ``tilt`` about each axis."""
-    poses = []
-    for _ in range(count):
-        bearing, radius = rng.uniform(-np.pi, np.pi), rng.uniform(1.5, 3.0)
-        outward = np.array([np.cos(bearing), np.sin(bearing), 0])
-        facing = np.stack([np.cross([0, 0, 1.0], -outward), [0, 0, 1.0], -outward], axis=1)
-        poses.append(
-            se3.pose(
-                so3.exp(rng.uniform(-tilt, tilt, 3)) @ facing, radius * outward + [0, 0, rng.uniform(-0.2, 0.2)]
-            )
-        )
-    return np.array(poses)
-
-
-def patch(T_s_board, rng, sigma=0.003):
-    seen = plane.towards_origin(plane.from_pose(T_s_board))
-    # Turned and shifted about the board's centre, as a fit to points on the board is.
-    about_center = np.eye(3)
-    about_center[2, :2] = -T_s_board[:3, 3] @ plane.tangent_basis(seen[:3])
-    root = about_center * [sigma / 0.3, sigma / 0.3, sigma]
-    noisy = plane.retract(seen, root @ rng.normal(size=3))
-    return PlanePatch(noisy, root @ root.T, np.empty((0, 3)), T_s_board[:3, 3])
-
-
-def segment(T_s_board, rng, sigma=0.003):
-    """The cut of the board with z = 0; None if the scan plane misses it."""
-    corners = se3.apply(
-        T_s_board, np.array([[x, y, 0] for x, y in ((-0.6, -0.45), (0.6, -0.45), (0.6, 0.45), (-0.6, 0.45))])
-    )
-    cuts = [
-        p + (q - p) * p[2] / (p[2] - q[2])
-        for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True)
-        if p[2] * q[2] < 0
-    ]
-    if len(cuts) != 2 or np.linalg.norm(cuts[0] - cuts[1]) < 0.2:
-        return None
-    ends = np.array(cuts)
-    ends[:, :2] += rng.normal(size=(2, 2)) * sigma
-    return Segment(ends, np.diag([sigma**2, sigma**2, 1e-8] * 2), ends)
-
-
-def observe(kind, T_s_root, boards_root, rng):
-    see = patch if kind == "plane" else segment
-    seen = {i: see(T_s_root @ T, rng) for i, T in enumerate(boards_root)}
-    return {i: (d,) for i, d in seen.items() if d is not None}
 
 
 def error(T_est, T):
@@ -109,7 +53,7 @@ def test_two_line_scanners_explain_new_boards(seed):
     )
     assert not isinstance(found, Rejected), found
     new = boards(rng, 40)
-    a, b = observe("line", np.eye(4), new, rng), observe("line", se3.inverse(T_a_b), new, rng)
+    a, b = observe("line", np.eye(4), new, rng, 1e-9), observe("line", se3.inverse(T_a_b), new, rng, 1e-9)
     gaps = [coplanarity(found.T_a_b, a[i][0].endpoints, b[i][0].endpoints)[0] for i in set(a) & set(b)]
     assert np.sqrt(np.mean(np.square(gaps))) < 0.015
     spread = np.linalg.eigvalsh(found.information)

@@ -69,7 +69,7 @@ def test_marginal_covariance_is_the_inverse_normal_matrix(rng):
     np.testing.assert_allclose(covariance[2:, 2:], np.linalg.inv(rows.T @ rows), rtol=1e-6)
 
 
-def test_direction_without_data_keeps_its_prior(rng):
+def test_direction_without_data_keeps_its_prior():
     A = np.array([[[1.0, 0.0]]])
     factor = Linear(A, np.zeros((1, 1)), np.zeros(1, dtype=int))
     covariance = marginal_covariance(

@@ -2,18 +2,26 @@
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 
-_CELL = 0.15  # m: clouds are compared by the cells of this size that their points fall into
+Signature = NDArray[np.float64] | NDArray[np.int64]
+"""What is compared of a message: grey values, ranges, or the numbers of the cells that are occupied."""
+
+# Clouds are compared by the cells of this size (m) that their points fall into. A point that only crossed into the
+# next cell has not moved: noise does that.
+_CELL = 0.2
+_PACK = np.array([1, 2**21, 2**42])
+_WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
 
 
 class ActivityMeter:
     """Compares each message of one sensor with the one before."""
 
     def __init__(self) -> None:
-        self._before: Array | None = None
+        self._before: Signature | None = None
 
     def change(self, message: Message) -> float:
         """Share of the view, in 0..1, that differs from the message before; 0 for the first."""
@@ -22,7 +30,8 @@ class ActivityMeter:
         if before is None:
             return 0.0
         if isinstance(message, PointCloud):
-            return 1 - len(np.intersect1d(now, before, assume_unique=True)) / max(len(now), len(before), 1)
+            came, went = np.setdiff1d(now, _grown(before)), np.setdiff1d(before, _grown(now))
+            return (len(came) + len(went)) / max(len(now) + len(before), 1)
         if now.shape != before.shape:
             return 1.0
         if isinstance(message, Image):
@@ -30,7 +39,7 @@ class ActivityMeter:
         return float(np.mean(np.abs(now - before) > np.maximum(0.05, 0.02 * np.minimum(now, before))))
 
 
-def _signature(message: Message) -> Array:
+def _signature(message: Message) -> Signature:
     if isinstance(message, Image):
         height, width = message.gray.shape
         return np.asarray(
@@ -42,8 +51,12 @@ def _signature(message: Message) -> Array:
         return np.where(message.valid, message.ranges, 100.0)
     if isinstance(message, PointCloud):
         cells = np.floor(message.points / _CELL).astype(np.int64) + 2**20
-        return np.unique(cells @ np.array([1, 2**21, 2**42])).astype(np.float64)
+        return np.unique(cells @ _PACK)
     return np.zeros(0)
+
+
+def _grown(cells: Signature) -> Signature:
+    return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
 
 
 def still_spans(stamps: Array, activity: Array) -> Array:

@@ -1,0 +1,117 @@
+"""The joint solution on detections made from the truth: accuracy and honesty over many seeds, and ugly cases."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from board_scenes import SIZE, boards, observe
+from calgraph.detection import Rejected
+from calgraph.geometry import se3, so3
+from calgraph.graph import spanning_tree
+from calgraph.pairwise import estimate_pair
+from calgraph.refinement import solve_hypergraph
+
+KINDS = {"lidar": "plane", "camera": "plane", "front": "line", "left": "line"}
+
+
+def world(seed, captures=40, moved=0):
+    rng = np.random.default_rng(seed)
+    truth = {name: se3.pose(so3.exp(rng.normal(size=3) * 0.2), rng.normal(size=3) * 0.2) for name in KINDS}
+    truth["lidar"] = np.eye(4)
+    scene = boards(rng, captures)
+    seen = {}
+    for name, kind in KINDS.items():
+        slipped = scene.copy()
+        for i in rng.choice(captures, moved, replace=False):
+            slipped[i] = se3.retract(slipped[i], rng.normal(size=6) * 0.2)
+        seen[name] = observe(kind, se3.inverse(truth[name]), slipped, rng)
+    pairs = [
+        estimate_pair(a, b, seen[a], seen[b], SIZE, rng)
+        for a, b in itertools.combinations(KINDS, 2)
+        if KINDS[a] == "plane"
+    ]
+    pairs = [pair for pair in pairs if not isinstance(pair, Rejected)]
+    return truth, seen, pairs, spanning_tree("lidar", pairs)
+
+
+def nees(joint, truth):
+    values = []
+    for name, T in truth.items():
+        if name != "lidar":
+            e = se3.difference(joint.T_root_sensor[name], T)
+            values.append(e @ np.linalg.solve(joint.covariance[name], e))
+    return np.array(values)
+
+
+def test_the_joint_solution_beats_the_tree_it_starts_from():
+    """Over 12 rigs, as the paper's Figure 5 says: mean error over sensors and rigs."""
+    pairwise, joint = [], []
+    for seed in range(12):
+        truth, seen, pairs, tree = world(seed)
+        for result, found in (
+            (pairwise, tree.T_root_sensor),
+            (joint, solve_hypergraph(tree, pairs, seen).T_root_sensor),
+        ):
+            result.append([np.linalg.norm(se3.difference(found[n], truth[n])[:3]) for n in truth if n != "lidar"])
+    assert np.mean(joint) < 0.65 * np.mean(pairwise)
+    assert np.mean(joint) < 0.0035
+
+
+def test_covariances_hold_what_they_promise():
+    """Mean NEES of 30 rigs, three sensors and six degrees of freedom each, within its 99.9 % interval."""
+    values = np.concatenate(
+        [nees(solve_hypergraph(tree, pairs, seen), truth) for truth, seen, pairs, tree in map(world, range(30))]
+    )
+    low, high = scipy.stats.chi2.interval(0.999, 6 * len(values)) / np.array(6 * len(values))
+    assert low < values.mean() / 6 < high
+
+
+def test_start_from_identity_finds_the_same():
+    truth, seen, pairs, tree = world(3)
+    from_tree = solve_hypergraph(tree, pairs, seen)
+    from_identity = solve_hypergraph(tree, pairs, seen, start="identity")
+    for name in truth:
+        np.testing.assert_allclose(from_identity.T_root_sensor[name], from_tree.T_root_sensor[name], atol=1e-4)
+
+
+def test_filtering_keeps_disturbed_captures_out():
+    truth, seen, pairs, tree = world(4, moved=6)
+    filtered = solve_hypergraph(tree, pairs, seen)
+    unfiltered = solve_hypergraph(tree, pairs, seen, keep="none")
+    errors = [
+        np.mean([np.linalg.norm(se3.difference(j.T_root_sensor[n], truth[n])[:3]) for n in truth if n != "lidar"])
+        for j in (filtered, unfiltered)
+    ]
+    assert errors[0] < 0.004
+    assert errors[1] > 3 * errors[0]
+
+
+def test_the_graph_error_falls_from_the_tree_to_the_solution():
+    _, seen, pairs, tree = world(5)
+    start = solve_hypergraph(tree, pairs, seen, optimize=False)
+    assert solve_hypergraph(tree, pairs, seen).graph_error < start.graph_error
+
+
+def test_the_root_is_known_exactly():
+    _, seen, pairs, tree = world(6)
+    joint = solve_hypergraph(tree, pairs, seen)
+    np.testing.assert_array_equal(joint.T_root_sensor["lidar"], np.eye(4))
+    np.testing.assert_array_equal(joint.covariance["lidar"], np.zeros((6, 6)))
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_covariance_grows_with_noise_that_detections_did_not_state(scale):
+    """The same data, claimed to be three times as sharp as they are, must not give a sharper result."""
+    truth, seen, pairs, tree = world(7)
+    claimed = {
+        name: {
+            i: tuple(replace(d, covariance=d.covariance / scale**2) for d in found)
+            for i, found in by_capture.items()
+        }
+        for name, by_capture in seen.items()
+    }
+    joint = solve_hypergraph(tree, pairs, claimed)
+    assert nees(joint, truth).mean() / 6 < 2.5
