@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from calgraph.errors import InputError
 from calgraph.recording.recording import Recording
-from calgraph.rig import Rig
+from calgraph.rig import Intrinsics, Rig
 from calgraph.sensors import CameraInfo, CameraModel
 
 
@@ -36,3 +36,23 @@ def read_cameras(rig: Rig, recording: Recording) -> Mapping[str, CameraModel]:
             raise InputError(f"sensors.{name}.camera_info: topic {topic} holds no CameraInfo message")
         cameras[name] = message.camera
     return cameras
+
+
+def with_intrinsics(rig: Rig, recording: Recording) -> Rig:
+    """The rig with the intrinsics of every camera stated, wherever :func:`read_cameras` found them.
+
+    Raises:
+        InputError: a camera has no intrinsics anywhere.
+    """
+    sensors = dict(rig.sensors)
+    for name, camera in read_cameras(rig, recording).items():
+        intrinsics = Intrinsics(
+            model=camera.model,
+            width=camera.width,
+            height=camera.height,
+            K=(*camera.focal.tolist(), *camera.principal_point.tolist()),
+            distortion=tuple(camera.distortion.tolist()),
+        )
+        stated = {"camera_info": None, "intrinsics": intrinsics}
+        sensors[name] = sensors[name].model_copy(update=stated)
+    return rig.model_copy(update={"sensors": sensors})

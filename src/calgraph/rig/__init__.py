@@ -1,6 +1,7 @@
 """rig.yaml: the sensors with their noise, the target, and how captures are marked."""
 
 from calgraph.rig.atomic import replacing, replacing_folder, write_text
+from calgraph.rig.draft import FoundTopic, Kind, draft_rig
 from calgraph.rig.file import load_rig
 from calgraph.rig.rig import (
     CameraSpec,
@@ -17,7 +18,7 @@ from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard, Cylinde
 from calgraph.rig.writing import save_yaml, yaml_text
 
 __all__ = [
-    "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Intrinsics",
-    "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "RangeNoise", "Rig", "SensorSpec", "Tag", "load_rig",
-    "replacing", "replacing_folder", "save_yaml", "write_text", "yaml_text",
+    "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "FoundTopic",
+    "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "RangeNoise", "Rig", "SensorSpec",
+    "Tag", "draft_rig", "load_rig", "replacing", "replacing_folder", "save_yaml", "write_text", "yaml_text",
 ]  # fmt: skip

@@ -101,6 +101,9 @@ def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _explain_kind(path, given, _kinds(place.annotation))
     allowed = _allowed(kind, context) or _lowered(details["msg"])
+    if kind == "value_error" and isinstance(given, dict):
+        # A validator of a whole part speaks of the values that contradict each other itself.
+        return f"{_written(path)}: {allowed}"
     return f"{_written(path)}: {allowed}, got {_shown(given)}"
 
 
@@ -120,6 +123,8 @@ _TYPES = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
+    "float_parsing": "must be a number",
+    "int_parsing": "must be a whole number",
     "string_type": "must be a text",
     "bool_type": "must be true or false",
     "finite_number": "must be a finite number",

@@ -1,0 +1,251 @@
+"""What is in a recording: its topics, their times, and what is odd about them, in words."""
+
+from array import array
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calgraph.errors import RecordingError
+from calgraph.geometry import Array
+from calgraph.recording.recording import Recording, TopicInfo
+from calgraph.rig import FoundTopic, Kind
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
+
+SENSORS = ("camera", "lidar2d", "lidar3d")
+_KINDS: dict[str, Kind] = {
+    "sensor_msgs/msg/Image": "camera",
+    "sensor_msgs/msg/CompressedImage": "camera",
+    "sensor_msgs/msg/LaserScan": "lidar2d",
+    "sensor_msgs/msg/MultiEchoLaserScan": "lidar2d",
+    "sensor_msgs/msg/PointCloud2": "lidar3d",
+    "sensor_msgs/msg/CameraInfo": "camera_info",
+    "sensor_msgs/msg/TimeReference": "event",
+    # The kinds of files in a plain folder.
+    "image": "camera",
+    "scan": "lidar2d",
+    "cloud": "lidar3d",
+    "camera_info": "camera_info",
+}
+_EVENTS = "std_msgs/msg/"
+_LONG_GAP = 4.0
+"""A gap longer than this many periods is worth a remark."""
+_LATENCY = 1.0
+"""Stamps older than their arrival by this and two periods of the sensor are of another clock, s."""
+_AHEAD = 0.005
+"""Stamps that are this much newer than their arrival, s, are of another clock."""
+_DRIFT = 0.02
+"""A clock that runs away from the recorder's by this much over the recording, s, is worth a remark."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The times of a topic's messages."""
+
+    start: float
+    """First stamp, s after the first arrival in the recording."""
+    rate: float | None
+    """One over the median period, Hz; None with fewer than two stamps."""
+    jitter: float | None
+    """Standard deviation of the period, s, without outliers (1.48 times the median deviation)."""
+    longest_gap: float | None
+    """Longest time between two stamps, s."""
+    delay: tuple[float, float, float]
+    """Smallest, median and largest arrival minus stamp, s."""
+
+
+@dataclass(frozen=True)
+class TopicReport:
+    """One topic of a recording."""
+
+    name: str
+    type: str
+    kind: Kind
+    stated: int
+    """Messages that the recording states to have."""
+    count: int
+    """Messages that it has."""
+    frame_id: str = ""
+    """Of the first message."""
+    content: str = ""
+    """Size of the first message, in words."""
+    timing: Timing | None = None
+    """None without messages."""
+    findings: tuple[str, ...] = ()
+    """What is odd about it, in words."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What is in a recording."""
+
+    duration: float
+    """From the first to the last arrival, s."""
+    topics: tuple[TopicReport, ...]
+    """Sorted by name."""
+    damage: str = ""
+    """Why it could not be read to its end; empty if it could."""
+
+
+@dataclass
+class _Tally:
+    """What is kept of a topic while the recording passes by."""
+
+    stamps: "array[float]" = field(default_factory=lambda: array("d"))
+    arrivals: "array[float]" = field(default_factory=lambda: array("d"))
+    first: Message | None = None
+    problem: str = ""
+
+
+def find_topics(recording: Recording) -> tuple[FoundTopic, ...]:
+    """The topics with what a draft of a rig.yaml needs to know; reads one message of each sensor."""
+    return tuple(_found(recording, topic) for topic in recording.topics)
+
+
+def inspect_recording(recording: Recording, progress: Callable[[float], None]) -> Inspection:
+    """Reads a recording once, as a stream, and decodes the first message of each sensor.
+
+    Args:
+        recording: open recording.
+        progress: told how much of it is read, 0..1.
+    """
+    tallies = {topic.name: _Tally() for topic in recording.topics}
+    damage = ""
+    duration = recording.end - recording.start
+    try:
+        for record in recording.records():
+            _count(tallies[record.topic], record)
+            progress((record.arrival - recording.start) / max(duration, 1e-9))
+    except RecordingError as error:
+        damage = str(error)
+    return Inspection(
+        duration, tuple(_report(topic, tallies[topic.name], recording.start) for topic in recording.topics), damage
+    )
+
+
+def _found(recording: Recording, topic: TopicInfo) -> FoundTopic:
+    kind, tally = kind_of(topic.type), _Tally()
+    if kind in (*SENSORS, "camera_info"):
+        for record in recording.records([topic.name]):
+            _count(tally, record)
+            break
+    return FoundTopic(topic.name, topic.type, kind, topic.count, _frame(tally.first), tally.problem)
+
+
+def kind_of(message_type: str) -> Kind:
+    """What a topic of this type is good for."""
+    return _KINDS.get(message_type, "event" if message_type.startswith(_EVENTS) else "other")
+
+
+def _count(tally: _Tally, record: Record) -> None:
+    if not tally.stamps:
+        try:
+            tally.first = record.decode()
+        except RecordingError as error:
+            # The recording and the topic are known to whoever reads this.
+            tally.problem = str(error).partition(": topic ")[2].partition(": ")[2] or str(error)
+    tally.stamps.append(record.stamp)
+    tally.arrivals.append(record.arrival)
+
+
+def _report(topic: TopicInfo, tally: _Tally, start: float) -> TopicReport:
+    kind = kind_of(topic.type)
+    stamps, arrivals = np.array(tally.stamps), np.array(tally.arrivals)
+    timing = _timing(stamps, arrivals, start) if len(stamps) else None
+    findings = [f"the first message cannot be used: {tally.problem}"] if tally.problem else []
+    if len(stamps) < topic.count:
+        findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
+    elif timing is None:
+        findings.append("has no message")
+    if timing and kind in SENSORS:
+        findings += _findings(stamps, arrivals, timing, has_header="/" in topic.type)
+    return TopicReport(
+        name=topic.name,
+        type=topic.type,
+        kind=kind,
+        stated=topic.count,
+        count=len(stamps),
+        frame_id=_frame(tally.first),
+        content=_content(tally.first),
+        timing=timing,
+        findings=tuple(findings),
+    )
+
+
+def _timing(stamps: Array, arrivals: Array, start: float) -> Timing:
+    delays = arrivals - stamps
+    delay = (float(delays.min()), float(np.median(delays)), float(delays.max()))
+    periods = np.diff(stamps)
+    if not len(periods):
+        return Timing(float(stamps[0] - start), None, None, None, delay)
+    median = float(np.median(periods))
+    jitter = 1.4826 * float(np.median(np.abs(periods - median)))
+    rate = 1 / median if median > 0 else None
+    return Timing(float(stamps[0] - start), rate, jitter, float(periods.max()), delay)
+
+
+def _findings(stamps: Array, arrivals: Array, timing: Timing, *, has_header: bool) -> Iterable[str]:
+    periods = np.diff(stamps)
+    unset = int(np.sum(stamps == arrivals)) if has_header else 0
+    if unset:
+        yield f"{_of(unset, len(stamps))} header stamps are zero: the time of arrival is taken"
+    if backwards := int(np.sum(periods < 0)):
+        most, first = _seconds(-periods.min()), stamps[:-1][periods < 0][0] - stamps[0]
+        yield f"stamps go backwards {_times(backwards)}, by up to {most}, first at {first:.1f} s"
+    if repeated := int(np.sum(periods == 0)):
+        yield f"{_times(repeated)} a message has the stamp of the one before"
+    if timing.rate and (gaps := periods[periods > _LONG_GAP / timing.rate]).size:
+        longest, at = _seconds(gaps.max()), stamps[int(np.argmax(periods))] - stamps[0]
+        yield f"silent for over {_LONG_GAP:.0f} periods {_times(len(gaps))}, longest {longest} at {at:.1f} s"
+    yield from _clock_findings(arrivals - stamps, timing, unset)
+
+
+def _clock_findings(delays: Array, timing: Timing, unset: int) -> Iterable[str]:
+    """Whether the stamps are of the recorder's clock; they may be as old as the sweep they begin is long."""
+    oldest = _LATENCY + (2 / timing.rate if timing.rate else 0.0)
+    _, median, _ = timing.delay
+    if not -_AHEAD <= median <= oldest:
+        side = "behind" if median > 0 else "ahead of"
+        yield f"its clock is {_seconds(abs(median))} {side} the recorder's: stamps of different clocks"
+    tenth = len(delays) // 10
+    if tenth and not unset:
+        # The least delay is the most constant part of it.
+        drift = float(delays[-tenth:].min() - delays[:tenth].min())
+        if abs(drift) > _DRIFT:
+            pace = "slow" if drift > 0 else "fast"
+            yield f"its clock runs {pace} against the recorder's, by {_seconds(abs(drift))} in all"
+
+
+def _frame(message: Message | None) -> str:
+    return message.frame_id if isinstance(message, Image | LaserScan | PointCloud | CameraInfo) else ""
+
+
+def _content(message: Message | None) -> str:
+    if isinstance(message, Image):
+        return "{1} x {0} pixels".format(*message.pixels.shape) + (
+            ", colour" if message.pixels.ndim == 3 else ", grey"
+        )
+    if isinstance(message, LaserScan):
+        spread = np.degrees(np.ptp(message.angles)) if len(message.angles) else 0.0
+        return f"{len(message.angles)} beams over {spread:.0f}°, {int(message.valid.sum())} with a range"
+    if isinstance(message, PointCloud):
+        rings = f", {len(np.unique(message.rings))} rings" if message.rings is not None else ""
+        return f"{len(message.points)} points{rings}{', with times' if message.times is not None else ''}"
+    if isinstance(message, CameraInfo):
+        camera = message.camera
+        return (
+            f"{camera.model}, {camera.width} x {camera.height}, {len(camera.distortion)} distortion coefficients"
+        )
+    return ""
+
+
+def _of(count: int, total: int) -> str:
+    return "all" if count == total else f"{count} of {total}"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _seconds(value: float) -> str:
+    return f"{1000 * value:.0f} ms" if value < 1 else f"{value:.1f} s"

@@ -1,0 +1,242 @@
+"""A first rig.yaml from the topics of a recording, with comments that say what to check and what to measure."""
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from calgraph.errors import InputError
+from calgraph.rig.naming import sensor_names
+
+Kind = Literal["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"]
+
+# Names by which image_transport's and image_proc's topics of one camera differ, the most useful first: the lens
+# is calibrated for unrectified images.
+_OF_ONE_CAMERA = ("image_raw", "image_color", "image_mono", "image", "image_rect_color", "image_rect")
+_DEPTH = re.compile(r"depth|disparity|confidence", re.IGNORECASE)
+_TRIGGER = re.compile(r"trigger|capture|shutter|snapshot", re.IGNORECASE)
+# YAML 1.1 readers take some of these words for truth values, nothing or numbers.
+_PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z/][\w./-]*", re.IGNORECASE)
+
+_TARGET = """\
+# The board that was carried around. CHANGE THIS to the board you printed, and measure it: printers change scales,
+# and the size of tags or squares sets the scale of everything a camera says.
+target:
+  kind: board
+  size: [1.2, 0.9]              # width and height of the whole sheet, m
+  family: tag36h11              # of the AprilTags
+  tags:                         # size: edge of the black square; center: x right, y up from the sheet's centre; m
+    - {id: 0, size: 0.32, center: [-0.38, 0.2]}
+    - {id: 1, size: 0.32, center: [0.38, 0.2]}
+    - {id: 2, size: 0.32, center: [0.0, -0.2]}
+  # Or, instead of family and tags, one pattern:
+  # pattern: {kind: checkerboard, columns: 7, rows: 5, square: 0.1}     # columns, rows: inner corners; square: m
+  # pattern: {kind: charuco, columns: 8, rows: 6, square: 0.1, marker: 0.075, dictionary: DICT_5X5_100}
+  # pattern: {kind: aprilgrid, columns: 6, rows: 6, tag_size: 0.088, tag_spacing: 0.3}
+"""
+_BACKGROUND = (
+    "background: [0.0, 5.0]    # s from the start: the room without board and operator, if there was such a time"
+)
+_NOISE = {
+    "camera": "{pixel: 0.3}",
+    "lidar2d": "{range: 0.02, angle: 0.001}",
+    "lidar3d": "{range: 0.02, angle: 0.001}",
+}
+
+
+@dataclass(frozen=True)
+class FoundTopic:
+    """A topic of a recording, as far as a draft needs it."""
+
+    name: str
+    type: str
+    """Message type, for people."""
+    kind: Kind
+    """What it is good for; ``event`` for messages that could mark a capture."""
+    count: int
+    """Number of messages."""
+    frame_id: str = ""
+    """Of its first message."""
+    problem: str = ""
+    """Why its first message cannot be used, where it cannot."""
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    name: str
+    topic: FoundTopic
+    info: FoundTopic | None
+
+
+def draft_rig(topics: Sequence[FoundTopic], recording: str) -> str:
+    """The text of a rig.yaml with every sensor found, one for each camera however many topics it has.
+
+    Args:
+        topics: all topics of the recording.
+        recording: its name, for the comments.
+
+    Raises:
+        InputError: there is no sensor among the topics.
+    """
+    chosen, passed_over = _choose(topics)
+    if not chosen:
+        found = ", ".join(f"{topic.name} ({topic.type})" for topic in topics) or "none"
+        raise InputError(
+            f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
+        )
+    names = sensor_names({topic.name: topic.kind for topic in chosen})
+    infos = [topic for topic in topics if topic.kind == "camera_info" and topic.count and not topic.problem]
+    cameras = [topic for topic in chosen if topic.kind == "camera"]
+    sensors = [
+        _Sensor(names[t.name], t, _info_of(t, infos, len(cameras)) if t in cameras else None) for t in chosen
+    ]
+    parts = [
+        _head(recording),
+        _root(sensors),
+        _TARGET,
+        _capture(topics),
+        _sensors(sensors),
+        _rest(passed_over),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _choose(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict[str, str]]:
+    """The topics to draft sensors for, and why each other sensor topic is not one of them."""
+    chosen: dict[str, FoundTopic] = {}
+    passed_over: dict[str, str] = {}
+    for topic in sorted((t for t in topics if t.kind in _NOISE), key=_preference):
+        unit = _unit(topic)
+        if not topic.count:
+            passed_over[topic.name] = "has no message"
+        elif topic.problem:
+            passed_over[topic.name] = topic.problem
+        elif topic.kind == "camera" and _DEPTH.search(topic.name):
+            passed_over[topic.name] = "holds depths, it seems"
+        elif unit in chosen:
+            passed_over[topic.name] = f"is the camera of {chosen[unit].name}"
+        else:
+            chosen[unit] = topic
+    order = ("lidar3d", "camera", "lidar2d")
+    return sorted(chosen.values(), key=lambda t: (order.index(t.kind), t.name)), passed_over
+
+
+def _unit(topic: FoundTopic) -> str:
+    """What identifies the device: all image topics of one camera share it."""
+    if topic.kind != "camera":
+        return topic.name
+    images = topic.name.removesuffix("/compressed")
+    space, _, last = images.rpartition("/")
+    return f"{space}/" if space and last in _OF_ONE_CAMERA else images
+
+
+def _preference(topic: FoundTopic) -> tuple[int, bool, str]:
+    """Sorts the topics of one camera: unrectified before rectified, lossless before compressed."""
+    images = topic.name.removesuffix("/compressed")
+    last = images.rpartition("/")[2]
+    rank = _OF_ONE_CAMERA.index(last) if last in _OF_ONE_CAMERA else len(_OF_ONE_CAMERA)
+    return rank, images != topic.name, topic.name
+
+
+def _info_of(image: FoundTopic, infos: Sequence[FoundTopic], cameras: int) -> FoundTopic | None:
+    """The camera_info of an image topic: beside it, in its frame, or the only one for the only camera."""
+    images = image.name.removesuffix("/compressed")
+    beside = (f"{images}/camera_info", f"{images.rpartition('/')[0]}/camera_info")
+    by_name = next((info for name in beside for info in infos if info.name == name), None)
+    in_frame = [info for info in infos if image.frame_id and info.frame_id == image.frame_id]
+    alone = infos if cameras == 1 else []
+    return by_name or (in_frame[0] if len(in_frame) == 1 else None) or (alone[0] if len(alone) == 1 else None)
+
+
+def _head(recording: str) -> str:
+    return (
+        f"# Drafted by calgraph init from the topics of {_line(recording)}.\n"
+        "# Go through the comments, measure your board, then run\n"
+        "#   calgraph calibrate rig.yaml RECORDING -o result\n"
+    )
+
+
+def _root(sensors: Sequence[_Sensor]) -> str:
+    others = ", ".join(sensor.name for sensor in sensors[1:])
+    hint = f"; could be {others}" if others else "; a calibration needs a second sensor"
+    return f"# The sensor in whose frame everything is expressed{hint}.\nroot: {_scalar(sensors[0].name)}\n"
+
+
+def _capture(topics: Iterable[FoundTopic]) -> str:
+    triggers, too_many = _triggers(list(topics))
+    notes = [
+        f"# Not taken for a trigger, because it fires as often as a sensor: {_line(t.name)}" for t in too_many
+    ]
+    if not triggers:
+        lines = [
+            "# No trigger topic was found: captures are found by the board resting.",
+            "# capture:",
+            "#   trigger: /topic             # every message starts a capture: the board rests from there on",
+            f"#   {_BACKGROUND}",
+        ]
+    else:
+        name, count = triggers[0].name, triggers[0].count
+        lines = [
+            f"# CHECK that each message of the trigger ({count} found) marks a time from when on the board rests;",
+            "# without a trigger the holds are found from the data.",
+            "capture:",
+            f"  trigger: {_scalar(name)}",
+            *(f"  # trigger: {_scalar(other.name)}" for other in triggers[1:]),
+            f"  # {_BACKGROUND}",
+        ]
+    return "\n".join([*notes, *lines, ""])
+
+
+def _triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
+    """Topics that could start captures, and those that rather fire with every image."""
+    named = [t for t in topics if t.kind == "event" and t.count and _TRIGGER.search(t.name)]
+    often = max((t.count for t in topics if t.kind in _NOISE), default=0) / 2
+    plausible = [topic for topic in named if topic.count < often]
+    return plausible, [topic for topic in named if topic not in plausible]
+
+
+def _sensors(sensors: Sequence[_Sensor]) -> str:
+    head = [
+        "# Names are free to choose. noise: standard deviations to begin with, of corners (px) or beams (m, rad).",
+        "sensors:",
+    ]
+    return "\n".join([*head, *(line for sensor in sensors for line in _sensor(sensor)), ""])
+
+
+def _sensor(sensor: _Sensor) -> list[str]:
+    topic = sensor.topic
+    lines = [
+        f"  {_scalar(sensor.name)}:",
+        f"    kind: {topic.kind}",
+        f"    topic: {_scalar(topic.name)}  # {topic.count} messages",
+    ]
+    if sensor.info:
+        lines.append(f"    camera_info: {_scalar(sensor.info.name)}")
+    elif topic.kind == "camera":
+        lines += [
+            "    # CHANGE: the recording has no usable camera_info for this camera; K is fx, fy, cx, cy",
+            "    # intrinsics: {width: 1280, height: 960, K: [900.0, 900.0, 639.5, 479.5], distortion: []}",
+        ]
+    if topic.frame_id:
+        lines.append(f"    frame_id: {_scalar(topic.frame_id)}")
+    else:
+        lines.append("    # frame_id: name            # its messages name none; exports need it")
+    return [*lines, f"    noise: {_NOISE[topic.kind]}"]
+
+
+def _rest(passed_over: dict[str, str]) -> str:
+    if not passed_over:
+        return ""
+    lines = (f"#   {_line(name)}: {_line(reason)}" for name, reason in passed_over.items())
+    return "\n".join(["# Also in the recording, but not drafted:", *lines, ""])
+
+
+def _scalar(text: str) -> str:
+    """A text as YAML reads it back."""
+    return text if _PLAIN.fullmatch(text) else json.dumps(text, ensure_ascii=False)
+
+
+def _line(text: str) -> str:
+    """A text that cannot end the comment it stands in."""
+    return " ".join(text.split())

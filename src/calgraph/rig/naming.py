@@ -1,0 +1,63 @@
+"""Short, readable and unique names for sensors, from their topics."""
+
+import re
+from collections import Counter
+from collections.abc import Mapping
+
+_WORDS = {"camera": "camera", "lidar2d": "laser", "lidar3d": "lidar"}
+"""What a sensor is called where its topic says nothing."""
+_GENERIC = re.compile(
+    r"compressed|image(_raw|_color|_mono|_rect|_rect_color)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
+    r"(point_?)?clouds?2?|points2?|packets|sensors?"
+)
+_AFFIX = re.compile(
+    r"^(scan|points|cloud|image(_raw)?)_(?=.)|(?<=.)_(scan|points2?|(point_?)?cloud2?|image(_raw)?|compressed)$"
+)
+
+
+def sensor_names(kinds: Mapping[str, str]) -> dict[str, str]:
+    """A name for each sensor's topic.
+
+    ``/camera/image_raw`` becomes ``camera``, ``/scan`` becomes ``laser``, ``/left/camera/image`` and
+    ``/right/camera/image`` become ``left_camera`` and ``right_camera``.
+
+    Args:
+        kinds: camera, lidar2d or lidar3d, by topic.
+    """
+    parts = {topic: _telling_parts(topic) for topic in kinds}
+    depth = dict.fromkeys(kinds, 1)
+    names = {topic: _joined(parts[topic], 1) or _WORDS[kind] for topic, kind in kinds.items()}
+    while deeper := [t for t in _shared(names) if depth[t] < len(parts[t])]:
+        for topic in deeper:
+            depth[topic] += 1
+            names[topic] = _joined(parts[topic], depth[topic])
+    for topic in _shared(names):
+        names[topic] = f"{names[topic]}_{_WORDS[kinds[topic]]}"
+    return _numbered(names)
+
+
+def _telling_parts(topic: str) -> list[str]:
+    """The parts of a topic that say more than what kind of data it has."""
+    parts = [re.sub(r"\W+", "_", part).strip("_") for part in topic.split("/")]
+    return [_AFFIX.sub("", part) for part in parts if part and not _GENERIC.fullmatch(part)]
+
+
+def _joined(parts: list[str], depth: int) -> str:
+    return "_".join(parts[-depth:])
+
+
+def _shared(names: Mapping[str, str]) -> list[str]:
+    """The topics whose name another one has too."""
+    counts = Counter(names.values())
+    return [topic for topic, name in names.items() if counts[name] > 1]
+
+
+def _numbered(names: Mapping[str, str]) -> dict[str, str]:
+    """The names, with a number after each that was given before."""
+    taken: set[str] = set()
+    numbered = {}
+    for topic, name in names.items():
+        candidates = (f"{name}_{n}" if n > 1 else name for n in range(1, len(names) + 2))
+        numbered[topic] = next(c for c in candidates if c not in taken)
+        taken.add(numbered[topic])
+    return numbered
