@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from calgraph.calibrate import Options, calibrate_rig
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_calibration
-from calgraph.recording import open_recordings
+from calgraph.errors import CalibrationError
+from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.report import write_report
 from calgraph.result import Calibration, save_calibration, save_captures, to_json
 from calgraph.rig import Rig, load_rig, replacing_folder, save_yaml
@@ -42,33 +42,45 @@ def calibrate(
     start: Annotated[
         StartChoice, typer.Option("--start", help="Start of the joint solution (the paper compares).")
     ] = StartChoice.tree,
-    seed: Annotated[int, typer.Option(help="Of the random samples: same seed, same result.")] = 0,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
 ) -> None:
-    """Finds the relative poses of all sensors of a rig.
+    """Find the relative poses of all sensors of a rig.
 
-    Writes calibration.yaml, report.html, captures.csv and rig.resolved.yaml into OUT. Exit code 0: calibrated;
-    1: a sensor could not be (the others are written all the same); 2: bad input.
+    Writes calibration.yaml, report.html, captures.csv and rig.resolved.yaml into OUT.
+
+    Exit code 0: calibrated; 1: a sensor could not be (the others are written all the same); 2: bad input.
     """
+    from calgraph.calibrate import Options, calibrate_rig  # takes seconds, which --help should not
+
     rig = load_rig(rig_file)
     options = Options(keep=keep.value, start=start.value, seed=seed)
-    with open_recordings(recordings) as recording, progress_bars() as progress:
-        calibration = calibrate_rig(rig, recording, options, progress)
-    write_results(calibration, rig, out)
+    with replacing_folder(out) as folder:
+        with open_recordings(recordings) as recording, progress_bars() as progress:
+            rig = with_intrinsics(rig, recording)
+            calibration = calibrate_rig(rig, recording, options, progress)
+        write_results(calibration, rig, folder)
     if json:
         typer.echo(to_json(calibration))
     else:
         print_calibration(calibration, out)
-    for name, reason in calibration.unconnected.items():
-        typer.echo(f"calgraph: {name} is not calibrated: {reason}", err=True)
-    if calibration.unconnected:
-        raise typer.Exit(1)
+    fail_if_unconnected(calibration)
 
 
-def write_results(calibration: Calibration, rig: Rig, out: Path) -> None:
-    """Writes the files of a calibration into the folder ``out``, all or none of them."""
-    with replacing_folder(out) as folder:
-        save_calibration(calibration, folder / "calibration.yaml")
-        save_captures(calibration, folder / "captures.csv")
-        save_yaml(folder / "rig.resolved.yaml", rig.settings())
-        write_report(calibration, rig, folder / "report.html")
+def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
+    """Writes the files of a calibration into an existing folder."""
+    save_calibration(calibration, folder / "calibration.yaml")
+    save_captures(calibration, folder / "captures.csv")
+    save_yaml(folder / "rig.resolved.yaml", rig.settings())
+    write_report(calibration, rig, folder / "report.html")
+
+
+def fail_if_unconnected(calibration: Calibration) -> None:
+    """Says which sensors have no pose, and why.
+
+    Raises:
+        CalibrationError: there is one.
+    """
+    missing = [f"{name} is not calibrated: {reason}" for name, reason in calibration.unconnected.items()]
+    if missing:
+        raise CalibrationError("\n".join(missing))

@@ -5,24 +5,39 @@ from typing import Annotated
 
 import typer
 
-from calgraph.calibrate import Options, calibrate_rig
-from calgraph.cli.calibrate import write_results
+from calgraph.cli.calibrate import fail_if_unconnected, write_results
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.tables import print_calibration
-from calgraph.recording import open_recording
-from calgraph.rig import load_rig
-from calgraph.simulation import RigScenario, load_truth, simulate_rig
+from calgraph.cli.simulate import simulate_into
+from calgraph.cli.tables import print_calibration, print_errors
+from calgraph.errors import InputError
+from calgraph.recording import open_recording, with_intrinsics
+from calgraph.rig import load_rig, replacing_folder
+from calgraph.simulation import RigScenario, load_truth
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording and results.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Of the simulated robot and its noise.")] = 0,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording and results.")
+    ] = Path("demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulated robot and its noise.")] = 0,
 ) -> None:
-    """Simulates a five-sensor robot, calibrates it from its recording, and compares with the truth."""
-    with progress_bars() as progress:
-        simulate_rig(RigScenario(), out, seed, progress=lambda done: progress("simulating", done))
-        rig, truth = load_rig(out / "rig.yaml"), load_truth(out / "truth.yaml")
-        with open_recording(out / "recording") as recording:
-            calibration = calibrate_rig(rig, recording, Options(), progress)
-    write_results(calibration, rig, out / "result")
-    print_calibration(calibration, out / "result", truth.T_root_sensor)
+    """Simulate a five-sensor robot, calibrate it from its recording, and compare with the truth.
+
+    Writes recording, rig.yaml, scenario.yaml, truth.yaml and result/ into OUT, over those of an earlier demo.
+    """
+    from calgraph.calibrate import Options, calibrate_rig  # takes seconds, which --help should not
+
+    if (out / "recording").exists() and not (out / "truth.yaml").exists():
+        raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")
+    with replacing_folder(out) as folder:
+        with progress_bars() as progress:
+            simulate_into(folder, RigScenario(), seed, progress)
+            rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
+            with open_recording(folder / "recording") as recording:
+                rig = with_intrinsics(rig, recording)
+                calibration = calibrate_rig(rig, recording, Options(), progress)
+        (folder / "result").mkdir()
+        write_results(calibration, rig, folder / "result")
+    print_calibration(calibration, out / "result")
+    print_errors(calibration, truth.T_root_sensor)
+    fail_if_unconnected(calibration)

@@ -1,23 +1,39 @@
-"""Progress bars on stderr, one for each step of the work."""
+"""Progress bars on stderr, one for each step of the work, once it takes longer than two seconds."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from calgraph.cli.console import console
+
+_PATIENCE = 2.0
+"""Work that is done sooner shows no bar, s."""
 
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, float], None]]:
     """Gives a function that shows how much (0..1) of a named step is done; silent where stderr is no terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeElapsedColumn())
+    stderr = console(stderr=True)
+    columns = (
+        TextColumn("{task.description:<11}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+    )
+    bars = Progress(*columns, console=stderr, disable=not stderr.is_terminal, transient=True)
     tasks: dict[str, TaskID] = {}
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+    began = time.monotonic()
 
-        def show(step: str, done: float) -> None:
-            if step not in tasks:
-                tasks[step] = bars.add_task(step, total=1.0)
-            bars.update(tasks[step], completed=min(max(done, 0.0), 1.0))
+    def show(step: str, done: float) -> None:
+        if step not in tasks:
+            tasks[step] = bars.add_task(step, total=1.0)
+        bars.update(tasks[step], completed=min(max(done, 0.0), 1.0))
+        if not bars.live.is_started and time.monotonic() - began > _PATIENCE:
+            bars.start()
 
+    try:
         yield show
+    finally:
+        bars.stop()

@@ -1,62 +1,89 @@
-"""What a calibration prints on a terminal: readable at 80 columns."""
+"""What a calibration prints: poses with their standard deviations, readable at 80 columns, greppable in a pipe."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.cli.console import console
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration
+from calgraph.report.verdicts import worst_deviation
+from calgraph.result import Calibration, SensorPose
+from calgraph.result.exports import roll_pitch_yaw
 
-_GRADE_COLOR = {"good": "green", "weak": "yellow", "unobservable": "red"}
+_GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
+"""Sign for each grade: colour is never the only one."""
 
 
-def print_calibration(calibration: Calibration, out: Path, truth: Mapping[str, Array] | None = None) -> None:
-    """Prints each sensor's pose, its standard deviation, and its error where the truth is known.
+def print_calibration(calibration: Calibration, out: Path) -> None:
+    """Prints each sensor's pose, its standard deviation, and what is to be said against it.
 
     Args:
         calibration: the result.
         out: the folder its files are in.
-        truth: true poses T_root_sensor (4, 4) by sensor.
     """
-    console = Console(width=None if Console().is_terminal else 100)
-    table = Table(title=f"Poses in the frame of {escape(calibration.root)}", title_justify="left", box=None, pad_edge=False)
-    table.add_column("sensor")
-    table.add_column("x y z, m", justify="right")
-    table.add_column("roll pitch yaw, °", justify="right")
-    table.add_column("± mm", justify="right")
-    table.add_column("± °", justify="right")
-    if truth:
-        table.add_column("error", justify="right")
-    table.add_column("verdict")
+    paper = console()
+    paper.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
+    table = _table()
+    for head in ("x y z, m", "roll pitch yaw, °", "± mm", "± °", ""):
+        table.add_column(head, justify="right", no_wrap=True)
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
-        spread = np.sqrt(np.diag(sensor.covariance))
-        row = [
+        table.add_row(
             escape(sensor.name),
-            " ".join(f"{v:7.3f}" for v in T[:3, 3]),
-            " ".join(f"{v:7.2f}" for v in _roll_pitch_yaw(T[:3, :3])),
-            f"{1000 * np.linalg.norm(spread[:3]):.1f}" if sensor.parent else "root",
-            f"{np.degrees(np.linalg.norm(spread[3:])):.3f}" if sensor.parent else "",
-        ]
-        if truth:
-            error = se3.difference(T, truth[sensor.name])
-            metres, angle = np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
-            row.append(f"{1000 * metres:.1f} mm {angle:.3f}°" if sensor.parent else "")
-        grade = sensor.verdict.grade
-        row.append(f"[{_GRADE_COLOR[grade]}]{grade}[/]")
-        table.add_row(*row)
-    console.print(table)
+            " ".join(f"{_fixed(v, 3):>6}" for v in T[:3, 3]),
+            " ".join(f"{_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))),
+            *_deviations(sensor),
+            _GRADES[sensor.verdict.grade],
+        )
+    paper.print(table)
     for sensor in calibration.sensors:
-        if sensor.verdict.reason:
-            console.print(f"{escape(sensor.name)}: {escape(sensor.verdict.reason)}", highlight=False)
-    console.print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}", highlight=False)
+        if sensor.verdict.grade != "good":
+            reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
+            paper.print(
+                f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
+            )
+    paper.print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
 
 
-def _roll_pitch_yaw(R: Array) -> Array:
-    """Fixed-axis angles (3,), degrees, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    return np.degrees([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:
+    """Prints how far each sensor's pose is from the truth, beside its standard deviation.
+
+    Args:
+        calibration: the result.
+        T_root_sensor: true poses (4, 4) by sensor.
+    """
+    paper = console()
+    paper.print("[bold]Errors against the truth[/]")
+    table = _table()
+    for head in ("error mm", "± mm", "error °", "± °"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for sensor in calibration.sensors:
+        if sensor.parent is not None:
+            error = se3.difference(sensor.T_root_sensor, T_root_sensor[sensor.name])
+            mm, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
+            sigma_mm, sigma_degrees = _deviations(sensor)
+            table.add_row(escape(sensor.name), f"{mm:.1f}", sigma_mm, f"{degrees:.3f}", sigma_degrees)
+    paper.print(table)
+
+
+def _table() -> Table:
+    """A table whose first column takes the sensors' names, folded where they are too long for the terminal."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("sensor", overflow="fold")
+    return table
+
+
+def _deviations(sensor: SensorPose) -> tuple[str, str]:
+    """Standard deviations along the worst directions, mm and degrees; the root has none."""
+    if sensor.parent is None:
+        return "root", ""
+    position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
+    return _fixed(1000 * worst_deviation(position), 1), _fixed(np.degrees(worst_deviation(rotation)), 3)
+
+
+def _fixed(value: float, digits: int) -> str:
+    """A number with so many decimals; 0 for what rounds to -0."""
+    return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "∞"

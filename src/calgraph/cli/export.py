@@ -1,0 +1,81 @@
+"""``calgraph export``: a calibration in the format of another program."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calgraph.errors import InputError
+from calgraph.result import export as export_text
+from calgraph.result import load_calibration
+from calgraph.rig import Rig, load_rig, write_text
+
+
+class Format(StrEnum):
+    """Values of --format."""
+
+    launch = "launch"
+    tf = "tf"
+    urdf = "urdf"
+    kalibr = "kalibr"
+    json = "json"
+
+
+def export(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="OUT of calibrate, or a calibration.yaml.")],
+    format: Annotated[
+        Format,
+        typer.Option(
+            "--format",
+            "-f",
+            help="launch: ROS 2 static transform publishers; tf: tf2_msgs/TFMessage as YAML; urdf: links and "
+            "fixed joints; kalibr: camchain of the cameras; json: the whole result.",
+        ),
+    ],
+    urdf: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="urdf: correct the joints of this one."),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="kalibr: rig with the cameras' intrinsics; rig.resolved.yaml beside RESULT if left out.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; stdout if left out.")
+    ] = None,
+) -> None:
+    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON."""
+    for name, value, its_format in (("--urdf", urdf, Format.urdf), ("--rig", rig, Format.kalibr)):
+        if value and format != its_format:
+            raise InputError(f"{name}: goes with --format {its_format}, got --format {format}")
+    file = result / "calibration.yaml" if result.is_dir() else result
+    text = export_text(
+        load_calibration(file),
+        format.value,
+        rig=_rig(rig, file) if format == Format.kalibr else None,
+        urdf=_text_of(urdf) if urdf else None,
+    )
+    if out:
+        write_text(out, text)
+    else:
+        typer.echo(text, nl=not text.endswith("\n"))
+
+
+def _rig(given: Path | None, calibration: Path) -> Rig | None:
+    """The rig given, else the one that was written beside the calibration, if any."""
+    beside = calibration.with_name("rig.resolved.yaml")
+    file = given or (beside if beside.is_file() else None)
+    return load_rig(file) if file else None
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error

@@ -1,0 +1,80 @@
+"""``calgraph inspect``: what is in a recording, and what is odd about it."""
+
+import json as json_module
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from calgraph.cli.console import console
+from calgraph.cli.progress import progress_bars
+from calgraph.errors import RecordingError
+from calgraph.recording import SENSORS, Inspection, TopicReport, inspect_recording, open_recording
+
+
+def inspect(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")],
+    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+) -> None:
+    """Show the topics of a recording: counts, rates, gaps, frames, clocks, and what is odd about them.
+
+    Exit code 2: it is damaged; what could be read is shown all the same.
+    """
+    with open_recording(recording) as opened, progress_bars() as progress:
+        inspection = inspect_recording(opened, partial(progress, "reading"))
+    if json:
+        typer.echo(json_module.dumps({"recording": str(recording), **asdict(inspection)}, ensure_ascii=False))
+    else:
+        _print(recording, inspection)
+    if inspection.damage:
+        raise RecordingError(inspection.damage)
+
+
+def _print(recording: Path, inspection: Inspection) -> None:
+    paper = console()
+    title = f"{recording}: {inspection.duration:.1f} s, {sum(t.count for t in inspection.topics)} messages"
+    paper.print(f"[bold]{escape(title)}[/]")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("topic", overflow="fold")
+    for head in ("count", "Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for topic in inspection.topics:
+        table.add_row(escape("\n".join((topic.name, *_details(topic)))), str(topic.count), *_times(topic))
+    paper.print(table)
+    paper.print("gap: longest time between stamps; delay: median arrival minus stamp")
+    findings = [(topic.name, finding) for topic in inspection.topics for finding in topic.findings]
+    for name, finding in findings:
+        paper.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")
+    if not findings and not inspection.damage:
+        paper.print("Nothing odd was found.")
+
+
+def _details(topic: TopicReport) -> Sequence[str]:
+    """What the first message tells, in lines below the topic's name."""
+    frame = f"frame {topic.frame_id}" if topic.frame_id else ""
+    short_type = topic.type.rpartition("/")[2]
+    kind = topic.kind if topic.kind in SENSORS else ""
+    first = ", ".join(dict.fromkeys(text for text in (short_type, kind, frame) if text))
+    return [f"  {line}" for line in (first, topic.content) if line]
+
+
+def _times(topic: TopicReport) -> Sequence[str]:
+    timing = topic.timing
+    if timing is None:
+        return ()
+    return (
+        _number(timing.rate, 2),
+        _number(timing.jitter, 1, 1000),
+        _number(timing.longest_gap, 2),
+        _number(timing.start, 2),
+        _number(timing.delay[1], 1, 1000),
+    )
+
+
+def _number(value: float | None, digits: int, scale: float = 1) -> str:
+    return "" if value is None else f"{scale * value:.{digits}f}"

@@ -1,0 +1,200 @@
+"""A settings model as command line options: one for every field, nested ones included."""
+
+import inspect
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from rich.markup import escape
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from calgraph.errors import InputError
+from calgraph.rig.reading import validated
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One field of a settings model."""
+
+    path: tuple[str, ...]
+    """Its keys, from the outermost model."""
+    field: FieldInfo
+    panel: str
+    """The title it stands under in the help."""
+
+    @property
+    def option(self) -> str:
+        """Its option, such as ``--camera-rate``."""
+        return "--" + "-".join(self.path).replace("_", "-")
+
+    @property
+    def parameter(self) -> str:
+        """The name of its function parameter."""
+        return "_".join(self.path)
+
+
+def knobs_of(model: type[BaseModel], panels: Mapping[str, str], path: tuple[str, ...] = ()) -> Iterator[Knob]:
+    """The knobs of a settings model, in order.
+
+    Args:
+        model: the model; the fields' descriptions become the help.
+        panels: titles by the name of the outermost field from which on they hold.
+        path: keys that lead to the model.
+    """
+    panel = ""
+    for name, field in model.model_fields.items():
+        panel = panels.get((*path, name)[0], panel)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from knobs_of(field.annotation, panels, (*path, name))
+        elif get_origin(field.annotation) is not Literal or len(get_args(field.annotation)) > 1:
+            yield Knob((*path, name), field, panel)
+
+
+def with_knobs(
+    command: Callable[..., None], knobs: Mapping[str, Knob], defaults: BaseModel
+) -> Callable[..., None]:
+    """``command`` with an option for each knob in the place of its parameter ``**options``.
+
+    An option that is not given does not reach the command.
+
+    Args:
+        command: takes its own parameters and ``**options``, the values by parameter.
+        knobs: by parameter.
+        defaults: what the help shows as the defaults.
+    """
+
+    def run(**given: Any) -> None:
+        command(**{name: value for name, value in given.items() if value is not None or name not in knobs})
+
+    own = [p for p in inspect.signature(command).parameters.values() if p.kind is not p.VAR_KEYWORD]
+    options = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_annotation(knob, defaults)
+        )
+        for name, knob in knobs.items()
+    ]
+    parameters = [*(p.replace(kind=p.KEYWORD_ONLY) for p in own), *options]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    run.__doc__ = command.__doc__
+    return run
+
+
+def settings(start: Model, knobs: Mapping[str, Knob], given: Mapping[str, Any]) -> Model:
+    """The settings with the options given put over start values.
+
+    Args:
+        start: the start values.
+        knobs: by parameter.
+        given: values of the options by parameter, numbers and lists still as text.
+
+    Raises:
+        InputError: a value is wrong; the message names its option.
+    """
+    content = start.model_dump(mode="json", exclude_none=True)
+    for parameter, value in given.items():
+        _put(content, knobs[parameter].path, _parsed(knobs[parameter], value))
+    here = Path("options")
+    try:
+        return validated(type(start), content, here)
+    except InputError as error:
+        lines = (line.removeprefix(f"{here}: ") for line in str(error).splitlines())
+        raise InputError("\n".join(_in_terms_of_options(line, knobs) for line in lines)) from error
+
+
+def _annotation(knob: Knob, defaults: BaseModel) -> Any:
+    default: Any = defaults
+    for key in knob.path:
+        default = getattr(default, key)
+    shown = _shown(default)
+    text = " ".join((knob.field.description or "").split())
+    is_flag = knob.field.annotation is bool
+    option = typer.Option(
+        f"{knob.option}/--no-{knob.option[2:]}" if is_flag else knob.option,
+        metavar=None if is_flag else _metavar(knob.field.annotation),
+        help=escape(f"{text} [default: {shown}]" if shown else text),
+        rich_help_panel=knob.panel,
+        show_default=False,
+    )
+    return Annotated[bool | None if is_flag else str | None, option]
+
+
+def _shown(default: Any) -> str:
+    """A default as one would type it."""
+    if isinstance(default, bool):
+        return "yes" if default else "no"
+    if isinstance(default, tuple) and default and isinstance(default[0], BaseModel):
+        return json.dumps([item.model_dump(mode="json") for item in default]).replace('"', "")
+    if isinstance(default, tuple):
+        return ",".join(f"{item:g}" for item in default)
+    if isinstance(default, float):
+        return f"{round(default, 4):.12g}"
+    return "" if default is None else str(default)
+
+
+def _metavar(annotation: Any) -> str:
+    kind = _plain_type(annotation)
+    if get_origin(kind) is Literal:
+        return "|".join(get_args(kind))
+    if get_origin(kind) is tuple:
+        return "N,N,..." if _plain_type(get_args(kind)[0]) in (int, float) else "YAML"
+    return {int: "INT", float: "N", str: "TEXT"}.get(kind, "YAML")
+
+
+def _parsed(knob: Knob, value: Any) -> Any:
+    """The value of an option; text that is no number stays text, for the model to complain of."""
+    metavar = _metavar(knob.field.annotation)
+    if metavar == "YAML":
+        try:
+            return YAML(typ="safe").load(value)
+        except YAMLError as error:
+            raise InputError(f"{knob.option}: is not valid YAML, got {value!r}") from error
+    if metavar == "N,N,...":
+        return [_number(part) for part in value.split(",") if part.strip()]
+    return _number(value) if metavar in ("INT", "N") else value
+
+
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _put(content: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+    *above, key = path
+    for name in above:
+        content = content[name]
+    content[key] = value
+
+
+def _in_terms_of_options(line: str, knobs: Mapping[str, Knob]) -> str:
+    """A complaint about a key, ``camera.rate: ...``, as one about the option that sets it."""
+    groups = {knob.path[0]: f"--{knob.path[0]}-*" for knob in knobs.values() if len(knob.path) > 1}
+    by_key = groups | {".".join(knob.path): knob.option for knob in knobs.values()} | {"the file": "options"}
+    for key in sorted(by_key, key=len, reverse=True):
+        if match := re.match(rf"(unknown key )?{re.escape(key)}(?=[:.\[])", line):
+            return f"{match[1] or ''}{by_key[key]}{line[match.end() :]}"
+    return line
+
+
+def _plain_type(annotation: Any) -> Any:
+    """A type without its constraints and without the None of an optional value."""
+    if get_origin(annotation) is Annotated:
+        return _plain_type(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        members = [member for member in get_args(annotation) if member is not type(None)]
+        return _plain_type(members[0]) if len(members) == 1 else annotation
+    return annotation
