@@ -49,6 +49,7 @@ def learn_backgrounds(
 
 
 def background_of(messages: Sequence[Message], spec: object) -> Background:
+    """The model of one scanner's background."""
     if isinstance(spec, Lidar2dSpec):
         return ScanBackground.build(as_scans(messages))
     return CloudBackground.build([m for m in messages if isinstance(m, PointCloud)])

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from calgraph.geometry import Array
 
 
@@ -37,7 +39,7 @@ class Segment:
     @property
     def center(self) -> Array:
         """(3,) the middle of the segment, m."""
-        return 0.5 * (self.endpoints[0] + self.endpoints[1])
+        return np.asarray(self.endpoints.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,4 +4,14 @@ from calgraph.sensors.camera import CameraModel
 from calgraph.sensors.flat import scan_of_cloud
 from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
 
-__all__ = ["CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "PointCloud", "Record", "Trigger", "scan_of_cloud"]
+__all__ = [
+    "CameraInfo",
+    "CameraModel",
+    "Image",
+    "LaserScan",
+    "Message",
+    "PointCloud",
+    "Record",
+    "Trigger",
+    "scan_of_cloud",
+]
