@@ -7,10 +7,9 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.tables import print_calibration
+from calgraph.cli.tables import print_calibration, print_place
 from calgraph.errors import CalibrationError
 from calgraph.recording import open_recordings, with_intrinsics
-from calgraph.report import write_report
 from calgraph.result import Calibration, save_calibration, save_captures, to_json
 from calgraph.rig import Rig, load_rig, replacing_folder, save_yaml
 
@@ -63,12 +62,15 @@ def calibrate(
     if json:
         typer.echo(to_json(calibration))
     else:
-        print_calibration(calibration, out)
+        print_calibration(calibration)
+        print_place(out)
     fail_if_unconnected(calibration)
 
 
 def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     """Writes the files of a calibration into an existing folder."""
+    from calgraph.report import write_report  # brings plots along, which --help should not wait for
+
     save_calibration(calibration, folder / "calibration.yaml")
     save_captures(calibration, folder / "captures.csv")
     save_yaml(folder / "rig.resolved.yaml", rig.settings())

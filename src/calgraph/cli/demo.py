@@ -8,7 +8,7 @@ import typer
 from calgraph.cli.calibrate import fail_if_unconnected, write_results
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.simulate import simulate_into
-from calgraph.cli.tables import print_calibration, print_errors
+from calgraph.cli.tables import print_calibration, print_errors, print_place
 from calgraph.errors import InputError
 from calgraph.recording import open_recording, with_intrinsics
 from calgraph.rig import load_rig, replacing_folder
@@ -38,6 +38,7 @@ def demo(
                 calibration = calibrate_rig(rig, recording, Options(), progress)
         (folder / "result").mkdir()
         write_results(calibration, rig, folder / "result")
-    print_calibration(calibration, out / "result")
+    print_calibration(calibration)
     print_errors(calibration, truth.T_root_sensor)
+    print_place(out / "result")
     fail_if_unconnected(calibration)

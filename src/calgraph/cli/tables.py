@@ -9,7 +9,6 @@ from rich.table import Table
 
 from calgraph.cli.console import console
 from calgraph.geometry import Array, se3
-from calgraph.report.verdicts import worst_deviation
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 
@@ -17,13 +16,8 @@ _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[re
 """Sign for each grade: colour is never the only one."""
 
 
-def print_calibration(calibration: Calibration, out: Path) -> None:
-    """Prints each sensor's pose, its standard deviation, and what is to be said against it.
-
-    Args:
-        calibration: the result.
-        out: the folder its files are in.
-    """
+def print_calibration(calibration: Calibration) -> None:
+    """Prints each sensor's pose, its standard deviation, and what is to be said against it."""
     paper = console()
     paper.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
     table = _table()
@@ -45,7 +39,6 @@ def print_calibration(calibration: Calibration, out: Path) -> None:
             paper.print(
                 f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
             )
-    paper.print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
 
 
 def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:
@@ -69,6 +62,11 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
     paper.print(table)
 
 
+def print_place(out: Path) -> None:
+    """Prints where the results are."""
+    console().print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
+
+
 def _table() -> Table:
     """A table whose first column takes the sensors' names, folded where they are too long for the terminal."""
     table = Table(box=None, pad_edge=False)
@@ -80,6 +78,8 @@ def _deviations(sensor: SensorPose) -> tuple[str, str]:
     """Standard deviations along the worst directions, mm and degrees; the root has none."""
     if sensor.parent is None:
         return "root", ""
+    from calgraph.report.verdicts import worst_deviation  # brings plots along, which --help should not wait for
+
     position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
     return _fixed(1000 * worst_deviation(position), 1), _fixed(np.degrees(worst_deviation(rotation)), 3)
 

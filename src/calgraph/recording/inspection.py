@@ -28,6 +28,8 @@ _KINDS: dict[str, Kind] = {
     "camera_info": "camera_info",
 }
 _EVENTS = "std_msgs/msg/"
+_FLAT = 1e-3
+"""A cloud whose points are all closer to z = 0 than this is a scan, m."""
 _LONG_GAP = 4.0
 """A gap longer than this many periods is worth a remark."""
 _LATENCY = 1.0
@@ -124,16 +126,19 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
 
 
 def _found(recording: Recording, topic: TopicInfo) -> FoundTopic:
-    kind, tally = kind_of(topic.type), _Tally()
-    if kind in (*SENSORS, "camera_info"):
+    tally = _Tally()
+    if _kind(topic.type) in (*SENSORS, "camera_info"):
         for record in recording.records([topic.name]):
             _count(tally, record)
             break
+    kind = _kind(topic.type, tally.first)
     return FoundTopic(topic.name, topic.type, kind, topic.count, _frame(tally.first), tally.problem)
 
 
-def kind_of(message_type: str) -> Kind:
-    """What a topic of this type is good for."""
+def _kind(message_type: str, first: Message | None = None) -> Kind:
+    """What a topic of this type is good for; some drivers send the scans of 2-D scanners as clouds with z = 0."""
+    if isinstance(first, PointCloud) and len(first.points) and np.abs(first.points[:, 2]).max() < _FLAT:
+        return "lidar2d"
     return _KINDS.get(message_type, "event" if message_type.startswith(_EVENTS) else "other")
 
 
@@ -149,7 +154,7 @@ def _count(tally: _Tally, record: Record) -> None:
 
 
 def _report(topic: TopicInfo, tally: _Tally, start: float) -> TopicReport:
-    kind = kind_of(topic.type)
+    kind = _kind(topic.type, tally.first)
     stamps, arrivals = np.array(tally.stamps), np.array(tally.arrivals)
     timing = _timing(stamps, arrivals, start) if len(stamps) else None
     findings = [f"the first message cannot be used: {tally.problem}"] if tally.problem else []

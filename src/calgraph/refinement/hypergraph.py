@@ -25,11 +25,13 @@ BLOCKS: Mapping[str, Block] = {
 }
 
 # How far a board that people carry is from a plane (m; and, over a metre, rad).
-_FLATNESS = 0.002
+_FLATNESS = 0.001
 # Directions that a pair knows no better than this (m and rad) are open: the joint solution leaves them where
 # the spanning tree put them, as tightly as _HOLD.
 _OPEN = 0.1
 _HOLD = 0.01
+# How firmly the stated noise is believed, in measured numbers.
+_FIRM = 10
 # What is believed of a pose without any data: m and rad.
 _PRIOR = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
 
@@ -204,8 +206,11 @@ def _relative_poses(names: Sequence[str], tree: SpanningTree, pairs: Sequence[Pa
 
 
 def _scatter(chi2: float, freedom: int) -> float:
-    """Factor by which the residuals scatter more than the detections' covariances say; at least 1."""
-    return max(1.0, chi2 / max(freedom, 1))
+    """Variance factor: how the residuals' scatter compares with what the covariances state.
+
+    Few captures say little of it: it then stays near 1, as if that had been measured _FIRM times before.
+    """
+    return (chi2 + _FIRM) / (max(freedom, 0) + _FIRM)
 
 
 def _graph_error(values: Values, observed: Sequence[Factor]) -> float:

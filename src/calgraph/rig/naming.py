@@ -7,7 +7,7 @@ from collections.abc import Mapping
 _WORDS = {"camera": "camera", "lidar2d": "laser", "lidar3d": "lidar"}
 """What a sensor is called where its topic says nothing."""
 _GENERIC = re.compile(
-    r"compressed|image(_raw|_color|_mono|_rect|_rect_color)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
+    r"compressed|images?(_raw|_color|_mono|_rect|_rect_color)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
     r"(point_?)?clouds?2?|points2?|packets|sensors?"
 )
 _AFFIX = re.compile(
