@@ -153,6 +153,8 @@ def _metavar(annotation: Any) -> str:
 
 def _parsed(knob: Knob, value: Any) -> Any:
     """The value of an option; text that is no number stays text, for the model to complain of."""
+    if isinstance(value, bool):
+        return value
     metavar = _metavar(knob.field.annotation)
     if metavar == "YAML":
         try:

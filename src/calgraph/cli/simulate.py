@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from calgraph.cli.console import console
 from calgraph.cli.knobs import knobs_of, settings, with_knobs
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import InputError
@@ -51,6 +52,10 @@ def simulate_rig_options(
         raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
     with replacing_folder(out) as folder, progress_bars() as progress:
         simulate_into(folder, chosen, seed, progress)
+    console(stderr=True).print(
+        f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",
+        markup=False,
+    )
 
 
 simulate_rig_command = with_knobs(simulate_rig_options, _KNOBS, RigScenario())
