@@ -1,0 +1,151 @@
+"""calgraph calibrate: files, output, exit codes."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from typer.testing import Result
+
+from calgraph.result import load_calibration
+from calgraph.rig import load_rig
+from calgraph.simulation import load_truth
+
+Run = Callable[..., Result]
+
+
+def edited(rig: Path, place: Path, old: str, new: str) -> Path:
+    """A copy of a rig.yaml with one text replaced."""
+    text = rig.read_text()
+    assert old in text
+    copy = place / "rig.yaml"
+    copy.write_text(text.replace(old, new))
+    return copy
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_four_files_are_written(calibrated: tuple[Path, Result]) -> None:
+    assert names(calibrated[0]) == ["calibration.yaml", "captures.csv", "report.html", "rig.resolved.yaml"]
+
+
+def test_the_poses_are_those_of_the_robot(calibrated: tuple[Path, Result], simulated: Path) -> None:
+    calibration, truth = load_calibration(calibrated[0] / "calibration.yaml"), load_truth(simulated / "truth.yaml")
+    errors = [s.T_root_sensor[:3, 3] - truth.T_root_sensor[s.name][:3, 3] for s in calibration.sensors]
+    assert len(errors) == 3
+    assert np.linalg.norm(errors, axis=1).max() < 0.03
+
+
+def test_the_json_is_the_whole_result(calibrated: tuple[Path, Result]) -> None:
+    content = json.loads(calibrated[1].stdout)
+    captures = {(row["capture"], row["sensor"]) for row in content["captures"]}
+    assert set(content["sensors"]) == {"lidar", "camera", "laser_front"}
+    assert len(content["edges"]) == 3
+    assert len(captures) == 9 * 3
+
+
+def test_nothing_but_json_is_printed_where_there_is_no_terminal(calibrated: tuple[Path, Result]) -> None:
+    assert calibrated[1].stderr == ""
+
+
+def test_the_resolved_rig_states_the_intrinsics_of_the_recording(calibrated: tuple[Path, Result]) -> None:
+    camera = load_rig(calibrated[0] / "rig.resolved.yaml").cameras()["camera"]
+    assert camera.intrinsics is not None
+    np.testing.assert_allclose(camera.intrinsics.K, (240, 240, 239.5, 179.5))
+
+
+def test_an_unconnected_sensor_is_named_and_the_others_are_written(
+    simulated: Path, tmp_path: Path, run: Run
+) -> None:
+    rig = edited(simulated / "rig.yaml", tmp_path, "tag36h11", "tag25h9")
+    result = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("calgraph: camera is not calibrated: ")
+    assert [s.name for s in load_calibration(tmp_path / "out" / "calibration.yaml").sensors] == [
+        "lidar",
+        "laser_front",
+    ]
+
+
+def test_without_captures_nothing_is_written(simulated: Path, tmp_path: Path, run: Run) -> None:
+    rig = edited(simulated / "rig.yaml", tmp_path, "exclude: []", "exclude: [[0.0, 1000.0]]")
+    result = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "out")
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert names(tmp_path) == ["rig.yaml"]
+
+
+def test_a_wrong_key_is_named_with_its_file(simulated: Path, tmp_path: Path, run: Run) -> None:
+    rig = edited(simulated / "rig.yaml", tmp_path, "trigger: /trigger", "trigggr: /trigger")
+    result = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr == f"calgraph: {rig}: unknown key capture.trigggr; did you mean 'trigger'?\n"
+
+
+def test_a_topic_that_is_not_recorded_is_named(simulated: Path, tmp_path: Path, run: Run) -> None:
+    rig = edited(simulated / "rig.yaml", tmp_path, "/laser_front/scan", "/laser_font/scan")
+    result = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "has no topic '/laser_font/scan'; did you mean '/laser_front/scan'?" in result.stderr
+
+
+def test_a_missing_recording_is_named(simulated: Path, tmp_path: Path, run: Run) -> None:
+    result = run("calibrate", simulated / "rig.yaml", tmp_path / "none", "-o", tmp_path / "out")
+    assert (result.exit_code, result.stderr) == (2, f"calgraph: {tmp_path / 'none'}: does not exist\n")
+
+
+def test_a_truncated_recording_is_bad_input(simulated: Path, tmp_path: Path, run: Run) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((simulated / "recording" / "recording.mcap").read_bytes()[:100_000])
+    result = run("calibrate", simulated / "rig.yaml", cut, "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"calgraph: {cut}: ")
+    assert names(tmp_path) == ["cut.mcap"]
+
+
+def test_an_unusable_place_for_results_is_said_before_the_recording_is_opened(
+    simulated: Path, tmp_path: Path, run: Run
+) -> None:
+    (tmp_path / "out").write_text("a file")
+    result = run("calibrate", simulated / "rig.yaml", tmp_path / "none", "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr == f"calgraph: {tmp_path / 'out'}: is a file, a folder is to be written there\n"
+
+
+def test_a_place_below_a_file_is_unusable(simulated: Path, tmp_path: Path, run: Run) -> None:
+    (tmp_path / "file").write_text("a file")
+    result = run("calibrate", simulated / "rig.yaml", tmp_path / "none", "-o", tmp_path / "file" / "out")
+    assert result.exit_code == 2
+    assert "file/out: cannot be written (" in result.stderr
+
+
+def test_a_missing_option_is_bad_usage(simulated: Path, run: Run) -> None:
+    assert run("calibrate", simulated / "rig.yaml", simulated / "recording").exit_code == 2
+
+
+def test_an_interrupted_run_leaves_nothing_and_says_nothing(simulated: Path, tmp_path: Path) -> None:
+    assert stopped(simulated, tmp_path, signal.SIGINT) == (130, "", [])
+
+
+def test_a_terminated_run_leaves_nothing(simulated: Path, tmp_path: Path) -> None:
+    assert stopped(simulated, tmp_path, signal.SIGTERM) == (143, "", [])
+
+
+def stopped(simulated: Path, place: Path, by: signal.Signals) -> tuple[int, str, list[str]]:
+    """Exit code, stderr and files left when a calibration is stopped while it works."""
+    code = "from calgraph.cli import main; main()"
+    arguments = ["calibrate", simulated / "rig.yaml", simulated / "recording", "-o", place / "out"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)], stderr=subprocess.PIPE, text=True
+    ) as process:
+        deadline = time.monotonic() + 60
+        while not names(place) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(by)
+        _, stderr = process.communicate(timeout=60)
+    return process.returncode, stderr, names(place)

@@ -1,0 +1,96 @@
+"""calgraph export: every format, from a real result."""
+
+import ast
+import json
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from ruamel.yaml import YAML
+from typer.testing import Result
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def out(calibrated: tuple[Path, Result]) -> Path:
+    return calibrated[0]
+
+
+def test_the_launch_file_is_python(run: Run, out: Path) -> None:
+    text = run("export", out, "--format", "launch").stdout
+    assert [node.name for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)] == [
+        "generate_launch_description"
+    ]
+
+
+def test_a_calibration_yaml_serves_as_well_as_its_folder(run: Run, out: Path) -> None:
+    texts = [run("export", path, "-f", "tf").stdout for path in (out, out / "calibration.yaml")]
+    assert texts[0] == texts[1]
+
+
+def test_tf_has_a_transform_for_each_sensor_but_the_root(run: Run, out: Path) -> None:
+    content = YAML(typ="safe").load(run("export", out, "-f", "tf").stdout)
+    assert {entry["child_frame_id"] for entry in content["transforms"]} == {"camera_optical", "laser_front"}
+
+
+def test_kalibr_takes_the_intrinsics_from_the_resolved_rig_beside_the_result(run: Run, out: Path) -> None:
+    content = YAML(typ="safe").load(run("export", out, "-f", "kalibr").stdout)
+    assert content["cam0"]["resolution"] == [480, 360]
+
+
+def test_a_given_rig_goes_before_the_one_beside_the_result(run: Run, out: Path, simulated: Path) -> None:
+    result = run("export", out, "-f", "kalibr", "--rig", simulated / "rig.yaml")
+    assert result.exit_code == 2
+    assert "the intrinsics of 'camera' are not known" in result.stderr
+
+
+def test_json_holds_every_sensor(run: Run, out: Path) -> None:
+    assert set(json.loads(run("export", out, "-f", "json").stdout)["sensors"]) == {
+        "lidar",
+        "camera",
+        "laser_front",
+    }
+
+
+def test_a_new_urdf_has_a_link_for_each_frame(run: Run, out: Path) -> None:
+    robot = ElementTree.fromstring(run("export", out, "-f", "urdf").stdout.encode())
+    assert {link.get("name") for link in robot.iter("link")} == {"lidar", "camera_optical", "laser_front"}
+
+
+def test_a_given_urdf_is_corrected_in_a_file(run: Run, out: Path, tmp_path: Path) -> None:
+    new = run("export", out, "-f", "urdf").stdout
+    origin = new[new.index("<origin") : new.index("/>", new.index("<origin")) + 2]
+    (tmp_path / "old.urdf").write_text(new.replace(origin, '<origin xyz="9 9 9" rpy="0 0 0"/>'))
+    result = run("export", out, "-f", "urdf", "--urdf", tmp_path / "old.urdf", "-o", tmp_path / "new.urdf")
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert origin in (tmp_path / "new.urdf").read_text()
+
+
+def test_an_option_of_another_format_is_refused(run: Run, out: Path) -> None:
+    result = run("export", out, "-f", "tf", "--urdf", "robot.urdf")
+    assert (result.exit_code, result.stderr) == (
+        2,
+        "calgraph: --urdf: goes with --format urdf, got --format tf\n",
+    )
+
+
+def test_an_unknown_format_is_bad_usage_and_the_known_ones_are_named(run: Run, out: Path) -> None:
+    result = run("export", out, "-f", "xml")
+    assert result.exit_code == 2
+    assert "kalibr" in result.stderr
+
+
+def test_a_folder_without_a_calibration_is_named(run: Run, tmp_path: Path) -> None:
+    result = run("export", tmp_path, "-f", "tf")
+    assert result.exit_code == 2
+    assert (
+        result.stderr == f"calgraph: {tmp_path / 'calibration.yaml'}: cannot be read (No such file or directory)\n"
+    )
+
+
+def test_a_missing_urdf_is_named(run: Run, out: Path, tmp_path: Path) -> None:
+    result = run("export", out, "-f", "urdf", "--urdf", tmp_path / "none.urdf")
+    assert result.exit_code == 2
+    assert result.stderr == f"calgraph: {tmp_path / 'none.urdf'}: cannot be read (No such file or directory)\n"

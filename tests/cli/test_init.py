@@ -1,0 +1,80 @@
+"""calgraph init: a rig.yaml that loads, from what was recorded."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import Result
+
+from calgraph.recording import RecordingWriter
+from calgraph.rig import load_rig
+from calgraph.sensors import Trigger
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def drafted(run: Run, simulated: Path, tmp_path: Path) -> Path:
+    result = run("init", simulated / "recording", "-o", tmp_path / "rig.yaml")
+    assert result.exit_code == 0, result.output
+    return tmp_path / "rig.yaml"
+
+
+def test_the_draft_finds_what_the_simulated_robot_has(drafted: Path, simulated: Path) -> None:
+    draft, truth = load_rig(drafted), load_rig(simulated / "rig.yaml")
+    found = {name: (s.kind, s.topic, s.frame_id) for name, s in draft.sensors.items()}
+    assert found == {name: (s.kind, s.topic, s.frame_id) for name, s in truth.sensors.items()}
+
+
+def test_the_draft_has_root_trigger_and_camera_info(drafted: Path) -> None:
+    rig = load_rig(drafted)
+    info = rig.cameras()["camera"].camera_info
+    assert (rig.root, rig.capture.trigger, info) == ("lidar", "/trigger", "/camera/camera_info")
+
+
+def test_a_plain_folder_is_drafted(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "data" / "lidar").mkdir(parents=True)
+    np.savez(tmp_path / "data" / "lidar" / "12.5.npz", points=np.eye(3))
+    (tmp_path / "data" / "scan").mkdir()
+    np.savez(tmp_path / "data" / "scan" / "12.5.npz", ranges=np.ones(4), angle_min=0, angle_increment=0.1)
+    assert run("init", tmp_path / "data", "-o", tmp_path / "rig.yaml").exit_code == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert {name: sensor.kind for name, sensor in rig.sensors.items()} == {"lidar": "lidar3d", "laser": "lidar2d"}
+
+
+def test_the_flat_clouds_of_a_real_recording_are_a_2d_scanner(run: Run, tmp_path: Path, data_dir: Path) -> None:
+    assert run("init", data_dir / "acfr-rpg-camera-2dlidar", "-o", tmp_path / "rig.yaml").exit_code == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert {sensor.topic: sensor.kind for sensor in rig.sensors.values()} == {
+        "images": "camera",
+        "lasers": "lidar2d",
+    }
+
+
+def test_two_real_scanners_are_named_after_their_topics(run: Run, tmp_path: Path, data_dir: Path) -> None:
+    bag = data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag"
+    assert run("init", bag, "-o", tmp_path / "rig.yaml").exit_code == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert {name: s.topic for name, s in rig.sensors.items()} == {"front": "/front_scan", "rear": "/rear_scan"}
+
+
+def test_an_existing_file_is_kept(run: Run, simulated: Path, drafted: Path) -> None:
+    drafted.write_text("mine")
+    result = run("init", simulated / "recording", "-o", drafted)
+    assert (result.exit_code, drafted.read_text()) == (2, "mine")
+    assert "give --force to overwrite it" in result.stderr
+
+
+def test_an_existing_file_is_overwritten_by_force(run: Run, simulated: Path, drafted: Path) -> None:
+    drafted.write_text("mine")
+    assert run("init", simulated / "recording", "-o", drafted, "--force").exit_code == 0
+    assert load_rig(drafted).root == "lidar"
+
+
+def test_a_recording_without_sensors_is_refused_with_its_topics(run: Run, tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "bag") as writer:
+        writer.write("/trigger", Trigger(1.0))
+    result = run("init", tmp_path / "bag", "-o", tmp_path / "rig.yaml")
+    assert (result.exit_code, (tmp_path / "rig.yaml").exists()) == (2, False)
+    assert "no topic with usable images, laser scans or point clouds; its topics are: /trigger (" in result.stderr

@@ -1,0 +1,59 @@
+"""calgraph inspect: the table, its JSON, and damaged recordings."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import Result
+
+from calgraph.recording import open_recording
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def printed(run: Run, simulated: Path) -> str:
+    return run("inspect", simulated / "recording").stdout
+
+
+def test_every_topic_is_listed_with_its_count(printed: str, simulated: Path) -> None:
+    with open_recording(simulated / "recording") as recording:
+        counts = {topic.name: str(topic.count) for topic in recording.topics}
+    rows = (line.split() for line in printed.splitlines()[1:] if line.startswith("/"))
+    assert {row[0]: row[1] for row in rows} == counts
+
+
+def test_the_first_message_is_described(printed: str) -> None:
+    assert "LaserScan, lidar2d, frame laser_front" in printed
+    assert "480 x 360 pixels, grey" in printed
+
+
+def test_a_sound_recording_has_nothing_odd(printed: str) -> None:
+    assert printed.endswith("Nothing odd was found.\n")
+
+
+def test_the_json_has_the_rates_of_the_sensors(run: Run, simulated: Path) -> None:
+    content = json.loads(run("inspect", simulated / "recording", "--json").stdout)
+    rates = {topic["name"]: topic["timing"]["rate"] for topic in content["topics"]}
+    assert rates["/camera/image_raw/compressed"] == pytest.approx(4, abs=0.01)
+    assert rates["/laser_front/scan"] == pytest.approx(10, abs=0.01)
+
+
+def test_a_truncated_file_is_bad_input(run: Run, simulated: Path, tmp_path: Path) -> None:
+    (tmp_path / "cut.mcap").write_bytes((simulated / "recording" / "recording.mcap").read_bytes()[:100_000])
+    result = run("inspect", tmp_path / "cut.mcap")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"calgraph: {tmp_path / 'cut.mcap'}: ")
+
+
+def test_what_a_recording_lacks_is_said_after_what_it_has(run: Run, simulated: Path, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    for file in (simulated / "recording").iterdir():
+        (tmp_path / "bag" / file.name).write_bytes(file.read_bytes())
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("message_count: 9\n", "message_count: 11\n"))
+    result = run("inspect", tmp_path / "bag")
+    assert result.exit_code == 2
+    assert "! /trigger: holds 9 messages, the recording states 11" in result.stdout
+    assert "holds fewer messages than it states (/trigger: 9 of 11)" in result.stderr

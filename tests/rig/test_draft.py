@@ -1,0 +1,121 @@
+"""Drafts of rig.yaml: what is taken for a sensor, and that every draft loads."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calgraph.errors import InputError
+from calgraph.rig import CameraSpec, FoundTopic, Kind, Rig, draft_rig, load_rig
+
+IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+
+
+def image(name: str, **more: str) -> FoundTopic:
+    return FoundTopic(name, IMAGE, "camera", 100, **more)
+
+
+def info(name: str, **more: str) -> FoundTopic:
+    return FoundTopic(name, INFO, "camera_info", 100, **more)
+
+
+def scan(name: str, count: int = 500) -> FoundTopic:
+    return FoundTopic(name, "sensor_msgs/msg/LaserScan", "lidar2d", count)
+
+
+def cloud(name: str) -> FoundTopic:
+    return FoundTopic(name, "sensor_msgs/msg/PointCloud2", "lidar3d", 200)
+
+
+def event(name: str, count: int) -> FoundTopic:
+    return FoundTopic(name, "std_msgs/msg/Empty", "event", count)
+
+
+def drafted(tmp_path: Path, *topics: FoundTopic) -> Rig:
+    (tmp_path / "rig.yaml").write_text(draft_rig(topics, "bag"), encoding="utf-8")
+    return load_rig(tmp_path / "rig.yaml")
+
+
+def camera(rig: Rig) -> CameraSpec:
+    [spec] = rig.cameras().values()
+    return spec
+
+
+def test_the_root_is_the_3d_lidar(tmp_path: Path) -> None:
+    assert drafted(tmp_path, image("/a/image_raw"), scan("/b/scan"), cloud("/c/points")).root == "c"
+
+
+def test_without_a_3d_lidar_the_root_is_the_first_sensor(tmp_path: Path) -> None:
+    assert drafted(tmp_path, scan("/b/scan"), scan("/c/scan")).root == "b"
+
+
+def test_raw_and_compressed_images_are_one_camera(tmp_path: Path) -> None:
+    rig = drafted(tmp_path, image("/cam/image_raw"), image("/cam/image_raw/compressed"))
+    assert camera(rig).topic == "/cam/image_raw"
+
+
+def test_images_of_one_camera_are_taken_unrectified(tmp_path: Path) -> None:
+    rig = drafted(tmp_path, image("/cam/image_rect"), image("/cam/image_raw/compressed"))
+    assert camera(rig).topic == "/cam/image_raw/compressed"
+
+
+def test_cameras_in_one_namespace_stay_two(tmp_path: Path) -> None:
+    rig = drafted(tmp_path, image("/cameras/left"), image("/cameras/right"))
+    assert set(rig.cameras()) == {"left", "right"}
+
+
+@pytest.mark.parametrize(
+    ("topics", "expected"),
+    [
+        ([info("/cam/camera_info"), info("/other/camera_info")], "/cam/camera_info"),
+        ([info("/cam/image_raw/camera_info")], "/cam/image_raw/camera_info"),
+        ([info("/x", frame_id="optical"), info("/y", frame_id="else")], "/x"),
+        ([info("/the_only_one")], "/the_only_one"),
+        ([info("/x"), info("/y")], None),
+        ([info("/cam/camera_info", problem="K has no focal lengths")], None),
+    ],
+)
+def test_the_camera_info_is_found(tmp_path: Path, topics: list[FoundTopic], expected: str | None) -> None:
+    assert camera(drafted(tmp_path, image("/cam/image_raw", frame_id="optical"), *topics)).camera_info == expected
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [image("/depth/image_raw"), image("/cam/image", problem="encoding 32FC1 is not supported"), scan("/empty", 0)],
+)
+def test_what_cannot_be_used_is_listed_but_not_drafted(tmp_path: Path, topic: FoundTopic) -> None:
+    rig = drafted(tmp_path, cloud("/points"), topic)
+    assert list(rig.sensors) == ["lidar"]
+    assert f"#   {topic.name}: " in (tmp_path / "rig.yaml").read_text()
+
+
+def test_a_trigger_that_fires_now_and_then_marks_the_captures(tmp_path: Path) -> None:
+    assert drafted(tmp_path, scan("/scan"), event("/capture/trigger", 48)).capture.trigger == "/capture/trigger"
+
+
+def test_a_trigger_of_every_image_does_not_mark_captures(tmp_path: Path) -> None:
+    assert drafted(tmp_path, image("/cam/image_raw"), event("/cam/trigger", 100)).capture.trigger is None
+
+
+def test_an_event_of_another_name_is_no_trigger(tmp_path: Path) -> None:
+    assert drafted(tmp_path, scan("/scan"), event("/heartbeat", 10)).capture.trigger is None
+
+
+def test_no_sensor_is_refused() -> None:
+    with pytest.raises(InputError, match=r"bag: has no topic with usable .* /heartbeat \(std_msgs/msg/Empty\)"):
+        draft_rig([event("/heartbeat", 10)], "bag")
+
+
+kinds: st.SearchStrategy[Kind] = st.sampled_from(["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"])
+# Text that YAML files can hold: no surrogates, no control characters.
+words = st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn")), min_size=1, max_size=8)
+topics = st.builds(FoundTopic, words, words, kinds, st.integers(0, 99), st.text("a1/_ :#'\"{", max_size=5), words)
+
+
+@given(st.lists(topics, min_size=1, max_size=6, unique_by=lambda topic: topic.name))
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_the_topics_are_called_the_draft_loads(tmp_path: Path, found: list[FoundTopic]) -> None:
+    found = [*found, scan("/scan-of-ours")]
+    rig = drafted(tmp_path, *found)
+    assert {sensor.topic for sensor in rig.sensors.values()} <= {topic.name for topic in found}
