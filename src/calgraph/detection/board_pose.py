@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calgraph.detection.detections import Rejected
 from calgraph.geometry import Array, plane, se3, so3
@@ -158,7 +158,7 @@ def _largest_agreement(
     Every mark is tried with both its poses, so there is nothing to sample.
     """
     best, best_score = np.zeros(len(ids), dtype=bool), -np.inf
-    gate = float(chi2.isf(_AGREEMENT, 2 * pixels.shape[1]))
+    gate = float(chdtri(2 * pixels.shape[1], _AGREEMENT))
     for mark in np.flatnonzero(in_view):
         for fit in _minima(corners[mark], pixels[mark], camera):
             d2 = np.array([_mahalanobis2(fit, c, p, camera, sigma) for c, p in zip(corners, pixels, strict=True)])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calgraph.geometry import Array, plane
 
@@ -123,4 +123,4 @@ def _inflation(residuals: Array, parameters: int) -> float:
     """The reduced chi-square where it is significantly above one: the stated noise is too small there."""
     freedom = len(residuals) - parameters
     total = float(residuals @ residuals)
-    return total / freedom if total > chi2.ppf(0.999, freedom) else 1.0
+    return total / freedom if total > chdtri(freedom, 0.001) else 1.0

@@ -1,7 +1,7 @@
 """Lines and surfaces that stand for sensors and their uncertainty, in metres, in the frame of the root."""
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel
@@ -10,7 +10,7 @@ Polyline = Array
 """(N, 3) points of one line, m."""
 
 # 95 % of a normal distribution in space lies within this many standard deviations.
-SCALE_95 = float(np.sqrt(chi2.ppf(0.95, 3)))
+SCALE_95 = float(np.sqrt(chdtri(3, 0.05)))
 
 
 def axes(T_root_sensor: Array, size: float) -> list[Polyline]:
