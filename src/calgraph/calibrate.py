@@ -2,13 +2,15 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calgraph.captures import (
     ActivityMeter,
     Captured,
+    Timeline,
+    check_timeline,
     detectors,
     find_holds,
     gather,
@@ -17,6 +19,7 @@ from calgraph.captures import (
     observe,
     survey,
     thinned,
+    with_measured_noise,
 )
 from calgraph.detection import Rejected
 from calgraph.errors import CalibrationError
@@ -24,7 +27,7 @@ from calgraph.geometry import se3
 from calgraph.graph import spanning_tree
 from calgraph.pairwise import estimate_pair, reconsider
 from calgraph.recording import Recording, read_cameras
-from calgraph.refinement import Filter, Joint, Pairs, Start, assemble, solve_hypergraph
+from calgraph.refinement import Filter, Joint, Pairs, Start, assemble, solve_hypergraph, why_alone
 from calgraph.result import Calibration
 from calgraph.rig import CameraSpec, Rig
 
@@ -82,6 +85,7 @@ def capture_board(
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
     timeline = survey(recording.records(watched), recording.start, topics, trigger, progress=reading)
+    check_timeline(rig, timeline, recording.end)
     if trigger is None and not is_snapshots(timeline):
         meters = {name: ActivityMeter() for name in topics}
         timeline = survey(
@@ -91,7 +95,7 @@ def capture_board(
         find_holds(timeline, rig.capture.background, rig.capture.exclude, triggered=bool(trigger)), rig
     )
     if not holds:
-        raise CalibrationError(_no_holds(rig))
+        raise CalibrationError(_no_holds(rig, timeline))
 
     window = rig.capture.background
     scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
@@ -102,7 +106,15 @@ def capture_board(
         progress("detecting", done / (len(holds) * len(topics)))
 
     observations = observe(recording.records(topics.values()), holds, topics, detect, progress=detecting)
-    return gather(timeline, holds, observations)
+    captured = gather(timeline, holds, observations)
+    noise = {name: spec.noise.pixel for name, spec in rig.cameras().items()}
+    return replace(
+        captured,
+        detections={
+            name: with_measured_noise(seen, noise[name]) if name in noise else seen
+            for name, seen in captured.detections.items()
+        },
+    )
 
 
 def solve_rig(
@@ -112,10 +124,12 @@ def solve_rig(
     pairs = estimate_pairs(rig, captured, rng, progress)
     estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
     tree = spanning_tree(rig.root, estimates)
+    if not tree.parents:
+        raise CalibrationError(_nothing_connected(rig, captured, pairs))
     joint = solve_hypergraph(tree, estimates, captured.detections, keep=options.keep, start=options.start)
     if options.keep == "ransac":
         # What three captures could not tell apart, all of them can: select once more under the joint solution.
-        pairs = _reconsider_pairs(rig, captured, pairs, joint, rng)
+        pairs = _reconsider_pairs(rig, captured, pairs, joint)
         estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
         joint = solve_hypergraph(tree, estimates, captured.detections, keep=options.keep, start=options.start)
     return assemble(rig, captured, pairs, tree, joint)
@@ -133,10 +147,10 @@ def estimate_pairs(rig: Rig, captured: Captured, rng: np.random.Generator, progr
     return pairs
 
 
-def _reconsider_pairs(rig: Rig, captured: Captured, pairs: Pairs, joint: Joint, rng: np.random.Generator) -> Pairs:
+def _reconsider_pairs(rig: Rig, captured: Captured, pairs: Pairs, joint: Joint) -> Pairs:
     poses, seen = joint.T_root_sensor, captured.detections
     return {
-        (a, b): reconsider(pair, se3.inverse(poses[a]) @ poses[b], seen[a], seen[b], _size(rig), rng)
+        (a, b): reconsider(pair, se3.inverse(poses[a]) @ poses[b], seen[a], seen[b], _size(rig))
         if not isinstance(pair, Rejected) and a in poses and b in poses
         else pair
         for (a, b), pair in pairs.items()
@@ -148,11 +162,24 @@ def _size(rig: Rig) -> tuple[float, float]:
     return max((board.size for board in rig.boards), key=lambda size: size[0] * size[1])
 
 
-def _no_holds(rig: Rig) -> str:
-    if rig.capture.trigger:
+def _nothing_connected(rig: Rig, captured: Captured, pairs: Pairs) -> str:
+    if len(rig.sensors) == 1:
+        return f"{rig.root} is the only sensor: a rig.yaml needs two to calibrate one to the other"
+    reasons = (f"{name} {why_alone(name, captured, pairs)}" for name in rig.sensors)
+    return f"nothing is connected to the root {rig.root}: {'; '.join(reasons)}"
+
+
+def _no_holds(rig: Rig, timeline: Timeline) -> str:
+    trigger = rig.capture.trigger
+    if trigger and not len(timeline.triggers):
         return (
-            f"the topic {rig.capture.trigger} has no message: check capture.trigger, or leave it out to find the "
-            "holds from the data"
+            f"the topic {trigger} has no message: check capture.trigger, or leave it out to find the holds from "
+            "the data"
+        )
+    if trigger:
+        return (
+            f"all {len(timeline.triggers)} messages of {trigger} lie within capture.background or capture.exclude: "
+            "make these windows shorter"
         )
     return (
         "the board never rests: hold it still for twice as long as the slowest sensor takes, or record a trigger"

@@ -1,5 +1,6 @@
 """One detector for every sensor of a rig, with what it learnt of the background."""
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
@@ -17,6 +18,8 @@ from calgraph.detection import (
 )
 from calgraph.rig import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, scan_of_cloud
+
+_log = logging.getLogger(__name__)
 
 Background = CloudBackground | ScanBackground
 
@@ -45,6 +48,9 @@ def learn_backgrounds(
         messages = seen.setdefault(by_topic[record.topic], [])
         if len(messages) < _ENOUGH:
             messages.append(record.decode())
+    for name in by_topic.values():
+        if rig.capture.background and name not in seen:
+            _log.warning("capture.background: %s sent nothing in it; its board is found by size and shape", name)
     return {name: background_of(messages, rig.sensors[name]) for name, messages in seen.items()}
 
 

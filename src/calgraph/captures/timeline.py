@@ -22,6 +22,8 @@ class SensorTimes:
     """(N,) how much changed since the message before, 0 where that was not asked for."""
     frame_id: str = ""
     """The frame its messages state."""
+    message: str = ""
+    """What its messages are: ``Image``, ``LaserScan``, ``PointCloud``, ...; empty where there are none."""
 
     @property
     def period(self) -> float:
@@ -65,7 +67,7 @@ def survey(
     by_topic = {topic: name for name, topic in topics.items()}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     activity: dict[str, list[float]] = {name: [] for name in topics}
-    first: dict[str, tuple[float, str]] = {}
+    first: dict[str, tuple[float, str, str]] = {}
     triggers: list[float] = []
     for record in records:
         if progress:
@@ -81,15 +83,17 @@ def survey(
         message = record.decode() if meter or name not in first else None
         if name not in first:
             duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0
-            first[name] = duration, getattr(message, "frame_id", "")
+            first[name] = duration, getattr(message, "frame_id", ""), type(message).__name__
         activity[name].append(meter.change(message) if meter and message else 0.0)
     return Timeline(
         start,
-        {name: _sorted(stamps[name], activity[name], *first.get(name, (0.0, ""))) for name in topics},
+        {name: _sorted(stamps[name], activity[name], *first.get(name, (0.0, "", ""))) for name in topics},
         np.sort(np.array(triggers)),
     )
 
 
-def _sorted(stamps: list[float], activity: list[float], duration: float, frame_id: str) -> SensorTimes:
+def _sorted(
+    stamps: list[float], activity: list[float], duration: float, frame_id: str, message: str
+) -> SensorTimes:
     order = np.argsort(stamps, kind="stable")
-    return SensorTimes(np.array(stamps)[order], duration, np.array(activity)[order], frame_id)
+    return SensorTimes(np.array(stamps)[order], duration, np.array(activity)[order], frame_id, message)

@@ -8,7 +8,7 @@ from calgraph.captures import Captured, Hold
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
-from calgraph.pairwise import Candidates, PairwiseEstimate
+from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.hypergraph import Joint
 from calgraph.refinement.observability import verdict
 from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
@@ -37,11 +37,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         sensors=tuple(_pose(name, rig, captured, tree, joint) for name in root_first if name in connected),
         edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
         captures=tuple(_row(hold, name, captured, used) for hold in captured.holds for name in rig.sensors),
-        unconnected={
-            name: _why_alone(name, captured.detections[name], pairs)
-            for name in rig.sensors
-            if name not in connected
-        },
+        unconnected={name: why_alone(name, captured, pairs) for name in rig.sensors if name not in connected},
         residuals=joint.residuals,
         outlines=tuple(_outlines(rig, captured, used, joint)),
     )
@@ -103,9 +99,19 @@ def _row(hold: Hold, name: str, captured: Captured, used: Used) -> CaptureRow:
     )
 
 
-def _why_alone(name: str, seen: Candidates, pairs: Pairs) -> str:
+def why_alone(name: str, captured: Captured, pairs: Pairs) -> str:
+    """Why a sensor is not connected to the root, as the rest of a sentence that starts with its name.
+
+    Args:
+        name: the sensor.
+        captured: what the recording says of the rig.
+        pairs: estimate, or the reason why there is none, by pair of sensors.
+    """
+    seen = captured.detections[name]
+    misses = [reason for (_, sensor), reason in captured.misses.items() if sensor == name]
     if not seen:
-        return "found the board in no capture"
+        of = f"none of {len(captured.holds)} captures"
+        return f"found the board in {of}, mostly because: {max(misses, key=misses.count)}"
     reasons = [
         f"{b if a == name else a}: {pair.reason}"
         for (a, b), pair in pairs.items()
