@@ -132,7 +132,7 @@ def wanted_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[s
     for name in wanted or ():
         if name not in names:
             close = difflib.get_close_matches(name, names, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
+            hint = f"; did you mean {close[0]!r}?" if close else "."
             raise InputError(f"{path}: has no topic {name!r}{hint} Its topics are: {', '.join(names) or 'none'}")
     return set(names if wanted is None else wanted)
 
