@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.pairwise.estimate import Linearization
+from calgraph.pairwise.hinge import hinge_poses
 from calgraph.pairwise.least_squares import canonical_rotations, gauss_newton
 
 # A start is worth refining from the linear solution only if every unknown moves the residuals by this much of
 # what it would move a single point (RMS over the sample): below it, noise decides the unknown.
 _CONDITION = 0.02
+# Of the plain mountings, so many are refined for each sample.
+_PROMISING = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +62,15 @@ class PlaneLine:
             T, _ = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
             T[s[:, -1] < 1e-6 * s[:, 0]] = np.nan
             return T
-        starts = canonical_rotations()
-        solutions = []
-        for R in np.broadcast_to(starts[:, None], (len(starts), len(samples), 3, 3)):
-            solutions.append(gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals))
-        poses = np.stack([T for T, _ in solutions])
+        starts = _promising(canonical_rotations(), n, d, x)
+        count = starts.shape[1]
+        n, d, x = (np.repeat(v, count, axis=0) for v in (n, d, x))
+        R = starts.reshape(-1, 3, 3)
+        T, cost = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
         # Among solutions that fit alike, the one that had to turn least from a plain mounting.
-        turned = np.linalg.norm(so3.log(poses[..., :3, :3] @ np.swapaxes(starts, -1, -2)[:, None]), axis=-1)
-        costs = np.stack([cost for _, cost in solutions]) + (0.02 * turned) ** 2
-        return np.asarray(np.take_along_axis(poses, costs.argmin(axis=0)[None, :, None, None], axis=0)[0])
+        turned = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
+        best = np.argmin((cost + (0.02 * turned) ** 2).reshape(-1, count), axis=1)
+        return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
 
     @cached_property
     def _determined(self) -> bool:
@@ -110,29 +113,18 @@ class LineLine:
     covariances_b: Array
     reach: float
     """The board's diagonal: how far apart the two middles may be, m."""
-    rng: np.random.Generator
-    """Draws the rotations from which a sample is solved."""
 
     sample_size: int = 8
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
-        """Gauss–Newton on coplanarity from random rotations, held together by the board's finite size.
+        """Linear in the scan planes, then Gauss–Newton on coplanarity, held together by the board's finite size.
 
         The turn of one scanner about the line in which the two scan planes meet is left as it starts: it moves no
         crossing point on that line, so coplanarity says nothing of it (see :func:`coplanarity`).
         """
         a, b = self.endpoints_a[samples], self.endpoints_b[samples]
-        best, best_cost = np.full((len(samples), 4, 4), np.nan), np.full(len(samples), np.inf)
-        for axes in self.rng.permutation(canonical_rotations())[:_STARTS]:
-            R = so3.exp(self.rng.normal(scale=0.3, size=(len(samples), 3))) @ axes
-            t = np.mean(a.mean(axis=2) - np.einsum("kij,kmj->kmi", R, b.mean(axis=2)), axis=1)
-            T = se3.pose(R, t)
-            # The middles are a board apart at most: enough to lead the search, then nearly let go.
-            for looseness in (self.reach / 4, self.reach, 20 * self.reach):
-                T, cost = gauss_newton(T, partial(_coplanar_together, a=a, b=b, looseness=looseness))
-            better = cost < best_cost
-            best[better], best_cost[better] = T[better], cost[better]
-        return best
+        T, _ = gauss_newton(hinge_poses(a, b), partial(_coplanar_together, a=a, b=b, looseness=20 * self.reach))
+        return T
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Distance of the two lines times the sine of their angle: zero where they are coplanar."""
@@ -148,7 +140,6 @@ class LineLine:
         return np.asarray(np.linalg.norm(middle - self.endpoints_a.mean(axis=1), axis=-1) <= self.reach)
 
 
-_STARTS = 4
 # Sine of the angle between scan planes below which coplanarity says nothing of their pose.
 _PARALLEL = 0.05
 
@@ -207,6 +198,14 @@ def _distances(T: Array, n: Array, d: Array, x: Array) -> tuple[Array, Array]:
     Rx = x @ np.swapaxes(T[:, :3, :3], -1, -2)
     r = np.sum(n * (Rx + T[:, None, :3, 3]), axis=-1) + d
     return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
+
+
+def _promising(starts: Array, n: Array, d: Array, x: Array) -> Array:
+    """Of rotations (S, 3, 3), for each sample those (K, k, 3, 3) that fit best once translated."""
+    r = np.einsum("kpi,sij,kpj->ksp", n, starts, x, optimize=True) + d[:, None]
+    r -= np.einsum("kpi,kiq,ksq->ksp", n, np.linalg.pinv(n, rcond=0.05), r, optimize=True)
+    chosen = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")[:, :_PROMISING]
+    return starts[chosen]
 
 
 def _translation(R: Array, n: Array, d: Array, x: Array) -> Array:

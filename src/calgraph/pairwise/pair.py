@@ -45,7 +45,7 @@ def estimate_pair(
         swapped = estimate_pair(sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
 
-    table, matches = _matches(candidates_a, candidates_b, board_size, rng)
+    table, matches = _matches(candidates_a, candidates_b, board_size)
     if len(common) < matches.sample_size:
         return Rejected(f"{len(common)} captures show the board to both, {matches.sample_size} are needed")
     found = search(table[:, 0], matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
@@ -60,7 +60,6 @@ def reconsider(
     candidates_a: Candidates,
     candidates_b: Candidates,
     board_size: tuple[float, float],
-    rng: np.random.Generator,
 ) -> PairwiseEstimate:
     """Selects a pair's inliers anew, under a pose that more than this pair's data determined.
 
@@ -73,7 +72,6 @@ def reconsider(
         candidates_a: detections by the estimate's sensor a.
         candidates_b: detections by its sensor b.
         board_size: width and height of the (largest) board, m.
-        rng: for the matches' solver; not drawn from.
 
     Returns:
         The estimate at ``T_a_b`` with the new inliers; unchanged if too few would be left.
@@ -82,9 +80,9 @@ def reconsider(
         _kind(candidates_a[estimate.matches[0, 0]][0]) == "line"
         and _kind(candidates_b[estimate.matches[0, 0]][0]) == "plane"
     ):
-        swapped = reconsider(estimate.inverse(), se3.inverse(T_a_b), candidates_b, candidates_a, board_size, rng)
+        swapped = reconsider(estimate.inverse(), se3.inverse(T_a_b), candidates_b, candidates_a, board_size)
         return swapped.inverse()
-    table, matches = _matches(candidates_a, candidates_b, board_size, rng)
+    table, matches = _matches(candidates_a, candidates_b, board_size)
     r2 = squared_residuals(matches)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
     gate = min(1.0, 3.5**2 * scale2)
@@ -95,12 +93,12 @@ def reconsider(
 
 
 def _matches(
-    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float], rng: np.random.Generator
+    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float]
 ) -> tuple[NDArray[np.intp], Matches]:
     table = match_table(candidates_a, candidates_b)
     a = [candidates_a[capture][i] for capture, i, _ in table]
     b = [candidates_b[capture][j] for capture, _, j in table]
-    return table, _MATCHES[_kind(a[0]), _kind(b[0])](a, b, size, rng)
+    return table, _MATCHES[_kind(a[0]), _kind(b[0])](a, b, size)
 
 
 def _estimate(
@@ -143,25 +141,19 @@ def _segments(detections: Sequence[Detection]) -> tuple[Array, Array]:
     return np.array([d.endpoints for d in seen]), np.array([d.covariance for d in seen])
 
 
-Build = Callable[[Sequence[Detection], Sequence[Detection], tuple[float, float], np.random.Generator], Matches]
+Build = Callable[[Sequence[Detection], Sequence[Detection], tuple[float, float]], Matches]
 
 
-def _plane_plane(
-    a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float], _rng: np.random.Generator
-) -> Matches:
+def _plane_plane(a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float]) -> Matches:
     return PlanePlane(*_planes(a), *_planes(b), min(size) / 2, float(np.hypot(*size)))
 
 
-def _plane_line(
-    a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float], _rng: np.random.Generator
-) -> Matches:
+def _plane_line(a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float]) -> Matches:
     return PlaneLine(*_planes(a), *_segments(b), float(np.hypot(*size)))
 
 
-def _line_line(
-    a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float], rng: np.random.Generator
-) -> Matches:
-    return LineLine(*_segments(a), *_segments(b), float(np.hypot(*size)), rng)
+def _line_line(a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float]) -> Matches:
+    return LineLine(*_segments(a), *_segments(b), float(np.hypot(*size)))
 
 
 _MATCHES: Mapping[tuple[str, str], Build] = {
