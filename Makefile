@@ -25,7 +25,7 @@ test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
 check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy src tests
+	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 format: $(READY)  ## put all code into the format that check asks for
