@@ -13,6 +13,8 @@ from calgraph.geometry import Array, se3, so3
 _GATE = 3.0
 # ... of their noise together with what no noise model knows: the board's bend, range bias, stamps (m).
 MODEL_ERROR = 0.01
+# How far a board is from a plane, m.
+_FLATNESS = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,8 @@ class PairwiseEstimate:
     """(M,) the matches that agree with T_a_b: at most one per capture."""
     residuals: Array
     """(M,) root mean square distance between the two detections under T_a_b, m."""
+    excess: float = 1.0
+    """How many times farther apart the inliers' detections are than their covariances explain."""
 
     @property
     def squared_error(self) -> float:
@@ -46,7 +50,7 @@ class PairwiseEstimate:
         J[:3, 3:] = -so3.hat(self.T_a_b[:3, 3]) @ R
         return PairwiseEstimate(
             self.sensor_b, self.sensor_a, se3.inverse(self.T_a_b), J.T @ self.information @ J,
-            self.matches[:, [0, 2, 1]], self.inliers, self.residuals,
+            self.matches[:, [0, 2, 1]], self.inliers, self.residuals, self.excess,
         )  # fmt: skip
 
 
@@ -89,6 +93,13 @@ def squared_residuals(matches: Matches) -> Callable[[Array], Array]:
         return np.asarray(np.where(matches.reachable(T_a_b), r2, np.inf))
 
     return of
+
+
+def excess(at: Linearization, inliers: NDArray[np.bool_]) -> float:
+    """Root mean square of the inliers' residuals, whitened by their covariances and a board's flatness."""
+    r, covariance = at.residuals[inliers], at.covariance[inliers]
+    W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
+    return float(np.sqrt(np.einsum("mk,mkl,ml->", r, W, r) / max(r.size - 6, 1)))
 
 
 def information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 from calgraph.consensus import best_of_groups, search
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
 from calgraph.geometry import Array, se3
-from calgraph.pairwise.estimate import Linearization, Matches, PairwiseEstimate, information, squared_residuals
+from calgraph.pairwise.estimate import (
+    Linearization,
+    Matches,
+    PairwiseEstimate,
+    excess,
+    information,
+    squared_residuals,
+)
 from calgraph.pairwise.lines import LineLine, PlaneLine
 from calgraph.pairwise.planes import PlanePlane
 
@@ -112,7 +119,9 @@ def _estimate(
     at = matches.linearize(T_a_b[None])
     at = Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
     rms = np.sqrt(np.mean(at.residuals**2, axis=-1))
-    return PairwiseEstimate(sensor_a, sensor_b, T_a_b, information(at, inliers), table, inliers, rms)
+    return PairwiseEstimate(
+        sensor_a, sensor_b, T_a_b, information(at, inliers), table, inliers, rms, excess(at, inliers)
+    )
 
 
 def match_table(candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:

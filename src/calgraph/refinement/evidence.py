@@ -10,7 +10,7 @@ from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.hypergraph import Joint
-from calgraph.refinement.observability import verdict
+from calgraph.refinement.observability import doubts, verdict
 from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import Rig
 
@@ -30,11 +30,17 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     """
     estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
     connected = tree.T_root_sensor
-    used = _residuals_of_used([e for e in estimates if e.sensor_a in connected and e.sensor_b in connected])
+    within = [e for e in estimates if e.sensor_a in connected and e.sensor_b in connected]
+    used = _residuals_of_used(within)
+    doubted = doubts(rig.root, {name: rig.sensors[name].kind for name in connected}, within)
     root_first = sorted(rig.sensors, key=lambda name: name != rig.root)
     return Calibration(
         root=rig.root,
-        sensors=tuple(_pose(name, rig, captured, tree, joint) for name in root_first if name in connected),
+        sensors=tuple(
+            _pose(name, rig, captured, tree, joint, doubted.get(name, ""))
+            for name in root_first
+            if name in connected
+        ),
         edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
         captures=tuple(_row(hold, name, captured, used) for hold in captured.holds for name in rig.sensors),
         unconnected={name: why_alone(name, captured, pairs) for name in rig.sensors if name not in connected},
@@ -43,7 +49,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     )
 
 
-def _pose(name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Joint) -> SensorPose:
+def _pose(name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Joint, doubt: str) -> SensorPose:
     spec = rig.sensors[name]
     T, covariance = joint.T_root_sensor[name], joint.covariance[name]
     return SensorPose(
@@ -53,7 +59,7 @@ def _pose(name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Jo
         kind=spec.kind,
         T_root_sensor=T,
         covariance=covariance,
-        verdict=verdict(name, spec.kind, T, covariance),
+        verdict=verdict(name, spec.kind, T, covariance, doubt),
     )
 
 

@@ -1,19 +1,30 @@
 """How far a pose can be relied on, in words a person can act on."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from calgraph.geometry import Array
+from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import Verdict
 
 # Standard deviations (m, rad) beyond which a direction is called weak, and unobservable.
 _WEAK = (0.02, np.radians(0.5))
 _UNOBSERVABLE = (0.2, np.radians(10))
 
+# How many times farther apart two sensors' detections may be than their noise explains.
+_EXCESS = 3.0
+_CAUSES = {
+    "camera": "its intrinsics, and the sizes of the printed tags or squares",
+    "lidar2d": "its range and angle noise, and that its ranges and angles are in m and rad",
+    "lidar3d": "its range and angle noise, and that its points are in m",
+}
+
 _SCANNER_AXES = ("forward (x)", "sideways (y)", "height (z)", "roll (about x)", "pitch (about y)", "yaw (about z)")
 _CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "yaw (about y)", "roll (about z)")
 
 
-def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array) -> Verdict:
+def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array, doubt: str = "") -> Verdict:
     """Grades a pose and names its weak directions along the sensor's own axes.
 
     Args:
@@ -21,6 +32,7 @@ def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array) -> Ve
         kind: camera, lidar2d or lidar3d; decides what its axes are called.
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
+        doubt: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
 
     Returns:
         The verdict; its reason is empty for a good pose.
@@ -39,9 +51,39 @@ def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array) -> Ve
     advice = f"tilt and turn the board more, in different places, while {name} and others see it"
     if open_axes:
         return Verdict("unobservable", f"{_listed(open_axes)} fixed by no capture; {advice}")
+    weaknesses = [doubt] if doubt else []
     if weak_axes:
-        return Verdict("weak", f"{', '.join(weak_axes)} of {name}: {advice}")
-    return Verdict("good")
+        weaknesses.append(f"{', '.join(weak_axes)} of {name}: {advice}")
+    return Verdict("weak", "; ".join(weaknesses)) if weaknesses else Verdict("good")
+
+
+def doubts(root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, str]:
+    """Sensors whose detections fit nobody else's, and why that makes their poses doubtful.
+
+    A wrong focal length or a wrong size of the print shifts all that a camera sees by the same factor. Consensus
+    keeps such detections, and their scatter hardly shows the error: only that no other sensor explains them does.
+
+    Args:
+        root: the root sensor; if its own detections fit nobody else's, no pose can be trusted.
+        kinds: camera, lidar2d or lidar3d, by connected sensor.
+        pairs: the estimates between them, at the joint solution.
+
+    Returns:
+        The reason in words, by sensor; no entry for one whose detections fit at least one other sensor's.
+    """
+    least = {
+        name: min((pair.excess for pair in pairs if name in (pair.sensor_a, pair.sensor_b)), default=1.0)
+        for name in kinds
+    }
+    reasons = {
+        name: f"what {name} saw is {times:.0f} times farther from what any other sensor saw than noise explains: "
+        f"check {_CAUSES[kinds[name]]}"
+        for name, times in least.items()
+        if times > _EXCESS
+    }
+    if root in reasons:
+        return {name: reasons.get(name, reasons[root]) for name in kinds if name != root}
+    return reasons
 
 
 def _size(stddev: float, axis: int) -> str:
