@@ -178,8 +178,8 @@ def _no_holds(rig: Rig, timeline: Timeline) -> str:
         )
     if trigger:
         return (
-            f"all {len(timeline.triggers)} messages of {trigger} lie within capture.background or capture.exclude: "
-            "make these windows shorter"
+            f"all {len(timeline.triggers)} messages of {trigger} lie in capture.background or capture.exclude; "
+            "make these shorter"
         )
     return (
         "the board never rests: hold it still for twice as long as the slowest sensor takes, or record a trigger"

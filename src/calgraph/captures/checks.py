@@ -1,4 +1,4 @@
-"""Whether a recording can belong to a rig: what does not fit is named here, before it shows as boards not found."""
+"""Whether a recording can belong to a rig: what does not fit is named here, before it shows as missing boards."""
 
 from collections.abc import Mapping
 
@@ -39,7 +39,7 @@ def _check_trigger(rig: Rig) -> None:
     for name, spec in rig.sensors.items():
         if spec.topic == rig.capture.trigger:
             raise InputError(
-                f"capture.trigger: {spec.topic} is the topic of the sensor {name}, whose messages mark no captures; "
+                f"capture.trigger: {spec.topic} is the topic of the sensor {name}, not one that marks captures; "
                 "leave the trigger out to find the holds from the data"
             )
 

@@ -16,6 +16,7 @@ from calgraph.detection import (
     find_patches,
     find_segments,
 )
+from calgraph.errors import InputError
 from calgraph.rig import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, scan_of_cloud
 
@@ -38,7 +39,7 @@ def learn_backgrounds(
         progress: called with the arrival time of records.
 
     Returns:
-        By scanner; no entry for one that sent nothing in the window.
+        By scanner; no entry for one that measured nothing in the window.
     """
     by_topic = {spec.topic: name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)}
     seen: dict[str, list[Message]] = {}
@@ -48,10 +49,14 @@ def learn_backgrounds(
         messages = seen.setdefault(by_topic[record.topic], [])
         if len(messages) < _ENOUGH:
             messages.append(record.decode())
-    for name in by_topic.values():
-        if rig.capture.background and name not in seen:
-            _log.warning("capture.background: %s sent nothing in it; its board is found by size and shape", name)
-    return {name: background_of(messages, rig.sensors[name]) for name, messages in seen.items()}
+    known: dict[str, Background] = {}
+    for name in by_topic.values() if rig.capture.background else ():
+        try:
+            known[name] = background_of(seen.get(name, []), rig.sensors[name])
+        except InputError as error:
+            # One dead scanner does not keep the others from being calibrated.
+            _log.warning("%s: %s; it looks for the board by size and shape", name, error)
+    return known
 
 
 def background_of(messages: Sequence[Message], spec: object) -> Background:

@@ -70,7 +70,7 @@ def _by_trigger(timeline: Timeline) -> list[tuple[float, float]]:
     for start, following in zip(timeline.triggers, [*timeline.triggers[1:], np.inf], strict=True):
         second = [start]
         for times in timeline.sensors.values():
-            after = times.stamps[times.stamps >= start]
+            after = np.unique(times.stamps[times.stamps >= start])
             if len(after) >= 2:
                 second.append(after[1] + times.duration)
         spans.append((float(start), float(min(max(second), following))))

@@ -34,6 +34,8 @@ class ActivityMeter:
             return (len(came) + len(went)) / max(len(now) + len(before), 1)
         if now.shape != before.shape:
             return 1.0
+        if not now.size:
+            return 0.0
         if isinstance(message, Image):
             return float(np.mean(np.abs(now - before) > 12))
         return float(np.mean(np.abs(now - before) > np.maximum(0.05, 0.02 * np.minimum(now, before))))

@@ -88,7 +88,7 @@ def survey(
     return Timeline(
         start,
         {name: _sorted(stamps[name], activity[name], *first.get(name, (0.0, "", ""))) for name in topics},
-        np.sort(np.array(triggers)),
+        np.unique(np.array(triggers)),
     )
 
 
