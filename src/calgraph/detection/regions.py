@@ -50,9 +50,10 @@ def _grow(cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float) ->
     size, fitted = 1, 1
     frontier = np.array([seed])
     while len(frontier):
-        reached = cells.neighbours[frontier].ravel()
-        reached = np.unique(reached[reached >= 0])
-        reached = reached[free[reached] & ~inside[reached]]
+        around = cells.neighbours[frontier]
+        touched = np.zeros(len(free), dtype=bool)
+        touched[around[around >= 0]] = True
+        reached = np.flatnonzero(touched & free & ~inside)
         joins = _belongs(cells, reached, surface, thickness)
         frontier = reached[joins]
         inside[frontier] = True

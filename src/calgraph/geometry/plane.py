@@ -27,7 +27,7 @@ def transform(T_a_b: Array, planes_b: Array) -> Array:
 
 def distance(planes: Array, points: Array) -> Array:
     """Signed distances (..., N) of points (..., N, 3) from planes (..., 4), positive on the normal's side."""
-    return np.asarray(np.sum(planes[..., None, :3] * points, axis=-1) + planes[..., None, 3])
+    return np.asarray((points @ planes[..., :3, None])[..., 0] + planes[..., 3:])
 
 
 def fit(points: Array, weights: Array | None = None) -> Array:
@@ -38,10 +38,10 @@ def fit(points: Array, weights: Array | None = None) -> Array:
         weights: (N,), inverse variances along the normal; equal if left out.
 
     """
-    w = np.ones(len(points)) if weights is None else weights
-    centre = np.average(points, axis=0, weights=w)
+    centre = points.mean(axis=0) if weights is None else np.average(points, axis=0, weights=weights)
     centred = points - centre
-    _, vectors = np.linalg.eigh((centred * w[:, None]).T @ centred)
+    weighted = centred if weights is None else centred * weights[:, None]
+    _, vectors = np.linalg.eigh(weighted.T @ centred)
     n = vectors[:, 0]
     return towards_origin(np.append(n, -n @ centre))
 
