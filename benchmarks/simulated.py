@@ -23,13 +23,14 @@ from calgraph.simulation import (
     simulate_rig,
     truth_of,
 )
+from calgraph.simulation.robot import MountedCamera
 
 
 def detected(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
     """Simulates the holds alone, without a recording, and finds the board in them."""
     stage = set_stage(scenario, seed)
     rig, truth = rig_of(stage), truth_of(stage)
-    cameras = {s.name: s.camera for s in stage.robot if s.kind == "camera"}
+    cameras = {s.name: s.camera for s in stage.robot if isinstance(s, MountedCamera)}
     backgrounds = {
         name: background_of(messages, rig.sensors[name])
         for name, messages in simulate_background(stage).items()

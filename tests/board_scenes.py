@@ -1,21 +1,23 @@
 """Boards around a robot, and what its sensors would detect of them: truth plus the noise that is stated."""
 
+from collections.abc import Callable, Mapping, Sequence
+
 import numpy as np
 
-from calgraph.detection import PlanePatch, Segment
-from calgraph.geometry import plane, se3, so3
+from calgraph.detection import Detection, PlanePatch, Segment
+from calgraph.geometry import Array, plane, se3, so3
 
 SIZE = (1.2, 0.9)
 
 
-def random_pose(rng, translation=0.3, rotation=3.0):
+def random_pose(rng: np.random.Generator, translation: float = 0.3, rotation: float = 3.0) -> Array:
     axis = rng.normal(size=3)
     return se3.pose(
         so3.exp(axis / np.linalg.norm(axis) * rng.uniform(0, rotation)), rng.normal(size=3) * translation
     )
 
 
-def boards(rng, count, tilt=0.6):
+def boards(rng: np.random.Generator, count: int, tilt: float = 0.6) -> Array:
     """Boards 1.5–3 m away all around frame a, facing it, turned by up to ``tilt`` about each axis."""
     poses = []
     for _ in range(count):
@@ -30,7 +32,7 @@ def boards(rng, count, tilt=0.6):
     return np.array(poses)
 
 
-def patch(T_s_board, rng, sigma=0.003):
+def patch(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> PlanePatch:
     seen = plane.towards_origin(plane.from_pose(T_s_board))
     # Turned and shifted about the board's centre, as a fit to points on the board is.
     about_center = np.eye(3)
@@ -40,7 +42,7 @@ def patch(T_s_board, rng, sigma=0.003):
     return PlanePatch(noisy, root @ root.T, np.empty((0, 3)), T_s_board[:3, 3])
 
 
-def segment(T_s_board, rng, sigma=0.003):
+def segment(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> Segment | None:
     """The cut of the board with z = 0; None if the scan plane misses it."""
     corners = se3.apply(
         T_s_board, np.array([[x, y, 0] for x, y in ((-0.6, -0.45), (0.6, -0.45), (0.6, 0.45), (-0.6, 0.45))])
@@ -57,7 +59,16 @@ def segment(T_s_board, rng, sigma=0.003):
     return Segment(ends, np.diag([sigma**2, sigma**2, 1e-8] * 2), ends)
 
 
-def observe(kind, T_s_root, boards_root, rng, sigma=0.003):
-    see = patch if kind == "plane" else segment
+def observe(
+    kind: str, T_s_root: Array, boards_root: Array, rng: np.random.Generator, sigma: float = 0.003
+) -> dict[int, tuple[Detection, ...]]:
+    see: Callable[[Array, np.random.Generator, float], Detection | None] = patch if kind == "plane" else segment
     seen = {i: see(T_s_root @ T, rng, sigma) for i, T in enumerate(boards_root)}
     return {i: (d,) for i, d in seen.items() if d is not None}
+
+
+def cuts(candidates: Mapping[int, Sequence[Detection]], capture: int) -> Array:
+    """End points (2, 3) of the segment seen in one capture."""
+    (found,) = candidates[capture]
+    assert isinstance(found, Segment)
+    return found.endpoints

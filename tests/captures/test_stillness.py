@@ -1,14 +1,15 @@
 import numpy as np
 
 from calgraph.captures import ActivityMeter
+from calgraph.geometry import Array
 from calgraph.sensors import Image, LaserScan, PointCloud
 
 
-def image(pixels):
+def image(pixels: Array) -> Image:
     return Image(0.0, "", pixels.astype(np.uint8))
 
 
-def test_a_moved_board_changes_an_image_and_noise_does_not(rng):
+def test_a_moved_board_changes_an_image_and_noise_does_not(rng: np.random.Generator) -> None:
     wall = np.full((240, 320), 120.0)
     board = wall.copy()
     board[60:180, 100:200] = 240
@@ -18,7 +19,7 @@ def test_a_moved_board_changes_an_image_and_noise_does_not(rng):
     assert meter.change(image(board + rng.normal(0, 3, wall.shape))) > 0.1
 
 
-def test_a_board_in_front_of_the_wall_changes_a_scan_and_noise_does_not(rng):
+def test_a_board_in_front_of_the_wall_changes_a_scan_and_noise_does_not(rng: np.random.Generator) -> None:
     angles = np.linspace(-2, 2, 800)
     wall = 4 + rng.normal(0, 0.015, 800)
     board = np.where(np.abs(angles) < 0.2, 2.0, wall)
@@ -28,14 +29,14 @@ def test_a_board_in_front_of_the_wall_changes_a_scan_and_noise_does_not(rng):
     assert meter.change(LaserScan(0.0, "", angles, board)) > 0.08
 
 
-def test_beams_that_lose_their_return_count_as_change():
+def test_beams_that_lose_their_return_count_as_change() -> None:
     angles = np.linspace(-2, 2, 100)
     meter = ActivityMeter()
     meter.change(LaserScan(0.0, "", angles, np.full(100, 3.0)))
     assert meter.change(LaserScan(0.0, "", angles, np.where(angles < 0, np.nan, 3.0))) > 0.4
 
 
-def test_a_moved_board_changes_a_cloud(rng):
+def test_a_moved_board_changes_a_cloud(rng: np.random.Generator) -> None:
     wall = np.column_stack([np.full(2000, 5.03), rng.uniform(-3, 3, 2000), rng.uniform(-1, 1, 2000)])
     board = np.column_stack([np.full(500, 2.03), rng.uniform(-0.5, 0.5, 500), rng.uniform(-0.5, 0.5, 500)])
     meter = ActivityMeter()

@@ -1,27 +1,30 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from calgraph.consensus import search
+from calgraph.consensus.search import Indices, Score
 from calgraph.geometry import Array
 
 
-def _line_problem(points: Array):
+def _line_problem(points: Array) -> tuple[Callable[[Indices], Array], Callable[[Array], Array]]:
     """Lines y = a x + b through pairs of points."""
 
-    def solve(samples):
+    def solve(samples: Indices) -> Array:
         x, y = points[samples, 0], points[samples, 1]
         A = np.stack([x, np.ones_like(x)], axis=-1)
         return np.stack([np.linalg.lstsq(a, b, rcond=None)[0] for a, b in zip(A, y, strict=True)])
 
-    def squared_residuals(models):
-        return (models[:, :1] * points[:, 0] + models[:, 1:] - points[:, 1]) ** 2
+    def squared_residuals(models: Array) -> Array:
+        return np.asarray((models[:, :1] * points[:, 0] + models[:, 1:] - points[:, 1]) ** 2)
 
     return solve, squared_residuals
 
 
 @pytest.mark.parametrize("score", ["ransac", "msac"])
 @pytest.mark.parametrize("seed", range(20))
-def test_finds_line_among_sixty_percent_outliers(score, seed):
+def test_finds_line_among_sixty_percent_outliers(score: Score, seed: int) -> None:
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1, 1, 100)
     y = np.where(np.arange(100) < 40, 0.5 * x + 0.2 + rng.normal(0, 0.005, 100), rng.uniform(-2, 2, 100))
@@ -32,7 +35,7 @@ def test_finds_line_among_sixty_percent_outliers(score, seed):
     assert found.inliers[:40].sum() >= 38
 
 
-def test_picks_the_right_alternative_in_each_group(rng):
+def test_picks_the_right_alternative_in_each_group(rng: np.random.Generator) -> None:
     x = rng.uniform(-1, 1, 30)
     right = np.stack([x, 2 * x], axis=1)
     wrong = np.stack([x, rng.uniform(-3, 3, 30)], axis=1)
@@ -44,20 +47,20 @@ def test_picks_the_right_alternative_in_each_group(rng):
     assert not found.inliers[:30].any()
 
 
-def test_too_few_groups_have_no_consensus(rng):
+def test_too_few_groups_have_no_consensus(rng: np.random.Generator) -> None:
     solve, residuals = _line_problem(rng.normal(size=(4, 2)))
     assert search(np.zeros(4, dtype=int), 2, solve, residuals, 1.0, rng=rng) is None
 
 
-def test_samples_without_solution_are_no_consensus(rng):
-    def never(samples):
+def test_samples_without_solution_are_no_consensus(rng: np.random.Generator) -> None:
+    def never(samples: Indices) -> Array:
         return np.full((len(samples), 2), np.nan)
 
     _, residuals = _line_problem(rng.normal(size=(9, 2)))
     assert search(np.arange(9), 2, never, residuals, 1.0, rng=rng) is None
 
 
-def test_same_generator_state_gives_same_result():
+def test_same_generator_state_gives_same_result() -> None:
     points = np.random.default_rng(1).normal(size=(50, 2))
     solve, residuals = _line_problem(points)
     first, second = (
@@ -68,7 +71,7 @@ def test_same_generator_state_gives_same_result():
     np.testing.assert_array_equal(first.model, second.model)
 
 
-def test_stops_early_on_clean_data(rng):
+def test_stops_early_on_clean_data(rng: np.random.Generator) -> None:
     x = np.linspace(-1, 1, 60)
     solve, residuals = _line_problem(np.stack([x, x], axis=1))
     found = search(np.arange(60), 2, solve, residuals, 1e-6, rng=rng, max_samples=100_000)

@@ -1,17 +1,19 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from calgraph.geometry import se3, so3
+from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import coplanarity
 
 
-def numerical(f, x, size):
+def numerical(f: Callable[[Array, Array], Array], x: Array, size: int) -> Array:
     h = 1e-6
     return np.stack([(f(x, h * e) - f(x, -h * e)) / (2 * h) for e in np.eye(size)], axis=-1)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_coplanarity_derivatives(seed):
+def test_coplanarity_derivatives(seed: int) -> None:
     rng = np.random.default_rng(seed)
     T = se3.pose(so3.exp(rng.normal(size=3)), rng.normal(size=3))
     a, b = rng.normal(size=(2, 2, 3))
@@ -27,7 +29,7 @@ def test_coplanarity_derivatives(seed):
     )
 
 
-def test_coplanarity_is_the_gap_on_the_scan_planes_common_line():
+def test_coplanarity_is_the_gap_on_the_scan_planes_common_line() -> None:
     """Scan planes that cross at right angles along x; both lines at 90 degrees to x, 0.1 m apart there."""
     T_a_b = se3.pose(so3.exp(np.array([np.pi / 2, 0, 0])), np.zeros(3))
     a = np.array([[1.0, -0.3, 0], [1.0, 0.3, 0]])

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from board_scenes import SIZE, boards, observe, patch, random_pose
+from board_scenes import SIZE, boards, cuts, observe, patch, random_pose
 from calgraph.detection import Rejected
-from calgraph.geometry import se3, so3
+from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import coplanarity, estimate_pair
 
 
-def error(T_est, T):
+def error(T_est: Array, T: Array) -> tuple[float, float]:
     d = se3.difference(T_est, T)
-    return np.linalg.norm(d[:3]), np.degrees(np.linalg.norm(d[3:]))
+    return float(np.linalg.norm(d[:3])), float(np.degrees(np.linalg.norm(d[3:])))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -19,7 +19,9 @@ def error(T_est, T):
     ("kind_a", "kind_b", "metres", "degrees"),
     [("plane", "plane", 0.02, 0.5), ("plane", "line", 0.01, 0.4), ("line", "plane", 0.01, 0.4)],
 )
-def test_pair_is_found_among_disturbed_captures(kind_a, kind_b, metres, degrees, seed):
+def test_pair_is_found_among_disturbed_captures(
+    kind_a: str, kind_b: str, metres: float, degrees: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     scene = boards(rng, 60)
     moved = scene.copy()
@@ -35,7 +37,7 @@ def test_pair_is_found_among_disturbed_captures(kind_a, kind_b, metres, degrees,
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_two_line_scanners_explain_new_boards(seed):
+def test_two_line_scanners_explain_new_boards(seed: int) -> None:
     """Coplanarity leaves the turn about the scan planes' common line open; all else must hold for new boards."""
     rng = np.random.default_rng(seed)
     T_a_b = se3.pose(so3.exp(np.array([0.5, 0.3, 0.4])), np.array([0.3, -0.2, 0.1]))
@@ -54,13 +56,13 @@ def test_two_line_scanners_explain_new_boards(seed):
     assert not isinstance(found, Rejected), found
     new = boards(rng, 40)
     a, b = observe("line", np.eye(4), new, rng, 1e-9), observe("line", se3.inverse(T_a_b), new, rng, 1e-9)
-    gaps = [coplanarity(found.T_a_b, a[i][0].endpoints, b[i][0].endpoints)[0] for i in set(a) & set(b)]
+    gaps = [coplanarity(found.T_a_b, cuts(a, i), cuts(b, i))[0] for i in set(a) & set(b)]
     assert np.sqrt(np.mean(np.square(gaps))) < 0.015
     spread = np.linalg.eigvalsh(found.information)
     assert spread[0] < 1e-3 * spread[1]
 
 
-def test_the_right_one_of_several_candidates_is_picked(rng):
+def test_the_right_one_of_several_candidates_is_picked(rng: np.random.Generator) -> None:
     scene = boards(rng, 30)
     T_a_b = random_pose(rng)
     a = observe("plane", np.eye(4), scene, rng)
@@ -74,7 +76,7 @@ def test_the_right_one_of_several_candidates_is_picked(rng):
     assert (chosen[:, 2] == 1).mean() > 0.95
 
 
-def test_too_few_common_captures_are_said(rng):
+def test_too_few_common_captures_are_said(rng: np.random.Generator) -> None:
     scene = boards(rng, 2)
     seen = observe("plane", np.eye(4), scene, rng)
     found = estimate_pair("a", "b", seen, seen, SIZE, rng)
@@ -82,7 +84,7 @@ def test_too_few_common_captures_are_said(rng):
     assert "2 captures" in found.reason
 
 
-def test_upright_boards_leave_height_roll_and_pitch_open(rng):
+def test_upright_boards_leave_height_roll_and_pitch_open(rng: np.random.Generator) -> None:
     """Upright boards in an upright scanner's plane: only x, y and yaw can be known, and those are right."""
     scene = boards(rng, 12, tilt=0.0)
     for i in range(12):

@@ -1,17 +1,20 @@
 """Every edge's analytic Jacobian against central differences over the manifold."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from calgraph.geometry import plane, se3, so3
+from calgraph.geometry import Array, plane, se3, so3
 from calgraph.refinement import edges
 from calgraph.refinement.hypergraph import BLOCKS
+from calgraph.refinement.solver import Factor, Values
 
 M = 7
 SENSORS, PLANES, LINES = 4, 6, 6
 
 
-def random_values(rng):
+def random_values(rng: np.random.Generator) -> Values:
     planes = rng.normal(size=(PLANES, 4))
     planes[:, :3] /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     return {
@@ -21,30 +24,30 @@ def random_values(rng):
     }
 
 
-def random_whitener(rng, size):
+def random_whitener(rng: np.random.Generator, size: int) -> Array:
     root = rng.normal(size=(M, size, size))
     return edges.whitener(root @ np.swapaxes(root, 1, 2) + np.eye(size))
 
 
-def index(rng, count):
+def index(rng: np.random.Generator, count: int) -> edges.Index:
     return rng.integers(count, size=M)
 
 
-def two(rng):
+def two(rng: np.random.Generator) -> tuple[edges.Index, edges.Index]:
     pairs = np.array([rng.choice(SENSORS, 2, replace=False) for _ in range(M)])
     return pairs[:, 0], pairs[:, 1]
 
 
-def lines_of(rng):
+def lines_of(rng: np.random.Generator) -> tuple[edges.Index, edges.Index]:
     pairs = np.array([rng.choice(LINES, 2, replace=False) for _ in range(M)])
     return pairs[:, 0], pairs[:, 1]
 
 
-def make(kind, rng):
+def make(kind: str, rng: np.random.Generator) -> Factor:
     a, b = two(rng)
     first, second = lines_of(rng)
     near = random_values(rng)
-    return {
+    kinds: dict[str, Callable[[], Factor]] = {
         "sensor-sensor": lambda: edges.SensorSensor(
             a, b, near["sensors"][index(rng, SENSORS)], random_whitener(rng, 6)
         ),
@@ -55,7 +58,8 @@ def make(kind, rng):
         "line-plane": lambda: edges.LinePlane(a, first, b, second, 0.5),
         "plane-plane": lambda: edges.PlanePlane(a, first, b, second, 0.5),
         "line-line": lambda: edges.LineLine(a, first, b, second, 0.5),
-    }[kind]()
+    }
+    return kinds[kind]()
 
 
 KINDS = ("sensor-sensor", "sensor-line", "sensor-plane", "line-plane", "plane-plane", "line-line")
@@ -63,7 +67,7 @@ KINDS = ("sensor-sensor", "sensor-line", "sensor-plane", "line-plane", "plane-pl
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(3))
-def test_jacobian(kind, seed):
+def test_jacobian(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     values, edge = random_values(rng), make(kind, rng)
     r, terms = edge.linearize(values)
@@ -85,7 +89,7 @@ def test_jacobian(kind, seed):
         np.testing.assert_allclose(analytic, numeric, atol=2e-6 * max(1, np.abs(numeric).max()))
 
 
-def test_consistent_observations_have_no_error(rng):
+def test_consistent_observations_have_no_error(rng: np.random.Generator) -> None:
     """One board seen by all: every observation edge vanishes at the truth."""
     values = random_values(rng)
     board = plane.from_pose(se3.pose(so3.exp(rng.normal(size=3)), rng.normal(size=3)))

@@ -1,6 +1,7 @@
 """The joint solution on detections made from the truth: accuracy and honesty over many seeds, and ugly cases."""
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,35 +10,36 @@ import scipy.stats
 
 from board_scenes import SIZE, boards, observe
 from calgraph.detection import Rejected
-from calgraph.geometry import se3, so3
-from calgraph.graph import spanning_tree
-from calgraph.pairwise import estimate_pair
-from calgraph.refinement import solve_hypergraph
+from calgraph.geometry import Array, se3, so3
+from calgraph.graph import SpanningTree, spanning_tree
+from calgraph.pairwise import Candidates, PairwiseEstimate, estimate_pair
+from calgraph.refinement import Joint, solve_hypergraph
 
+World = tuple[dict[str, Array], dict[str, Candidates], list[PairwiseEstimate], SpanningTree]
 KINDS = {"lidar": "plane", "camera": "plane", "front": "line", "left": "line"}
 
 
-def world(seed, captures=40, moved=0):
+def world(seed: int, captures: int = 40, moved: int = 0) -> World:
     rng = np.random.default_rng(seed)
     truth = {name: se3.pose(so3.exp(rng.normal(size=3) * 0.2), rng.normal(size=3) * 0.2) for name in KINDS}
     truth["lidar"] = np.eye(4)
     scene = boards(rng, captures)
-    seen = {}
+    seen: dict[str, Candidates] = {}
     for name, kind in KINDS.items():
         slipped = scene.copy()
         for i in rng.choice(captures, moved, replace=False):
             slipped[i] = se3.retract(slipped[i], rng.normal(size=6) * 0.2)
         seen[name] = observe(kind, se3.inverse(truth[name]), slipped, rng)
-    pairs = [
+    found = [
         estimate_pair(a, b, seen[a], seen[b], SIZE, rng)
         for a, b in itertools.combinations(KINDS, 2)
         if KINDS[a] == "plane"
     ]
-    pairs = [pair for pair in pairs if not isinstance(pair, Rejected)]
+    pairs = [pair for pair in found if not isinstance(pair, Rejected)]
     return truth, seen, pairs, spanning_tree("lidar", pairs)
 
 
-def nees(joint, truth):
+def nees(joint: Joint, truth: Mapping[str, Array]) -> Array:
     values = []
     for name, T in truth.items():
         if name != "lidar":
@@ -46,21 +48,24 @@ def nees(joint, truth):
     return np.array(values)
 
 
-def test_the_joint_solution_beats_the_tree_it_starts_from():
+def test_the_joint_solution_beats_the_tree_it_starts_from() -> None:
     """Over 12 rigs, as the paper's Figure 5 says: mean error over sensors and rigs."""
-    pairwise, joint = [], []
+    pairwise: list[list[float]] = []
+    joint: list[list[float]] = []
     for seed in range(12):
         truth, seen, pairs, tree = world(seed)
         for result, found in (
             (pairwise, tree.T_root_sensor),
             (joint, solve_hypergraph(tree, pairs, seen).T_root_sensor),
         ):
-            result.append([np.linalg.norm(se3.difference(found[n], truth[n])[:3]) for n in truth if n != "lidar"])
+            result.append(
+                [float(np.linalg.norm(se3.difference(found[n], truth[n])[:3])) for n in truth if n != "lidar"]
+            )
     assert np.mean(joint) < 0.65 * np.mean(pairwise)
     assert np.mean(joint) < 0.0035
 
 
-def test_covariances_hold_what_they_promise():
+def test_covariances_hold_what_they_promise() -> None:
     """Mean NEES of 30 rigs, three sensors and six degrees of freedom each, within its 99.9 % interval."""
     values = np.concatenate(
         [nees(solve_hypergraph(tree, pairs, seen), truth) for truth, seen, pairs, tree in map(world, range(30))]
@@ -69,7 +74,7 @@ def test_covariances_hold_what_they_promise():
     assert low < values.mean() / 6 < high
 
 
-def test_start_from_identity_finds_the_same():
+def test_start_from_identity_finds_the_same() -> None:
     truth, seen, pairs, tree = world(3)
     from_tree = solve_hypergraph(tree, pairs, seen)
     from_identity = solve_hypergraph(tree, pairs, seen, start="identity")
@@ -77,7 +82,7 @@ def test_start_from_identity_finds_the_same():
         np.testing.assert_allclose(from_identity.T_root_sensor[name], from_tree.T_root_sensor[name], atol=1e-4)
 
 
-def test_filtering_keeps_disturbed_captures_out():
+def test_filtering_keeps_disturbed_captures_out() -> None:
     truth, seen, pairs, tree = world(4, moved=6)
     filtered = solve_hypergraph(tree, pairs, seen)
     unfiltered = solve_hypergraph(tree, pairs, seen, keep="none")
@@ -89,13 +94,13 @@ def test_filtering_keeps_disturbed_captures_out():
     assert errors[1] > 3 * errors[0]
 
 
-def test_the_graph_error_falls_from_the_tree_to_the_solution():
+def test_the_graph_error_falls_from_the_tree_to_the_solution() -> None:
     _, seen, pairs, tree = world(5)
     start = solve_hypergraph(tree, pairs, seen, optimize=False)
     assert solve_hypergraph(tree, pairs, seen).graph_error < start.graph_error
 
 
-def test_the_root_is_known_exactly():
+def test_the_root_is_known_exactly() -> None:
     _, seen, pairs, tree = world(6)
     joint = solve_hypergraph(tree, pairs, seen)
     np.testing.assert_array_equal(joint.T_root_sensor["lidar"], np.eye(4))
@@ -103,7 +108,7 @@ def test_the_root_is_known_exactly():
 
 
 @pytest.mark.parametrize("scale", [1.0, 3.0])
-def test_covariance_grows_with_noise_that_detections_did_not_state(scale):
+def test_covariance_grows_with_noise_that_detections_did_not_state(scale: float) -> None:
     """The same data, claimed to be three times as sharp as they are, must not give a sharper result."""
     truth, seen, pairs, tree = world(7)
     claimed = {

@@ -214,7 +214,7 @@ def _scatter(chi2: float, freedom: int) -> float:
 
 
 def _graph_error(values: Values, observed: Sequence[Factor]) -> float:
-    """Sum of squared errors in metres: observation edges undo their whitening, measurements compare as they are."""
+    """Sum of squared errors, m²: observation edges undo their whitening, measurements compare as they are."""
     total = 0.0
     for factor in observed:
         if isinstance(factor, edges.SensorPlane):
