@@ -87,26 +87,34 @@ def detectors(
         rng: source of the detectors' samples.
     """
     found: dict[str, Detect] = {}
-    for (name, spec), generator in zip(rig.sensors.items(), rng.spawn(len(rig.sensors)), strict=True):
+    seeds = rng.integers(2**63, size=len(rig.sensors)).tolist()
+    for (name, spec), seed in zip(rig.sensors.items(), seeds, strict=True):
         background = backgrounds.get(name)
         if isinstance(spec, CameraSpec):
             found[name] = CameraDetector(rig.boards, cameras[name], spec.noise).find
         elif isinstance(spec, Lidar3dSpec):
             known = background if isinstance(background, CloudBackground) else None
-            found[name] = partial(
-                find_patches, boards=rig.boards, noise=spec.noise, background=known, rng=generator
-            )
+            found[name] = partial(_patches, rig=rig, spec=spec, background=known, seed=seed)
         else:
             quiet = background if isinstance(background, ScanBackground) else None
-            found[name] = partial(_segments, rig=rig, spec=spec, background=quiet, rng=generator)
+            found[name] = partial(_segments, rig=rig, spec=spec, background=quiet, seed=seed)
     return found
 
 
-def _segments(
-    messages: Sequence[Message],
-    rig: Rig,
-    spec: Lidar2dSpec,
-    background: ScanBackground | None,
-    rng: np.random.Generator,
+def _patches(
+    messages: Sequence[PointCloud], rig: Rig, spec: Lidar3dSpec, background: CloudBackground | None, seed: int
 ) -> tuple[Detection, ...] | Rejected:
-    return find_segments(as_scans(messages), rig.boards, spec.noise, background, rng)
+    return find_patches(messages, rig.boards, spec.noise, background, _generator(seed, messages))
+
+
+def _segments(
+    messages: Sequence[Message], rig: Rig, spec: Lidar2dSpec, background: ScanBackground | None, seed: int
+) -> tuple[Detection, ...] | Rejected:
+    scans = as_scans(messages)
+    return find_segments(scans, rig.boards, spec.noise, background, _generator(seed, scans))
+
+
+def _generator(seed: int, messages: Sequence[PointCloud | LaserScan]) -> np.random.Generator:
+    """Samples for one sensor and capture, the same in whatever order the captures are searched."""
+    first = messages[0].stamp if messages else 0.0
+    return np.random.default_rng([seed, int(np.float64(first).view(np.uint64))])
