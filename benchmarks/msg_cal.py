@@ -10,10 +10,9 @@ import argparse
 
 import numpy as np
 
-from calgraph.calibrate import estimate_pairs
-from calgraph.detection import Rejected
 from calgraph.geometry import Array
 from calgraph.graph import spanning_tree
+from calgraph.pairwise import estimate_pairs, estimated
 from calgraph.refinement import Joint, solve_hypergraph
 from calgraph.simulation import RigScenario
 from simulated import detected, errors
@@ -49,15 +48,14 @@ def main() -> None:
 def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float]]:
     """Mean translation (m) and rotation (degrees) error and graph error (m²) of each variant."""
     rig, captured, truth = detected(scenario, seed)
-    pairs = estimate_pairs(rig, captured, np.random.default_rng(seed))
-    estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
+    seen = captured.detections
+    estimates = estimated(estimate_pairs(seen, rig.board_size, np.random.default_rng(seed)))
     tree = spanning_tree(rig.root, estimates)
 
     def judge(joint: Joint) -> tuple[float, float, float]:
         metres, degrees = errors(dict(joint.T_root_sensor), truth)
         return float(metres.mean()), float(degrees.mean()), joint.graph_error
 
-    seen = captured.detections
     return {
         "pairwise": judge(solve_hypergraph(tree, estimates, seen, optimize=False)),
         "global": judge(solve_hypergraph(tree, estimates, seen)),

@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.calibrate import capture_board
+from calgraph.calibrate import Options, capture_board
 from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, detectors, gather
 from calgraph.captures.detectors import background_of
 from calgraph.geometry import Array, se3
@@ -36,7 +36,7 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
         for name, messages in simulate_background(stage).items()
         if not isinstance(rig.sensors[name], CameraSpec)
     }
-    detect = detectors(rig, cameras, backgrounds, np.random.default_rng(seed))
+    detect = detectors(rig, cameras, backgrounds, "pnp", np.random.default_rng(seed))
     holds = [Hold(i, board.trigger, board.end) for i, board in enumerate(truth.boards)]
     observations = [
         Observation(i, name, detect[name](messages))
@@ -45,7 +45,7 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
     ]
     never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
     timeline = Timeline(scenario.start_time, dict.fromkeys(rig.sensors, never), np.zeros(0))
-    return rig, gather(timeline, holds, observations), truth
+    return rig, gather(rig, timeline, holds, observations), truth
 
 
 def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
@@ -55,7 +55,7 @@ def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
         simulate_rig(scenario, out, seed)
         rig = load_rig(out / "rig.yaml")
         with open_recording(out / "recording") as recording:
-            captured = capture_board(rig, recording, np.random.default_rng(seed))
+            captured = capture_board(rig, recording, Options(), np.random.default_rng(seed))
         return rig, captured, load_truth(out / "truth.yaml")
 
 

@@ -8,6 +8,7 @@ from calgraph.detection import Rejected, Segment
 from calgraph.rig import Board, Lidar2dSpec, Rig
 from calgraph.sensors import LaserScan, Record, Trigger
 
+RIG = Rig(root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")})
 SEEN = (Segment(np.zeros((2, 3)), np.eye(6), np.zeros((0, 3))),)
 
 
@@ -69,16 +70,15 @@ def test_messages_that_never_come_do_not_lose_those_that_did() -> None:
 
 def test_gathering_sorts_hits_from_misses() -> None:
     timeline = survey(Scanner().records(), 0.0, {"laser": "/scan"}, None)
-    captured = gather(timeline, [], [Observation(0, "laser", SEEN), Observation(1, "laser", Rejected("too far"))])
+    captured = gather(
+        RIG, timeline, [], [Observation(0, "laser", SEEN), Observation(1, "laser", Rejected("too far"))]
+    )
     assert captured.detections == {"laser": {0: SEEN}}
     assert captured.misses == {(1, "laser"): "too far"}
 
 
 def test_thinning_keeps_messages_spread_over_the_hold() -> None:
-    rig = Rig(
-        root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")}
-    )
-    (hold,) = thinned([Hold(0, 0.0, 10.0, {"laser": np.linspace(0, 10, 500)})], rig)
+    (hold,) = thinned([Hold(0, 0.0, 10.0, {"laser": np.linspace(0, 10, 500)})], RIG)
     chosen = hold.stamps["laser"]
     assert len(chosen) == 20
     assert (chosen[0], chosen[-1]) == (0.0, 10.0)

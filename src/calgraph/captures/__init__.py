@@ -3,7 +3,6 @@
 from calgraph.captures.checks import check_timeline
 from calgraph.captures.detectors import detectors, learn_backgrounds
 from calgraph.captures.holds import Hold, find_holds, is_snapshots
-from calgraph.captures.noise import with_measured_noise
 from calgraph.captures.observe import Captured, Detect, Observation, gather, observe, thinned
 from calgraph.captures.stillness import ActivityMeter
 from calgraph.captures.timeline import SensorTimes, Timeline, survey
@@ -11,5 +10,4 @@ from calgraph.captures.timeline import SensorTimes, Timeline, survey
 __all__ = [
     "ActivityMeter", "Captured", "Detect", "Hold", "Observation", "SensorTimes", "Timeline", "check_timeline",
     "detectors", "find_holds", "gather", "is_snapshots", "learn_backgrounds", "observe", "survey", "thinned",
-    "with_measured_noise",
 ]  # fmt: skip

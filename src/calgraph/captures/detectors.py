@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.captures.observe import Detect
 from calgraph.detection import (
+    Averaging,
     CameraDetector,
     CloudBackground,
     Detection,
@@ -76,7 +77,11 @@ def as_scans(messages: Iterable[Message]) -> list[LaserScan]:
 
 
 def detectors(
-    rig: Rig, cameras: Mapping[str, CameraModel], backgrounds: Mapping[str, Background], rng: np.random.Generator
+    rig: Rig,
+    cameras: Mapping[str, CameraModel],
+    backgrounds: Mapping[str, Background],
+    tags: Averaging,
+    rng: np.random.Generator,
 ) -> Mapping[str, Detect]:
     """The detector of each sensor.
 
@@ -84,6 +89,7 @@ def detectors(
         rig: the rig.
         cameras: intrinsics by camera.
         backgrounds: by scanner; those without one search by size and shape.
+        tags: how a camera makes one plane of several tags.
         rng: source of the detectors' samples.
     """
     found: dict[str, Detect] = {}
@@ -91,7 +97,7 @@ def detectors(
     for (name, spec), seed in zip(rig.sensors.items(), seeds, strict=True):
         background = backgrounds.get(name)
         if isinstance(spec, CameraSpec):
-            found[name] = CameraDetector(rig.boards, cameras[name], spec.noise).find
+            found[name] = CameraDetector(rig.boards, cameras[name], spec.noise, tags).find
         elif isinstance(spec, Lidar3dSpec):
             known = background if isinstance(background, CloudBackground) else None
             found[name] = partial(_patches, rig=rig, spec=spec, background=known, seed=seed)

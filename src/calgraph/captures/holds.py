@@ -1,13 +1,15 @@
 """Holds: the times in which the board rests; and which messages of each sensor were measured in them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from calgraph.captures.stillness import still_spans
 from calgraph.captures.timeline import SensorTimes, Timeline
+from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
+from calgraph.rig import Capture
 
 # Messages of one pose in a folder of snapshots lie this close together (s), and poses farther apart.
 _SNAPSHOT = 1.0
@@ -27,41 +29,52 @@ class Hold:
     """By sensor, the stamps of the messages measured entirely within the hold."""
 
 
-def find_holds(
-    timeline: Timeline,
-    background: tuple[float, float] | None,
-    exclude: Sequence[tuple[float, float]],
-    *,
-    triggered: bool,
-) -> tuple[Hold, ...]:
+def find_holds(timeline: Timeline, capture: Capture) -> tuple[Hold, ...]:
     """Finds the holds: by trigger, from separate snapshots, or by stillness.
 
     Args:
-        timeline: when the sensors measured.
-        background: s from the start of the recording, without target; no hold lies in it.
-        exclude: s from the start of the recording; no hold touches these.
-        triggered: whether a trigger topic marks the captures.
+        timeline: when the sensors measured, and when captures were triggered.
+        capture: the trigger if there is one, and the windows in which no hold may lie.
 
     Returns:
         The holds in order of time, each with the messages to use.
+
+    Raises:
+        CalibrationError: there is none.
     """
-    if triggered:
+    single = capture.trigger is None and is_snapshots(timeline)
+    if capture.trigger:
         spans = _by_trigger(timeline)
-    elif is_snapshots(timeline):
+    elif single:
         spans = _by_snapshot(timeline)
     else:
         spans = _by_stillness(timeline)
-    closed = [*exclude, *([background] if background else [])]
+    closed = [*capture.exclude, *([capture.background] if capture.background else [])]
     allowed = [
         (start, end)
         for start, end in spans
         if not any(start - timeline.start < b and end - timeline.start > a for a, b in closed)
     ]
-    whole = not triggered and is_snapshots(timeline)
+    if not allowed:
+        raise CalibrationError(_why_none(timeline, capture))
     return tuple(
-        Hold(i, start, end, {name: _within(times, start, end, whole) for name, times in timeline.sensors.items()})
+        Hold(i, start, end, {name: _within(times, start, end, single) for name, times in timeline.sensors.items()})
         for i, (start, end) in enumerate(allowed)
     )
+
+
+def _why_none(timeline: Timeline, capture: Capture) -> str:
+    if capture.trigger and not len(timeline.triggers):
+        return (
+            f"the topic {capture.trigger} has no message: check capture.trigger, or leave it out to find the "
+            "holds from the data"
+        )
+    if capture.trigger:
+        return (
+            f"all {len(timeline.triggers)} messages of {capture.trigger} lie in capture.background or "
+            "capture.exclude; make these shorter"
+        )
+    return "the board never rests: hold it still twice as long as the slowest sensor takes, or record a trigger"
 
 
 def _by_trigger(timeline: Timeline) -> list[tuple[float, float]]:

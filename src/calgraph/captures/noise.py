@@ -13,7 +13,7 @@ _ENOUGH = 24
 
 def with_measured_noise(
     seen: Mapping[int, Sequence[Detection]], stated: float
-) -> Mapping[int, tuple[Detection, ...]]:
+) -> dict[int, tuple[Detection, ...]]:
     """A camera's detections with covariances for the noise that all of its residuals show together.
 
     Args:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.captures.holds import Hold
+from calgraph.captures.noise import with_measured_noise
 from calgraph.captures.timeline import Timeline
 from calgraph.detection import Detection, Rejected
 from calgraph.geometry import Array
@@ -44,8 +45,8 @@ class Captured:
     """By capture and sensor, why there is no detection."""
 
 
-def gather(timeline: Timeline, holds: Sequence[Hold], observations: Iterable[Observation]) -> Captured:
-    """Sorts observations into detections and misses."""
+def gather(rig: Rig, timeline: Timeline, holds: Sequence[Hold], observations: Iterable[Observation]) -> Captured:
+    """Sorts observations into detections and misses; weighs cameras by the noise that all their corners show."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}
     misses: dict[tuple[int, str], str] = {}
     for seen in observations:
@@ -53,6 +54,8 @@ def gather(timeline: Timeline, holds: Sequence[Hold], observations: Iterable[Obs
             misses[seen.capture, seen.sensor] = seen.found.reason
         else:
             detections[seen.sensor][seen.capture] = seen.found
+    for name, spec in rig.cameras().items():
+        detections[name] = with_measured_noise(detections[name], spec.noise.pixel)
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
     return Captured(timeline.start, frames, tuple(holds), detections, misses)
 

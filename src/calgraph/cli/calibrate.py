@@ -28,6 +28,13 @@ class StartChoice(StrEnum):
     identity = "identity"
 
 
+class TagsChoice(StrEnum):
+    """Values of --tags."""
+
+    pnp = "pnp"
+    mean_plane = "mean_plane"
+
+
 def calibrate(
     rig_file: Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")],
     recordings: Annotated[
@@ -41,6 +48,10 @@ def calibrate(
     start: Annotated[
         StartChoice, typer.Option("--start", help="Start of the joint solution (the paper compares).")
     ] = StartChoice.tree,
+    tags: Annotated[
+        TagsChoice,
+        typer.Option("--tags", help="A camera's plane: from all corners, or averaged over tags (the paper)."),
+    ] = TagsChoice.pnp,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
 ) -> None:
@@ -53,7 +64,7 @@ def calibrate(
     from calgraph.calibrate import Options, calibrate_rig  # takes seconds, which --help should not
 
     rig = load_rig(rig_file)
-    options = Options(keep=keep.value, start=start.value, seed=seed)
+    options = Options(keep=keep.value, start=start.value, tags=tags.value, seed=seed)
     with replacing_folder(out) as folder:
         with open_recordings(recordings) as recording, progress_bars() as progress:
             rig = with_intrinsics(rig, recording)

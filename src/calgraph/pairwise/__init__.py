@@ -2,6 +2,18 @@
 
 from calgraph.pairwise.estimate import PairwiseEstimate
 from calgraph.pairwise.lines import coplanarity
-from calgraph.pairwise.pair import Candidates, estimate_pair, match_table, reconsider
+from calgraph.pairwise.pair import (
+    Candidates,
+    Pairs,
+    estimate_pair,
+    estimate_pairs,
+    estimated,
+    match_table,
+    reconsider,
+    reconsider_pairs,
+)
 
-__all__ = ["Candidates", "PairwiseEstimate", "coplanarity", "estimate_pair", "match_table", "reconsider"]
+__all__ = [
+    "Candidates", "Pairs", "PairwiseEstimate", "coplanarity", "estimate_pair", "estimate_pairs", "estimated",
+    "match_table", "reconsider", "reconsider_pairs",
+]  # fmt: skip

@@ -1,5 +1,6 @@
 """From two sensors' detections to their relative pose: one table of (kind, kind), one consensus."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from calgraph.pairwise.estimate import (
     PairwiseEstimate,
     excess,
     information,
+    polished,
     squared_residuals,
 )
 from calgraph.pairwise.lines import LineLine, PlaneLine
@@ -56,9 +58,11 @@ def estimate_pair(
     if len(common) < matches.sample_size:
         return Rejected(f"{len(common)} captures show the board to both, {matches.sample_size} are needed")
     found = search(table[:, 0], matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
-    if found is None or found.count < matches.sample_size:
-        return Rejected(f"no relative pose agrees with {matches.sample_size} of the {len(common)} common captures")
-    return _estimate(sensor_a, sensor_b, found.model, table, matches, found.inliers)
+    enough = max(matches.sample_size, _least(matches, len(table)))
+    if found is None or found.count < enough:
+        return Rejected(f"no relative pose agrees with {enough} of the {len(common)} common captures")
+    T_a_b = polished(found.model, matches, found.inliers)
+    return _estimate(sensor_a, sensor_b, T_a_b, table, matches, found.inliers)
 
 
 def reconsider(
@@ -108,6 +112,12 @@ def _matches(
     return table, _MATCHES[_kind(a[0]), _kind(b[0])](a, b, size)
 
 
+def _least(matches: Matches, count: int) -> int:
+    """How many matches it takes to measure more numbers than a pose has: fewer agree with whatever they gave."""
+    numbers = matches.linearize(np.eye(4)[None]).residuals.size // count
+    return 7 // numbers + 1
+
+
 def _estimate(
     sensor_a: str,
     sensor_b: str,
@@ -122,6 +132,59 @@ def _estimate(
     return PairwiseEstimate(
         sensor_a, sensor_b, T_a_b, information(at, inliers), table, inliers, rms, excess(at, inliers)
     )
+
+
+Pairs = Mapping[tuple[str, str], PairwiseEstimate | Rejected]
+"""Estimate, or the reason why there is none, by pair of sensors."""
+
+
+def estimate_pairs(
+    detections: Mapping[str, Candidates],
+    board_size: tuple[float, float],
+    rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda _done: None,
+) -> Pairs:
+    """Estimates the relative pose of every pair of sensors, as :func:`estimate_pair` does.
+
+    Args:
+        detections: by sensor and capture.
+        board_size: width and height of the (largest) board, m.
+        rng: source of the samples.
+        progress: told how much is done, 0..1.
+    """
+    names = list(itertools.combinations(detections, 2))
+    pairs = {}
+    for done, (a, b) in enumerate(names, start=1):
+        pairs[a, b] = estimate_pair(a, b, detections[a], detections[b], board_size, rng)
+        progress(done / len(names))
+    return pairs
+
+
+def estimated(pairs: Pairs) -> list[PairwiseEstimate]:
+    """The pairs that could be estimated."""
+    return [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
+
+
+def reconsider_pairs(
+    pairs: Pairs,
+    T_root_sensor: Mapping[str, Array],
+    detections: Mapping[str, Candidates],
+    board_size: tuple[float, float],
+) -> Pairs:
+    """Selects the inliers of every pair anew under joint poses, as :func:`reconsider` does.
+
+    Args:
+        pairs: as estimated.
+        T_root_sensor: joint poses (4, 4); pairs with a sensor that has none stay as they are.
+        detections: by sensor and capture.
+        board_size: width and height of the (largest) board, m.
+    """
+    chosen = dict(pairs)
+    for (a, b), pair in pairs.items():
+        if not isinstance(pair, Rejected) and a in T_root_sensor and b in T_root_sensor:
+            T_a_b = se3.inverse(T_root_sensor[a]) @ T_root_sensor[b]
+            chosen[a, b] = reconsider(pair, T_a_b, detections[a], detections[b], board_size)
+    return chosen
 
 
 def match_table(candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:

@@ -8,13 +8,12 @@ from calgraph.captures import Captured, Hold
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.hypergraph import Joint
 from calgraph.refinement.observability import doubts, verdict
 from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import Rig
 
-Pairs = Mapping[tuple[str, str], PairwiseEstimate | Rejected]
 Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 
 
@@ -28,9 +27,8 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         tree: the spanning tree.
         joint: the joint solution of the connected sensors.
     """
-    estimates = [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
     connected = tree.T_root_sensor
-    within = [e for e in estimates if e.sensor_a in connected and e.sensor_b in connected]
+    within = [e for e in estimated(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = _residuals_of_used(within)
     doubted = doubts(rig.root, {name: rig.sensors[name].kind for name in connected}, within)
     root_first = sorted(rig.sensors, key=lambda name: name != rig.root)
@@ -43,7 +41,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         ),
         edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
         captures=tuple(_row(hold, name, captured, used) for hold in captured.holds for name in rig.sensors),
-        unconnected={name: why_alone(name, captured, pairs) for name in rig.sensors if name not in connected},
+        unconnected={name: _why_alone(name, captured, pairs) for name in rig.sensors if name not in connected},
         residuals=joint.residuals,
         outlines=tuple(_outlines(rig, captured, used, joint)),
     )
@@ -105,7 +103,15 @@ def _row(hold: Hold, name: str, captured: Captured, used: Used) -> CaptureRow:
     )
 
 
-def why_alone(name: str, captured: Captured, pairs: Pairs) -> str:
+def why_nothing(rig: Rig, captured: Captured, pairs: Pairs) -> str:
+    """Why no sensor is connected to the root, in one sentence for the user."""
+    if len(rig.sensors) == 1:
+        return f"{rig.root} is the only sensor: a rig.yaml needs two to calibrate one to the other"
+    reasons = (f"{name} {_why_alone(name, captured, pairs)}" for name in rig.sensors)
+    return f"nothing is connected to the root {rig.root}: {'; '.join(reasons)}"
+
+
+def _why_alone(name: str, captured: Captured, pairs: Pairs) -> str:
     """Why a sensor is not connected to the root, as the rest of a sentence that starts with its name.
 
     Args:

@@ -180,6 +180,16 @@ class Rig(StrictModel):
             return (self.target,)
         return () if isinstance(self.target, People | Cylinder) else self.target
 
+    @property
+    def board_size(self) -> tuple[float, float]:
+        """Width and height of the largest board, m."""
+        return max((board.size for board in self.boards), key=lambda size: size[0] * size[1])
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """Topic by sensor."""
+        return {name: spec.topic for name, spec in self.sensors.items()}
+
     def cameras(self) -> Mapping[str, CameraSpec]:
         """The cameras by name."""
         return {name: s for name, s in self.sensors.items() if isinstance(s, CameraSpec)}
