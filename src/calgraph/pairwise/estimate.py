@@ -15,6 +15,10 @@ _GATE = 3.0
 MODEL_ERROR = 0.01
 # How far a board is from a plane, m.
 _FLATNESS = 0.002
+# Steps at most from a minimal sample's pose to that of all inliers, and how far (m and rad) each of them goes
+# along a direction that the inliers hardly measure.
+_POLISH = 20
+_ANCHOR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +97,29 @@ def squared_residuals(matches: Matches) -> Callable[[Array], Array]:
         return np.asarray(np.where(matches.reachable(T_a_b), r2, np.inf))
 
     return of
+
+
+def polished(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Array:
+    """The pose (4, 4) that fits all inliers best, near one that a minimal sample gave.
+
+    What the inliers leave open stays as it is.
+    """
+
+    def problem(T: Array) -> tuple[Array, Array, float]:
+        at = matches.linearize(T[None])
+        r, J, covariance = at.residuals[0][inliers], at.jacobian[0][inliers], at.covariance[0][inliers]
+        W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
+        H = np.einsum("mki,mkl,mlj->ij", J, W, J)
+        return H, np.einsum("mki,mkl,ml->i", J, W, r), float(np.einsum("mk,mkl,ml->", r, W, r))
+
+    H, g, cost = problem(T_a_b)
+    for _ in range(_POLISH):
+        trial = se3.retract(T_a_b, -np.linalg.solve(H + np.eye(6) / _ANCHOR**2, g))
+        trial_H, trial_g, trial_cost = problem(trial)
+        if not trial_cost < cost * (1 - 1e-6):
+            break
+        T_a_b, H, g, cost = trial, trial_H, trial_g, trial_cost
+    return T_a_b
 
 
 def excess(at: Linearization, inliers: NDArray[np.bool_]) -> float:
