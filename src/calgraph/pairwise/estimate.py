@@ -19,6 +19,10 @@ _FLATNESS = 0.002
 # along a direction that the inliers hardly measure.
 _POLISH = 20
 _ANCHOR = 0.3
+# A pose fits as well as another if its sum of squared whitened residuals is at most so much larger (times their
+# scatter), and it is another one if turned by more than this, rad.
+_ALIKE = 12.0
+_ELSEWHERE = np.radians(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,8 @@ class PairwiseEstimate:
     """(M,) the matches that agree with T_a_b: at most one per capture."""
     residuals: Array
     """(M,) root mean square distance between the two detections under T_a_b, m."""
+    rival: float = 0.0
+    """Angle to another pose that fits the inliers as well, rad; 0 where there is none."""
     excess: float = 1.0
     """How many times farther apart the inliers' detections are than their covariances explain."""
 
@@ -54,7 +60,7 @@ class PairwiseEstimate:
         J[:3, 3:] = -so3.hat(self.T_a_b[:3, 3]) @ R
         return PairwiseEstimate(
             self.sensor_b, self.sensor_a, se3.inverse(self.T_a_b), J.T @ self.information @ J,
-            self.matches[:, [0, 2, 1]], self.inliers, self.residuals, self.excess,
+            self.matches[:, [0, 2, 1]], self.inliers, self.residuals, self.rival, self.excess,
         )  # fmt: skip
 
 
@@ -114,12 +120,39 @@ def polished(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Arra
 
     H, g, cost = problem(T_a_b)
     for _ in range(_POLISH):
-        trial = se3.retract(T_a_b, -np.linalg.solve(H + np.eye(6) / _ANCHOR**2, g))
+        trial = se3.retract(T_a_b, -np.asarray(np.linalg.solve(H + np.eye(6) / _ANCHOR**2, g), dtype=np.float64))
         trial_H, trial_g, trial_cost = problem(trial)
         if not trial_cost < cost * (1 - 1e-6):
             break
         T_a_b, H, g, cost = trial, trial_H, trial_g, trial_cost
     return T_a_b
+
+
+def settled(T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_]) -> tuple[Array, float]:
+    """The pose that fits all inliers best, and whether another does so too.
+
+    Args:
+        T_a_b: (4, 4) the pose that consensus found; another is taken only if it fits clearly better.
+        others: (K, 4, 4) other minima.
+        matches: of the pair.
+        inliers: (M,) of T_a_b.
+
+    Returns:
+        The pose, and the angle (rad) to the farthest other one that fits as well; 0 if there is none.
+    """
+    poses = np.concatenate([T_a_b[None], others])
+    at = matches.linearize(poses)
+    r, covariance = at.residuals[:, inliers], at.covariance[:, inliers]
+    W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[2]))
+    cost = np.einsum("pmk,pmkl,pml->p", r, W, r)
+    cost[~matches.reachable(poses)[:, inliers].all(axis=1)] = np.inf
+    best = int(np.argmin(cost))
+    margin = _ALIKE * max(1.0, cost[best] / max(r[0].size - 6, 1))
+    if cost[0] <= cost[best] + margin:
+        best = 0
+    turned = np.linalg.norm(so3.log(poses[:, :3, :3] @ poses[best, :3, :3].T), axis=-1)
+    alike = (cost <= cost.min() + margin) & (turned > _ELSEWHERE)
+    return poses[best], float(np.max(turned, initial=0.0, where=alike))
 
 
 def excess(at: Linearization, inliers: NDArray[np.bool_]) -> float:

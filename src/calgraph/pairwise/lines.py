@@ -72,6 +72,21 @@ class PlaneLine:
         best = np.argmin((cost + (0.02 * turned) ** 2).reshape(-1, count), axis=1)
         return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
 
+    def minima(self, chosen: NDArray[np.bool_]) -> Array:
+        """Poses (K, 4, 4) at which the chosen matches' distances are smallest nearby, sought from everywhere.
+
+        Distances from planes do not change much when a scanner is turned over or tilted the other way: with few
+        captures several poses fit.
+        """
+        starts = canonical_rotations()
+        n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
+        d = np.broadcast_to(np.repeat(self.planes[chosen, 3], 2), n.shape[:2])
+        x = np.broadcast_to(self.endpoints[chosen].reshape(-1, 3), n.shape)
+        T, _ = gauss_newton(
+            se3.pose(starts, _translation(starts, n, d, x)), lambda T: _distances(T, n, d, x), iterations=40
+        )
+        return T
+
     @cached_property
     def _determined(self) -> bool:
         """Whether all matches together determine the linear solution."""

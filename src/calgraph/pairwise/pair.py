@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from calgraph.pairwise.estimate import (
     excess,
     information,
     polished,
+    settled,
     squared_residuals,
 )
 from calgraph.pairwise.lines import LineLine, PlaneLine
@@ -61,8 +63,11 @@ def estimate_pair(
     enough = max(matches.sample_size, _least(matches, len(table)))
     if found is None or found.count < enough:
         return Rejected(f"no relative pose agrees with {enough} of the {len(common)} common captures")
-    T_a_b = polished(found.model, matches, found.inliers)
-    return _estimate(sensor_a, sensor_b, T_a_b, table, matches, found.inliers)
+    T_a_b, rival = found.model, 0.0
+    if isinstance(matches, PlaneLine):
+        T_a_b, rival = settled(T_a_b, matches.minima(found.inliers), matches, found.inliers)
+    T_a_b = polished(T_a_b, matches, found.inliers)
+    return replace(_estimate(sensor_a, sensor_b, T_a_b, table, matches, found.inliers), rival=rival)
 
 
 def reconsider(
@@ -71,7 +76,7 @@ def reconsider(
     candidates_a: Candidates,
     candidates_b: Candidates,
     board_size: tuple[float, float],
-) -> PairwiseEstimate:
+) -> PairwiseEstimate | Rejected:
     """Selects a pair's inliers anew, under a pose that more than this pair's data determined.
 
     The consensus had to be lenient, as a pose from few captures is uncertain. Now the inliers' own scatter tells
@@ -85,22 +90,23 @@ def reconsider(
         board_size: width and height of the (largest) board, m.
 
     Returns:
-        The estimate at ``T_a_b`` with the new inliers; unchanged if too few would be left.
+        The estimate at ``T_a_b`` with the new inliers; rejected if too few are left, as a wrong pose's would be.
     """
     if (
         _kind(candidates_a[estimate.matches[0, 0]][0]) == "line"
         and _kind(candidates_b[estimate.matches[0, 0]][0]) == "plane"
     ):
         swapped = reconsider(estimate.inverse(), se3.inverse(T_a_b), candidates_b, candidates_a, board_size)
-        return swapped.inverse()
+        return swapped if isinstance(swapped, Rejected) else swapped.inverse()
     table, matches = _matches(candidates_a, candidates_b, board_size)
     r2 = squared_residuals(matches)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
     gate = min(1.0, 3.5**2 * scale2)
     inliers = best_of_groups(r2 / gate, table[:, 0])
     if inliers.sum() < matches.sample_size:
-        return estimate
-    return _estimate(estimate.sensor_a, estimate.sensor_b, T_a_b, table, matches, inliers)
+        return Rejected(f"its {int(estimate.inliers.sum())} captures contradict what all sensors together say")
+    found = _estimate(estimate.sensor_a, estimate.sensor_b, T_a_b, table, matches, inliers)
+    return replace(found, rival=estimate.rival)
 
 
 def _matches(
@@ -130,7 +136,7 @@ def _estimate(
     at = Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
     rms = np.sqrt(np.mean(at.residuals**2, axis=-1))
     return PairwiseEstimate(
-        sensor_a, sensor_b, T_a_b, information(at, inliers), table, inliers, rms, excess(at, inliers)
+        sensor_a, sensor_b, T_a_b, information(at, inliers), table, inliers, rms, excess=excess(at, inliers)
     )
 
 

@@ -10,7 +10,7 @@ from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.hypergraph import Joint
-from calgraph.refinement.observability import doubts, verdict
+from calgraph.refinement.observability import doubts, rivals, verdict
 from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import Rig
 
@@ -30,12 +30,13 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     connected = tree.T_root_sensor
     within = [e for e in estimated(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = _residuals_of_used(within)
-    doubted = doubts(rig.root, {name: rig.sensors[name].kind for name in connected}, within)
+    kinds = {name: rig.sensors[name].kind for name in connected}
+    doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
     root_first = sorted(rig.sensors, key=lambda name: name != rig.root)
     return Calibration(
         root=rig.root,
         sensors=tuple(
-            _pose(name, rig, captured, tree, joint, doubted.get(name, ""))
+            _pose(name, rig, captured, tree, joint, doubted.get(name, ""), ambiguous.get(name, 0.0))
             for name in root_first
             if name in connected
         ),
@@ -47,7 +48,9 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     )
 
 
-def _pose(name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Joint, doubt: str) -> SensorPose:
+def _pose(
+    name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Joint, doubt: str, rival: float
+) -> SensorPose:
     spec = rig.sensors[name]
     T, covariance = joint.T_root_sensor[name], joint.covariance[name]
     return SensorPose(
@@ -57,7 +60,7 @@ def _pose(name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Jo
         kind=spec.kind,
         T_root_sensor=T,
         covariance=covariance,
-        verdict=verdict(name, spec.kind, T, covariance, doubt),
+        verdict=verdict(name, spec.kind, T, covariance, doubt, rival),
     )
 
 

@@ -185,16 +185,15 @@ def _relative_poses(names: Sequence[str], tree: SpanningTree, pairs: Sequence[Pa
     """Sensor–sensor edges (eq. 6).
 
     Their inliers are in the graph as observations already, so each edge weighs as one capture. What a pair of the
-    tree leaves open is held.
+    tree leaves open is held. Other pairs with an open direction are no edges: along it they may be turned by any
+    angle, and that far away their other directions are not those measured.
     """
+    pairs = [p for p in pairs if tree.joins(p.sensor_a, p.sensor_b) or not _has_open_direction(p)]
     whiteners = []
     for pair in pairs:
         eigenvalues, vectors = np.linalg.eigh(pair.information)
         weights = np.maximum(eigenvalues, 0) / max(int(pair.inliers.sum()), 1)
-        in_tree = pair.sensor_a == tree.parents.get(pair.sensor_b) or pair.sensor_b == tree.parents.get(
-            pair.sensor_a
-        )
-        if in_tree:
+        if tree.joins(pair.sensor_a, pair.sensor_b):
             weights = np.where(eigenvalues < _OPEN**-2, _HOLD**-2, weights)
         whiteners.append(np.sqrt(weights)[:, None] * vectors.T)
     return edges.SensorSensor(
@@ -203,6 +202,10 @@ def _relative_poses(names: Sequence[str], tree: SpanningTree, pairs: Sequence[Pa
         np.array([p.T_a_b for p in pairs]),
         np.array(whiteners),
     )
+
+
+def _has_open_direction(pair: PairwiseEstimate) -> bool:
+    return bool(np.linalg.eigvalsh(pair.information)[0] < _OPEN**-2)
 
 
 def _scatter(chi2: float, freedom: int) -> float:

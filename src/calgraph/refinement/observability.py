@@ -24,7 +24,9 @@ _SCANNER_AXES = ("forward (x)", "sideways (y)", "height (z)", "roll (about x)", 
 _CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "yaw (about y)", "roll (about z)")
 
 
-def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array, doubt: str = "") -> Verdict:
+def verdict(
+    name: str, kind: str, T_root_sensor: Array, covariance: Array, doubt: str = "", rival: float = 0.0
+) -> Verdict:
     """Grades a pose and names its weak directions along the sensor's own axes.
 
     Args:
@@ -33,6 +35,7 @@ def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array, doubt
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
         doubt: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
+        rival: angle to another pose that the captures allow as well, rad; 0 where there is none.
 
     Returns:
         The verdict; its reason is empty for a good pose.
@@ -49,12 +52,31 @@ def verdict(name: str, kind: str, T_root_sensor: Array, covariance: Array, doubt
         if s > limit and axis not in open_axes
     ]
     advice = f"tilt and turn the board more, in different places, while {name} and others see it"
-    if open_axes:
-        return Verdict("unobservable", f"{_listed(open_axes)} fixed by no capture; {advice}")
+    if open_axes or rival:
+        fixed = [f"{_listed(open_axes)} fixed by no capture"] if open_axes else []
+        if rival:
+            fixed.append(f"a pose turned by {np.degrees(rival):.0f}° fits as well")
+        return Verdict("unobservable", f"{'; '.join(fixed)}; {advice}")
     weaknesses = [doubt] if doubt else []
     if weak_axes:
         weaknesses.append(f"{', '.join(weak_axes)} of {name}: {advice}")
     return Verdict("weak", "; ".join(weaknesses)) if weaknesses else Verdict("good")
+
+
+def rivals(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
+    """Angles (rad) to other poses that fit as well, by 2-D scanner; none where one pair leaves but one pose."""
+    angles = {
+        name: [p.rival for p in pairs if _with_plane(p, name, kinds)]
+        for name, kind in kinds.items()
+        if kind == "lidar2d"
+    }
+    return {name: min(found) for name, found in angles.items() if found and min(found) > 0}
+
+
+def _with_plane(pair: PairwiseEstimate, name: str, kinds: Mapping[str, str]) -> bool:
+    """Whether the pair is of a sensor and of one that sees the board as a plane."""
+    ends = {pair.sensor_a, pair.sensor_b}
+    return name in ends and all(kinds[other] != "lidar2d" for other in ends - {name})
 
 
 def doubts(root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, str]:
