@@ -15,10 +15,10 @@ _GATE = 3.0
 MODEL_ERROR = 0.01
 # How far a board is from a plane, m.
 _FLATNESS = 0.002
-# Steps at most from a minimal sample's pose to that of all inliers, and how far (m and rad) each of them goes
-# along a direction that the inliers hardly measure.
+# Steps at most from a minimal sample's pose to that of all inliers, and the standard deviation (m and rad) beyond
+# which a direction is left as it is: the inliers' noise would move it anywhere.
 _POLISH = 20
-_ANCHOR = 0.3
+_OPEN = 0.1
 # A pose fits as well as another if its sum of squared whitened residuals is at most so much larger (times their
 # scatter), and it is another one if turned by more than this, rad.
 _ALIKE = 12.0
@@ -120,7 +120,9 @@ def polished(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Arra
 
     H, g, cost = problem(T_a_b)
     for _ in range(_POLISH):
-        trial = se3.retract(T_a_b, -np.asarray(np.linalg.solve(H + np.eye(6) / _ANCHOR**2, g), dtype=np.float64))
+        values, vectors = np.linalg.eigh(H)
+        along = np.where(values > _OPEN**-2, vectors.T @ g / np.maximum(values, _OPEN**-2), 0.0)
+        trial = se3.retract(T_a_b, -np.asarray(vectors @ along, dtype=np.float64))
         trial_H, trial_g, trial_cost = problem(trial)
         if not trial_cost < cost * (1 - 1e-6):
             break
