@@ -34,6 +34,8 @@ def estimate_pair(
     candidates_b: Candidates,
     board_size: tuple[float, float],
     rng: np.random.Generator,
+    *,
+    polish: bool = True,
 ) -> PairwiseEstimate | Rejected:
     """Estimates ``T_a_b`` from the captures in which both sensors have detections.
 
@@ -44,6 +46,8 @@ def estimate_pair(
         candidates_b: detections by b.
         board_size: width and height of the (largest) board, m.
         rng: source of the samples.
+        polish: fit the inliers once more, weighted by their covariances; the paper leaves the pose as its solver,
+            with equal weights, found it.
 
     Returns:
         The estimate, or the reason why the pair cannot be estimated.
@@ -53,7 +57,7 @@ def estimate_pair(
         return Rejected("no capture shows the board to both")
     kinds = _kind(candidates_a[common[0]][0]), _kind(candidates_b[common[0]][0])
     if kinds == ("line", "plane"):
-        swapped = estimate_pair(sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng)
+        swapped = estimate_pair(sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng, polish=polish)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
 
     table, matches = _matches(candidates_a, candidates_b, board_size)
@@ -64,9 +68,10 @@ def estimate_pair(
     if found is None or found.count < enough:
         return Rejected(f"no relative pose agrees with {enough} of the {len(common)} common captures")
     T_a_b, rival = found.model, 0.0
-    if isinstance(matches, PlaneLine):
+    if polish and isinstance(matches, PlaneLine):
         T_a_b, rival = settled(T_a_b, matches.minima(found.inliers), matches, found.inliers)
-    T_a_b = polished(T_a_b, matches, found.inliers)
+    if polish:
+        T_a_b = polished(T_a_b, matches, found.inliers)
     return replace(_estimate(sensor_a, sensor_b, T_a_b, table, matches, found.inliers), rival=rival)
 
 
@@ -149,6 +154,8 @@ def estimate_pairs(
     board_size: tuple[float, float],
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _done: None,
+    *,
+    polish: bool = True,
 ) -> Pairs:
     """Estimates the relative pose of every pair of sensors, as :func:`estimate_pair` does.
 
@@ -157,11 +164,12 @@ def estimate_pairs(
         board_size: width and height of the (largest) board, m.
         rng: source of the samples.
         progress: told how much is done, 0..1.
+        polish: as for :func:`estimate_pair`.
     """
     names = list(itertools.combinations(detections, 2))
     pairs = {}
     for done, (a, b) in enumerate(names, start=1):
-        pairs[a, b] = estimate_pair(a, b, detections[a], detections[b], board_size, rng)
+        pairs[a, b] = estimate_pair(a, b, detections[a], detections[b], board_size, rng, polish=polish)
         progress(done / len(names))
     return pairs
 
