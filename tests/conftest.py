@@ -17,7 +17,7 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20150713)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of real recordings; tests that need it skip where it is missing."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
