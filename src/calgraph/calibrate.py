@@ -24,7 +24,7 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.graph import spanning_tree
 from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
-from calgraph.refinement import Filter, Start, assemble, solve_hypergraph, why_nothing
+from calgraph.refinement import Filter, Start, assemble, solve_hypergraph
 from calgraph.result import Calibration
 from calgraph.rig import CameraSpec, Rig
 from calgraph.sensors import Record
@@ -61,11 +61,11 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
         progress: told how far each step is.
 
     Returns:
-        Poses, covariances and evidence of all sensors that are connected to the root.
+        Poses, covariances and evidence of all sensors that are connected to the root; of the others, why not.
 
     Raises:
         InputError: the rig does not fit the recording.
-        CalibrationError: nothing could be calibrated at all.
+        CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
     """
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
@@ -76,6 +76,10 @@ def capture_board(
     rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = silent
 ) -> Captured:
     """Finds the times at which the board rests, and the board in what every sensor measured then."""
+    if len(rig.sensors) < 2:
+        raise CalibrationError(
+            f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
+        )
     if not rig.boards:
         raise InputError("target.kind: only boards can be used so far; people and cylinders are to come")
     cameras = read_cameras(rig, recording)
@@ -99,12 +103,11 @@ def solve_rig(
     seen = captured.detections
     pairs = estimate_pairs(seen, rig.board_size, rng, lambda done: progress("pairing", done))
     tree = spanning_tree(rig.root, estimated(pairs))
-    if not tree.parents:
-        raise CalibrationError(why_nothing(rig, captured, pairs))
     joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep, start=options.start)
     if options.keep == "ransac":
         # What three captures could not tell apart, all of them can: select once more under the joint solution.
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
+        tree = spanning_tree(rig.root, estimated(pairs))
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep, start=options.start)
     return assemble(rig, captured, pairs, tree, joint)
 

@@ -57,6 +57,6 @@ def unconnected(sensors: Collection[str], tree: SpanningTree) -> tuple[str, ...]
 
 
 def _openness(estimate: PairwiseEstimate) -> float:
-    """Standard deviation along the weakest direction where that is open, which fewer captures leave more so; or 0."""
+    """Standard deviation along the weakest direction where that is open; 0 where it is not."""
     weakest = max(float(np.linalg.eigvalsh(estimate.information)[0]), 1e-12)
     return 0.0 if weakest >= _WEAK**-2 else weakest**-0.5

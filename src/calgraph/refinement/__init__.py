@@ -1,6 +1,6 @@
 """Joint estimators over all sensors and captures, and what they say for themselves."""
 
-from calgraph.refinement.evidence import assemble, why_nothing
+from calgraph.refinement.evidence import assemble
 from calgraph.refinement.hypergraph import Filter, Joint, Start, solve_hypergraph
 
-__all__ = ["Filter", "Joint", "Start", "assemble", "solve_hypergraph", "why_nothing"]
+__all__ = ["Filter", "Joint", "Start", "assemble", "solve_hypergraph"]

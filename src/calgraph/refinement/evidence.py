@@ -1,6 +1,6 @@
 """From a joint solution to a Calibration: poses with verdicts, and what became of every pair and capture."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -32,6 +32,8 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     used = _residuals_of_used(within)
     kinds = {name: rig.sensors[name].kind for name in connected}
     doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
+    if not joint.converged:
+        doubted = dict.fromkeys(connected, "the joint solution was still moving when it was stopped") | doubted
     root_first = sorted(rig.sensors, key=lambda name: name != rig.root)
     return Calibration(
         root=rig.root,
@@ -42,7 +44,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         ),
         edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
         captures=tuple(_row(hold, name, captured, used) for hold in captured.holds for name in rig.sensors),
-        unconnected={name: _why_alone(name, captured, pairs) for name in rig.sensors if name not in connected},
+        unconnected=_unconnected(rig, captured, pairs, connected),
         residuals=joint.residuals,
         outlines=tuple(_outlines(rig, captured, used, joint)),
     )
@@ -106,27 +108,22 @@ def _row(hold: Hold, name: str, captured: Captured, used: Used) -> CaptureRow:
     )
 
 
-def why_nothing(rig: Rig, captured: Captured, pairs: Pairs) -> str:
-    """Why no sensor is connected to the root, in one sentence for the user."""
-    if len(rig.sensors) == 1:
-        return f"{rig.root} is the only sensor: a rig.yaml needs two to calibrate one to the other"
-    reasons = (f"{name} {_why_alone(name, captured, pairs)}" for name in rig.sensors)
-    return f"nothing is connected to the root {rig.root}: {'; '.join(reasons)}"
+def _unconnected(rig: Rig, captured: Captured, pairs: Pairs, connected: Collection[str]) -> dict[str, str]:
+    """Why each sensor outside the root's tree is there, as the rest of a sentence that starts with its name."""
+    alone = {name: _why_alone(name, captured, pairs) for name in rig.sensors if name not in connected}
+    if not captured.detections[rig.root]:
+        # Then no sensor can be connected, and what they saw themselves is not the reason.
+        blind = f"the root {rig.root} {_why_alone(rig.root, captured, pairs)}"
+        return {name: f"{reason}; {blind}" for name, reason in alone.items()}
+    return alone
 
 
 def _why_alone(name: str, captured: Captured, pairs: Pairs) -> str:
-    """Why a sensor is not connected to the root, as the rest of a sentence that starts with its name.
-
-    Args:
-        name: the sensor.
-        captured: what the recording says of the rig.
-        pairs: estimate, or the reason why there is none, by pair of sensors.
-    """
     seen = captured.detections[name]
-    misses = [reason for (_, sensor), reason in captured.misses.items() if sensor == name]
     if not seen:
-        of = f"none of {len(captured.holds)} captures"
-        return f"found the board in {of}, mostly because: {max(misses, key=misses.count)}"
+        misses = [reason for (_, sensor), reason in captured.misses.items() if sensor == name]
+        commonest = max(misses, key=misses.count)
+        return f"found the board in none of {len(captured.holds)} captures, mostly because: {commonest}"
     reasons = [
         f"{b if a == name else a}: {pair.reason}"
         for (a, b), pair in pairs.items()

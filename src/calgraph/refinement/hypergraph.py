@@ -75,6 +75,8 @@ def solve_hypergraph(
     """
     names = list(tree.T_root_sensor)
     pairs = [e for e in estimates if e.sensor_a in names and e.sensor_b in names]
+    if not pairs:
+        return Joint({tree.root: np.eye(4)}, {tree.root: np.zeros((6, 6))}, {}, 0.0, converged=True)
     graph = _Graph(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[_kept(pair, keep)]:
