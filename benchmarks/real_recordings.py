@@ -1,0 +1,142 @@
+"""Real recordings against the answers that came with them.
+
+python benchmarks/real_recordings.py [DATA]      # DATA: the folder of real recordings, ../shared/data if left out
+"""
+
+import csv
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from calgraph.calibrate import Options, calibrate_rig
+from calgraph.geometry import Array, se3, so3
+from calgraph.recording import open_recording
+from calgraph.result import Calibration, Edge
+from calgraph.rig import Rig
+
+VLP16: dict[str, object] = {
+    "root": "lidar",
+    "target": {
+        "kind": "board",
+        "size": [0.85, 0.61],
+        "pattern": {"kind": "checkerboard", "columns": 7, "rows": 5, "square": 0.095},
+    },
+    "sensors": {
+        "camera": {
+            "kind": "camera",
+            "topic": "camera",
+            "intrinsics": {
+                "model": "fisheye",
+                "width": 1920,
+                "height": 1208,
+                "K": [1176.93, 1177.72, 962.275, 612.725],
+                "distortion": [-0.0540096, -0.0784275, 0.0959641, -0.0515253],
+            },
+        },
+        "lidar": {"kind": "lidar3d", "topic": "lidar"},
+    },
+}
+
+WALL: dict[str, object] = {
+    "root": "camera",
+    "target": {
+        "kind": "board",
+        "size": [0.50, 0.30],
+        "pattern": {"kind": "checkerboard", "columns": 11, "rows": 8, "square": 0.019},
+    },
+    "sensors": {
+        "camera": {
+            "kind": "camera",
+            "topic": "camera",
+            "intrinsics": {
+                "width": 640,
+                "height": 480,
+                "K": [505.29124569, 504.55350189, 322.19927863, 236.33609581],
+                "distortion": [0.18421732, -0.31277364, -0.00041421, 0.00039006, -0.07993784],
+            },
+        },
+        "laser": {"kind": "lidar2d", "topic": "laser"},
+    },
+}
+
+
+def calibrated(rig: dict[str, object], folder: Path) -> Calibration:
+    """Calibrates a plain folder."""
+    with open_recording(folder) as recording:
+        return calibrate_rig(Rig.model_validate(rig), recording, Options())
+
+
+def linked(folder: Path, files: dict[str, Path]) -> None:
+    """Makes a folder of a plain recording from files that stay where they are."""
+    folder.mkdir(parents=True)
+    for name, file in files.items():
+        (folder / name).symlink_to(file)
+
+
+def vlp16(data: Path, folder: Path) -> Calibration:
+    """Fisheye camera and VLP-16, 16 poses of a checkerboard, whole sweeps, no background."""
+    source = data / "acfr-vlp16-checkerboard"
+    poses = sorted(int(image.stem.removeprefix("pose")) for image in source.glob("images/*.png"))
+    linked(folder / "camera", {f"{10 * i}.png": source / f"images/pose{i}.png" for i in poses})
+    linked(folder / "lidar", {f"{10 * i}.pcd.gz": source / f"pcd_full/pose{i}_full.pcd.gz" for i in poses})
+    return calibrated(VLP16, folder)
+
+
+def wall(data: Path, folder: Path) -> Calibration:
+    """Camera and 2-D scanner, five poses of a board that always stood upright."""
+    source = data / "acfr-rpg-camera-2dlidar"
+    linked(folder / "camera", {file.name: file for file in source.glob("images/*.png")})
+    linked(folder / "laser", {file.name: file for file in source.glob("lasers/*.pcd")})
+    return calibrated(WALL, folder)
+
+
+def published(data: Path) -> Array:
+    """Mean of the published solutions: pose of the camera in the LiDAR's frame, Rz Ry Rx."""
+    with (data / "acfr-vlp16-checkerboard/calibration_quickstart.csv").open() as file:
+        rows = np.array([[float(cell) for cell in row] for row in list(csv.reader(file))[1:]])
+    roll, pitch, yaw, *xyz = rows.mean(axis=0)
+    R = so3.exp(np.array([0, 0, yaw])) @ so3.exp(np.array([0, pitch, 0])) @ so3.exp(np.array([roll, 0, 0]))
+    return se3.pose(R, np.array(xyz))
+
+
+def main() -> None:
+    """Prints poses, deviations from the answers, and verdicts."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    data = Path(sys.argv[1]) if len(sys.argv) > 1 else beside
+    with TemporaryDirectory() as folder:
+        found = vlp16(data, Path(folder))
+    camera, edge = found["camera"], found.edges[0]
+    difference = se3.difference(camera.T_root_sensor, published(data))
+    spread = np.sqrt(np.diag(camera.covariance))
+    print(
+        f"acfr-vlp16-checkerboard: {edge.inliers} of {edge.captures} captures, RMS {1000 * rms(edge.residuals):.1f} mm"
+    )
+    print(f"  from the published answer: {1000 * np.linalg.norm(difference[:3]):.1f} mm (x y z", end=" ")
+    print(
+        f"{(1000 * difference[:3]).round(1).tolist()}), {np.degrees(np.linalg.norm(difference[3:])):.2f} degrees"
+    )
+    print(f"  standard deviations {(1000 * spread[:3]).round(1).tolist()} mm,", end=" ")
+    print(f"{np.degrees(spread[3:]).round(2).tolist()} degrees; {camera.verdict.grade}")
+    with TemporaryDirectory() as folder:
+        found = wall(data, Path(folder))
+    laser, edge = found["laser"], found.edges[0]
+    lateral, _, forward = laser.T_root_sensor[:3, 3]
+    yaw = np.degrees(np.arctan2(-laser.T_root_sensor[0, 0], laser.T_root_sensor[2, 0]))
+    print(
+        f"acfr-rpg-camera-2dlidar: {edge.inliers} of {edge.captures} captures, RMS {1000 * rms(edge.residuals):.1f} mm"
+    )
+    print(f"  lateral {1000 * lateral:.0f} mm, forward {1000 * forward:.0f} mm, yaw {yaw:.1f} degrees", end=" ")
+    print("(by hand: -17 mm, -106 mm, 2.4 degrees to one side)")
+    print(f"  {laser.verdict.grade}: {laser.verdict.reason}")
+
+
+def agreement(edge: Edge) -> str:
+    """How many captures a pair kept, and how far apart its detections are."""
+    distance = 1000 * float(np.sqrt(np.mean(edge.residuals**2)))
+    return f"{edge.inliers} of {edge.captures} captures, RMS {distance:.1f} mm"
+
+
+if __name__ == "__main__":
+    main()
