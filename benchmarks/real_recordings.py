@@ -110,9 +110,7 @@ def main() -> None:
     camera, edge = found["camera"], found.edges[0]
     difference = se3.difference(camera.T_root_sensor, published(data))
     spread = np.sqrt(np.diag(camera.covariance))
-    print(
-        f"acfr-vlp16-checkerboard: {edge.inliers} of {edge.captures} captures, RMS {1000 * rms(edge.residuals):.1f} mm"
-    )
+    print(f"acfr-vlp16-checkerboard: {agreement(edge)}")
     print(f"  from the published answer: {1000 * np.linalg.norm(difference[:3]):.1f} mm (x y z", end=" ")
     print(
         f"{(1000 * difference[:3]).round(1).tolist()}), {np.degrees(np.linalg.norm(difference[3:])):.2f} degrees"
@@ -124,9 +122,7 @@ def main() -> None:
     laser, edge = found["laser"], found.edges[0]
     lateral, _, forward = laser.T_root_sensor[:3, 3]
     yaw = np.degrees(np.arctan2(-laser.T_root_sensor[0, 0], laser.T_root_sensor[2, 0]))
-    print(
-        f"acfr-rpg-camera-2dlidar: {edge.inliers} of {edge.captures} captures, RMS {1000 * rms(edge.residuals):.1f} mm"
-    )
+    print(f"acfr-rpg-camera-2dlidar: {agreement(edge)}")
     print(f"  lateral {1000 * lateral:.0f} mm, forward {1000 * forward:.0f} mm, yaw {yaw:.1f} degrees", end=" ")
     print("(by hand: -17 mm, -106 mm, 2.4 degrees to one side)")
     print(f"  {laser.verdict.grade}: {laser.verdict.reason}")
