@@ -1,5 +1,5 @@
-"""Objects that move through a stationary scanner's view, and the background that does not."""
+"""Following moving objects through the scans of one stationary 2-D scanner."""
 
-from calgraph.tracking.track import Track, Tracked
+from calgraph.tracking.track import Track, Tracked, Untracked
 
-__all__ = ["Track", "Tracked"]
+__all__ = ["Track", "Tracked", "Untracked"]
