@@ -72,6 +72,9 @@ def _nearest_depth(ranges: Array) -> Array:
 
 def nearest_beam(angles: Array, wanted: Array) -> NDArray[np.intp]:
     """Index of the nearest of the ascending ``angles`` (B,) for each wanted angle (N,)."""
+    # Nearly all scans of a scanner have the same beams.
+    if np.array_equal(angles, wanted):
+        return np.arange(len(angles))
     right = np.clip(np.searchsorted(angles, wanted), 1, max(len(angles) - 1, 1))
     right = np.minimum(right, len(angles) - 1)
     left = np.maximum(right - 1, 0)
