@@ -162,7 +162,7 @@ def test_people_seen_at_different_times_tell_nothing(rng: np.random.Generator) -
     walks = [wander(rng, seconds=20)]
     a, b = observe(walks, np.eye(3), rng), observe(walks, np.eye(3), rng, late=100.0)
     assert estimate_network_pair("a", "b", a, b, rng) == Rejected(
-        "only 0.0 s in which both saw somebody, 1.5 s are needed"
+        "only 0.0 s in which both saw somebody, 2.0 s are needed"
     )
 
 

@@ -24,6 +24,8 @@ _CLOCK = 0.01
 _DEPTH = 0.03
 # Squared Mahalanobis distance at which the Cauchy loss halves a pair's weight.
 _CAUCHY = 6.0
+# Fewer pairs than these fit many a pose.
+_FEW = 4
 # Gauss-Newton steps with associations made anew.
 _STEPS = 6
 # Residuals farther apart than so many steps are independent.
@@ -36,12 +38,10 @@ class Agreement:
 
     T_a_b: Array
     """(3, 3)."""
-    information: Array
-    """(3, 3) inverse covariance of T_a_b's error in the fixed axes of a."""
+    nuisance: Array
+    """(2,) s that b's clock is ahead, and m that objects' centres lie beyond those that tracks show."""
     pairs: NDArray[np.intp]
     """(P,) which of the meetings agree: each the other's nearest at its tick."""
-    cost: float
-    """Truncated squared Mahalanobis distance in units of the gate, mean over all that both scanners saw."""
     misfit: float
     """Standard deviation of the pairs' distances beyond what the tracks' covariances explain, m."""
 
@@ -59,10 +59,9 @@ def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _
         The agreement, or None if fewer than four observations agree with the first guess.
     """
     nuisance = np.zeros(2)
-    pairs = np.zeros(0, dtype=np.intp)
     for _ in range(steps):
         pairs, d2 = _associated(T_a_b, nuisance, met, misfit)
-        if len(pairs) < 4:
+        if len(pairs) < _FEW:
             return None
         r, J, S = _linearized(T_a_b, nuisance, met, pairs)
         W = _inverse(S + misfit**2 * np.eye(2)) / (1 + d2 / _CAUCHY)[:, None, None]
@@ -71,28 +70,25 @@ def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _
         T_a_b = se2.retract(T_a_b, step[:3])
         nuisance = nuisance + step[3:]
         misfit = _misfit(r + J @ step, S)
-    pairs, d2 = _associated(T_a_b, nuisance, met, misfit)
-    if len(pairs) < 4:
-        return None
-    information = _information(T_a_b, nuisance, met, pairs, misfit)
-    return Agreement(T_a_b, information, pairs, cost_of(T_a_b, met), misfit)
+    pairs, _ = _associated(T_a_b, nuisance, met, misfit)
+    return Agreement(T_a_b, nuisance, pairs, misfit) if len(pairs) >= _FEW else None
 
 
-def cost_of(T_a_b: Array, met: Meetings, misfit: float = _MISFIT) -> float:
-    """Truncated squared distance in units of the gate, mean over all samples of both scanners; lower is better."""
-    return float(costs(T_a_b[None], met, misfit)[0])
+def costs(T_a_b: Array, met: Meetings, misfit: float = _MISFIT) -> Array:
+    """Truncated squared distances to the nearest, in units of the gate, mean over all that a saw: (K,) of poses.
 
-
-def costs(T_a_b: Array, met: Meetings, misfit: float) -> Array:
-    """The costs (K,) of poses (K, 3, 3); covariances count by their mean over all directions, for speed."""
-    x = T_a_b[:, 0, 0, None] * met.x_b[:, 0] + T_a_b[:, 0, 1, None] * met.x_b[:, 1] + T_a_b[:, 0, 2, None]
-    y = T_a_b[:, 1, 0, None] * met.x_b[:, 0] + T_a_b[:, 1, 1, None] * met.x_b[:, 1] + T_a_b[:, 1, 2, None]
-    x -= met.x_a[:, 0]
-    y -= met.x_a[:, 1]
-    d2 = (x * x + y * y) / (GATE * (met.variance + misfit**2))
-    of_a, of_b = met.minima(d2)
-    # Were only a's samples counted, one of b's could serve several of them.
-    return np.asarray(np.maximum(np.minimum(of_a, 1).mean(axis=1), np.minimum(of_b, 1).mean(axis=1)))
+    Covariances count by their mean over all directions, for speed.
+    """
+    x_a, y_a = met.x_a.T
+    x_b, y_b = met.x_b.T
+    scale = 1 / (GATE * (met.variance + misfit**2))
+    out = np.empty(len(T_a_b))
+    for k, T in enumerate(T_a_b):  # what one pose needs fits into the processor's cache
+        x = T[0, 0] * x_b + T[0, 1] * y_b + (T[0, 2] - x_a)
+        y = T[1, 0] * x_b + T[1, 1] * y_b + (T[1, 2] - y_a)
+        d2 = (x * x + y * y) * scale
+        out[k] = np.minimum(np.minimum.reduceat(d2, met.starts_a), 1).mean()
+    return out
 
 
 def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> tuple[NDArray[np.intp], Array]:
@@ -100,7 +96,10 @@ def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> 
     x_a, x_b = met.x_a, met.x_b
     rough = np.sum((se2.apply(T_a_b, x_b) - x_a) ** 2, axis=1) / (met.variance + misfit**2)
     # The exact covariance matters for the gate alone; who is nearest is clear without it.
-    near = np.flatnonzero((rough < 4 * GATE) & met.mutual(rough))
+    near = np.flatnonzero(rough < 4 * GATE)
+    if not len(near):
+        return near, np.zeros(0)
+    near = near[met.mutual(near, rough[near])]
     r, _, S = _linearized(T_a_b, nuisance, met, near)
     d2 = _squared(r, _inverse(S + misfit**2 * np.eye(2)))
     return near[d2 < GATE], d2[d2 < GATE]
@@ -137,14 +136,15 @@ def _misfit(r: Array, S: Array) -> float:
     return float(np.clip(np.sqrt(max(scatter - explained, 0.0)), _LEAST_MISFIT, _MISFIT))
 
 
-def _information(T_a_b: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp], misfit: float) -> Array:
-    """(3, 3) information of the pose with clock and depth unknown, as of independent observations.
+def information(fit: Agreement, met: Meetings) -> Array:
+    """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depth unknown.
 
     Smoothed positions err for seconds in the same direction: their number counts divided by the time over
     which residuals stay correlated, in ticks.
     """
-    r, J, S = _linearized(T_a_b, nuisance, met, pairs)
-    W = _inverse(S + misfit**2 * np.eye(2))
+    pairs = fit.pairs
+    r, J, S = _linearized(fit.T_a_b, fit.nuisance, met, pairs)
+    W = _inverse(S + fit.misfit**2 * np.eye(2))
     d2 = _squared(r, W)
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
     walks = met.a.walk[met.row_a[pairs]] * (met.b.walk.max() + 1) + met.b.walk[met.row_b[pairs]]
@@ -152,7 +152,7 @@ def _information(T_a_b: Array, nuisance: Array, met: Meetings, pairs: NDArray[np
     together = correlation_time(whitened, walks, ticks)
     independent = max(2 * len(pairs) / together - 5, 1.0)
     scatter = max(float(np.sum(d2)) / together / independent, 0.1)
-    H, _ = _normal_equations(r, J, W / (scatter * together), nuisance)
+    H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance)
     return np.asarray(H[:3, :3] - H[:3, 3:] @ np.linalg.solve(H[3:, 3:], H[3:, :3]))
 
 

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from calgraph.geometry import Array
 from calgraph.tracking import Track, Tracked
@@ -44,6 +45,11 @@ class Samples:
     covariances: Array
     """(S, 2, 2) of the positions, m²."""
 
+    @cached_property
+    def places(self) -> cKDTree:
+        """Where the scanner saw somebody, at whatever time."""
+        return cKDTree(self.positions)
+
     def every(self, step: int) -> "Samples":
         """Those of every ``step``-th tick."""
         kept = self.tick % step == 0
@@ -72,12 +78,6 @@ class Meetings:
         return _starts(self.row_a)
 
     @cached_property
-    def by_b(self) -> tuple[Indices, Indices]:
-        """An order that brings together the combinations of one sample of b, and where each of these begins."""
-        order = np.argsort(self.row_b, kind="stable")
-        return order, _starts(self.row_b[order])
-
-    @cached_property
     def x_a(self) -> Array:
         """(M, 2) positions seen by a, m."""
         return np.asarray(self.a.positions[self.row_a])
@@ -93,21 +93,9 @@ class Meetings:
         traces = [np.trace(s.covariances, axis1=1, axis2=2) for s in (self.a, self.b)]
         return np.asarray((traces[0][self.row_a] + traces[1][self.row_b]) / 2)
 
-    def minima(self, d2: Array) -> tuple[Array, Array]:
-        """The least of ``d2`` (..., M) for every sample of a, and for every sample of b."""
-        order, starts_b = self.by_b
-        return (
-            np.minimum.reduceat(d2, self.starts_a, axis=-1),
-            np.minimum.reduceat(d2[..., order], starts_b, axis=-1),
-        )
-
-    def mutual(self, d2: Array) -> NDArray[np.bool_]:
-        """(M,) whether each is the other's nearest at its tick, by ``d2`` (M,)."""
-        least_a, least_b = self.minima(d2)
-        order, starts_b = self.by_b
-        nearest_b = np.empty(len(self), dtype=bool)
-        nearest_b[order] = d2[order] == np.repeat(least_b, np.diff(starts_b, append=len(self)))
-        return np.asarray(nearest_b & (d2 == np.repeat(least_a, np.diff(self.starts_a, append=len(self)))))
+    def mutual(self, rows: Indices, d2: Array) -> NDArray[np.bool_]:
+        """(n,) which of some combinations, at squared distances ``d2`` (n,), are each other's nearest."""
+        return _is_least(self.row_a[rows], d2) & _is_least(self.row_b[rows], d2)
 
 
 def meetings(a: Samples, b: Samples) -> Meetings:
@@ -191,6 +179,15 @@ def _at_ticks(walk: Sequence[Track], number: int) -> tuple[Indices, Indices, Arr
     w = u[..., None]
     covariances = (1 - w) * S[k] + w * S[k + 1] + swerve * np.eye(2)
     return tick, np.full(len(tick), number, dtype=np.intp), positions, velocities, covariances
+
+
+def _is_least(group: Indices, value: Array) -> NDArray[np.bool_]:
+    order = np.argsort(group, kind="stable")
+    starts = _starts(group[order])
+    least = np.minimum.reduceat(value[order], starts)
+    out = np.empty(len(group), dtype=bool)
+    out[order] = value[order] == np.repeat(least, np.diff(starts, append=len(group)))
+    return out
 
 
 def _starts(ascending: Indices) -> Indices:

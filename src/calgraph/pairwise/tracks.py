@@ -7,16 +7,15 @@ them. Its truncation at the scanner's range, which mixes metres with Mahalanobis
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import icp as scan_matching
-from calgraph.pairwise.agreement import GATE, Agreement, agree, costs
+from calgraph.pairwise.agreement import GATE, Agreement, agree, costs, information
 from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
 from calgraph.tracking import Tracked
 
@@ -28,19 +27,25 @@ _TICKS = 6
 _EXTENT = 0.15
 _FIT = 0.3
 # Hypotheses judged, samples' combinations on which they are judged coarsely and finely, and how many are refined.
-_JUDGED = 300
+_JUDGED = 200
 _COARSE = 1200
-_FINE = 12_000
-_REFINED = 8
+_FINE = 6_000
+_REFINED = 6
 _KEPT = 4
 # A stretch's pose strays at its far end: what it explains coarsely may be off by this standard deviation, m.
 _STRAY = 0.3
 # Two hypotheses are one if they differ by less than this in metres and in radians.
 _SAME = (0.5, np.radians(8))
 # Ticks that must agree, more than chance alone explains, and as a share of the best hypothesis's ticks.
-_ENOUGH = 15
+_ENOUGH = 20
+_LEAST_SHARE = 0.25
 _OVER_CHANCE = 2.0
 _SHARE = 0.4
+# A scanner sees people at a place if it saw them so often within this distance of it, m.
+_SEEN_HERE = 0.4
+_SEEN_TIMES = 3
+# Positions at most that are asked for their neighbours.
+_ASKED = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +60,8 @@ class Hypothesis:
     """How many simultaneous positions agree, at ticks of 0.1 s."""
     chance: float
     """How many would if the two scanners had seen different people in the same places."""
+    share: float
+    """Which share that is of those that should agree, as both scanners often see people there, 0..1."""
     cost: float
     """Mean truncated squared Mahalanobis distance of all simultaneous positions in units of the gate, 0..1."""
     icp: bool
@@ -142,25 +149,28 @@ def _estimate(
     if not len(guesses):
         return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
     coarse, fine = _thinned(a, b, len(met), _COARSE), _thinned(a, b, len(met), _FINE)
-    found = [agree(T, coarse, steps=4) for T in _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)]
-    fits = [fit for fit in found if fit is not None]
-    if not fits:
-        return Rejected("no pose agrees with what both saw")
-    poses, cost = np.array([fit.T_a_b for fit in fits]), np.array([fit.cost for fit in fits])
-    promising = 1 - cost >= _SHARE * (1 - cost.min())
-    poses, cost = poses[promising], cost[promising]
-    agreements = [agree(T, fine, steps=3, misfit=0.1) for T in _best(poses, cost, _KEPT)]
-    thinned = len(met) / len(fine)
-    hypotheses = [_hypothesis(fit, fine, thinned) for fit in agreements if fit is not None]
-    hypotheses.sort(key=lambda h: h.cost)
-    kept = [h for h in hypotheses if h.observations >= max(_ENOUGH, _OVER_CHANCE * h.chance)]
+    guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
+    found = [fit for T in guesses if (fit := agree(T, coarse, steps=3)) is not None]
+    shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
+    value = np.array([len(fit.pairs) for fit in found]) * shares
+    promising = (shares >= _LEAST_SHARE) & (value >= _SHARE * np.max(value, initial=0.0))
+    poses = _best(np.array([fit.T_a_b for fit in found]).reshape(-1, 3, 3)[promising], -value[promising], _KEPT)
+    agreements = [agree(T, fine, steps=3, misfit=0.1) for T in poses]
+    hypotheses = [_hypothesis(fit, fine, a, b, len(met) / len(fine)) for fit in agreements if fit is not None]
+    hypotheses.sort(key=lambda h: -h.observations * h.share)
+    kept = [h for h in hypotheses if _credible(h)]
     if not kept:
-        most = max((h.observations for h in hypotheses), default=0)
-        return Rejected(f"no pose agrees with more than {most} simultaneous positions, as chance alone could")
-    kept = [h for h in kept if h.observations >= _SHARE * kept[0].observations]
+        most = round(max(map(len, (fit.pairs for fit in found)), default=0) * len(met) / len(coarse))
+        return Rejected(f"no pose explains what both saw; the best agrees for {most * TICK:.1f} s, as by chance")
+    kept = [h for h in kept if h.observations * h.share >= _SHARE * kept[0].observations * kept[0].share]
     if icp:
         kept = [_aligned(h, tracked_a, tracked_b) for h in kept]
     return TrackPair(name_a, name_b, tuple(kept))
+
+
+def _credible(h: Hypothesis) -> bool:
+    """Whether chance alone hardly explains the hypothesis, and it explains most of what it should."""
+    return h.observations >= max(_ENOUGH, _OVER_CHANCE * h.chance) and h.share >= _LEAST_SHARE
 
 
 def _thinned(a: Samples, b: Samples, count: int, wanted: int) -> Meetings:
@@ -241,29 +251,46 @@ def _same(T: Array, other: Array) -> bool:
     return bool(np.hypot(d[0], d[1]) < _SAME[0] and abs(d[2]) < _SAME[1])
 
 
-def _hypothesis(fit: Agreement, met: Meetings, thinned: float) -> Hypothesis:
+def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, thinned: float) -> Hypothesis:
     return Hypothesis(
         fit.T_a_b,
-        fit.information,
+        information(fit, met),
         round(len(fit.pairs) * thinned),
-        _chance(fit, met) * thinned,
-        fit.cost,
+        _chance(fit, met, b) * thinned,
+        min(len(fit.pairs) / max(_expected(fit.T_a_b, met, a, b), 1), 1.0),
+        float(costs(fit.T_a_b[None], met)[0]),
         icp=False,
     )
 
 
-def _chance(fit: Agreement, met: Meetings) -> float:
-    """How many of a's samples would agree with one of b's, were b's recorded at another time.
+def _chance(fit: Agreement, met: Meetings, b: Samples) -> float:
+    """How many of a's positions would agree with some of b's by chance: with those at any other time.
 
     Where both saw people all the time in one narrow passage, many do, under any pose that lays the passages over
     each other.
     """
-    seen = np.unique(met.row_b)
-    ticks = len(np.unique(met.b.tick[seen]))
     radius = np.sqrt(GATE * (float(np.median(met.variance)) + fit.misfit**2))
-    tree = cKDTree(se2.apply(fit.T_a_b, met.b.positions[seen]))
-    near = tree.query_ball_point(met.a.positions[np.unique(met.row_a)], radius, return_length=True)
-    return float(np.sum(1 - np.exp(-np.asarray(near) / ticks)))
+    few = met.a.positions[:: max(1, len(met.a.tick) // _ASKED)]
+    near = _neighbours(few, se2.inverse(fit.T_a_b), b, radius)
+    return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(met.a.tick)
+
+
+def _expected(T_a_b: Array, met: Meetings, a: Samples, b: Samples) -> float:
+    """How many positions should agree were the pose right: where one often saw people, it sees the other's."""
+    return max(_seen_by(se2.inverse(T_a_b), met.a, b), _seen_by(T_a_b, met.b, a))
+
+
+def _seen_by(T: Array, seen: Samples, other: Samples) -> float:
+    meanwhile = (seen.tick >= other.tick.min()) & (seen.tick <= other.tick.max())
+    x = seen.positions[meanwhile]
+    few = x[:: max(1, len(x) // _ASKED)]
+    return float(np.mean(_neighbours(few, T, other, _SEEN_HERE) >= _SEEN_TIMES)) * len(x)
+
+
+def _neighbours(x: Array, T: Array, samples: Samples, radius: float) -> NDArray[np.intp]:
+    """How many samples of all times are within the radius of each point (N, 2) moved by T."""
+    near = samples.places.query_ball_point(se2.apply(T, x), radius, return_length=True)
+    return np.asarray(near, dtype=np.intp)
 
 
 def _aligned(h: Hypothesis, a: Tracked, b: Tracked) -> Hypothesis:
@@ -273,5 +300,5 @@ def _aligned(h: Hypothesis, a: Tracked, b: Tracked) -> Hypothesis:
     matched = scan_matching.align(h.T_a_b, covariance, a.background, b.background, sigma)
     if isinstance(matched, Rejected):
         return h
-    T_a_b, information = matched.fused(h.T_a_b, h.information)
-    return Hypothesis(T_a_b, information, h.observations, h.chance, h.cost, icp=True)
+    T_a_b, both = matched.fused(h.T_a_b, h.information)
+    return replace(h, T_a_b=T_a_b, information=both, icp=True)
