@@ -1,7 +1,7 @@
 """SO(n) and SE(n) for n = 2 and 3 alike: the dimension is read off the arrays' shapes.
 
-Rotation vectors have d = 1 or 3 components, tangent vectors n + d, translation first. Every function broadcasts over
-leading axes.
+Rotation vectors have d = 1 or 3 components, tangent vectors n + d, translation first. Every function broadcasts
+over leading axes.
 """
 
 import numpy as np
@@ -90,3 +90,21 @@ def axes(R: Array) -> Array:
     B[..., :n, :n] = R
     B[..., n:, n:] = R if n == 3 else 1.0
     return B
+
+
+def compose_covariance(T_a_b: Array, cov_a_b: Array, cov_b_c: Array, t_b_c: Array) -> Array:
+    """Covariance (..., n+d, n+d) of ``T_a_b @ T_b_c`` for independent errors, each in its parent's fixed axes."""
+    n = t_b_c.shape[-1]
+    J_ab = np.zeros_like(cov_a_b) + np.eye(cov_a_b.shape[-1])
+    J_ab[..., :n, n:] = turning((rotation(T_a_b) @ t_b_c[..., None])[..., 0])
+    J_bc = axes(rotation(T_a_b))
+    return np.asarray(J_ab @ cov_a_b @ transpose(J_ab) + J_bc @ cov_b_c @ transpose(J_bc))
+
+
+def inverse_covariance(T_a_b: Array, cov_a_b: Array) -> Array:
+    """Covariance (..., n+d, n+d) of ``T_b_a`` in the fixed axes of b, from that of ``T_a_b`` in those of a."""
+    n = T_a_b.shape[-1] - 1
+    J = np.zeros_like(cov_a_b) + np.eye(cov_a_b.shape[-1])
+    J[..., :n, n:] = -turning(translation(T_a_b))
+    J = -axes(transpose(rotation(T_a_b))) @ J
+    return np.asarray(J @ cov_a_b @ transpose(J))

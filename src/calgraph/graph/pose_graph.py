@@ -1,6 +1,7 @@
 """Relative poses between nodes, some of them wrong, and what averaging makes of them: in the plane or in space."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ class PoseGraph:
         """(E, n, n)."""
         return groups.rotation(self.T_i_j)
 
-    @property
+    @cached_property
     def pairs(self) -> NDArray[np.intp]:
         """(E,) number of each edge's pair of nodes, the same for alternatives, whichever way round they are."""
         ordered = np.sort(self.edges, axis=1)
@@ -89,4 +90,4 @@ def residuals(graph: PoseGraph, T_root_node: Array) -> Array:
 def chi_squared(graph: PoseGraph, T_root_node: Array) -> Array:
     """Squared Mahalanobis distances (..., E) of the edges to node poses (..., N, n+1, n+1)."""
     r = residuals(graph, T_root_node)
-    return np.asarray(np.einsum("...ei,eij,...ej->...e", r, graph.information, r, optimize=True))
+    return np.asarray(np.sum(r * (graph.information @ r[..., None])[..., 0], axis=-1))
