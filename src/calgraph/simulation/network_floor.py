@@ -14,6 +14,8 @@ from calgraph.geometry import Array
 
 _CELL = 0.2
 """Edge of the cells in which ways are planned, m."""
+_AT_ONCE = 500
+"""Points that distances are computed for together."""
 _STEPS = np.array([(0, 1), (1, 0), (1, 1), (1, -1)])
 """Half of the eight neighbours of a cell; the other half are their opposites."""
 
@@ -134,12 +136,18 @@ def inside(polygon: Array, points: Array) -> NDArray[np.bool_]:
 
 def distance_to_segments(points: Array, segments: Array) -> Array:
     """Distances (N,) of points (N, 2) from the nearest of segments (S, 2, 2)."""
-    nearest = np.full(len(points), np.inf)
-    for a, b in segments:
-        along = b - a
-        fraction = np.clip((points - a) @ along / max(float(along @ along), 1e-12), 0, 1)
-        nearest = np.minimum(nearest, np.linalg.norm(points - a - fraction[:, None] * along, axis=1))
-    return nearest
+    if len(segments) == 0:
+        return np.full(len(points), np.inf)
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    square = np.maximum((along**2).sum(axis=1), 1e-12)
+    nearest = [np.zeros(0)]
+    # In parts that fit into the processor's cache.
+    for first in range(0, len(points), _AT_ONCE):
+        x, y = np.moveaxis(points[first : first + _AT_ONCE, None] - start, -1, 0)
+        part = np.clip((x * along[:, 0] + y * along[:, 1]) / square, 0, 1)
+        off = (x - part * along[:, 0]) ** 2 + (y - part * along[:, 1]) ** 2
+        nearest.append(np.sqrt(off.min(axis=1)))
+    return np.concatenate(nearest)
 
 
 def rectangle(center: Sequence[float] | Array, size: Sequence[float] | Array, yaw: float = 0.0) -> Array:

@@ -110,7 +110,8 @@ def _halls(scenario: NetworkScenario) -> Layout:
             (13, 1.8),
         ]
     )
-    doors = [(3, 3.4, 3.5), (23, 3.4, 3.5), (15, 21, 3.5)]
+    # Doors, and the view from each hall's scanner through the gate.
+    doors = [(3, 3.4, 3.5), (23, 3.4, 3.5), (15, 21, 3.5), (8.5, 20.5, 2.8), (18.5, 20.3, 2.5)]
     return Layout(
         Floor(outline, True, walls),
         mounts[: scenario.scanner.count],
