@@ -25,6 +25,9 @@ _STROLLING = 0.2
 _CREDIBLE = (0.3, 2.0)
 # Objects are fitted in portions of like size, so that padding stays small.
 _PORTION = 2048
+# So many of the best seen objects, of so many beams at least, tell how well an ellipse fits at all.
+_SAMPLE = 200
+_TELLING = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +117,28 @@ def _fixed(found: Clusters, radii: tuple[float, float], walks: Walks, sigma: flo
     with np.errstate(divide="ignore"):
         known = np.where(speed > _STROLLING, np.hypot(_SHOULDERS, np.sqrt(walks.variances) / speed), np.inf)
     # The first radius of people is that of their shoulders, across the walk.
-    angle = heading + np.pi / 2
+    prior = Prior(heading + np.pi / 2, known)
+    sigma = _sigma_on_target(found, radii, prior, sigma)
 
     def fitted(groups: Groups, chosen: NDArray[np.intp]) -> Array:
-        prior = Prior(angle[chosen], known[chosen])
-        positions, covariances = fit_centres(groups, radii, prior, sigma)
-        return np.concatenate([positions, covariances.reshape(-1, 4)], axis=-1)
+        fits = fit_centres(groups, radii, Prior(prior.angle[chosen], prior.sigma[chosen]), sigma)
+        return np.concatenate([fits.centres, fits.covariances.reshape(-1, 4)], axis=-1)
 
     result = _in_portions(found, 6, fitted)
     return Centres(result[:, :2], result[:, 2:].reshape(-1, 2, 2), np.zeros((len(found), 2, 2)))
+
+
+def _sigma_on_target(found: Clusters, radii: tuple[float, float], prior: Prior, sigma: float) -> float:
+    """Noise of a point on the target: of the range, and of the target's not being quite an ellipse, m.
+
+    Single objects of few beams cannot tell it; the best seen ones together do.
+    """
+    best = np.argsort(found.count, kind="stable")[-_SAMPLE:]
+    best = best[found.count[best] >= _TELLING]
+    if not len(best):
+        return sigma
+    fits = fit_centres(_padded(found, best), radii, Prior(prior.angle[best], prior.sigma[best]), sigma)
+    return float(sigma * np.sqrt(max(1.0, np.median(fits.excess))))
 
 
 def _sideways(found: Clusters, radius: float) -> Array:

@@ -37,6 +37,18 @@ class Groups:
 
 
 @dataclass(frozen=True, eq=False)
+class Fits:
+    """Ellipses fitted to objects."""
+
+    centres: Array
+    """(C, 2) m; NaN where a fit failed."""
+    covariances: Array
+    """(C, 2, 2) m²; where residuals are larger than the noise, these grow with them; NaN where a fit failed."""
+    excess: Array
+    """(C,) mean square of the residuals over that of the noise."""
+
+
+@dataclass(frozen=True, eq=False)
 class Prior:
     """What is known about the orientation of objects beforehand."""
 
@@ -46,7 +58,7 @@ class Prior:
     """(C,) its standard deviation, rad; infinite where it is unknown."""
 
 
-def fit_centres(groups: Groups, radii: tuple[float, float], prior: Prior, sigma: float) -> tuple[Array, Array]:
+def fit_centres(groups: Groups, radii: tuple[float, float], prior: Prior, sigma: float) -> Fits:
     """Fits centre and orientation of ellipses with fixed radii.
 
     Minimises the distances of the points from their ellipse over the centre, the orientation and the points'
@@ -59,10 +71,6 @@ def fit_centres(groups: Groups, radii: tuple[float, float], prior: Prior, sigma:
         radii: of the ellipse, m; equal ones make a circle.
         prior: orientation beforehand; start value too.
         sigma: noise of a point, m.
-
-    Returns:
-        (C, 2) centres, m, and (C, 2, 2) covariances, m², both NaN where a fit failed. Where residuals are larger
-        than the noise, as those of people are, the covariance grows with them.
     """
     fixed = np.broadcast_to(radii, (len(groups.points), 2))
     shape = np.concatenate([_start(groups, radii, prior), prior.angle[:, None], fixed], axis=-1)
@@ -87,7 +95,8 @@ def fit_centres(groups: Groups, radii: tuple[float, float], prior: Prior, sigma:
     freedom = np.maximum(groups.used.sum(axis=1) - 2, 1)
     excess = (weights * residual**2).sum(axis=1) / (sigma**2 * freedom)
     covariance = np.linalg.inv(H)[:, :2, :2] * np.maximum(excess, 1.0)[:, None, None]
-    return _only_plausible(groups, shape[:, :2], covariance, max(radii))
+    centres, covariances = _only_plausible(groups, shape[:, :2], covariance, max(radii))
+    return Fits(centres, covariances, excess)
 
 
 def _start(groups: Groups, radii: tuple[float, float], prior: Prior) -> Array:

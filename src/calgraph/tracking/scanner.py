@@ -14,7 +14,7 @@ from calgraph.tracking.background import learn_static_scene
 from calgraph.tracking.clusters import Clusters, clusters, foreground
 from calgraph.tracking.features import Centres, Feature, Walks, centres, radii_of, width_of
 from calgraph.tracking.periods import Piece, cut_into_periods
-from calgraph.tracking.smoothing import smooth_all
+from calgraph.tracking.smoothing import smooth_all, with_unmodelled_noise
 from calgraph.tracking.track import Track, Tracked, Untracked
 
 _log = logging.getLogger(__name__)
@@ -90,7 +90,9 @@ def _first_pass(found: Clusters, pieces: Sequence[Piece], target: People | Cylin
 
 def _tracks(pieces: Sequence[Piece], times: Array, measured: Centres) -> tuple[Track, ...]:
     """Tracks of the pieces that hold enough measurements."""
-    smoothed = smooth_all([piece.members for piece in pieces], times, measured, _AGILITY)
+    members = [piece.members for piece in pieces]
+    measured = with_unmodelled_noise(members, times, measured, _AGILITY)
+    smoothed = smooth_all(members, times, measured, _AGILITY)
     return tuple(
         Track(
             times[motion.members],
