@@ -1,6 +1,7 @@
 """The graph of sensors: connectivity and start values."""
 
 from calgraph.graph.adjustment import translations
+from calgraph.graph.averaging import Method, average, averaged_tree, pose_graph
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
@@ -8,6 +9,7 @@ from calgraph.graph.tree import SpanningTree, spanning_tree, unconnected
 from calgraph.graph.voting import consensus_trees
 
 __all__ = [
-    "Averaged", "Cycle", "PoseGraph", "SpanningTree", "chained", "consensus_trees", "cycle_basis", "irls_l1",
-    "l1mc", "spanning_tree", "spectral", "translations", "triangles", "unconnected",
+    "Averaged", "Cycle", "Method", "PoseGraph", "SpanningTree", "average", "averaged_tree", "chained",
+    "consensus_trees", "cycle_basis", "irls_l1", "l1mc", "pose_graph", "spanning_tree", "spectral", "translations",
+    "triangles", "unconnected",
 ]  # fmt: skip
