@@ -13,13 +13,12 @@ from calgraph.detection import (
     CloudBackground,
     Detection,
     Rejected,
-    ScanBackground,
     find_patches,
     find_segments,
 )
 from calgraph.errors import InputError
 from calgraph.rig import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, scan_of_cloud
+from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, ScanBackground, scan_of_cloud
 
 _log = logging.getLogger(__name__)
 

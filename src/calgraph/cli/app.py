@@ -20,6 +20,7 @@ from calgraph.cli.export import export
 from calgraph.cli.init import init
 from calgraph.cli.inspect import inspect
 from calgraph.cli.simulate import simulate_rig_command
+from calgraph.cli.simulate_network import simulate_network_command
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
@@ -58,6 +59,7 @@ app.command()(guarded(init))
 app.command()(guarded(inspect))
 app.command()(guarded(export))
 simulate.command("rig")(guarded(simulate_rig_command))
+simulate.command("network")(guarded(simulate_network_command))
 app.add_typer(simulate, name="simulate")
 
 

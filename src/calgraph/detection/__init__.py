@@ -1,6 +1,6 @@
 """Finding the target in the messages of one capture."""
 
-from calgraph.detection.background import CloudBackground, ScanBackground
+from calgraph.detection.background import CloudBackground
 from calgraph.detection.camera import Averaging, CameraDetector, find_boards
 from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
 from calgraph.detection.landmarks import Landmarks, landmarks
@@ -9,6 +9,6 @@ from calgraph.detection.segments import find_segments
 
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "Landmarks", "PlanePatch",
-    "Rejected", "ScanBackground", "Segment", "find_boards", "find_patches", "find_segments", "landmarks",
+    "Rejected", "Segment", "find_boards", "find_patches", "find_segments", "landmarks",
     "plane_of",
 ]  # fmt: skip

@@ -1,7 +1,7 @@
-"""What the scanners see without target and operator, and which measurements are new against it.
+"""What 3-D scanners see without target and operator, and which points are new against it.
 
-Source: MSG-Cal, section III-A (change detection between octrees). A hash of voxels answers the same question for
-points, and in the plane of a 2-D scanner the range of every beam answers it more sharply.
+Source: MSG-Cal, section III-A (change detection between octrees). A hash of voxels answers the same question;
+:class:`calgraph.sensors.ScanBackground` answers it for 2-D scanners.
 """
 
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.sensors import LaserScan, PointCloud
+from calgraph.sensors import PointCloud
 
 Mask = NDArray[np.bool_]
 
@@ -25,9 +25,6 @@ _HALF = 1 << (_BITS - 1)
 _DIRECTION = np.radians(1.0)
 # How much farther than anything seen before a point must be to count as "behind the background", m.
 _BEHIND = 0.10
-
-_DEPTH_QUANTILE = 0.05
-_MIN_MARGIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,63 +88,3 @@ def _direction_cells(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.
     row = np.clip((elevation / np.pi + 0.5) * shape[0], 0, shape[0] - 1).astype(np.intp)
     column = ((azimuth / (2 * np.pi) + 0.5) * shape[1]).astype(np.intp) % shape[1]
     return row, column
-
-
-@dataclass(frozen=True, eq=False)
-class ScanBackground:
-    """How near each beam of a 2-D scanner ends without target and operator."""
-
-    angles: Array
-    """(B,) beam angles, ascending, rad."""
-    nearer_than: Array
-    """(B,) range below which a beam is new, m; inf where the background never answered."""
-
-    @staticmethod
-    def build(scans: Iterable[LaserScan]) -> "ScanBackground":
-        """Learns every beam from the scans taken while neither target nor operator were in view.
-
-        The nearest depth that a beam shows in more than a few scans counts, so that at an edge, where a beam
-        flickers between two depths or averages them, both and all between them are background. A beam also
-        takes its neighbours' depths, because a beam's direction is noisy too; the margin grows with the beam's
-        observed spread.
-
-        Raises:
-            InputError: there are no scans, or no beam ever measured anything.
-
-        """
-        all_scans = list(scans)
-        if not any(scan.valid.any() for scan in all_scans):
-            raise InputError("capture.background: no returns in this window; choose one with measurements")
-        reference = max(all_scans, key=lambda scan: len(scan.angles))
-        angles = np.sort(reference.angles)
-        ranges = np.full((len(all_scans), len(angles)), np.nan)
-        for row, scan in zip(ranges, all_scans, strict=True):
-            row[_nearest(angles, scan.angles[scan.valid])] = scan.ranges[scan.valid]
-        near = _nearest_depth(ranges)
-        # The scatter around the nearest depth alone: that of a flickering beam would be the size of the edge.
-        spread = np.where(np.abs(ranges - near) < 0.3, ranges - near, np.nan)
-        sigma = np.sqrt(np.nansum(spread**2, axis=0) / np.maximum(np.isfinite(spread).sum(axis=0), 1))
-        limit = np.where(np.isfinite(near), near - np.maximum(_MIN_MARGIN, 2.5 * sigma), np.inf)
-        padded = np.pad(limit, 1, mode="edge")
-        return ScanBackground(angles, np.minimum(limit, np.minimum(padded[:-2], padded[2:])))
-
-    def foreground(self, scan: LaserScan) -> Mask:
-        """Which beams of the scan end clearly before the background: (N,)."""
-        limit = self.nearer_than[_nearest(self.angles, scan.angles)]
-        return np.asarray(scan.valid & (np.where(scan.valid, scan.ranges, np.inf) < limit))
-
-
-def _nearest_depth(ranges: Array) -> Array:
-    """A low quantile of each column of (S, B) ranges, NaN ignored; NaN where a column has no range."""
-    ordered = np.sort(ranges, axis=0)  # NaN last
-    count = np.isfinite(ranges).sum(axis=0)
-    row = np.floor(_DEPTH_QUANTILE * np.maximum(count - 1, 0)).astype(np.intp)
-    return np.asarray(ordered[row, np.arange(ranges.shape[1])])
-
-
-def _nearest(angles: Array, wanted: Array) -> NDArray[np.intp]:
-    """Index of the nearest of the ascending ``angles`` (B,) for each wanted angle (N,)."""
-    right = np.clip(np.searchsorted(angles, wanted), 1, max(len(angles) - 1, 1))
-    right = np.minimum(right, len(angles) - 1)
-    left = np.maximum(right - 1, 0)
-    return np.where(wanted - angles[left] <= angles[right] - wanted, left, right)

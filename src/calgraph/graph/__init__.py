@@ -1,5 +1,15 @@
 """The graph of sensors: connectivity and start values."""
 
+from calgraph.graph.adjustment import translations
+from calgraph.graph.averaging import Method, average, averaged_tree, pose_graph
+from calgraph.graph.cycles import Cycle, cycle_basis, triangles
+from calgraph.graph.pose_graph import Averaged, PoseGraph
+from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
 from calgraph.graph.tree import SpanningTree, spanning_tree, unconnected
+from calgraph.graph.voting import consensus_trees
 
-__all__ = ["SpanningTree", "spanning_tree", "unconnected"]
+__all__ = [
+    "Averaged", "Cycle", "Method", "PoseGraph", "SpanningTree", "average", "averaged_tree", "chained",
+    "consensus_trees", "cycle_basis", "irls_l1", "l1mc", "pose_graph", "spanning_tree", "spectral", "translations",
+    "triangles", "unconnected",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Relative poses of sensor pairs by consensus over captures."""
+"""Relative poses of sensor pairs: by consensus over captures, or from what both saw moving."""
 
 from calgraph.pairwise.estimate import PairwiseEstimate
 from calgraph.pairwise.lines import coplanarity
@@ -12,8 +12,10 @@ from calgraph.pairwise.pair import (
     reconsider,
     reconsider_pairs,
 )
+from calgraph.pairwise.tracks import Hypothesis, TrackPair, estimate_network_pair, estimate_network_pairs
 
 __all__ = [
-    "Candidates", "Pairs", "PairwiseEstimate", "coplanarity", "estimate_pair", "estimate_pairs", "estimated",
-    "match_table", "reconsider", "reconsider_pairs",
+    "Candidates", "Hypothesis", "Pairs", "PairwiseEstimate", "TrackPair", "coplanarity", "estimate_network_pair",
+    "estimate_network_pairs", "estimate_pair", "estimate_pairs", "estimated", "match_table",
+    "reconsider", "reconsider_pairs",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from calgraph.sensors.camera import CameraModel
 from calgraph.sensors.flat import scan_of_cloud
 from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
+from calgraph.sensors.scan_background import ScanBackground, nearest_beam
 
 __all__ = [
     "CameraInfo",
@@ -12,6 +13,8 @@ __all__ = [
     "Message",
     "PointCloud",
     "Record",
+    "ScanBackground",
     "Trigger",
+    "nearest_beam",
     "scan_of_cloud",
 ]

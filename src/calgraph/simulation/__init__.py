@@ -1,5 +1,16 @@
 """Known truth: simulated recordings of robots with a board, to test and to benchmark calibrations on."""
 
+from calgraph.simulation.network import (
+    Network,
+    StationaryScanner,
+    build_network,
+    network_rig,
+    network_truth,
+    scans_of,
+    simulate_network,
+    simulate_network_scans,
+)
+from calgraph.simulation.network_scenario import LayoutName, NetworkScenario, PeopleKnobs, ScannerKnobs
 from calgraph.simulation.rig import Progress, rig_of, simulate_rig
 from calgraph.simulation.rig_scenario import (
     BeamKnobs,
@@ -17,10 +28,12 @@ from calgraph.simulation.stage import (
     simulate_captures,
     truth_of,
 )
-from calgraph.simulation.truth import BoardTruth, Truth, load_truth, save_truth
+from calgraph.simulation.truth import BoardTruth, PersonTruth, Truth, load_truth, save_truth
 
 __all__ = [
-    "BeamKnobs", "BoardTruth", "CameraKnobs", "LaserKnobs", "MultibeamKnobs", "Progress", "RigScenario",
-    "SimulatedCapture", "SpinningKnobs", "Stage", "Truth", "load_truth", "rig_of", "save_truth", "set_stage",
-    "simulate_background", "simulate_captures", "simulate_rig", "truth_of",
+    "BeamKnobs", "BoardTruth", "CameraKnobs", "LaserKnobs", "LayoutName", "MultibeamKnobs", "Network",
+    "NetworkScenario", "PeopleKnobs", "PersonTruth", "Progress", "RigScenario", "ScannerKnobs",
+    "SimulatedCapture", "SpinningKnobs", "Stage", "StationaryScanner", "Truth", "build_network", "load_truth",
+    "network_rig", "network_truth", "rig_of", "save_truth", "scans_of", "set_stage", "simulate_background",
+    "simulate_captures", "simulate_network", "simulate_network_scans", "simulate_rig", "truth_of",
 ]  # fmt: skip

@@ -166,7 +166,7 @@ def measure(
         starts = origins if len(origins) == 1 else origins[part]
         true[part] = cast(solids, starts, directions[part]).ranges
         first = last
-    ranges = _mixed(true, pattern.neighbours, noise.mixed, rng) + rng.normal(0.0, noise.range, len(true))
+    ranges = mixed(true, pattern.neighbours, noise.mixed, rng) + rng.normal(0.0, noise.range, len(true))
     lost = rng.random(len(true)) < noise.dropout
     measured = np.isfinite(ranges) & (ranges >= noise.min_range) & (ranges <= noise.max_range) & ~lost
     return np.where(measured, ranges, np.nan)
@@ -187,7 +187,7 @@ def point_cloud(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str
     return PointCloud(stamp, frame_id, points, rings, pattern.times[kept])
 
 
-def _mixed(true: Array, neighbours: NDArray[np.intp], probability: float, rng: np.random.Generator) -> Array:
+def mixed(true: Array, neighbours: NDArray[np.intp], probability: float, rng: np.random.Generator) -> Array:
     """Ranges as beams with a footprint see them: at depth edges some lie anywhere between the two depths."""
     with np.errstate(invalid="ignore"):
         step = true[neighbours] - true

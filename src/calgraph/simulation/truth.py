@@ -1,10 +1,11 @@
-"""truth.yaml: where the sensors of a simulated robot and the board really were."""
+"""truth.yaml: where the sensors of a simulated robot or network, and its board or people, really were."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
@@ -30,6 +31,20 @@ class BoardTruth:
 
 
 @dataclass(frozen=True, eq=False)
+class PersonTruth:
+    """One person, or cylinder, that walked through a network of scanners."""
+
+    axes: Array
+    """(2,) radii across and along its heading, m."""
+    times: Array
+    """(K,) evenly spaced, s, root's clock."""
+    positions: Array
+    """(K, 2) of its centre in the root's plane, m."""
+    headings: Array
+    """(K,) direction of its walk, counter-clockwise from the root's x, rad."""
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """What a calibration of a simulated recording ought to find."""
 
@@ -38,6 +53,10 @@ class Truth:
     """(4, 4) by sensor."""
     boards: tuple[BoardTruth, ...]
     """One for each capture, in order."""
+    clock_offsets: Mapping[str, float] = field(default_factory=dict)
+    """By sensor, its clock minus the root's, s; empty for a robot."""
+    people: tuple[PersonTruth, ...] = ()
+    """Those who walked through a network."""
 
 
 def save_truth(path: Path, truth: Truth) -> None:
@@ -45,12 +64,16 @@ def save_truth(path: Path, truth: Truth) -> None:
     sensors: dict[str, Any] = {}
     for name, T_root_sensor in truth.T_root_sensor.items():
         parent = {} if name == truth.root else {"parent": truth.root}
-        sensors[name] = {**parent, **_plain(T_root_sensor)}
+        offset = {"clock_offset": truth.clock_offsets[name]} if name in truth.clock_offsets else {}
+        sensors[name] = {**parent, **_plain(T_root_sensor), **offset}
     captures = [
         {"trigger": b.trigger, "end": b.end, "disturbed": b.disturbed, **_plain(b.T_root_board)}
         for b in truth.boards
     ]
-    save_yaml(path, {"format": _FORMAT, "root": truth.root, "sensors": sensors, "captures": captures})
+    content = {"format": _FORMAT, "root": truth.root, "sensors": sensors, "captures": captures}
+    if truth.people:
+        content["people"] = [_plain_person(person) for person in truth.people]
+    save_yaml(path, content)
 
 
 def load_truth(path: Path) -> Truth:
@@ -71,6 +94,8 @@ def load_truth(path: Path) -> Truth:
                 BoardTruth(entry["trigger"], entry["end"], _pose(entry), entry["disturbed"])
                 for entry in content["captures"]
             ),
+            {name: entry["clock_offset"] for name, entry in content["sensors"].items() if "clock_offset" in entry},
+            tuple(_person(entry) for entry in content.get("people", ())),
         )
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -86,3 +111,17 @@ def _plain(T: Array) -> dict[str, list[float]]:
 
 def _pose(entry: Mapping[str, Any]) -> Array:
     return se3.from_xyz_quaternion(entry["translation"], entry["rotation"])
+
+
+def _plain_person(person: PersonTruth) -> dict[str, Any]:
+    """Its samples as a start, an interval, and x, y, heading to a hundredth of a millimetre."""
+    path = np.column_stack([person.positions, person.headings]).round(5)
+    interval = float(np.diff(person.times[:2]).sum().round(6))
+    start = float(person.times[0]) if len(person.times) else 0.0
+    return {"axes": person.axes.tolist(), "start": start, "interval": interval, "path": path.tolist()}
+
+
+def _person(entry: Mapping[str, Any]) -> PersonTruth:
+    path = np.array(entry["path"], dtype=np.float64).reshape(-1, 3)
+    times = entry["start"] + entry["interval"] * np.arange(len(path))
+    return PersonTruth(np.array(entry["axes"], dtype=np.float64), times, path[:, :2], path[:, 2])

@@ -1,0 +1,106 @@
+"""From a graph of relative poses to poses of all nodes, by any of the methods; and the same for a rig's pairs."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from calgraph.consensus import best_of_groups
+from calgraph.geometry import Array
+from calgraph.graph import groups
+from calgraph.graph.adjustment import translations
+from calgraph.graph.pose_graph import Averaged, PoseGraph
+from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
+from calgraph.graph.tree import SpanningTree, spanning_tree
+from calgraph.graph.voting import consensus_trees
+from calgraph.pairwise import PairwiseEstimate
+
+Method = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
+
+# Edges agree with averaged rotations up to this angle, rad; others only hold together what nothing else does.
+_AGREE = np.radians(5)
+_HOLD = 1e-6
+# What pairs of a rig are wrong by beyond their noise, m and rad: bend of the board, bias of ranges, stamps.
+_POSITION_FLOOR, _ANGLE_FLOOR = 0.01, 0.005
+# A pair whose weakest direction is known worse than this, m or rad, is trusted less.
+_WEAK = 0.1
+# Directions that a pair leaves open count as known to this, m and rad.
+_OPEN = 100.0
+
+
+def average(
+    graph: PoseGraph, rng: np.random.Generator, method: Method = "consensus", weights: Array | None = None
+) -> Averaged:
+    """Poses of all nodes from relative poses, some of them wrong.
+
+    Args:
+        graph: connected.
+        rng: used by ``consensus``.
+        method: ``consensus`` over spanning trees; or the published averaging of rotations ``l1mc`` over a basis
+            of all cycles, over ``triangles`` alone, ``spectral``, or ``irls``, with least-squares translations
+            over the edges whose rotations agree.
+        weights: (E,) trust in each edge, for the published methods; uniform without.
+
+    Raises:
+        CalibrationError: some node is not connected to the root; it is named.
+    """
+    if method == "consensus":
+        return consensus_trees(graph, rng)
+    if method == "spectral":
+        R = spectral(graph, weights)
+    elif method == "irls":
+        R = irls_l1(graph, chained(graph), weights)
+    else:
+        R = l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles")
+    i, j = graph.edges.T
+    off = groups.magnitude(R[i] @ graph.R_i_j @ groups.transpose(R[j])) / _AGREE
+    agree = best_of_groups(off**2, graph.pairs)
+    trust = np.where(agree, 1.0, _HOLD) * (1.0 if weights is None else weights)
+    return Averaged(groups.pose(R, translations(graph, R, trust)), agree)
+
+
+def pose_graph(root: str, estimates: Sequence[PairwiseEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
+    """A rig's pairs as a graph in space.
+
+    Args:
+        root: name of the root sensor.
+        estimates: pairwise estimates; several of one pair are alternatives.
+
+    Returns:
+        The graph of what is connected to the root, which is node 0; and the sensors' names in the order of nodes.
+    """
+    names = tuple(spanning_tree(root, estimates).T_root_sensor)
+    node = {name: k for k, name in enumerate(names)}
+    kept = [e for e in estimates if e.sensor_a in node]
+    edges = np.array([(node[e.sensor_a], node[e.sensor_b]) for e in kept], dtype=np.intp).reshape(-1, 2)
+    T = np.array([e.T_a_b for e in kept], dtype=np.float64).reshape(-1, 4, 4)
+    floor = np.diag([_POSITION_FLOOR**2] * 3 + [_ANGLE_FLOOR**2] * 3)
+    covariance = [np.linalg.inv(e.information + np.eye(6) * _OPEN**-2) + floor for e in kept]
+    information = np.linalg.inv(np.array(covariance, dtype=np.float64).reshape(-1, 6, 6))
+    return PoseGraph(len(names), edges, T, np.asarray(information, dtype=np.float64)), names
+
+
+def averaged_tree(
+    root: str, estimates: Sequence[PairwiseEstimate], rng: np.random.Generator, method: Method = "consensus"
+) -> SpanningTree:
+    """Start poses of a rig from all its pairs at once, in place of those along its minimum spanning tree.
+
+    Args:
+        root: name of the root sensor.
+        estimates: pairwise estimates; several of one pair are alternatives.
+        rng: used by ``consensus``.
+        method: as for :func:`average`.
+
+    Returns:
+        The minimum spanning tree of the pairs that agree, with averaged poses of all connected sensors.
+    """
+    graph, names = pose_graph(root, estimates)
+
+    weakest = np.linalg.eigvalsh(graph.information)[:, 0]
+    result = average(graph, rng, method, np.asarray(np.minimum(weakest * _WEAK**2, 1.0)))
+    kept = [e for e in estimates if e.sensor_a in names]
+    tree = spanning_tree(root, [e for e, agrees in zip(kept, result.inliers, strict=True) if agrees])
+    if len(tree.T_root_sensor) < len(names):
+        tree = spanning_tree(root, kept)
+    return replace(tree, T_root_sensor=dict(zip(names, result.T_root_node, strict=True)))

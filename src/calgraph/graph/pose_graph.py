@@ -1,0 +1,93 @@
+"""Relative poses between nodes, some of them wrong, and what averaging makes of them: in the plane or in space."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from calgraph.errors import CalibrationError
+from calgraph.geometry import Array
+from calgraph.graph import groups
+
+Edges = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraph:
+    """Relative poses; several edges of one pair are alternatives of which at most one is right."""
+
+    count: int
+    """Nodes are 0 ... count - 1."""
+    edges: Edges
+    """(E, 2) nodes i, j."""
+    T_i_j: Array
+    """(E, n+1, n+1), n = 2 or 3."""
+    information: Array
+    """(E, d, d), d = 3 or 6: inverse covariance of T_i_j's error in the fixed axes of i, translation first."""
+    root: int = 0
+    """The node whose frame poses are expressed in."""
+
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return int(self.T_i_j.shape[-1] - 1)
+
+    @property
+    def R_i_j(self) -> Array:
+        """(E, n, n)."""
+        return groups.rotation(self.T_i_j)
+
+    @cached_property
+    def pairs(self) -> NDArray[np.intp]:
+        """(E,) number of each edge's pair of nodes, the same for alternatives, whichever way round they are."""
+        ordered = np.sort(self.edges, axis=1)
+        return np.asarray(
+            np.unique(ordered[:, 0] * self.count + ordered[:, 1], return_inverse=True)[1], dtype=np.intp
+        )
+
+    def reachable(self) -> NDArray[np.bool_]:
+        """(N,) whether some chain of edges connects a node to the root."""
+        i, j = self.edges.T
+        adjacency = coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
+        labels = connected_components(adjacency, directed=False)[1]
+        return np.asarray(labels == labels[self.root], dtype=np.bool_)
+
+    def require_connected(self) -> None:
+        """Raises CalibrationError, naming the nodes, if some are not connected to the root."""
+        missing = np.flatnonzero(~self.reachable())
+        if len(missing):
+            names = ", ".join(map(str, missing[:10])) + (" ..." if len(missing) > 10 else "")
+            raise CalibrationError(
+                f"graph: no chain of edges connects nodes {names} to node {self.root};"
+                " leave them out, or add pairs that reach them"
+            )
+
+    def where(self, keep: NDArray[np.bool_]) -> "PoseGraph":
+        """The graph of some of its edges (E,), between the same nodes."""
+        return PoseGraph(self.count, self.edges[keep], self.T_i_j[keep], self.information[keep], self.root)
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """Poses that fit most of a graph's edges, and which."""
+
+    T_root_node: Array
+    """(N, n+1, n+1)."""
+    inliers: NDArray[np.bool_]
+    """(E,) the edges that agree with the poses: at most one of a pair."""
+
+
+def residuals(graph: PoseGraph, T_root_node: Array) -> Array:
+    """Errors (..., E, d) of the relative poses that node poses (..., N, n+1, n+1) imply, in i's fixed axes."""
+    i, j = graph.edges.T
+    implied = groups.inverse(T_root_node[..., i, :, :]) @ T_root_node[..., j, :, :]
+    return groups.difference(implied, graph.T_i_j)
+
+
+def chi_squared(graph: PoseGraph, T_root_node: Array) -> Array:
+    """Squared Mahalanobis distances (..., E) of the edges to node poses (..., N, n+1, n+1)."""
+    r = residuals(graph, T_root_node)
+    return np.asarray(np.sum(r * (graph.information @ r[..., None])[..., 0], axis=-1))

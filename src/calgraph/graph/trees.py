@@ -1,0 +1,141 @@
+"""Random spanning trees of a graph, many at once, and moves of single nodes to where more edges agree."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.graph import groups
+from calgraph.graph.pose_graph import PoseGraph
+
+# A node moves if that makes so many more edges agree.
+_GAIN = 0.5
+_SWEEPS = 20
+# Proposals tried for one node at most, and (proposal, edge) combinations judged in one go.
+_PROPOSALS = 30
+_CHUNK = 200_000
+
+
+def tree_poses(graph: PoseGraph, costs: Array) -> Array:
+    """Node poses along the trees of cheapest paths from the root (Dijkstra), for many sets of costs at once.
+
+    Every spanning tree is the one of some costs, so random costs make random trees, shallow ones more often: noise
+    adds up along few edges.
+
+    Args:
+        graph: connected.
+        costs: (K, E) positive.
+
+    Returns:
+        T_root_node (K, N, n+1, n+1).
+    """
+    sets = np.arange(len(costs))
+    start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
+    end = np.concatenate([graph.edges[:, 1], graph.edges[:, 0]])
+    T_start_end = np.concatenate([graph.T_i_j, groups.inverse(graph.T_i_j)])
+    both_ways = np.concatenate([costs, costs], axis=1)
+    T = np.zeros((len(costs), graph.count, *graph.T_i_j.shape[1:])) + np.eye(graph.T_i_j.shape[-1])
+    distance = np.full((len(costs), graph.count), np.inf)
+    distance[:, graph.root] = 0
+    # Distance at which a directed edge arrives, while it leaves the tree; infinite otherwise.
+    arrival = np.full(both_ways.shape, np.inf)
+    leaving, entering = _by_node(start, graph.count), _by_node(end, graph.count)
+    added = np.full(len(costs), graph.root)
+    for _ in range(graph.count - 1):
+        out, into = leaving[added], entering[added]
+        rows = sets[:, None]
+        # Padding points one past the last edge.
+        out_edge = np.minimum(out, len(start) - 1)
+        fresh = (out < len(start)) & np.isinf(distance[rows, end[out_edge]])
+        k, at = np.nonzero(fresh)
+        e = out[k, at]
+        arrival[k, e] = distance[k, start[e]] + both_ways[k, e]
+        k, at = np.nonzero(into < len(start))
+        arrival[k, into[k, at]] = np.inf
+        best = np.argmin(arrival, axis=1)
+        added = end[best]
+        distance[sets, added] = arrival[sets, best]
+        T[sets, added] = T[sets, start[best]] @ T_start_end[best]
+    return T
+
+
+def voted(graph: PoseGraph, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+    """Moves nodes, one by one, to where a neighbour's edge puts them if more of their edges then agree.
+
+    Args:
+        graph: any.
+        T_root_node: (N, n+1, n+1).
+        gate: squared Mahalanobis distance up to which an edge agrees.
+        rng: decides which of two neighbours that both would move goes first.
+    """
+    ballot = _Ballot(graph, rng)
+    T = T_root_node.copy()
+    for _ in range(_SWEEPS):
+        proposals, gains = ballot.count(T, gate)
+        movers = np.flatnonzero(gains > _GAIN)
+        if not len(movers):
+            break
+        # Neighbours that move together would miss each other: about half go, the clearest one always.
+        going = movers[(rng.random(len(movers)) < 0.5) | (movers == movers[np.argmax(gains[movers])])]
+        T[going] = proposals[going]
+    return T
+
+
+class _Ballot:
+    """Which edges vote on which proposals: fixed by the graph, whatever the poses."""
+
+    def __init__(self, graph: PoseGraph, rng: np.random.Generator) -> None:
+        self.graph = graph
+        edges = len(graph.edges)
+        self.start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
+        self.end = np.concatenate([graph.edges[:, 1], graph.edges[:, 0]])
+        self.T_start_end = np.concatenate([graph.T_i_j, groups.inverse(graph.T_i_j)])
+        self.edge = np.tile(np.arange(edges), 2)
+        self.degree = np.bincount(self.end, minlength=graph.count)
+        into = _by_node(self.end, graph.count, rng)
+        node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], _PROPOSALS))
+        voter = np.repeat(into, min(into.shape[1], _PROPOSALS), axis=1).ravel()
+        proposal = np.tile(into[:, :_PROPOSALS], (1, into.shape[1])).ravel()
+        real = (voter < 2 * edges) & (proposal < 2 * edges)
+        self.voter, self.proposal, self.node = voter[real], proposal[real], node[real]
+
+    def count(self, T: Array, gate: float) -> tuple[Array, Array]:
+        """For every node the best proposal (N, n+1, n+1) and by how much more edges agree with it (N,)."""
+        ends = np.arange(len(self.start))
+        current = np.bincount(self.end, self._agreement(T, T[self.end], ends, gate), minlength=len(T))
+        # Where most edges agree already, fewer are left to agree with anything else.
+        contested = current < 0.5 * self.degree
+        contested[self.graph.root] = False
+        proposals = T[self.start] @ self.T_start_end
+        votes = np.zeros(len(self.start))
+        ask = np.flatnonzero(contested[self.node])
+        for chunk in np.array_split(ask, len(ask) // _CHUNK + 1):
+            voter, proposal = self.voter[chunk], self.proposal[chunk]
+            agreement = self._agreement(T, proposals[proposal], voter, gate)
+            votes += np.bincount(proposal, agreement, minlength=len(votes))
+        order = np.argsort(votes, kind="stable")
+        best = np.zeros(len(T), dtype=np.intp)
+        best[self.end[order]] = order
+        gains = votes[best] - current
+        gains[~contested] = 0.0
+        return proposals[best], gains
+
+    def _agreement(self, T: Array, T_end: Array, voter: NDArray[np.intp], gate: float) -> Array:
+        """(V,) how well directed edges agree with poses of the node they end in: 1 exactly, 0 at the gate."""
+        e = self.edge[voter]
+        forwards = (voter < len(self.graph.edges))[:, None, None]
+        T_start = T[self.start[voter]]
+        implied = groups.inverse(np.where(forwards, T_start, T_end)) @ np.where(forwards, T_end, T_start)
+        r = groups.difference(implied, self.graph.T_i_j[e])
+        chi2 = np.einsum("vi,vi->v", r, (self.graph.information[e] @ r[..., None])[..., 0])
+        return np.asarray(np.maximum(1 - chi2 / gate, 0.0))
+
+
+def _by_node(nodes: NDArray[np.intp], count: int, rng: np.random.Generator | None = None) -> NDArray[np.intp]:
+    """(N, D) numbers of the entries of ``nodes`` that are each node, in random order; padded with len(nodes)."""
+    order = np.arange(len(nodes)) if rng is None else rng.permutation(len(nodes))
+    order = order[np.argsort(nodes[order], kind="stable")]
+    degrees = np.bincount(nodes, minlength=count)
+    columns = np.arange(len(nodes)) - np.repeat(np.cumsum(degrees) - degrees, degrees)
+    table = np.full((count, int(degrees.max(initial=0))), len(nodes), dtype=np.intp)
+    table[nodes[order], columns] = order
+    return table

@@ -1,0 +1,107 @@
+"""Consensus over spanning trees: the poses that most edges agree with, however wrong the others are.
+
+One tree of right edges alone gives all poses, and all right edges agree with them. Trees are drawn at random,
+those of edges that fit into cycles more often; the best by truncated residuals of whole transforms are improved.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from calgraph.geometry import Array
+from calgraph.graph.adjustment import adjusted, robustly_adjusted
+from calgraph.graph.cycles import cycle_basis, cycles_through_edges, support
+from calgraph.graph.pose_graph import Averaged, PoseGraph, chi_squared
+from calgraph.graph.trees import tree_poses, voted
+
+# An edge agrees unless its error is larger than by chance once in a thousand times.
+_CHANCE = 0.001
+# Noise adds up along a tree: its squared distances may be this many times larger before refinement.
+_TREE_SCALE = 9.0
+# Trees drawn: as many as make this many edges together, within limits.
+_TREE_EDGES = 100_000
+_FEWEST_TREES, _MOST_TREES = 8, 600
+# Trees that are improved and judged again, likewise.
+_FINAL_EDGES = 5_000
+_FEWEST_FINALISTS, _MOST_FINALISTS = 1, 6
+# Shortest cycles through every edge, on which the chances of being drawn rest.
+_CYCLE_ROUNDS = 6
+# The tree alone decides between edges of such different support.
+_BIAS = 2.0
+# Rounds of least squares over the inliers, until they stay the same.
+_ROUNDS = 5
+
+
+def consensus_trees(
+    graph: PoseGraph, rng: np.random.Generator, *, trees: int | None = None, finalists: int | None = None
+) -> Averaged:
+    """The poses that most pairs agree with, from no start, refined over the edges that agree.
+
+    Args:
+        graph: connected; several edges of a pair are alternatives, of which the best counts.
+        rng: source of the trees.
+        trees: how many spanning trees to draw; without, as many as suit the graph's size.
+        finalists: how many of them to improve and to judge again; likewise.
+
+    Raises:
+        CalibrationError: some node is not connected to the root; it is named.
+    """
+    graph.require_connected()
+    if graph.count == 1:
+        return Averaged(np.eye(graph.dimension + 1)[None], np.zeros(len(graph.edges), dtype=np.bool_))
+    gate = float(chdtri(graph.information.shape[-1], _CHANCE))
+    edges = max(len(graph.edges), 1)
+    count = trees or int(np.clip(_TREE_EDGES // edges, _FEWEST_TREES, _MOST_TREES))
+    final = finalists or int(np.clip(_FINAL_EDGES // edges, _FEWEST_FINALISTS, _MOST_FINALISTS))
+    starts = tree_poses(graph, _costs(graph, count, rng))
+    scores, agreeing = _judged(graph, starts, gate * _TREE_SCALE)
+    best: Averaged | None = None
+    best_score, seen = np.inf, set[bytes]()
+    for k in np.argsort(scores, kind="stable"):
+        if agreeing[k].tobytes() in seen:
+            continue
+        seen.add(agreeing[k].tobytes())
+        T = _improved(graph, starts[k], gate, rng)
+        (score,), (inliers,) = _judged(graph, T[None], gate)
+        if best is None or score < best_score:
+            best, best_score = Averaged(T, inliers), float(score)
+        if len(seen) >= final:
+            break
+    assert best is not None  # there is at least one tree
+    return best
+
+
+def _costs(graph: PoseGraph, count: int, rng: np.random.Generator) -> Array:
+    """(count, E) costs of edges: small for those that cycles support, and more random from tree to tree."""
+    cycles = (*cycle_basis(graph.count, graph.edges), *cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
+    expensive = support(graph, cycles) ** -_BIAS
+    chance = np.linspace(0, 1, count)[:, None]
+    return np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
+
+
+def _improved(graph: PoseGraph, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+    """Poses near a tree's that fit the edges which agree: votes, robust and then plain least squares."""
+    T = voted(graph, T_root_node, gate * _TREE_SCALE, rng)
+    T = robustly_adjusted(graph, T, gate)
+    T = voted(graph, T, gate, rng)
+    inliers = np.zeros(len(graph.edges), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        before, inliers = inliers, _judged(graph, T[None], gate)[1][0]
+        if np.array_equal(before, inliers) or not graph.where(inliers).reachable().all():
+            break
+        T = adjusted(graph, T, inliers.astype(np.float64))
+    return T
+
+
+def _judged(graph: PoseGraph, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Scores of K sets of node poses: truncated squared residuals, summed over pairs, and who agrees.
+
+    Returns:
+        (K,) scores in units of the gate, and (K, E) the best edge of each pair where it is within the gate.
+    """
+    chi2 = chi_squared(graph, T_root_node) / gate
+    order = np.argsort(graph.pairs, kind="stable")
+    sizes = np.bincount(graph.pairs)
+    best = np.minimum.reduceat(chi2[:, order], np.cumsum(sizes) - sizes, axis=1) if len(sizes) else chi2
+    agree = (chi2 <= 1) & (chi2 == best[:, graph.pairs])
+    return np.minimum(best, 1.0).sum(axis=1), agree

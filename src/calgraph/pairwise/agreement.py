@@ -1,0 +1,201 @@
+"""The pose between two scanners that fits everything they saw moving at the same time, near a first guess.
+
+Two scanners see different sides of a person, with clocks that differ by some milliseconds. Both shift all of a
+scanner's positions in the same way, towards the scanner and along the walk, so that they do not average out.
+They are unknowns of the fit with a prior, and what the data leave open of them is part of the pose's covariance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, se2
+from calgraph.pairwise.samples import Meetings
+
+GATE = 9.21
+"""Squared Mahalanobis distance up to which two positions agree: χ² with two degrees of freedom, 99 %."""
+# Standard deviation of what no covariance of a track knows (m), at first and at least.
+_MISFIT = 0.15
+_LEAST_MISFIT = 0.005
+# Prior standard deviations of the clocks' difference (s) and of the distance (m) from the centre that tracks show
+# to the object's true one, along the beam.
+_CLOCK = 0.01
+_DEPTH = 0.03
+# Squared Mahalanobis distance at which the Cauchy loss halves a pair's weight.
+_CAUCHY = 6.0
+# Fewer pairs than these fit many a pose.
+_FEW = 4
+# Gauss-Newton steps with associations made anew.
+_STEPS = 6
+# Residuals farther apart than so many steps are independent.
+_LONGEST = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """A pose with all that agrees with it."""
+
+    T_a_b: Array
+    """(3, 3)."""
+    nuisance: Array
+    """(2,) s that b's clock is ahead, and m that objects' centres lie beyond those that tracks show."""
+    pairs: NDArray[np.intp]
+    """(P,) which of the meetings agree: each the other's nearest at its tick."""
+    misfit: float
+    """Standard deviation of the pairs' distances beyond what the tracks' covariances explain, m."""
+
+
+def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _MISFIT) -> Agreement | None:
+    """Fits the pose to all simultaneous observations that agree with it, associated anew at every step.
+
+    Args:
+        T_a_b: (3, 3) first guess.
+        met: all simultaneous observations.
+        steps: how often they are associated anew.
+        misfit: distance (m) between what two scanners take for one object's centre, standard deviation.
+
+    Returns:
+        The agreement, or None if fewer than four observations agree with the first guess.
+    """
+    nuisance = np.zeros(2)
+    for _ in range(steps):
+        pairs, d2 = _associated(T_a_b, nuisance, met, misfit)
+        if len(pairs) < _FEW:
+            return None
+        r, J, S = _linearized(T_a_b, nuisance, met, pairs)
+        W = _inverse(S + misfit**2 * np.eye(2)) / (1 + d2 / _CAUCHY)[:, None, None]
+        H, g = _normal_equations(r, J, W, nuisance)
+        step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
+        T_a_b = se2.retract(T_a_b, step[:3])
+        nuisance = nuisance + step[3:]
+        misfit = _misfit(r + J @ step, S)
+    pairs, _ = _associated(T_a_b, nuisance, met, misfit)
+    return Agreement(T_a_b, nuisance, pairs, misfit) if len(pairs) >= _FEW else None
+
+
+def costs(T_a_b: Array, met: Meetings, misfit: float = _MISFIT) -> Array:
+    """Truncated squared distances to the nearest, in units of the gate, mean over all that a saw: (K,) of poses.
+
+    Covariances count by their mean over all directions, for speed.
+    """
+    x_a, y_a = met.x_a.T
+    x_b, y_b = met.x_b.T
+    scale = 1 / (GATE * (met.variance + misfit**2))
+    out = np.empty(len(T_a_b))
+    for k, T in enumerate(T_a_b):  # what one pose needs fits into the processor's cache
+        x = T[0, 0] * x_b + T[0, 1] * y_b + (T[0, 2] - x_a)
+        y = T[1, 0] * x_b + T[1, 1] * y_b + (T[1, 2] - y_a)
+        d2 = (x * x + y * y) * scale
+        out[k] = np.minimum(np.minimum.reduceat(d2, met.starts_a), 1).mean()
+    return out
+
+
+def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> tuple[NDArray[np.intp], Array]:
+    """The meetings (P,) of mutual nearest neighbours within the gate, and their squared Mahalanobis distances."""
+    x_a, x_b = met.x_a, met.x_b
+    rough = np.sum((se2.apply(T_a_b, x_b) - x_a) ** 2, axis=1) / (met.variance + misfit**2)
+    # The exact covariance matters for the gate alone; who is nearest is clear without it.
+    near = np.flatnonzero(rough < 4 * GATE)
+    if not len(near):
+        return near, np.zeros(0)
+    near = near[met.mutual(near, rough[near])]
+    r, _, S = _linearized(T_a_b, nuisance, met, near)
+    d2 = _squared(r, _inverse(S + misfit**2 * np.eye(2)))
+    return near[d2 < GATE], d2[d2 < GATE]
+
+
+def _linearized(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 5) by pose, clock and depth, covariances."""
+    a, b = met.row_a[pairs], met.row_b[pairs]
+    R = T[:2, :2]
+    x_a, x_b, v_b = met.a.positions[a], met.b.positions[b], met.b.velocities[b] @ R.T
+    turned = x_b @ R.T
+    outward = _unit(turned) - _unit(x_a)
+    J = np.zeros((len(pairs), 2, 5))
+    J[:, 0, 0] = J[:, 1, 1] = 1
+    J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
+    J[:, :, 3], J[:, :, 4] = v_b, outward
+    r = turned + T[:2, 2] - x_a + nuisance[0] * v_b + nuisance[1] * outward
+    return r, J, met.a.covariances[a] + R @ met.b.covariances[b] @ R.T
+
+
+def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array) -> tuple[Array, Array]:
+    prior = np.array([0, 0, 0, _CLOCK**-2, _DEPTH**-2])
+    J, WJ = J.reshape(-1, 5), (W @ J).reshape(-1, 5)
+    H = J.T @ WJ + np.diag(prior)
+    g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
+    # A hair of damping: observations of somebody who stands still say nothing of the angle.
+    return H + 1e-6 * np.eye(5), g
+
+
+def _misfit(r: Array, S: Array) -> float:
+    """The standard deviation (m) that the residuals have beyond their covariances, by their median."""
+    scatter = float(np.median(np.sum(r**2, axis=1))) / 1.386  # the median of χ² with two degrees of freedom
+    explained = float(np.mean(np.trace(S, axis1=1, axis2=2))) / 2
+    return float(np.clip(np.sqrt(max(scatter - explained, 0.0)), _LEAST_MISFIT, _MISFIT))
+
+
+def information(fit: Agreement, met: Meetings) -> Array:
+    """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depth unknown.
+
+    Smoothed positions err for seconds in the same direction: their number counts divided by the time over
+    which residuals stay correlated, in ticks.
+    """
+    pairs = fit.pairs
+    r, J, S = _linearized(fit.T_a_b, fit.nuisance, met, pairs)
+    W = _inverse(S + fit.misfit**2 * np.eye(2))
+    d2 = _squared(r, W)
+    whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
+    walks = met.a.walk[met.row_a[pairs]] * (met.b.walk.max() + 1) + met.b.walk[met.row_b[pairs]]
+    ticks = met.a.tick[met.row_a[pairs]]
+    together = correlation_time(whitened, walks, ticks)
+    independent = max(2 * len(pairs) / together - 5, 1.0)
+    scatter = max(float(np.sum(d2)) / together / independent, 0.1)
+    H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance)
+    return np.asarray(H[:3, :3] - H[:3, 3:] @ np.linalg.solve(H[3:, 3:], H[3:, :3]))
+
+
+def correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp]) -> float:
+    """How many successive residuals count as one independent: the integrated autocorrelation, >= 1.
+
+    Args:
+        r: (P, k) residuals of mean 0.
+        series: (P,) which of them belong together.
+        ticks: (P,) their times, in steps.
+
+    Source: Geyer, "Practical Markov chain Monte Carlo", 1992: the sum ends where pairs of terms fall below 0.
+    """
+    order = np.lexsort((ticks, series))
+    r, key = r[order], series[order] * (int(ticks.max()) + 2 * _LONGEST) + ticks[order] - int(ticks.min())
+    power = float(np.sum(r**2)) / max(len(r), 1)
+    total, previous = 1.0, 0.0
+    step = int(np.min(np.diff(np.unique(ticks)), initial=_LONGEST))
+    for lag in range(1, _LONGEST):
+        found = np.searchsorted(key, key + lag * step)
+        pairs = np.flatnonzero(key[np.minimum(found, len(key) - 1)] == key + lag * step)
+        if len(pairs) < 0.1 * len(r):
+            break
+        term = float(np.sum(r[pairs] * r[found[pairs]])) / len(pairs) / max(power, 1e-12)
+        if lag % 2 == 0 and term + previous <= 0:
+            break
+        total += 2 * term
+        previous = term
+    return max(total, 1.0)
+
+
+def _unit(x: Array) -> Array:
+    return np.asarray(x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-6))
+
+
+def _squared(r: Array, W: Array) -> Array:
+    x, y = r.T
+    return np.asarray(W[:, 0, 0] * x * x + 2 * W[:, 0, 1] * x * y + W[:, 1, 1] * y * y)
+
+
+def _inverse(S: Array) -> Array:
+    """Inverses of symmetric (P, 2, 2), five times as fast as by a general decomposition."""
+    W = np.empty_like(S)
+    W[:, 0, 0], W[:, 1, 1] = S[:, 1, 1], S[:, 0, 0]
+    W[:, 0, 1] = W[:, 1, 0] = -S[:, 0, 1]
+    return np.asarray(W / (S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)[:, None, None])

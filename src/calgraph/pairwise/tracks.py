@@ -1,0 +1,304 @@
+"""Relative poses of stationary scanners from what both saw moving at the same time.
+
+Source: Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders",
+ICRA 2016, section III.D: every combination of two tracks gives hypotheses, and all tracks of all periods judge
+them. Its truncation at the scanner's range, which mixes metres with Mahalanobis distances, is a χ² gate here.
+"""
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.detection import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.pairwise import icp as scan_matching
+from calgraph.pairwise.agreement import GATE, Agreement, agree, costs, information
+from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
+from calgraph.tracking import Tracked
+
+# Two walks are compared in stretches of so many ticks, and as a whole: a stretch outlives a confusion of people.
+_STRETCHES = (30, 80, 1_000_000)
+# A stretch gives a hypothesis if it has so many ticks, extends so far (m, standard deviation along the walk) and
+# fits so well (m, root mean square).
+_TICKS = 6
+_EXTENT = 0.15
+_FIT = 0.3
+# Hypotheses judged, samples' combinations on which they are judged coarsely and finely, and how many are refined.
+_JUDGED = 200
+_COARSE = 1200
+_FINE = 6_000
+_REFINED = 6
+_KEPT = 4
+# A stretch's pose strays at its far end: what it explains coarsely may be off by this standard deviation, m.
+_STRAY = 0.3
+# Two hypotheses are one if they differ by less than this in metres and in radians.
+_SAME = (0.5, np.radians(8))
+# Ticks that must agree, more than chance alone explains, and as a share of the best hypothesis's ticks.
+_ENOUGH = 20
+_LEAST_SHARE = 0.25
+_OVER_CHANCE = 2.0
+_SHARE = 0.4
+# A scanner sees people at a place if it saw them so often within this distance of it, m.
+_SEEN_HERE = 0.4
+_SEEN_TIMES = 3
+# Positions at most that are asked for their neighbours.
+_ASKED = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One way in which two scanners may stand to each other, with its evidence."""
+
+    T_a_b: Array
+    """(3, 3)."""
+    information: Array
+    """(3, 3) inverse covariance of T_a_b's error (x, y, theta) in the fixed axes of a."""
+    observations: int
+    """How many simultaneous positions agree, at ticks of 0.1 s."""
+    chance: float
+    """How many would if the two scanners had seen different people in the same places."""
+    share: float
+    """Which share that is of those that should agree, as both scanners often see people there, 0..1."""
+    cost: float
+    """Mean truncated squared Mahalanobis distance of all simultaneous positions in units of the gate, 0..1."""
+    icp: bool
+    """Whether the static background contributes."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackPair:
+    """What the two stationary scanners of a pair know of each other; at most one hypothesis is right."""
+
+    sensor_a: str
+    sensor_b: str
+    hypotheses: tuple[Hypothesis, ...]
+    """Best first; never empty."""
+
+    @property
+    def T_a_b(self) -> Array:
+        """(3, 3) of the best hypothesis."""
+        return self.hypotheses[0].T_a_b
+
+    @property
+    def information(self) -> Array:
+        """(3, 3) of the best hypothesis."""
+        return self.hypotheses[0].information
+
+
+def estimate_network_pairs(
+    tracked: Mapping[str, Tracked],
+    rng: np.random.Generator,
+    *,
+    icp: bool = True,
+    progress: Callable[[float], None] = lambda _done: None,
+) -> dict[tuple[str, str], TrackPair | Rejected]:
+    """Estimates the relative pose of every pair of scanners, as :func:`estimate_network_pair` does.
+
+    Args:
+        tracked: what each scanner knows, by its name.
+        rng: source of the samples.
+        icp: whether to match the static background, too.
+        progress: told how much is done, 0..1.
+    """
+    samples = {name: sample(known) for name, known in tracked.items()}
+    names = list(itertools.combinations(tracked, 2))
+    pairs: dict[tuple[str, str], TrackPair | Rejected] = {}
+    for done, (a, b) in enumerate(names, start=1):
+        pairs[a, b] = _estimate(a, b, samples[a], samples[b], tracked[a], tracked[b], rng, icp)
+        progress(done / len(names))
+    return pairs
+
+
+def estimate_network_pair(
+    name_a: str, name_b: str, a: Tracked, b: Tracked, rng: np.random.Generator, *, icp: bool = True
+) -> TrackPair | Rejected:
+    """Estimates ``T_a_b`` from the people that both scanners saw.
+
+    Args:
+        name_a: name of scanner a.
+        name_b: name of scanner b.
+        a: its tracks and background.
+        b: those of b.
+        rng: source of the samples.
+        icp: whether to match the static background, too.
+
+    Returns:
+        The best few hypotheses, or the reason why there is none.
+    """
+    return _estimate(name_a, name_b, sample(a), sample(b), a, b, rng, icp)
+
+
+def _estimate(
+    name_a: str,
+    name_b: str,
+    a: Samples,
+    b: Samples,
+    tracked_a: Tracked,
+    tracked_b: Tracked,
+    rng: np.random.Generator,
+    icp: bool,
+) -> TrackPair | Rejected:
+    met = meetings(a, b)
+    seconds = len(np.unique(a.tick[met.row_a])) * TICK
+    if seconds < _ENOUGH * TICK:
+        return Rejected(f"only {seconds:.1f} s in which both saw somebody, {_ENOUGH * TICK:.1f} s are needed")
+    guesses = _guesses(met, rng)
+    if not len(guesses):
+        return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
+    coarse, fine = _thinned(a, b, len(met), _COARSE), _thinned(a, b, len(met), _FINE)
+    guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
+    found = [fit for T in guesses if (fit := agree(T, coarse, steps=3)) is not None]
+    shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
+    value = np.array([len(fit.pairs) for fit in found]) * shares
+    promising = (shares >= _LEAST_SHARE) & (value >= _SHARE * np.max(value, initial=0.0))
+    poses = _best(np.array([fit.T_a_b for fit in found]).reshape(-1, 3, 3)[promising], -value[promising], _KEPT)
+    agreements = [agree(T, fine, steps=3, misfit=0.1) for T in poses]
+    hypotheses = [_hypothesis(fit, fine, a, b, len(met) / len(fine)) for fit in agreements if fit is not None]
+    hypotheses.sort(key=lambda h: -h.observations * h.share)
+    kept = [h for h in hypotheses if _credible(h)]
+    if not kept:
+        most = round(max(map(len, (fit.pairs for fit in found)), default=0) * len(met) / len(coarse))
+        return Rejected(f"no pose explains what both saw; the best agrees for {most * TICK:.1f} s, as by chance")
+    kept = [h for h in kept if h.observations * h.share >= _SHARE * kept[0].observations * kept[0].share]
+    if icp:
+        kept = [_aligned(h, tracked_a, tracked_b) for h in kept]
+    return TrackPair(name_a, name_b, tuple(kept))
+
+
+def _credible(h: Hypothesis) -> bool:
+    """Whether chance alone hardly explains the hypothesis, and it explains most of what it should."""
+    return h.observations >= max(_ENOUGH, _OVER_CHANCE * h.chance) and h.share >= _LEAST_SHARE
+
+
+def _thinned(a: Samples, b: Samples, count: int, wanted: int) -> Meetings:
+    """The meetings of so many ticks that there are about ``wanted`` of them."""
+    step = max(1, round(count / wanted))
+    return meetings(a.every(step), b.every(step))
+
+
+def _guesses(met: Meetings, rng: np.random.Generator) -> Array:
+    """Poses (K, 3, 3) from stretches of every walk of a with every walk of b, whether or not they are one person.
+
+    The stretches that say most come first, with some others at random.
+    """
+    walks = met.a.walk[met.row_a] * (int(met.b.walk.max()) + 1) + met.b.walk[met.row_b]
+    order = np.argsort(walks, kind="stable")  # and ascending in tick within the walks
+    walks, ticks = walks[order], met.a.tick[met.row_a][order]
+    moments = _moments(met.x_a[order], met.x_b[order])
+    poses, worth = [], []
+    for length in _STRETCHES:
+        begins = np.diff(walks, prepend=-1).astype(bool) | np.diff(ticks // length, prepend=-1).astype(bool)
+        T, fit, extent = _kabsch(moments, np.flatnonzero(begins))
+        usable = (extent > _EXTENT) & (fit < _FIT)
+        poses.append(T[usable])
+        worth.append(extent[usable] / (fit[usable] + 0.05))
+    T, value = np.concatenate(poses), np.concatenate(worth)
+    order = np.argsort(-value)
+    if len(order) > _JUDGED:
+        first, rest = order[: _JUDGED // 2], order[_JUDGED // 2 :]
+        order = np.concatenate([first, rng.choice(rest, _JUDGED - len(first), replace=False)])
+    return np.asarray(T[order])
+
+
+def _moments(x_a: Array, x_b: Array) -> Array:
+    """(M, 9) whose sums over a stretch give its least squares pose."""
+    dot, cross = np.sum(x_a * x_b, axis=1), x_b[:, 0] * x_a[:, 1] - x_b[:, 1] * x_a[:, 0]
+    squares = np.sum(x_a**2, axis=1), np.sum(x_b**2, axis=1)
+    return np.column_stack([np.ones(len(x_a)), x_a, x_b, dot, cross, *squares])
+
+
+def _kabsch(moments: Array, starts: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Least squares poses of all stretches of all combinations of walks at once.
+
+    Args:
+        moments: (M, 9) as :func:`_moments` gives them, stretch by stretch.
+        starts: (K,) where the stretches begin.
+
+    Returns:
+        Poses (K, 3, 3), root mean square distances (K,), m, and extents of the walks (K,), m; infinite distances
+        for stretches of too few ticks.
+    """
+    sums = np.add.reduceat(moments, starts)
+    count = sums[:, 0]
+    center_a, center_b, dot, cross, square_a, square_b = np.split(sums[:, 1:] / count[:, None], [2, 4, 5, 6, 7], 1)
+    dot = (dot - np.sum(center_a * center_b, axis=1, keepdims=True))[:, 0]
+    cross = cross[:, 0] - (center_b[:, 0] * center_a[:, 1] - center_b[:, 1] * center_a[:, 0])
+    spread_a = square_a[:, 0] - np.sum(center_a**2, axis=1)
+    spread_b = square_b[:, 0] - np.sum(center_b**2, axis=1)
+    T = se2.pose(np.arctan2(cross, dot), np.zeros(2))
+    T[:, :2, 2] = center_a - np.einsum("kij,kj->ki", T[:, :2, :2], center_b)
+    fit = np.sqrt(np.maximum(spread_a + spread_b - 2 * np.hypot(dot, cross), 0))
+    extent = np.sqrt(np.maximum(np.minimum(spread_a, spread_b), 0))
+    return T, np.where(count < _TICKS, np.inf, fit), extent
+
+
+def _best(T: Array, cost: Array, count: int) -> Array:
+    """The ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
+    kept: list[Array] = []
+    for i in np.argsort(cost):
+        if not any(_same(T[i], other) for other in kept):
+            kept.append(T[i])
+        if len(kept) == count:
+            break
+    return np.array(kept)
+
+
+def _same(T: Array, other: Array) -> bool:
+    d = se2.difference(T, other)
+    return bool(np.hypot(d[0], d[1]) < _SAME[0] and abs(d[2]) < _SAME[1])
+
+
+def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, thinned: float) -> Hypothesis:
+    return Hypothesis(
+        fit.T_a_b,
+        information(fit, met),
+        round(len(fit.pairs) * thinned),
+        _chance(fit, met, b) * thinned,
+        min(len(fit.pairs) / max(_expected(fit.T_a_b, met, a, b), 1), 1.0),
+        float(costs(fit.T_a_b[None], met)[0]),
+        icp=False,
+    )
+
+
+def _chance(fit: Agreement, met: Meetings, b: Samples) -> float:
+    """How many of a's positions would agree with some of b's by chance: with those at any other time.
+
+    Where both saw people all the time in one narrow passage, many do, under any pose that lays the passages over
+    each other.
+    """
+    radius = np.sqrt(GATE * (float(np.median(met.variance)) + fit.misfit**2))
+    few = met.a.positions[:: max(1, len(met.a.tick) // _ASKED)]
+    near = _neighbours(few, se2.inverse(fit.T_a_b), b, radius)
+    return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(met.a.tick)
+
+
+def _expected(T_a_b: Array, met: Meetings, a: Samples, b: Samples) -> float:
+    """How many positions should agree were the pose right: where one often saw people, it sees the other's."""
+    return max(_seen_by(se2.inverse(T_a_b), met.a, b), _seen_by(T_a_b, met.b, a))
+
+
+def _seen_by(T: Array, seen: Samples, other: Samples) -> float:
+    meanwhile = (seen.tick >= other.tick.min()) & (seen.tick <= other.tick.max())
+    x = seen.positions[meanwhile]
+    few = x[:: max(1, len(x) // _ASKED)]
+    return float(np.mean(_neighbours(few, T, other, _SEEN_HERE) >= _SEEN_TIMES)) * len(x)
+
+
+def _neighbours(x: Array, T: Array, samples: Samples, radius: float) -> NDArray[np.intp]:
+    """How many samples of all times are within the radius of each point (N, 2) moved by T."""
+    near = samples.places.query_ball_point(se2.apply(T, x), radius, return_length=True)
+    return np.asarray(near, dtype=np.intp)
+
+
+def _aligned(h: Hypothesis, a: Tracked, b: Tracked) -> Hypothesis:
+    """The hypothesis with what the static background adds, unless it contradicts or has nothing to say."""
+    covariance = np.asarray(np.linalg.inv(h.information), dtype=np.float64)
+    sigma = float(np.hypot(a.sigma, b.sigma))
+    matched = scan_matching.align(h.T_a_b, covariance, a.background, b.background, sigma)
+    if isinstance(matched, Rejected):
+        return h
+    T_a_b, both = matched.fused(h.T_a_b, h.information)
+    return replace(h, T_a_b=T_a_b, information=both, icp=True)

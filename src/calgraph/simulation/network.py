@@ -1,0 +1,235 @@
+"""A network scenario brought to life: its building, scanners and people, and the scans that come of it.
+
+Scanners are not synchronised: each has its own phase, a rate that is slightly off, and optionally a clock offset.
+Every scanner draws its noise from its own generator, so that its scans do not depend on what else is simulated.
+"""
+
+import heapq
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calgraph.geometry import Array, se2
+from calgraph.recording.writer import RecordingWriter
+from calgraph.rig import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, Rig, save_yaml
+from calgraph.sensors import LaserScan
+from calgraph.simulation.network_beams import cast_segments, true_ranges
+from calgraph.simulation.network_floor import Floor, ways_through
+from calgraph.simulation.network_layouts import build_layout
+from calgraph.simulation.network_scenario import NetworkScenario, ScannerKnobs
+from calgraph.simulation.network_walks import Walk, body_clearance, draw_walks
+from calgraph.simulation.scanners import mixed
+from calgraph.simulation.truth import PersonTruth, Truth, save_truth
+
+_LATENCY = 0.002, 0.02
+"""Least and most time from the end of a scan to its arrival at the recorder, s."""
+_AT_ONCE = 500
+"""Scans that are simulated together."""
+_TRUTH_RATE = 20.0
+"""Samples of the people's true places, per second."""
+
+
+@dataclass(frozen=True, eq=False)
+class StationaryScanner:
+    """One scanner of the network."""
+
+    name: str
+    T_world_scanner: Array
+    """(3, 3)."""
+    angles: Array
+    """(M,) of its beams, counter-clockwise from its x, rad."""
+    phase: float
+    """Start of its first scan, s from the start of the recording."""
+    period: float
+    """From one scan to the next, s."""
+    clock_offset: float
+    """Its clock minus the root's, s."""
+
+    @property
+    def time_increment(self) -> float:
+        """From one beam to the next, s: its mirror turns once a scan."""
+        step = float(self.angles[1] - self.angles[0])
+        return self.period * step / (2 * np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A simulated building in which scans can be taken."""
+
+    scenario: NetworkScenario
+    seed: int
+    root: str
+    floor: Floor
+    scanners: tuple[StationaryScanner, ...]
+    walks: tuple[Walk, ...]
+
+
+def build_network(scenario: NetworkScenario, seed: int) -> Network:
+    """Draws building, scanners and walks.
+
+    Raises:
+        InputError: the scanners' jitter puts them into walls.
+
+    """
+    rng = np.random.default_rng((seed, 0))
+    layout = build_layout(scenario, rng)
+    root = scenario.root or scenario.names[0]
+    scanners = _scanners(scenario, layout.mounts, root, rng)
+    kept_clear = body_clearance(scenario.people)
+    ways = ways_through(layout.floor, kept_clear, layout.mounts[:, :2], kept_clear + 0.1)
+    walks = draw_walks(ways, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
+    return Network(scenario, seed, root, layout.floor, scanners, walks)
+
+
+def simulate_network_scans(scenario: NetworkScenario, seed: int = 0) -> tuple[dict[str, list[LaserScan]], Truth]:
+    """The scans by scanner, in order, and the truth, without a recording in between.
+
+    Raises:
+        InputError: the scanners' jitter puts them into walls.
+
+    """
+    network = build_network(scenario, seed)
+    scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
+    return scans, network_truth(network)
+
+
+def simulate_network(
+    scenario: NetworkScenario, out: Path, seed: int = 0, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml`` and ``out/truth.yaml``.
+
+    Args:
+        scenario: building, scanners and people.
+        out: folder, created if missing; it must not hold a recording yet.
+        seed: the same seed and scenario give the same files.
+        progress: is told how many scans are written, of how many.
+
+    Raises:
+        InputError: the scanners' jitter puts them into walls, or there is a recording in ``out`` already.
+
+    """
+    network = build_network(scenario, seed)
+    total = sum(_scan_count(scenario, scanner) for scanner in network.scanners)
+    streams = [_arrivals(network, scanner) for scanner in network.scanners]
+    with RecordingWriter(out / "recording") as writer:
+        for done, (arrival, name, scan) in enumerate(heapq.merge(*streams, key=lambda item: item[0])):
+            writer.write(_topic(name), scan, arrival)
+            if progress is not None:
+                progress(done + 1, total)
+    save_yaml(out / "rig.yaml", network_rig(network).model_dump(mode="json", exclude_none=True))
+    save_truth(out / "truth.yaml", network_truth(network))
+
+
+def network_rig(network: Network) -> Rig:
+    """The rig.yaml of a simulated network: what its engineer knows, without any pose."""
+    scenario, people = network.scenario, network.scenario.people
+    # Noise-free ranges still need a noise that a solver can weigh with.
+    noise = RangeNoise(range=max(scenario.scanner.range_noise, 1e-4), angle=1e-5)
+    return Rig(
+        root=network.root,
+        target=Cylinder(kind="cylinder", diameter=people.diameter)
+        if people.kind == "cylinder"
+        else People(kind="people", axes=people.axes),
+        capture=Capture(background=(0.0, scenario.background) if scenario.background else None),
+        sensors={
+            name: Lidar2dSpec(kind="lidar2d", topic=_topic(name), frame_id=name, noise=noise)
+            for name in scenario.names
+        },
+    )
+
+
+def network_truth(network: Network) -> Truth:
+    """The true poses, clocks and walks, everything in the root's frame and clock."""
+    T_world_root = next(s.T_world_scanner for s in network.scanners if s.name == network.root)
+    T_root_world = se2.inverse(T_world_root)
+    return Truth(
+        root=network.root,
+        T_root_sensor={s.name: se2.to_se3(T_root_world @ s.T_world_scanner) for s in network.scanners},
+        boards=(),
+        clock_offsets={s.name: s.clock_offset for s in network.scanners},
+        people=tuple(_person(network.scenario, walk, T_root_world) for walk in network.walks),
+    )
+
+
+def scans_of(network: Network, scanner: StationaryScanner) -> Iterator[LaserScan]:
+    """All scans of one scanner, in order; stamps are of its own clock."""
+    scenario, knobs = network.scenario, network.scenario.scanner
+    rng = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner)))
+    origin, yaw = scanner.T_world_scanner[:2, 2], float(se2.angle(scanner.T_world_scanner))
+    static = cast_segments(origin, yaw + scanner.angles, network.floor.segments)
+    within = scanner.time_increment * np.arange(len(scanner.angles))
+    count = _scan_count(scenario, scanner)
+    for first in range(0, count, _AT_ONCE):
+        starts = scanner.phase + scanner.period * np.arange(first, min(first + _AT_ONCE, count))
+        times = starts[:, None] + within
+        true = true_ranges(origin, yaw + scanner.angles, static, times, network.walks, knobs.max_range)
+        stamps = scenario.start_time + starts + scanner.clock_offset
+        for stamp, ranges in zip(stamps, _measured(true, knobs, rng), strict=True):
+            yield LaserScan(float(stamp), scanner.name, scanner.angles, ranges, scanner.time_increment)
+
+
+def _measured(true: Array, knobs: ScannerKnobs, rng: np.random.Generator) -> Array:
+    """Ranges (C, M) as scanners send them; NaN where nothing came back."""
+    index = np.arange(true.size).reshape(true.shape)
+    # A scan's last beam has no neighbour but itself.
+    neighbours = np.minimum(index + 1, index[:, -1:]).ravel()
+    ranges = mixed(true.ravel(), neighbours, knobs.mixed_pixels, rng).reshape(true.shape)
+    ranges += rng.normal(0.0, knobs.range_noise, true.shape)
+    if knobs.quantisation:
+        ranges = knobs.quantisation * np.round(ranges / knobs.quantisation)
+    lost = rng.random(true.shape) < knobs.dropout
+    return np.where((ranges >= knobs.min_range) & (ranges <= knobs.max_range) & ~lost, ranges, np.nan)
+
+
+def _scanners(
+    scenario: NetworkScenario, mounts: Array, root: str, rng: np.random.Generator
+) -> tuple[StationaryScanner, ...]:
+    knobs = scenario.scanner
+    resolution, view = np.radians(knobs.resolution), np.radians(knobs.field_of_view)
+    angles = resolution * np.arange(int(view / resolution + 1e-9) + 1) - view / 2
+    # A full turn ends before it comes to the first beam again.
+    angles = angles[angles < angles[0] + 2 * np.pi - 1e-9]
+    offsets = rng.uniform(-knobs.clock_offset, knobs.clock_offset, len(mounts))
+    offsets[scenario.names.index(root)] = 0.0
+    periods = (1 + rng.uniform(-knobs.rate_tolerance, knobs.rate_tolerance, len(mounts))) / knobs.rate
+    phases = rng.uniform(0, periods)
+    return tuple(
+        StationaryScanner(
+            name, se2.pose(mount[2], mount[:2]), angles, float(phases[k]), float(periods[k]), float(offsets[k])
+        )
+        for k, (name, mount) in enumerate(zip(scenario.names, mounts, strict=True))
+    )
+
+
+def _scan_count(scenario: NetworkScenario, scanner: StationaryScanner) -> int:
+    """How many scans begin and end within the recording."""
+    last = scanner.time_increment * (len(scanner.angles) - 1)
+    return max(0, int((scenario.duration - last - scanner.phase) / scanner.period) + 1)
+
+
+def _arrivals(network: Network, scanner: StationaryScanner) -> Iterator[tuple[float, str, LaserScan]]:
+    """Scans with when they reach the recorder, whose clock is the root's."""
+    delays = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner), 1))
+    latest = 0.0
+    for scan in scans_of(network, scanner):
+        done = scan.stamp - scanner.clock_offset + scan.duration
+        latest = max(latest, done + delays.uniform(*_LATENCY))
+        yield latest, scanner.name, scan
+
+
+def _person(scenario: NetworkScenario, walk: Walk, T_root_world: Array) -> PersonTruth:
+    times = np.arange(walk.start, scenario.duration, 1 / _TRUTH_RATE)
+    places, headings = walk.at(times)
+    turned = headings + se2.angle(T_root_world)
+    return PersonTruth(
+        axes=walk.axes,
+        times=scenario.start_time + times,
+        positions=se2.apply(T_root_world, places),
+        headings=np.remainder(turned + np.pi, 2 * np.pi) - np.pi,
+    )
+
+
+def _topic(name: str) -> str:
+    return f"/{name}/scan"

@@ -1,0 +1,98 @@
+"""Ranges of beams in the plane: walls are segments, bodies are ellipses that move from beam to beam."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.simulation.network_walks import Walk
+
+_FASTEST = 4.0
+"""No body moves faster than this, m/s."""
+
+
+def cast_segments(origin: Array, angles: Array, segments: Array) -> Array:
+    """Distances (N,) from an origin (2,) in directions (N,) to the nearest of segments (S, 2, 2), or infinite."""
+    nearest = np.full(len(angles), np.inf)
+    c, s = np.cos(angles), np.sin(angles)
+    for a, b in segments - origin:
+        along = b - a
+        # origin + r (c, s) = a + u along, by Cramer's rule.
+        determinant = c * along[1] - s * along[0]
+        determinant = np.where(np.abs(determinant) < 1e-12, np.nan, determinant)
+        r = (a[0] * along[1] - a[1] * along[0]) / determinant
+        u = (a[0] * s - a[1] * c) / determinant
+        hit = (r > 0) & (u >= 0) & (u <= 1)
+        nearest = np.where(hit, np.fmin(nearest, r), nearest)
+    return nearest
+
+
+def cast_ellipses(origin: Array, angles: Array, centers: Array, headings: Array, axes: Array) -> Array:
+    """Distances (N,) of beams to an ellipse each, infinite where they miss it.
+
+    Args:
+        origin: (2,) outside of the ellipses, m.
+        angles: (N,) of the beams, rad.
+        centers: (N, 2) m.
+        headings: (N,) direction of the second radius, rad.
+        axes: (2,) radii across and along the heading, m.
+
+    """
+    # In the ellipse's frame, scaled so that it is the unit circle.
+    c, s = np.cos(headings), np.sin(headings)
+    x, y = (origin - centers).T
+    across, along = (-s * x + c * y) / axes[0], (c * x + s * y) / axes[1]
+    d_across, d_along = np.sin(angles - headings) / axes[0], np.cos(angles - headings) / axes[1]
+    square = d_across**2 + d_along**2
+    half = across * d_across + along * d_along
+    discriminant = half**2 - square * (across**2 + along**2 - 1)
+    with np.errstate(invalid="ignore"):
+        r = (-half - np.sqrt(discriminant)) / square
+    return np.where((discriminant >= 0) & (r > 0), r, np.inf)
+
+
+def true_ranges(
+    origin: Array, angles: Array, static: Array, times: Array, walks: Sequence[Walk], max_range: float
+) -> Array:
+    """Ranges (C, M) of scans without noise, every beam at its own time.
+
+    Args:
+        origin: (2,) the scanner's place, m.
+        angles: (M,) directions of the beams in the world, rad.
+        static: (M,) their distances to what does not move, m.
+        times: (C, M) when they are measured, s from the start of the recording.
+        walks: the bodies.
+        max_range: bodies farther away are left out, m.
+
+    """
+    ranges = np.broadcast_to(static, times.shape).copy()
+    for walk in walks:
+        scan, beam = _near(origin, angles, times, walk, max_range)
+        at = times[scan, beam]
+        centers, headings = walk.at(at)
+        hit = cast_ellipses(origin, angles[beam], centers, headings, walk.axes)
+        ranges[scan, beam] = np.minimum(ranges[scan, beam], hit)
+    return ranges
+
+
+def _near(
+    origin: Array, angles: Array, times: Array, walk: Walk, max_range: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Scans and beams that can hit a body, by where it is in the middle of each scan."""
+    first, last = times[:, 0], times[:, -1]
+    # A body that comes during a scan counts as where it comes in.
+    middle = np.clip((first + last) / 2, walk.start, None)
+    centers, _ = walk.at(middle)
+    x, y = (centers - origin).T
+    moved = _FASTEST * (last - first) / 2
+    distance = np.hypot(x, y)
+    reach = float(walk.axes.max())
+    with np.errstate(invalid="ignore", divide="ignore"):
+        half = np.arcsin(np.minimum((reach + moved) / distance, 1)) + 1e-6
+        near = (last >= walk.start) & (distance < max_range + reach + moved)
+        half = np.where(near & (distance > reach + moved), half, np.where(near, np.pi, -1.0))
+        # Scan by scan only a few beams: those whose direction, turned into [-pi, pi) around the body's, is small.
+        off = np.remainder(angles - np.arctan2(y, x)[:, None] + np.pi, 2 * np.pi) - np.pi
+        scan, beam = np.nonzero(np.abs(off) <= half[:, None])
+    return scan, beam

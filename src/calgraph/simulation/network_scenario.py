@@ -1,0 +1,177 @@
+"""Every knob of a simulated network recording. Angles are in degrees here, and only here, for the command line."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, model_validator
+
+from calgraph.rig.model import StrictModel, wrong
+from calgraph.simulation.rig_scenario import NotNegative, Positive, Probability
+
+LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]
+AtLeastOne = Annotated[int, Field(ge=1)]
+
+_HALLS_PLACES = 4
+
+
+class ScannerKnobs(StrictModel):
+    """The stationary 2-D scanners; defaults are the office's, and differ from layout to layout."""
+
+    count: Annotated[int, Field(ge=2)] = 6
+    """How many; halls have four."""
+    rate: Positive = 15.0
+    """Scans per second."""
+    rate_tolerance: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
+    """Fraction by which each scanner's own rate is off, at most."""
+    field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
+    """Degrees."""
+    resolution: Positive = 1 / 3
+    """Degrees between beams."""
+    min_range: NotNegative = 0.05
+    """m."""
+    max_range: Positive = 10.0
+    """m."""
+    range_noise: NotNegative = 0.01
+    """Standard deviation along the beam, m."""
+    quantisation: NotNegative = 0.001
+    """Step of the ranges that are sent, m; 0 for none."""
+    mixed_pixels: Probability = 0.2
+    """Probability that one of the two beams at a depth edge falls between the two depths."""
+    dropout: Probability = 0.005
+    """Probability that a beam returns nothing."""
+    position_jitter: NotNegative = 0.25
+    """Each scanner is up to this far from its nominal place along each axis, m."""
+    yaw_jitter: Annotated[float, Field(ge=0, le=180)] = 15.0
+    """Each scanner is turned by up to this from its nominal direction, degrees."""
+    clock_offset: NotNegative = 0.0
+    """Stamps of each scanner but the root are late or early by up to this, s."""
+
+    @model_validator(mode="after")
+    def _has_beams(self) -> "ScannerKnobs":
+        if self.resolution > self.field_of_view:
+            raise wrong("resolution", f"must be at most field_of_view, {self.field_of_view:g}")
+        if self.min_range >= self.max_range:
+            raise wrong("min_range", f"must be below max_range, {self.max_range:g}, got {self.min_range:g}")
+        return self
+
+
+class PeopleKnobs(StrictModel):
+    """Who or what moves; defaults are the office's, and differ from layout to layout."""
+
+    kind: Literal["people", "cylinder"] = "people"
+    """People are ellipses that turn with their walk."""
+    count: Annotated[int, Field(ge=0)] = 2
+    """How many at once."""
+    axes: tuple[Positive, Positive] = (0.25, 0.15)
+    """Radii across and along a person's direction of walk, m."""
+    axes_spread: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    """Fraction by which the radii of each person differ from these, at most."""
+    diameter: Positive = 0.5
+    """Of a cylinder, m."""
+    speed: Positive = 1.2
+    """m/s."""
+    speed_spread: Annotated[float, Field(ge=0, lt=1)] = 0.15
+    """Fraction by which the speed of each differs from it, at most."""
+    stop_every: NotNegative = 15.0
+    """Mean time from one stop to the next, s; 0 for never."""
+    stop_time: NotNegative = 2.0
+    """Mean length of a stop, s."""
+    clearance: NotNegative = 0.15
+    """Of a body from walls, scanners and other bodies, at least, m."""
+
+    @property
+    def reach(self) -> float:
+        """The largest distance of a body's edge from its centre, m."""
+        if self.kind == "cylinder":
+            return self.diameter / 2
+        return max(self.axes) * (1 + self.axes_spread)
+
+
+class NetworkScenario(StrictModel):
+    """Scanners fixed in a building, and people who walk through it.
+
+    What is not given takes the value that goes with the layout.
+    """
+
+    layout: LayoutName = "office"
+    """ring, office, semicircle and halls are the paper's, lab its L-shaped one; grid is for any number."""
+    ring_diameter: Positive = 60.0
+    """Of the circle of the ring's scanners, m; at 60 the cuboid in its middle is out of a range of 20 m."""
+    grid_spacing: Annotated[float, Field(ge=3)] = 7.0
+    """From scanner to scanner of the grid, m."""
+    clutter: Annotated[int, Field(ge=0)] = 14
+    """Pieces of furniture in all."""
+    scanner: ScannerKnobs = ScannerKnobs()
+    people: PeopleKnobs = PeopleKnobs()
+    root: str | None = None
+    """The scanner that everything is expressed in, scanner_1 if left out."""
+    background: NotNegative = 0.0
+    """How long nobody is there at the start, s."""
+    duration: Positive = 60.0
+    """s, the background included."""
+    start_time: NotNegative = 1_700_000_000.0
+    """Stamp at the start of the recording, s."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_the_layout_has_it(cls, content: Any) -> Any:
+        if not isinstance(content, Mapping):
+            return content
+        layout = content.get("layout", "office")
+        usual = _LAYOUTS.get(layout, {}) if isinstance(layout, str) else {}
+        return _over(content, usual)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "NetworkScenario":
+        if self.layout == "halls" and self.scanner.count > _HALLS_PLACES:
+            raise wrong("scanner.count", f"halls have places for {_HALLS_PLACES}, got {self.scanner.count}")
+        if self.layout == "ring" and self.ring_diameter < 20:
+            raise wrong("ring_diameter", f"must be at least 20, got {self.ring_diameter:g}")
+        if self.background >= self.duration:
+            raise wrong("background", f"must be below the duration, {self.duration:g}, got {self.background:g}")
+        if self.root is not None and self.root not in self.names:
+            raise wrong("root", f"must be one of {self.names[0]} to {self.names[-1]}, got {self.root!r}")
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The scanners' names."""
+        return tuple(f"scanner_{k + 1}" for k in range(self.scanner.count))
+
+
+_LAYOUTS: dict[str, dict[str, Any]] = {
+    "ring": {
+        "clutter": 0,
+        "scanner": {"rate": 25.0, "resolution": 0.25, "max_range": 20.0},
+        # As fast as it takes to pass all six scanners in a minute.
+        "people": {"kind": "cylinder", "count": 1, "speed": 2.5, "speed_spread": 0.0, "stop_every": 0.0},
+    },
+    "lab": {
+        "clutter": 6,
+        "scanner": {"count": 5, "rate": 12.5, "resolution": 0.5, "max_range": 30.0},
+    },
+    "halls": {
+        "clutter": 8,
+        "scanner": {"count": 4, "rate": 25.0, "resolution": 0.5, "max_range": 20.0},
+        # Fast enough to come through all doors once in a minute.
+        "people": {"speed": 1.4, "speed_spread": 0.1, "stop_every": 60.0},
+    },
+    "grid": {
+        "clutter": 60,
+        "scanner": {"count": 30, "resolution": 0.5},
+        "people": {"count": 12},
+    },
+}
+"""How layouts differ from the office."""
+
+
+def _over(given: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+    """``given`` with what it lacks from ``usual``, nested mappings likewise."""
+    merged = {**usual, **given}
+    for key, value in usual.items():
+        above = given.get(key)
+        if isinstance(above, BaseModel):
+            above = above.model_dump(exclude_unset=True)
+        if isinstance(value, Mapping) and isinstance(above, Mapping):
+            merged[key] = _over(above, value)
+    return merged

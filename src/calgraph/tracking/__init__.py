@@ -1,0 +1,7 @@
+"""Following moving objects through the scans of one stationary 2-D scanner."""
+
+from calgraph.tracking.features import Feature
+from calgraph.tracking.scanner import track_scanner
+from calgraph.tracking.track import Track, Tracked, Untracked
+
+__all__ = ["Feature", "Track", "Tracked", "Untracked", "track_scanner"]

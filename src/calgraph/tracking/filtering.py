@@ -1,0 +1,148 @@
+"""Kalman filter and Rauch–Tung–Striebel smoother for objects that keep their velocity more or less.
+
+The state is (x, y, vx, vy). The measurement is a centre with its own covariance, so the extended filter's
+linearisation is done by whoever measures the centre, and what remains is linear. All functions broadcast over
+leading axes: many tracks are filtered side by side.
+
+Source: Särkkä, "Bayesian filtering and smoothing", 2013, sections 4.3 and 8.2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+
+# Velocity of an object of which nothing is known, standard deviation per axis, m/s.
+_START_SPEED = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """State estimates."""
+
+    mean: Array
+    """(..., 4) x, y (m), vx, vy (m/s)."""
+    covariance: Array
+    """(..., 4, 4)."""
+
+
+def start(z: Array, R: Array) -> Gaussian:
+    """The state after one measured centre (..., 2) with covariance (..., 2, 2)."""
+    mean = np.concatenate([z, np.zeros_like(z)], axis=-1)
+    covariance = np.zeros((*z.shape[:-1], 4, 4))
+    covariance[..., :2, :2] = R
+    covariance[..., [2, 3], [2, 3]] = _START_SPEED**2
+    return Gaussian(mean, covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How states change within stretches of time."""
+
+    F: Array
+    """(..., 4, 4) transition."""
+    Q: Array
+    """(..., 4, 4) covariance that is added."""
+
+    def at(self, index: int) -> "Motion":
+        """The stretch with this index along the last of the leading axes."""
+        return Motion(self.F[..., index, :, :], self.Q[..., index, :, :])
+
+
+def motion(dt: Array, agility: float) -> Motion:
+    """Constant velocity but for white acceleration.
+
+    Args:
+        dt: (...,) time passed, s.
+        agility: spectral density of the acceleration, m²/s³.
+
+    """
+    F = np.zeros((*dt.shape, 4, 4))
+    F[..., range(4), range(4)] = 1.0
+    F[..., [0, 1], [2, 3]] = dt[..., None]
+    Q = np.zeros((*dt.shape, 4, 4))
+    Q[..., [0, 1], [0, 1]] = (dt**3 / 3)[..., None]
+    Q[..., [0, 1, 2, 3], [2, 3, 0, 1]] = (dt**2 / 2)[..., None]
+    Q[..., [2, 3], [2, 3]] = dt[..., None]
+    return Motion(F, agility * Q)
+
+
+def predict(state: Gaussian, step: Motion) -> Gaussian:
+    """The state after a stretch of time."""
+    mean = (step.F @ state.mean[..., None])[..., 0]
+    return Gaussian(mean, step.F @ state.covariance @ np.swapaxes(step.F, -1, -2) + step.Q)
+
+
+def update(state: Gaussian, z: Array, R: Array) -> Gaussian:
+    """The state after measuring the centre ``z`` (..., 2) with covariance ``R`` (..., 2, 2)."""
+    P = state.covariance
+    gain = P[..., :2] @ _inverse2(P[..., :2, :2] + R)
+    mean = state.mean + (gain @ (z - state.mean[..., :2])[..., None])[..., 0]
+    return Gaussian(mean, P - gain @ P[..., :2, :])
+
+
+def distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Array]:
+    """Squared Mahalanobis distances (...,) of centres from predictions, and determinants (...,) of their S."""
+    S = state.covariance[..., :2, :2] + R
+    off = z - state.mean[..., :2]
+    squared = np.einsum("...i,...ij,...j->...", off, _inverse2(S), off)
+    return squared, np.asarray(S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0])
+
+
+def smooth(times: Array, z: Array, R: Array, agility: float, gate: float) -> tuple[Gaussian, NDArray[np.bool_]]:
+    """Filters forward and smooths backward many tracks of equal length.
+
+    Args:
+        times: (..., T) of the measurements, ascending, s; a repeated time adds nothing but its measurement.
+        z: (..., T, 2) measured centres, m; NaN where there is none.
+        R: (..., T, 2, 2) their covariances, m².
+        agility: spectral density of the acceleration, m²/s³.
+        gate: a measurement is left out whose squared Mahalanobis distance from its prediction is larger.
+
+    Returns:
+        The smoothed states (..., T), and (..., T) which measurements were used.
+    """
+    steps = times.shape[-1]
+    there = np.asarray(np.isfinite(z).all(axis=-1))
+    z = np.where(there[..., None], z, 0.0)
+    R = np.where(there[..., None, None], R, np.eye(2))
+    used = there.copy()
+    filtered, predicted = [start(z[..., 0, :], R[..., 0, :, :])], []
+    steps_ahead = motion(np.diff(times, axis=-1), agility)
+    for k in range(1, steps):
+        ahead = predict(filtered[-1], steps_ahead.at(k - 1))
+        after = update(ahead, z[..., k, :], R[..., k, :, :])
+        used[..., k] &= distance(ahead, z[..., k, :], R[..., k, :, :])[0] <= gate
+        predicted.append(ahead)
+        filtered.append(_choose(used[..., k], after, ahead))
+    smoothed = [filtered[-1]]
+    for k in range(steps - 2, -1, -1):
+        smoothed.append(_backward(filtered[k], predicted[k], smoothed[-1], steps_ahead.at(k).F))
+    smoothed.reverse()
+    mean = np.stack([s.mean for s in smoothed], axis=-2)
+    return Gaussian(mean, np.stack([s.covariance for s in smoothed], axis=-3)), used
+
+
+def _backward(here: Gaussian, ahead: Gaussian, later: Gaussian, F: Array) -> Gaussian:
+    """One step of the smoother: what the later states say about this one (Särkkä, eq. 8.6)."""
+    PF = here.covariance @ np.swapaxes(F, -1, -2)
+    gain = np.swapaxes(np.linalg.solve(ahead.covariance, np.swapaxes(PF, -1, -2)), -1, -2)
+    mean = here.mean + (gain @ (later.mean - ahead.mean)[..., None])[..., 0]
+    P = here.covariance + gain @ (later.covariance - ahead.covariance) @ np.swapaxes(gain, -1, -2)
+    return Gaussian(mean, (P + np.swapaxes(P, -1, -2)) / 2)
+
+
+def _choose(which: NDArray[np.bool_], a: Gaussian, b: Gaussian) -> Gaussian:
+    mean = np.where(which[..., None], a.mean, b.mean)
+    return Gaussian(mean, np.where(which[..., None, None], a.covariance, b.covariance))
+
+
+def _inverse2(S: Array) -> Array:
+    """Inverses of (..., 2, 2); several times quicker than the general one."""
+    inverse = np.empty_like(S)
+    inverse[..., 0, 0], inverse[..., 1, 1] = S[..., 1, 1], S[..., 0, 0]
+    inverse[..., 0, 1], inverse[..., 1, 0] = -S[..., 0, 1], -S[..., 1, 0]
+    determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0]
+    return inverse / determinant[..., None, None]

@@ -1,0 +1,40 @@
+"""What one scanner knows after a recording: the objects it followed, and what stood still."""
+
+from dataclasses import dataclass
+
+from calgraph.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One object followed by one scanner through one unbroken stretch of time."""
+
+    times: Array
+    """(T,) when its points were measured (mean time of its beams), ascending, s."""
+    positions: Array
+    """(T, 2) smoothed centre, sensor frame, m."""
+    velocities: Array
+    """(T, 2) smoothed velocity, sensor frame, m/s."""
+    covariances: Array
+    """(T, 2, 2) of the positions, m²."""
+    period: int
+    """The set of visible objects is constant within a period of the scanner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """What one scanner knows: its tracks, and the static background it sees."""
+
+    tracks: tuple[Track, ...]
+    """By period, then by time."""
+    background: Array
+    """(M, 2) static points, sensor frame, m, in order of angle; NaN rows between breaks are not used."""
+    sigma: float
+    """Range noise seen on the background, m."""
+
+
+@dataclass(frozen=True)
+class Untracked:
+    """Nothing was followed, and why, in words a user can act on."""
+
+    reason: str

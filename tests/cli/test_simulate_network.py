@@ -1,0 +1,72 @@
+"""calgraph simulate network: its knobs, its files, and what it says of wrong values."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from calgraph.cli.app import app
+from calgraph.cli.simulate_network import _KNOBS
+from calgraph.rig.reading import read_yaml
+
+Run = Callable[..., Result]
+
+TINY = ("--scanner-resolution=5", "--duration=1", "--clutter=0")
+
+
+@pytest.fixture(scope="module")
+def help_text() -> str:
+    result = CliRunner(env={"COLUMNS": "80", "TERM": "dumb"}).invoke(app, ["simulate", "network", "--help"])
+    return result.output
+
+
+def test_the_help_shows_every_option(help_text: str) -> None:
+    assert [knob.option for knob in _KNOBS.values() if knob.option not in help_text] == []
+
+
+def test_every_option_is_described() -> None:
+    assert [knob.option for knob in _KNOBS.values() if not knob.field.description] == []
+
+
+def test_the_recording_and_what_belongs_to_it_are_written(run: Run, tmp_path: Path) -> None:
+    result = run("simulate", "network", "-o", tmp_path / "out", *TINY)
+    assert result.exit_code == 0, result.output
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["recording", "rig.yaml", "scenario.yaml", "truth.yaml"]
+
+
+def test_a_layout_brings_its_own_knobs(run: Run, tmp_path: Path) -> None:
+    run("simulate", "network", "-o", tmp_path / "out", "--layout", "halls", *TINY)
+    content = read_yaml(tmp_path / "out" / "scenario.yaml")
+    assert (content["scanner"]["count"], content["scanner"]["rate"]) == (4, 25.0)
+
+
+def test_options_go_before_the_layout(run: Run, tmp_path: Path) -> None:
+    run("simulate", "network", "-o", tmp_path / "out", "--layout", "halls", "--scanner-rate=5", *TINY)
+    assert read_yaml(tmp_path / "out" / "scenario.yaml")["scanner"]["rate"] == 5.0
+
+
+def test_the_scenario_written_gives_the_same_network_again(run: Run, tmp_path: Path) -> None:
+    run("simulate", "network", "-o", tmp_path / "a", "--seed", 3, "--layout=lab", *TINY)
+    run("simulate", "network", "-o", tmp_path / "b", "--seed", 3, "--scenario", tmp_path / "a" / "scenario.yaml")
+    a, b = ((tmp_path / name / "truth.yaml").read_text() for name in "ab")
+    assert a == b
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--layout", "attic"], "--layout: must be 'ring', 'office', 'semicircle', 'lab', 'halls' or 'grid'"),
+        (["--layout", "halls", "--scanner-count", "5"], "--scanner-count: halls have places for 4, got 5"),
+        (["--scanner-count", "1"], "--scanner-count: must be 2 or greater, got 1"),
+        (["--scanner-resolution", "400"], "--scanner-resolution: must be at most field_of_view, 270"),
+        (["--background", "60"], "--background: must be below the duration, 60, got 60"),
+        (["--root", "camera"], "--root: must be one of scanner_1 to scanner_6, got 'camera'"),
+        (["--scanner-position-jitter", "1e5"], "scanner.position_jitter: 100000 m puts the scanner"),
+    ],
+)
+def test_a_wrong_value_is_named_by_its_option(run: Run, tmp_path: Path, options: list[str], message: str) -> None:
+    result = run("simulate", "network", "-o", tmp_path / "out", *options)
+    assert (result.exit_code, (tmp_path / "out").exists()) == (2, False)
+    assert f"calgraph: {message}" in result.stderr

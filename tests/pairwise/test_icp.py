@@ -1,0 +1,120 @@
+"""Walls seen by two scanners: what they fix is exact, what they leave open stays open."""
+
+import numpy as np
+import pytest
+
+from calgraph.detection import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.pairwise.icp import Alignment, align
+
+SIGMA = 0.01
+Wall = tuple[tuple[float, float], tuple[float, float]]
+ROOM: list[Wall] = [
+    ((-4, -3), (4, -3)), ((4, -3), (4, 3)), ((4, 3), (-4, 3)), ((-4, 3), (-4, -3)), ((1, 3), (1, 1.5)),
+]  # fmt: skip
+CORRIDOR: list[Wall] = [((-50, -1), (50, -1)), ((-50, 1), (50, 1))]
+A = se2.pose(0.2, np.array([-2.0, -0.6]))
+B = se2.pose(2.9, np.array([2.5, 0.4]))
+T_A_B = se2.inverse(A) @ B
+LOOSE = np.diag([0.1, 0.1, 0.05]) ** 2
+
+
+def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8.0) -> Array:
+    """Points (N, 2) in the sensor's frame on the nearest wall of each beam; NaN where there is none."""
+    bearing = np.radians(np.arange(-135, 135, 0.5))
+    heading = bearing + se2.angle(T)
+    d = np.column_stack([np.cos(heading), np.sin(heading)])
+    nearest = np.full(len(d), np.inf)
+    for p, q in walls:
+        along, offset = np.subtract(q, p), np.subtract(p, T[:2, 2])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            denominator = d[:, 0] * along[1] - d[:, 1] * along[0]
+            r = (offset[0] * along[1] - offset[1] * along[0]) / denominator
+            u = (offset[0] * d[:, 1] - offset[1] * d[:, 0]) / denominator
+        nearest = np.where((r > 0) & (u >= 0) & (u <= 1) & (r < nearest), r, nearest)
+    r = np.where(nearest < reach, nearest + rng.normal(size=len(d)) * SIGMA, np.nan)
+    return np.column_stack([np.cos(bearing), np.sin(bearing)]) * r[:, None]
+
+
+def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Generator) -> Alignment:
+    found = align(se2.retract(T_A_B, off), covariance, scan(walls, A, rng), scan(walls, B, rng), SIGMA)
+    assert isinstance(found, Alignment), found
+    return found
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_room_fixes_the_pose(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = aligned(ROOM, rng.normal(size=3) * [0.1, 0.1, 0.05], LOOSE, rng)
+    d = se2.difference(found.T_a_b, T_A_B)
+    assert np.hypot(d[0], d[1]) < 0.006
+    assert np.degrees(abs(d[2])) < 0.1
+
+
+def test_errors_in_a_room_are_as_large_as_the_information_says() -> None:
+    squared = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        found = aligned(ROOM, rng.normal(size=3) * [0.05, 0.05, 0.02], LOOSE, rng)
+        d = se2.difference(found.T_a_b, T_A_B)
+        squared.append(float(d @ found.information @ d))
+    # Walls are not as flat, nor scanners as level, as simulated ones: the information allows for that.
+    assert np.mean(squared) < 4
+
+
+def test_a_corridor_leaves_its_direction_open(rng: np.random.Generator) -> None:
+    found = aligned(CORRIDOR, np.array([0.0, 0.1, 0.03]), LOOSE, rng)
+    along = A[:2, :2].T @ np.array([1.0, 0.0])
+    assert along @ found.information[:2, :2] @ along < 1.0  # 1 m or worse
+
+
+def test_a_corridor_fixes_across_and_the_angle(rng: np.random.Generator) -> None:
+    found = aligned(CORRIDOR, np.array([0.0, 0.1, 0.03]), LOOSE, rng)
+    d = se2.difference(found.T_a_b, T_A_B)
+    across = A[:2, :2].T @ np.array([0.0, 1.0])
+    assert abs(across @ d[:2]) < 0.01
+    assert abs(d[2]) < 0.003
+
+
+def test_a_corridor_does_not_move_the_guess_along_it(rng: np.random.Generator) -> None:
+    off = A[:2, :2].T @ np.array([0.2, 0.0])
+    found = aligned(CORRIDOR, np.append(off, 0.0), LOOSE, rng)
+    d = se2.difference(found.T_a_b, T_A_B)
+    assert A[0, :2] @ d[:2] == pytest.approx(0.2, abs=0.01)
+
+
+def test_fusion_takes_from_walls_what_tracks_leave_open(rng: np.random.Generator) -> None:
+    R = np.eye(3)
+    R[:2, :2] = A[:2, :2].T
+    loose_across = R @ np.diag([1e-2, 0.3, 0.05]) ** 2 @ R.T
+    off = R @ np.array([0.01, 0.2, 0.03])
+    guess = se2.retract(T_A_B, off)
+    T, _ = aligned(CORRIDOR, off, loose_across, rng).fused(guess, np.linalg.inv(loose_across))
+    d = se2.difference(T, T_A_B)
+    assert np.hypot(d[0], d[1]) < 0.015
+
+
+def test_walls_that_contradict_the_tracks_are_rejected(rng: np.random.Generator) -> None:
+    moved = [((x + 0.4, y), (u + 0.4, v)) for (x, y), (u, v) in ROOM]
+    beside = se2.pose(-0.3, np.array([-1.0, 1.0]))
+    certain = np.diag([0.05, 0.05, 0.02]) ** 2
+    found = align(se2.inverse(A) @ beside, certain, scan(ROOM, A, rng), scan(moved, beside, rng), SIGMA)
+    assert isinstance(found, Rejected)
+
+
+def test_a_room_that_the_other_scanner_looks_through_is_rejected(rng: np.random.Generator) -> None:
+    small: list[Wall] = [((-1, -3), (-1, 3)), ((4, -3), (4, 3)), ((4, 3), (-1, 3)), ((-1, -3), (4, -3))]
+    wide: list[Wall] = [((-4, -3), (5, -3)), ((-4, -3), (-4, 5)), ((5, -3), (5, 5)), ((-4, 5), (5, 5))]
+    found = align(T_A_B, LOOSE, scan(wide, A, rng), scan(small, B, rng), SIGMA)
+    assert isinstance(found, Rejected)
+
+
+def test_the_two_sides_of_a_thin_wall_are_not_matched(rng: np.random.Generator) -> None:
+    wall: list[Wall] = [((0, -6), (0, 6)), ((-5, -6), (-5, 6)), ((5, -6), (5, 6))]
+    found = align(T_A_B, LOOSE, scan(wall, A, rng), scan(wall, B, rng), SIGMA)
+    assert found == Rejected("only 0 points of the static background overlap")
+
+
+def test_hardly_any_background_is_rejected() -> None:
+    few = np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]])
+    assert align(np.eye(3), LOOSE, few, few, SIGMA) == Rejected("too little static background")

@@ -1,0 +1,207 @@
+"""Two stationary scanners and people whose walks are known: do they find each other, and do they know how well?"""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from calgraph.detection import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.pairwise import TrackPair, estimate_network_pair, estimate_network_pairs
+from calgraph.tracking import Track, Tracked
+
+STEP = 0.04  # s, of the simulated truth
+SIGMA = 0.04  # m, of a smoothed position
+MEMORY = 0.4  # s over which a smoother's errors stay alike
+NO_BACKGROUND = np.zeros((0, 2))
+Walk = tuple[Array, Array]
+"""Positions and velocities (N, 2) in the world at multiples of STEP."""
+
+
+def wander(rng: np.random.Generator, seconds: float = 60.0, size: float = 8.0, speed: float = 1.2) -> Walk:
+    """A person who walks about in a room, turning at random."""
+    n = int(seconds / STEP)
+    heading, turning, x = rng.uniform(-np.pi, np.pi), 0.0, rng.uniform(-size / 2, size / 2, 2)
+    positions, velocities = np.empty((n, 2)), np.empty((n, 2))
+    for i, push in enumerate(rng.normal(size=n)):
+        turning += 0.8 * np.sqrt(STEP) * push - STEP * turning
+        if max(abs(x)) > size / 2:
+            inward = np.arctan2(-x[1], -x[0]) - heading
+            heading += 2 * STEP * ((inward + np.pi) % (2 * np.pi) - np.pi)
+        heading += STEP * turning
+        velocities[i] = speed * np.array([np.cos(heading), np.sin(heading)])
+        x = x + STEP * velocities[i]
+        positions[i] = x
+    return positions, velocities
+
+
+def straight(start: tuple[float, float], end: tuple[float, float], seconds: float) -> Walk:
+    """There and back on one straight line, once."""
+    n = int(seconds / STEP)
+    v = (np.array(end) - np.array(start)) / (seconds / 2)
+    t = np.arange(n)[:, None] * STEP
+    back = t > seconds / 2
+    return np.where(back, np.array(end) - v * (t - seconds / 2), np.array(start) + v * t), np.where(back, -v, v)
+
+
+def observe(
+    walks: list[Walk],
+    T_world_sensor: Array,
+    rng: np.random.Generator,
+    *,
+    rate: float = 12.5,
+    reach: float = 8.0,
+    cut: float = 2.0,
+    late: float = 0.0,
+    background: Array = NO_BACKGROUND,
+) -> Tracked:
+    """What a scanner with a view of 270° makes of people: errors that last, dropouts, tracks cut in pieces."""
+    tracks = []
+    T = se2.inverse(T_world_sensor)
+    for x, v in walks:
+        truth = np.arange(len(x)) * STEP
+        t = np.arange(rng.uniform(0, 1 / rate), truth[-1], 1 / rate)
+        p = se2.apply(T, np.column_stack([np.interp(t, truth, x[:, k]) for k in (0, 1)]))
+        u = np.column_stack([np.interp(t, truth, v[:, k]) for k in (0, 1)]) @ T[:2, :2].T
+        keep = np.exp(-1 / rate / MEMORY)
+        noise = rng.normal(size=p.shape) * SIGMA
+        noise[1:] *= np.sqrt(1 - keep**2)
+        p = p + lfilter([1], [1, -keep], noise, axis=0)
+        visible = (np.hypot(*p.T) < reach) & (np.abs(np.arctan2(p[:, 1], p[:, 0])) < np.radians(135))
+        seen = np.flatnonzero(visible & (rng.random(len(t)) > 0.02))
+        piece = np.cumsum(rng.random(len(t)) < 1 / (rate * cut))
+        breaks = (np.diff(seen) > 5) | (np.diff(piece[seen]) > 0)
+        for k in np.split(seen, np.flatnonzero(breaks) + 1):
+            if len(k) >= 4:
+                S = np.broadcast_to(SIGMA**2 * np.eye(2), (len(k), 2, 2))
+                tracks.append(Track(t[k] + late, p[k], u[k], S, period=int(piece[k[0]])))
+    return Tracked(tuple(tracks), background, 0.01)
+
+
+def somewhere(rng: np.random.Generator, size: float = 10.0) -> Array:
+    """A pose in the room that looks at its middle."""
+    x = rng.uniform(-size / 2, size / 2, 2)
+    return se2.pose(np.arctan2(-x[1], -x[0]) + rng.normal() * 0.3, x)
+
+
+def estimate(
+    rng: np.random.Generator, walks: list[Walk], A: Array, B: Array, *, late: float = 0.0
+) -> TrackPair | Rejected:
+    return estimate_network_pair("a", "b", observe(walks, A, rng), observe(walks, B, rng, late=late), rng)
+
+
+def error(pair: TrackPair | Rejected, T: Array) -> tuple[float, float]:
+    """Metres and degrees of the best hypothesis."""
+    assert isinstance(pair, TrackPair), pair
+    d = se2.difference(pair.T_a_b, T)
+    return float(np.hypot(d[0], d[1])), float(np.degrees(abs(d[2])))
+
+
+@pytest.mark.parametrize("people", [1, 2, 4])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_right_hypothesis_comes_first(people: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    walks = [wander(rng) for _ in range(people)]
+    A, B = somewhere(rng), somewhere(rng)
+    assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.1, 1.0)
+
+
+def test_a_crowd_of_twelve_is_sorted_out() -> None:
+    rng = np.random.default_rng(3)
+    walks = [wander(rng) for _ in range(12)]
+    A, B = somewhere(rng), somewhere(rng)
+    assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.05, 0.5)
+
+
+def test_two_people_who_cross_again_and_again(rng: np.random.Generator) -> None:
+    walks = [straight((-3, 0.1), (3, 0.3), 12), straight((0.2, -3), (0.1, 3), 12)]
+    A, B = se2.pose(0.7, np.array([-3.0, -3.0])), se2.pose(2.4, np.array([4.0, -3.0]))
+    assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.1, 1.0)
+
+
+def test_a_pair_with_little_overlap_is_found(rng: np.random.Generator) -> None:
+    walks = [wander(rng, size=12.0) for _ in range(3)]
+    A, B = se2.pose(np.pi, np.array([-1.0, 0.0])), se2.pose(0.0, np.array([0.0, 1.0]))
+    assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.15, 2.0)
+
+
+def test_clocks_may_differ_by_thirty_milliseconds(
+    rng: np.random.Generator,
+) -> None:
+    walks = [wander(rng) for _ in range(2)]
+    A, B = somewhere(rng), somewhere(rng)
+    assert error(estimate(rng, walks, A, B, late=0.03), se2.inverse(A) @ B)[0] < 0.03
+
+
+def test_errors_are_as_large_as_the_information_says() -> None:
+    squared = []
+    for seed in range(40):
+        rng = np.random.default_rng(100 + seed)
+        walks = [wander(rng, seconds=40)]
+        A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
+        pair = estimate(rng, walks, A, B)
+        assert isinstance(pair, TrackPair), pair
+        d = se2.difference(pair.T_a_b, se2.inverse(A) @ B)
+        squared.append(float(d @ pair.information @ d))
+    assert 1.2 < np.median(squared) < 4.7  # 2.4 if it were exact, half or double the variance otherwise
+
+
+def test_a_short_straight_walk_leaves_the_angle_less_certain_than_a_wide_one() -> None:
+    def stddev_of_angle(length: float) -> float:
+        rng = np.random.default_rng(5)
+        walks = [straight((-length / 2, 0), (length / 2, 0), 20)]
+        pair = estimate(rng, walks, se2.pose(np.pi / 2, np.array([0.0, -3])), se2.pose(0, np.array([-4.0, 0])))
+        assert isinstance(pair, TrackPair), pair
+        return float(np.sqrt(np.linalg.inv(pair.information)[2, 2]))
+
+    assert stddev_of_angle(1.5) > 2 * stddev_of_angle(6.0)
+
+
+def test_people_seen_at_different_times_tell_nothing(rng: np.random.Generator) -> None:
+    walks = [wander(rng, seconds=20)]
+    a, b = observe(walks, np.eye(3), rng), observe(walks, np.eye(3), rng, late=100.0)
+    assert estimate_network_pair("a", "b", a, b, rng) == Rejected(
+        "only 0.0 s in which both saw somebody, 2.0 s are needed"
+    )
+
+
+def test_people_who_stand_still_tell_no_direction(rng: np.random.Generator) -> None:
+    still = (np.ones((500, 2)), np.zeros((500, 2)))
+    a, b = observe([still], np.eye(3), rng), observe([still], np.eye(3), rng)
+    found = estimate_network_pair("a", "b", a, b, rng)
+    assert isinstance(found, Rejected)
+    assert "moved" in found.reason
+
+
+def test_a_scanner_without_tracks_is_no_error(rng: np.random.Generator) -> None:
+    nobody = Tracked((), NO_BACKGROUND, 0.01)
+    assert isinstance(estimate_network_pair("a", "b", nobody, nobody, rng), Rejected)
+
+
+def test_walls_improve_what_tracks_found(rng: np.random.Generator) -> None:
+    walks = [wander(rng, seconds=15, size=3.0)]
+    A, B = se2.pose(0.3, np.array([-2.0, -1.0])), se2.pose(2.5, np.array([2.0, -1.5]))
+    a, b = (observe(walks, T, rng, background=room(T, rng)) for T in (A, B))
+    with_walls = estimate_network_pair("a", "b", a, b, np.random.default_rng(1))
+    assert error(with_walls, se2.inverse(A) @ B) < (0.01, 0.2)
+
+
+def room(T_world_sensor: Array, rng: np.random.Generator) -> Array:
+    """A room of 9 by 7 m, at every half degree."""
+    bearing = np.radians(np.arange(-135, 135, 0.5))
+    heading = bearing + se2.angle(T_world_sensor)
+    d = np.column_stack([np.cos(heading), np.sin(heading)])
+    half = np.where(d > 0, 1, -1) * np.array([4.5, 3.5])
+    r = np.min((half - T_world_sensor[:2, 2]) / d, axis=1) + rng.normal(size=len(d)) * 0.01
+    return np.asarray(np.column_stack([np.cos(bearing), np.sin(bearing)]) * r[:, None])
+
+
+def test_six_scanners_of_a_minute_take_two_seconds() -> None:
+    rng = np.random.default_rng(8)
+    walks = [wander(rng) for _ in range(3)]
+    scanners = {f"s{i}": observe(walks, somewhere(rng), rng) for i in range(6)}
+    begin = time.process_time()
+    pairs = estimate_network_pairs(scanners, rng)
+    assert len(pairs) == 15
+    assert time.process_time() - begin < 4  # twice the aim, for busy machines

@@ -1,0 +1,74 @@
+"""What is new in a scan against the background of its scanner."""
+
+import numpy as np
+import pytest
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+from calgraph.sensors import LaserScan, ScanBackground
+
+ANGLES = np.linspace(-1, 1, 201)
+
+
+def scan(ranges: Array | float, rng: np.random.Generator, noise: float = 0.02) -> LaserScan:
+    return LaserScan(
+        0.0, "laser", ANGLES, np.broadcast_to(ranges, ANGLES.shape) + rng.normal(0, noise, len(ANGLES))
+    )
+
+
+def test_a_nearer_beam_is_new(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([scan(4.0, rng) for _ in range(40)])
+    ranges = np.where(np.abs(ANGLES) < 0.2, 2.0, 4.0)
+    assert np.array_equal(background.foreground(scan(ranges, rng)), np.abs(ANGLES) < 0.2)
+
+
+def test_noise_is_not_new(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([scan(4.0, rng) for _ in range(40)])
+    new = np.mean([background.foreground(scan(4.0, rng)).mean() for _ in range(50)])
+    assert new < 0.002
+
+
+def test_the_margin_follows_a_noisier_scanner(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([scan(4.0, rng, 0.05) for _ in range(40)])
+    new = np.mean([background.foreground(scan(4.0, rng, 0.05)).mean() for _ in range(50)])
+    assert new < 0.005
+
+
+def test_a_beam_that_flickers_between_two_depths_is_not_new_at_either_nor_between(
+    rng: np.random.Generator,
+) -> None:
+    def flicker() -> LaserScan:
+        edge = np.abs(ANGLES - 0.3) < 0.002
+        return scan(np.where(edge, rng.choice([2.0, 5.0, rng.uniform(2, 5)]), 5.0), rng)
+
+    background = ScanBackground.build([flicker() for _ in range(60)])
+    assert not any(background.foreground(flicker())[130] for _ in range(60))
+    assert background.foreground(scan(1.5, rng)).all()
+
+
+def test_returns_where_nothing_ever_answered_are_new(rng: np.random.Generator) -> None:
+    open_sky = np.where(ANGLES > 0, np.inf, 4.0)
+    background = ScanBackground.build([scan(open_sky, rng) for _ in range(20)])
+    assert background.foreground(scan(3.0, rng)).all()
+
+
+def test_missing_returns_are_not_new(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([scan(4.0, rng) for _ in range(20)])
+    nothing = LaserScan(0.0, "laser", ANGLES, np.where(ANGLES > 0, np.nan, np.inf))
+    assert not background.foreground(nothing).any()
+
+
+def test_a_single_stray_return_does_not_become_background(rng: np.random.Generator) -> None:
+    dusty = [scan(4.0, rng) for _ in range(39)] + [scan(1.0, rng)]
+    assert ScanBackground.build(dusty).foreground(scan(2.0, rng)).all()
+
+
+def test_scans_with_other_beams_are_matched_by_angle(rng: np.random.Generator) -> None:
+    background = ScanBackground.build([scan(4.0, rng) for _ in range(20)])
+    half = LaserScan(0.0, "laser", ANGLES[::-2], np.where(ANGLES[::-2] > 0.5, 2.0, 4.0))
+    assert np.array_equal(background.foreground(half), ANGLES[::-2] > 0.5)
+
+
+def test_an_empty_scan_window_is_named() -> None:
+    with pytest.raises(InputError, match=r"capture\.background"):
+        ScanBackground.build([LaserScan(0.0, "laser", ANGLES, np.full(len(ANGLES), np.inf))])

@@ -1,0 +1,111 @@
+"""People on their walks: never in walls or in each other, at the speed asked for, facing where they go."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array
+from calgraph.simulation import LayoutName, Network, NetworkScenario, PeopleKnobs, build_network
+from calgraph.simulation.network_walks import Walk
+
+CROWD = PeopleKnobs(count=4)
+
+
+def outline(walk: Walk, every: int = 10) -> Array:
+    """(N, 2) points around a body at some of its samples."""
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    h, places = walk.headings[::every, None], walk.places[::every, None]
+    across, along = walk.axes[0] * np.cos(angle), walk.axes[1] * np.sin(angle)
+    x, y = along * np.cos(h) - across * np.sin(h), along * np.sin(h) + across * np.cos(h)
+    return np.asarray((places + np.stack([x, y], axis=-1)).reshape(-1, 2))
+
+
+def speeds(walk: Walk) -> Array:
+    return np.asarray(np.linalg.norm(np.gradient(walk.places, 0.01, axis=0), axis=1))
+
+
+@pytest.fixture(scope="module")
+def office() -> Network:
+    return build_network(NetworkScenario(people=CROWD), 1)
+
+
+@pytest.mark.parametrize("layout", ["ring", "office", "semicircle", "lab", "halls"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_no_body_ever_touches_a_wall(layout: LayoutName, seed: int) -> None:
+    network = build_network(NetworkScenario(layout=layout, people=CROWD, duration=20.0), seed)
+    assert min(network.floor.clearance(outline(walk)).min() for walk in network.walks) > 0.02
+
+
+@pytest.mark.parametrize("layout", ["office", "lab", "halls"])
+def test_no_two_bodies_ever_touch(layout: LayoutName) -> None:
+    network = build_network(NetworkScenario(layout=layout, people=CROWD, duration=40.0), 2)
+    apart = [np.linalg.norm(a.places - b.places, axis=1).min() for a, b in combinations(network.walks, 2)]
+    assert min(apart) > 2 * CROWD.reach
+
+
+def test_nobody_walks_over_a_scanner(office: Network) -> None:
+    places = np.concatenate([walk.places for walk in office.walks])
+    near = [np.linalg.norm(places - s.T_world_scanner[:2, 2], axis=1).min() for s in office.scanners]
+    assert min(near) > CROWD.reach
+
+
+def test_people_walk_at_their_speed_most_of_the_time(office: Network) -> None:
+    usual = np.median(np.concatenate([speeds(walk) for walk in office.walks]))
+    assert usual == pytest.approx(1.2, abs=0.2)
+
+
+def test_nobody_runs(office: Network) -> None:
+    assert max(speeds(walk).max() for walk in office.walks) < 1.2 * 1.15 + 0.01
+
+
+def test_people_stop_now_and_then(office: Network) -> None:
+    assert 0.02 < np.mean([speeds(walk) < 0.02 for walk in office.walks]) < 0.4
+
+
+def test_without_stops_a_lonely_person_never_stands() -> None:
+    people = PeopleKnobs(count=1, stop_every=0.0)
+    [walk] = build_network(NetworkScenario(people=people, duration=20.0, clutter=0), 0).walks
+    assert np.mean(speeds(walk) < 0.02) < 0.02
+
+
+def test_people_face_where_they_go(office: Network) -> None:
+    for walk in office.walks:
+        velocity = np.gradient(walk.places, 0.01, axis=0)
+        moving = np.linalg.norm(velocity, axis=1) > 0.8
+        facing = np.column_stack([np.cos(walk.headings), np.sin(walk.headings)])
+        along = (velocity * facing).sum(axis=1) / np.maximum(np.linalg.norm(velocity, axis=1), 1e-9)
+        assert np.median(along[moving]) > 0.99
+
+
+def test_people_differ_in_size_as_asked_for() -> None:
+    people = PeopleKnobs(count=8, axes_spread=0.2)
+    ratios = np.array(
+        [w.axes / people.axes for w in build_network(NetworkScenario(people=people, duration=1.0), 0).walks]
+    )
+    assert (bool(np.ptp(ratios) > 0.1), bool(np.abs(ratios - 1).max() <= 0.2)) == (True, True)
+
+
+def test_a_cylinder_is_round() -> None:
+    people = PeopleKnobs(kind="cylinder", count=1, diameter=0.6)
+    [walk] = build_network(NetworkScenario(people=people, duration=1.0), 0).walks
+    assert walk.axes.tolist() == [0.3, 0.3]
+
+
+def test_between_its_samples_a_walk_is_straight() -> None:
+    walk = Walk(
+        np.array([0.25, 0.15]), 2.0, np.array([[0.0, 0.0], [0.01, 0.0], [0.02, 0.0]]), np.array([0, 0.1, 0.2])
+    )
+    places, headings = walk.at(np.array([2.015]))
+    assert [*places[0], headings[0]] == pytest.approx([0.015, 0.0, 0.15])
+
+
+def test_nobody_is_anywhere_before_coming() -> None:
+    walk = Walk(np.array([0.25, 0.15]), 2.0, np.zeros((3, 2)), np.zeros(3))
+    assert np.isnan(walk.at(np.array([1.99]))[0]).all()
+
+
+def test_twelve_people_on_a_grid_get_around() -> None:
+    network = build_network(NetworkScenario(layout="grid", duration=10.0), 0)
+    lengths = [speeds(walk).sum() * 0.01 for walk in network.walks]
+    assert np.median(lengths) > 8
