@@ -1,7 +1,8 @@
 """The two stories, one screen each: from a recording to a calibrated tree of transforms."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from calgraph.captures import (
     ActivityMeter,
     Captured,
     Timeline,
+    as_scans,
     check_timeline,
     detectors,
     find_holds,
@@ -21,13 +23,14 @@ from calgraph.captures import (
 )
 from calgraph.detection import Averaging
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import spanning_tree
-from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
+from calgraph.graph import Method, average, network_graph, spanning_tree
+from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
-from calgraph.refinement import Filter, Start, assemble, solve_hypergraph
+from calgraph.refinement import Filter, Start, assemble, assemble_network, solve_hypergraph
 from calgraph.result import Calibration
-from calgraph.rig import CameraSpec, Rig
-from calgraph.sensors import Record
+from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
+from calgraph.sensors import LaserScan, Record
+from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
 
 Progress = Callable[[str, float], None]
 """Called with the name of the step under way and how much of it is done, 0..1."""
@@ -47,8 +50,23 @@ class Options:
     """Where the joint solution starts: the spanning tree of pairwise estimates, or the identity."""
     tags: Averaging = "pnp"
     """A camera's plane: one PnP over all tags' corners, or the paper's average over tags (mean_plane)."""
+    feature: Feature = "nls"
+    """What of a person is followed: centre of mass, direct ellipse, or ellipse of fixed radii (nls)."""
+    average: Method = "consensus"
+    """How a network's pairs become poses: consensus over trees, or one of the published rotation averagings."""
+    icp: bool = True
+    """Whether a network's walls are matched, too."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
+
+
+def calibrate(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
+    """Calibrates a robot with a board, or a network with people, whichever the rig's target is.
+
+    Args, Returns and Raises as for :func:`calibrate_rig`.
+    """
+    story = calibrate_network if isinstance(rig.target, People | Cylinder) else calibrate_rig
+    return story(rig, recording, options, progress)
 
 
 def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
@@ -80,8 +98,6 @@ def capture_board(
         raise CalibrationError(
             f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
         )
-    if not rig.boards:
-        raise InputError("target.kind: only boards can be used so far; people and cylinders are to come")
     cameras = read_cameras(rig, recording)
     timeline = _survey(rig, recording, progress)
     check_timeline(rig, timeline, recording.end)
@@ -110,6 +126,45 @@ def solve_rig(
         tree = spanning_tree(rig.root, estimated(pairs))
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep, start=options.start)
     return assemble(rig, captured, pairs, tree, joint)
+
+
+def calibrate_network(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+) -> Calibration:
+    """Calibrates stationary 2-D scanners from people who walk through their views (lrf-network).
+
+    Args, Returns and Raises as for :func:`calibrate_rig`.
+    """
+    rng = np.random.default_rng(options.seed)
+    followed, frames = follow_people(rig, recording, options, progress)
+    tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
+    pairs = estimate_network_pairs(tracked, rng, icp=options.icp, progress=lambda done: progress("pairing", done))
+    graph, names = network_graph(rig.root, [pair for pair in pairs.values() if isinstance(pair, TrackPair)])
+    averaged = average(graph, rng, options.average)
+    return assemble_network(rig, frames, followed, pairs, graph, names, averaged)
+
+
+def follow_people(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+) -> tuple[dict[str, Tracked | Untracked], dict[str, str]]:
+    """What moved through each scanner's view, and the frames that their messages state."""
+    if not isinstance(rig.target, People | Cylinder):
+        raise InputError("target.kind: a network needs people or cylinder")
+    followed: dict[str, Tracked | Untracked] = {}
+    frames: dict[str, str] = {}
+    for done, (name, spec) in enumerate(rig.sensors.items()):
+        progress("following", done / len(rig.sensors))
+        if not isinstance(spec, Lidar2dSpec):
+            raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
+        scans = partial(_scans, recording, spec.topic)
+        frames[name] = next((scan.frame_id for scan in scans()), "")
+        followed[name] = track_scanner(scans, rig.target, spec.noise, feature=options.feature)
+    progress("following", 1.0)
+    return followed, frames
+
+
+def _scans(recording: Recording, topic: str) -> Iterator[LaserScan]:
+    return (scan for record in recording.records([topic]) for scan in as_scans([record.decode()]))
 
 
 def _survey(rig: Rig, recording: Recording, progress: Progress) -> Timeline:

@@ -61,14 +61,14 @@ def calibrate(
 
     Exit code 0: calibrated; 1: a sensor could not be (the others are written all the same); 2: bad input.
     """
-    from calgraph.calibrate import Options, calibrate_rig  # takes seconds, which --help should not
+    from calgraph import calibrate as story  # takes seconds, which --help should not
 
     rig = load_rig(rig_file)
-    options = Options(keep=keep.value, start=start.value, tags=tags.value, seed=seed)
+    options = story.Options(keep=keep.value, start=start.value, tags=tags.value, seed=seed)
     with replacing_folder(out) as folder:
         with open_recordings(recordings) as recording, progress_bars() as progress:
             rig = with_intrinsics(rig, recording)
-            calibration = calibrate_rig(rig, recording, options, progress)
+            calibration = story.calibrate(rig, recording, options, progress)
         write_results(calibration, rig, folder)
     if json:
         typer.echo(to_json(calibration))

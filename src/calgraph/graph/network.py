@@ -1,0 +1,64 @@
+"""A network's pairs, with all their alternatives, as a graph in the plane."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.pairwise import TrackPair
+
+# What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
+_FLOOR = np.diag([0.02**2, 0.02**2, 0.004**2])
+
+
+def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tuple[str, ...]]:
+    """The graph of what is connected to the root, which is node 0; and the scanners' names in the order of nodes.
+
+    Every hypothesis of a pair is an edge: the graph as a whole decides which of them is right.
+    """
+    names = _connected(root, pairs)
+    node = {name: k for k, name in enumerate(names)}
+    kept = [(pair, h) for pair in pairs if pair.sensor_a in node for h in pair.hypotheses]
+    edges = np.array([(node[p.sensor_a], node[p.sensor_b]) for p, _ in kept], dtype=np.intp).reshape(-1, 2)
+    T = np.array([h.T_a_b for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
+    open_ = np.eye(3) * 1e-6
+    covariance = [np.linalg.inv(h.information + open_) + _FLOOR for _, h in kept]
+    information = np.linalg.inv(np.array(covariance, dtype=np.float64).reshape(-1, 3, 3))
+    return PoseGraph(len(names), edges, T, np.asarray(information, dtype=np.float64)), names
+
+
+def _connected(root: str, pairs: Sequence[TrackPair]) -> tuple[str, ...]:
+    reached = [root]
+    for name in reached:
+        for pair in pairs:
+            for here, there in ((pair.sensor_a, pair.sensor_b), (pair.sensor_b, pair.sensor_a)):
+                if here == name and there not in reached:
+                    reached.append(there)
+    return tuple(reached)
+
+
+def covariances(graph: PoseGraph, T_root_node: Array) -> Array:
+    """Covariances (N, 3, 3) of node poses in the root's fixed axes, from edges in the plane that are all right.
+
+    Zero for the root. Directions that no edge fixes get a standard deviation of a kilometre or a thousand radians.
+    """
+    i, j = graph.edges.T
+    R = T_root_node[i, :2, :2]
+    B = np.zeros((len(i), 3, 3))
+    B[:, :2, :2], B[:, 2, 2] = R, 1
+    W = B @ graph.information @ np.swapaxes(B, -1, -2)
+    arm = T_root_node[j, :2, 2] - T_root_node[i, :2, 2]
+    J_i = np.tile(-np.eye(3), (len(i), 1, 1))
+    J_i[:, :2, 2] -= np.stack([-arm[:, 1], arm[:, 0]], axis=-1)
+    H = np.eye(3 * graph.count) * 1e-6
+    H = H.reshape(graph.count, 3, graph.count, 3)
+    for a, b, J_a, J_b in ((i, i, J_i, J_i), (i, j, J_i, None), (j, i, None, J_i), (j, j, None, None)):
+        left = np.swapaxes(J_a, -1, -2) @ W if J_a is not None else W
+        np.add.at(H, (a, slice(None), b), left @ J_b if J_b is not None else left)
+    flat = H.reshape(3 * graph.count, -1)
+    free = np.repeat(np.arange(graph.count) != graph.root, 3)
+    covariance = np.zeros_like(flat)
+    covariance[np.ix_(free, free)] = np.linalg.inv(flat[np.ix_(free, free)])
+    blocks = covariance.reshape(graph.count, 3, graph.count, 3)
+    return np.asarray(blocks[np.arange(graph.count), :, np.arange(graph.count)])

@@ -1,0 +1,123 @@
+"""From averaged poses of a network to a Calibration: lifted to space, with the evidence of every pair."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from calgraph.detection import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.graph import Averaged, PoseGraph, covariances
+from calgraph.pairwise import TrackPair
+from calgraph.refinement.observability import verdict
+from calgraph.result import Calibration, Edge, SensorPose
+from calgraph.rig import Rig
+from calgraph.tracking import Tracked, Untracked
+
+NetworkPairs = Mapping[tuple[str, str], TrackPair | Rejected]
+
+
+def assemble_network(
+    rig: Rig,
+    frames: Mapping[str, str],
+    followed: Mapping[str, Tracked | Untracked],
+    pairs: NetworkPairs,
+    graph: PoseGraph,
+    names: tuple[str, ...],
+    averaged: Averaged,
+) -> Calibration:
+    """Collects everything a network's calibration tells its user.
+
+    Args:
+        rig: the network.
+        frames: frame_id by scanner, as its messages state it.
+        followed: what each scanner followed, or why nothing.
+        pairs: hypotheses, or the reason why there are none, by pair of scanners.
+        graph: of all hypotheses of the connected scanners.
+        names: the connected scanners in the order of the graph's nodes, the root first.
+        averaged: their poses, and the hypotheses that agree.
+    """
+    right = graph.where(averaged.inliers)
+    spread = _in_space(covariances(right, averaged.T_root_node))
+    parents = _parents(right, names)
+    T_root_sensor = se2.to_se3(averaged.T_root_node)
+    agreeing = {
+        frozenset((names[i], names[j])): (averaged.T_root_node[i], averaged.T_root_node[j]) for i, j in right.edges
+    }
+    return Calibration(
+        root=rig.root,
+        sensors=tuple(
+            SensorPose(
+                name=name,
+                parent=parents.get(name),
+                frame_id=rig.sensors[name].frame_id or frames[name] or name,
+                kind="lidar2d",
+                T_root_sensor=T_root_sensor[k],
+                covariance=spread[k],
+                verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k]),
+            )
+            for k, name in enumerate(names)
+        ),
+        edges=tuple(_edge(pair, found, agreeing, parents) for pair, found in pairs.items()),
+        unconnected={name: _why_alone(name, followed, pairs) for name in rig.sensors if name not in names},
+        estimator="averaging",
+    )
+
+
+def _in_space(planar: Array) -> Array:
+    """Covariances (N, 6, 6) of poses in a common plane, which is taken as exact, from those in it (N, 3, 3)."""
+    spread = np.zeros((len(planar), 6, 6))
+    spread[np.ix_(np.arange(len(planar)), [0, 1, 5], [0, 1, 5])] = planar
+    return spread
+
+
+def _parents(right: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
+    """Each scanner's neighbour on the way to the root, over the surest of the edges that agree."""
+    sure = np.argsort(-np.linalg.eigvalsh(right.information)[:, 0], kind="stable")
+    parents: dict[str, str] = {}
+    reached = {0}
+    while True:
+        step = next((e for e in sure if (right.edges[e, 0] in reached) != (right.edges[e, 1] in reached)), None)
+        if step is None:
+            return parents
+        i, j = (int(node) for node in right.edges[step])
+        here, there = (i, j) if i in reached else (j, i)
+        parents[names[there]] = names[here]
+        reached.add(there)
+
+
+def _edge(
+    pair: tuple[str, str],
+    found: TrackPair | Rejected,
+    agreeing: Mapping[frozenset[str], tuple[Array, Array]],
+    parents: Mapping[str, str],
+) -> Edge:
+    a, b = pair
+    if isinstance(found, Rejected):
+        return Edge(a, b, 0, 0, in_tree=False, residuals=np.zeros(0), note=found.reason)
+    best = found.hypotheses[0]
+    poses = agreeing.get(frozenset(pair))
+    if poses is None:
+        return Edge(
+            a, b, best.observations, 0, in_tree=False, residuals=np.zeros(0), note="contradicts the other pairs"
+        )
+    T_root_a, T_root_b = poses if (a, b) == (found.sensor_a, found.sensor_b) else poses[::-1]
+    off = min(
+        float(np.linalg.norm(se2.difference(se2.inverse(T_root_a) @ T_root_b, h.T_a_b)[:2]))
+        for h in found.hypotheses
+    )
+    in_tree = parents.get(a) == b or parents.get(b) == a
+    return Edge(a, b, best.observations, best.observations, in_tree=in_tree, residuals=np.array([off]))
+
+
+def _why_alone(name: str, followed: Mapping[str, Tracked | Untracked], pairs: NetworkPairs) -> str:
+    own = followed[name]
+    if isinstance(own, Untracked):
+        return own.reason
+    reasons = {
+        b if a == name else a: found.reason
+        for (a, b), found in pairs.items()
+        if name in (a, b) and isinstance(found, Rejected)
+    }
+    return f"followed {len(own.tracks)} tracks, but " + "; ".join(
+        f"{other}: {why}" for other, why in reasons.items()
+    )
