@@ -1,6 +1,9 @@
 """Two stationary scanners and people whose walks are known: do they find each other, and do they know how well?"""
 
 import time
+from functools import partial
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,7 +12,10 @@ from scipy.signal import lfilter
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import TrackPair, estimate_network_pair, estimate_network_pairs
-from calgraph.tracking import Track, Tracked
+from calgraph.recording import open_recording
+from calgraph.rig import People, RangeNoise
+from calgraph.sensors import LaserScan
+from calgraph.tracking import Feature, Track, Tracked, track_scanner
 
 STEP = 0.04  # s, of the simulated truth
 SIGMA = 0.04  # m, of a smoothed position
@@ -205,3 +211,23 @@ def test_six_scanners_of_a_minute_take_two_seconds() -> None:
     pairs = estimate_network_pairs(scanners, rng)
     assert len(pairs) == 15
     assert time.process_time() - begin < 4  # twice the aim, for busy machines
+
+
+@pytest.mark.parametrize("feature", get_args(Feature))
+def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
+    data_dir: Path, feature: Feature, rng: np.random.Generator
+) -> None:
+    """One person walks by for six seconds; the only walls that both see are parallel to x."""
+    scans: dict[str, list[LaserScan]] = {"/front_scan": [], "/rear_scan": []}
+    with open_recording(data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag") as recording:
+        for record in recording.records(list(scans)):
+            message = record.decode()
+            assert isinstance(message, LaserScan)
+            scans[record.topic].append(message)
+    tracked = []
+    for of_one in scans.values():
+        known = track_scanner(partial(iter, of_one), People(kind="people"), RangeNoise(), feature=feature)
+        assert isinstance(known, Tracked)
+        tracked.append(known)
+    found = estimate_network_pair("front", "rear", tracked[0], tracked[1], rng)
+    assert error(found, se2.pose(np.pi, np.array([-0.474, 0.006]))) < (0.1, 1.5)

@@ -28,8 +28,10 @@ _CAUCHY = 6.0
 _FEW = 4
 # Gauss-Newton steps with associations made anew.
 _STEPS = 6
-# Residuals farther apart than so many steps are independent.
+# Residuals farther apart than so many steps are independent; nearer than so many ticks they are not, as people
+# show another side every half second. A few seconds of residuals alone would understate that.
 _LONGEST = 100
+_SHORTEST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Agreement:
     T_a_b: Array
     """(3, 3)."""
     nuisance: Array
-    """(2,) s that b's clock is ahead, and m that objects' centres lie beyond those that tracks show."""
+    """(3,) s that b's clock is ahead, and m that centres lie beyond those that a's and that b's tracks show."""
     pairs: NDArray[np.intp]
     """(P,) which of the meetings agree: each the other's nearest at its tick."""
     misfit: float
@@ -58,7 +60,7 @@ def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _
     Returns:
         The agreement, or None if fewer than four observations agree with the first guess.
     """
-    nuisance = np.zeros(2)
+    nuisance = np.zeros(3)
     for _ in range(steps):
         pairs, d2 = _associated(T_a_b, nuisance, met, misfit)
         if len(pairs) < _FEW:
@@ -106,27 +108,27 @@ def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> 
 
 
 def _linearized(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 5) by pose, clock and depth, covariances."""
+    """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 6) by pose, clock, depths, covariances."""
     a, b = met.row_a[pairs], met.row_b[pairs]
     R = T[:2, :2]
     x_a, x_b, v_b = met.a.positions[a], met.b.positions[b], met.b.velocities[b] @ R.T
     turned = x_b @ R.T
-    outward = _unit(turned) - _unit(x_a)
-    J = np.zeros((len(pairs), 2, 5))
+    out_a, out_b = _unit(x_a), _unit(turned)
+    J = np.zeros((len(pairs), 2, 6))
     J[:, 0, 0] = J[:, 1, 1] = 1
     J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
-    J[:, :, 3], J[:, :, 4] = v_b, outward
-    r = turned + T[:2, 2] - x_a + nuisance[0] * v_b + nuisance[1] * outward
+    J[:, :, 3], J[:, :, 4], J[:, :, 5] = v_b, -out_a, out_b
+    r = turned + T[:2, 2] - x_a + nuisance[0] * v_b - nuisance[1] * out_a + nuisance[2] * out_b
     return r, J, met.a.covariances[a] + R @ met.b.covariances[b] @ R.T
 
 
 def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array) -> tuple[Array, Array]:
-    prior = np.array([0, 0, 0, _CLOCK**-2, _DEPTH**-2])
-    J, WJ = J.reshape(-1, 5), (W @ J).reshape(-1, 5)
+    prior = np.array([0, 0, 0, _CLOCK**-2, _DEPTH**-2, _DEPTH**-2])
+    J, WJ = J.reshape(-1, 6), (W @ J).reshape(-1, 6)
     H = J.T @ WJ + np.diag(prior)
     g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
     # A hair of damping: observations of somebody who stands still say nothing of the angle.
-    return H + 1e-6 * np.eye(5), g
+    return H + 1e-6 * np.eye(6), g
 
 
 def _misfit(r: Array, S: Array) -> float:
@@ -137,7 +139,7 @@ def _misfit(r: Array, S: Array) -> float:
 
 
 def information(fit: Agreement, met: Meetings) -> Array:
-    """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depth unknown.
+    """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depths unknown.
 
     Smoothed positions err for seconds in the same direction: their number counts divided by the time over
     which residuals stay correlated, in ticks.
@@ -149,8 +151,8 @@ def information(fit: Agreement, met: Meetings) -> Array:
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
     walks = met.a.walk[met.row_a[pairs]] * (met.b.walk.max() + 1) + met.b.walk[met.row_b[pairs]]
     ticks = met.a.tick[met.row_a[pairs]]
-    together = correlation_time(whitened, walks, ticks)
-    independent = max(2 * len(pairs) / together - 5, 1.0)
+    together = max(correlation_time(whitened, walks, ticks), _SHORTEST)
+    independent = max(2 * len(pairs) / together - 6, 1.0)
     scatter = max(float(np.sum(d2)) / together / independent, 0.1)
     H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance)
     return np.asarray(H[:3, :3] - H[:3, 3:] @ np.linalg.solve(H[3:, 3:], H[3:, :3]))
