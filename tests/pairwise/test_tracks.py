@@ -60,9 +60,13 @@ def observe(
     reach: float = 8.0,
     cut: float = 2.0,
     late: float = 0.0,
+    near: float = 0.0,
     background: Array = NO_BACKGROUND,
 ) -> Tracked:
-    """What a scanner with a view of 270° makes of people: errors that last, dropouts, tracks cut in pieces."""
+    """What a scanner with a view of 270° makes of people: errors that last, dropouts, tracks cut in pieces.
+
+    Stamps are ``late`` by so many seconds, and people look ``near`` by so many metres.
+    """
     tracks = []
     T = se2.inverse(T_world_sensor)
     for x, v in walks:
@@ -74,6 +78,7 @@ def observe(
         noise = rng.normal(size=p.shape) * SIGMA
         noise[1:] *= np.sqrt(1 - keep**2)
         p = p + lfilter([1], [1, -keep], noise, axis=0)
+        p = p * (1 - near / np.linalg.norm(p, axis=1, keepdims=True))
         visible = (np.hypot(*p.T) < reach) & (np.abs(np.arctan2(p[:, 1], p[:, 0])) < np.radians(135))
         seen = np.flatnonzero(visible & (rng.random(len(t)) > 0.02))
         piece = np.cumsum(rng.random(len(t)) < 1 / (rate * cut))
@@ -146,11 +151,13 @@ def test_errors_are_as_large_as_the_information_says() -> None:
         rng = np.random.default_rng(100 + seed)
         walks = [wander(rng, seconds=40)]
         A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
-        pair = estimate(rng, walks, A, B)
+        a, b = (observe(walks, T, rng, near=rng.normal() * 0.03, late=rng.normal() * 0.01) for T in (A, B))
+        pair = estimate_network_pair("a", "b", a, b, rng)
         assert isinstance(pair, TrackPair), pair
         d = se2.difference(pair.T_a_b, se2.inverse(A) @ B)
         squared.append(float(d @ pair.information @ d))
-    assert 1.2 < np.median(squared) < 4.7  # 2.4 if it were exact, half or double the variance otherwise
+    # 3 if it were exact; people show more systematic errors than these, which the information allows for.
+    assert 1.0 < np.mean(squared) < 4.5
 
 
 def test_a_short_straight_walk_leaves_the_angle_less_certain_than_a_wide_one() -> None:
@@ -231,3 +238,11 @@ def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
         tracked.append(known)
     found = estimate_network_pair("front", "rear", tracked[0], tracked[1], rng)
     assert error(found, se2.pose(np.pi, np.array([-0.474, 0.006]))) < (0.1, 1.5)
+
+
+def test_centres_of_mass_lie_nearer_than_the_people(rng: np.random.Generator) -> None:
+    walks = [wander(rng) for _ in range(2)]
+    A, B = se2.pose(0.8, np.array([-3.0, -3.0])), se2.pose(2.3, np.array([3.0, -3.0]))
+    a, b = (observe(walks, T, rng, near=0.15) for T in (A, B))
+    found = estimate_network_pair("a", "b", a, b, rng, depth=0.12)
+    assert error(found, se2.inverse(A) @ B) < (0.04, 1.0)

@@ -18,10 +18,12 @@ GATE = 9.21
 # Standard deviation of what no covariance of a track knows (m), at first and at least.
 _MISFIT = 0.15
 _LEAST_MISFIT = 0.005
-# Prior standard deviations of the clocks' difference (s) and of the distance (m) from the centre that tracks show
-# to the object's true one, along the beam.
+DEPTH = 0.03
+"""Prior standard deviation of the distance from the centre that tracks show to the object's true one, m."""
+# Prior standard deviation of the clocks' difference, s.
 _CLOCK = 0.01
-_DEPTH = 0.03
+# What does not average out however long people walk: the sides and the gait that they show to either scanner, m.
+_SYSTEMATIC = 0.008
 # Squared Mahalanobis distance at which the Cauchy loss halves a pair's weight.
 _CAUCHY = 6.0
 # Fewer pairs than these fit many a pose.
@@ -48,12 +50,16 @@ class Agreement:
     """Standard deviation of the pairs' distances beyond what the tracks' covariances explain, m."""
 
 
-def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _MISFIT) -> Agreement | None:
+def agree(
+    T_a_b: Array, met: Meetings, *, depth: float = DEPTH, steps: int = _STEPS, misfit: float = _MISFIT
+) -> Agreement | None:
     """Fits the pose to all simultaneous observations that agree with it, associated anew at every step.
 
     Args:
         T_a_b: (3, 3) first guess.
         met: all simultaneous observations.
+        depth: distance (m) from the centres that tracks show to the objects' true ones, along the beam, standard
+            deviation.
         steps: how often they are associated anew.
         misfit: distance (m) between what two scanners take for one object's centre, standard deviation.
 
@@ -67,7 +73,7 @@ def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _
             return None
         r, J, S = _linearized(T_a_b, nuisance, met, pairs)
         W = _inverse(S + misfit**2 * np.eye(2)) / (1 + d2 / _CAUCHY)[:, None, None]
-        H, g = _normal_equations(r, J, W, nuisance)
+        H, g = _normal_equations(r, J, W, nuisance, depth)
         step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         T_a_b = se2.retract(T_a_b, step[:3])
         nuisance = nuisance + step[3:]
@@ -122,8 +128,8 @@ def _linearized(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp
     return r, J, met.a.covariances[a] + R @ met.b.covariances[b] @ R.T
 
 
-def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array) -> tuple[Array, Array]:
-    prior = np.array([0, 0, 0, _CLOCK**-2, _DEPTH**-2, _DEPTH**-2])
+def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array, depth: float) -> tuple[Array, Array]:
+    prior = np.array([0, 0, 0, _CLOCK**-2, depth**-2, depth**-2])
     J, WJ = J.reshape(-1, 6), (W @ J).reshape(-1, 6)
     H = J.T @ WJ + np.diag(prior)
     g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
@@ -138,7 +144,7 @@ def _misfit(r: Array, S: Array) -> float:
     return float(np.clip(np.sqrt(max(scatter - explained, 0.0)), _LEAST_MISFIT, _MISFIT))
 
 
-def information(fit: Agreement, met: Meetings) -> Array:
+def information(fit: Agreement, met: Meetings, depth: float = DEPTH) -> Array:
     """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depths unknown.
 
     Smoothed positions err for seconds in the same direction: their number counts divided by the time over
@@ -154,8 +160,19 @@ def information(fit: Agreement, met: Meetings) -> Array:
     together = max(correlation_time(whitened, walks, ticks), _SHORTEST)
     independent = max(2 * len(pairs) / together - 6, 1.0)
     scatter = max(float(np.sum(d2)) / together / independent, 0.1)
-    H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance)
-    return np.asarray(H[:3, :3] - H[:3, 3:] @ np.linalg.solve(H[3:, 3:], H[3:, :3]))
+    H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance, depth)
+    random = np.linalg.inv(H)[:3, :3]
+    return np.asarray(np.linalg.inv(random + _systematic(fit.T_a_b, met.x_a[pairs])), dtype=np.float64)
+
+
+def _systematic(T_a_b: Array, x_a: Array) -> Array:
+    """(3, 3) covariance of the pose for what all positions (P, 2) err alike, and differently at their two ends."""
+    center = x_a.mean(axis=0)
+    extent = np.sqrt(np.mean(np.sum((x_a - center) ** 2, axis=1)))
+    lever = center - T_a_b[:2, 2]
+    G = np.eye(3)
+    G[:2, 2] = lever[1], -lever[0]  # a turn about the centre of the positions
+    return np.asarray(G @ np.diag(np.array([1, 1, 1 / max(extent, 0.1)]) ** 2 * _SYSTEMATIC**2) @ G.T)
 
 
 def correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp]) -> float:

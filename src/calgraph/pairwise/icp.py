@@ -33,7 +33,7 @@ _SHARE = 0.5
 _THROUGH = 0.3
 # Points of one wall err together: range bias, plaster, mounting height (m). A point weighs as one of so many.
 _TOGETHER = 10.0
-_WALL = 0.01
+_WALL = 0.008
 # A direction is determined if its standard deviation is below this (m; m at _LEVER for the angle).
 _DETERMINED = 0.03
 _LEVER = 3.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import icp as scan_matching
-from calgraph.pairwise.agreement import GATE, Agreement, agree, costs, information
+from calgraph.pairwise.agreement import DEPTH, GATE, Agreement, agree, costs, information
 from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
 from calgraph.tracking import Tracked
 
@@ -93,6 +93,7 @@ def estimate_network_pairs(
     rng: np.random.Generator,
     *,
     icp: bool = True,
+    depth: float = DEPTH,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], TrackPair | Rejected]:
     """Estimates the relative pose of every pair of scanners, as :func:`estimate_network_pair` does.
@@ -101,19 +102,28 @@ def estimate_network_pairs(
         tracked: what each scanner knows, by its name.
         rng: source of the samples.
         icp: whether to match the static background, too.
+        depth: distance (m) of objects' true centres from those that tracks show, along the beam, standard
+            deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
         progress: told how much is done, 0..1.
     """
     samples = {name: sample(known) for name, known in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
     pairs: dict[tuple[str, str], TrackPair | Rejected] = {}
     for done, (a, b) in enumerate(names, start=1):
-        pairs[a, b] = _estimate(a, b, samples[a], samples[b], tracked[a], tracked[b], rng, icp)
+        pairs[a, b] = _estimate(a, b, samples[a], samples[b], tracked[a], tracked[b], rng, icp, depth)
         progress(done / len(names))
     return pairs
 
 
 def estimate_network_pair(
-    name_a: str, name_b: str, a: Tracked, b: Tracked, rng: np.random.Generator, *, icp: bool = True
+    name_a: str,
+    name_b: str,
+    a: Tracked,
+    b: Tracked,
+    rng: np.random.Generator,
+    *,
+    icp: bool = True,
+    depth: float = DEPTH,
 ) -> TrackPair | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners saw.
 
@@ -124,11 +134,13 @@ def estimate_network_pair(
         b: those of b.
         rng: source of the samples.
         icp: whether to match the static background, too.
+        depth: distance (m) of objects' true centres from those that tracks show, along the beam, standard
+            deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
 
     Returns:
         The best few hypotheses, or the reason why there is none.
     """
-    return _estimate(name_a, name_b, sample(a), sample(b), a, b, rng, icp)
+    return _estimate(name_a, name_b, sample(a), sample(b), a, b, rng, icp, depth)
 
 
 def _estimate(
@@ -140,6 +152,7 @@ def _estimate(
     tracked_b: Tracked,
     rng: np.random.Generator,
     icp: bool,
+    depth: float,
 ) -> TrackPair | Rejected:
     met = meetings(a, b)
     seconds = len(np.unique(a.tick[met.row_a])) * TICK
@@ -150,13 +163,13 @@ def _estimate(
         return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
     coarse, fine = _thinned(a, b, len(met), _COARSE), _thinned(a, b, len(met), _FINE)
     guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
-    found = [fit for T in guesses if (fit := agree(T, coarse, steps=3)) is not None]
+    found = [fit for T in guesses if (fit := agree(T, coarse, depth=depth, steps=3)) is not None]
     shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
     value = np.array([len(fit.pairs) for fit in found]) * shares
     promising = (shares >= _LEAST_SHARE) & (value >= _SHARE * np.max(value, initial=0.0))
     poses = _best(np.array([fit.T_a_b for fit in found]).reshape(-1, 3, 3)[promising], -value[promising], _KEPT)
-    agreements = [agree(T, fine, steps=3, misfit=0.1) for T in poses]
-    hypotheses = [_hypothesis(fit, fine, a, b, len(met) / len(fine)) for fit in agreements if fit is not None]
+    agreements = [agree(T, fine, depth=depth, steps=3, misfit=0.1) for T in poses]
+    hypotheses = [_hypothesis(fit, fine, a, b, len(met), depth) for fit in agreements if fit is not None]
     hypotheses.sort(key=lambda h: -h.observations * h.share)
     kept = [h for h in hypotheses if _credible(h)]
     if not kept:
@@ -251,10 +264,11 @@ def _same(T: Array, other: Array) -> bool:
     return bool(np.hypot(d[0], d[1]) < _SAME[0] and abs(d[2]) < _SAME[1])
 
 
-def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, thinned: float) -> Hypothesis:
+def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, count: int, depth: float) -> Hypothesis:
+    thinned = count / len(met)
     return Hypothesis(
         fit.T_a_b,
-        information(fit, met),
+        information(fit, met, depth),
         round(len(fit.pairs) * thinned),
         _chance(fit, met, b) * thinned,
         min(len(fit.pairs) / max(_expected(fit.T_a_b, met, a, b), 1), 1.0),
