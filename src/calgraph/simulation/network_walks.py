@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.simulation.network_floor import Ways
 from calgraph.simulation.network_scenario import PeopleKnobs
@@ -67,7 +68,6 @@ class _Walker:
     """One person while its walk is being made."""
 
     axes: Array
-    reach: float
     speed: float
     stations: Array
     """(K, 2) in the order of its visits, or none."""
@@ -98,6 +98,9 @@ def draw_walks(
         end: s.
         rng: draws everything random.
 
+    Raises:
+        InputError: there is no place for so many.
+
     """
     walkers = _set_out(ways, stations, people, rng)
     steps = int(np.ceil((end - start) / _STEP)) + 2
@@ -123,8 +126,10 @@ def _set_out(ways: Ways, stations: Array, people: PeopleKnobs, rng: np.random.Ge
             if all(np.linalg.norm(place - other.place) > _apart(people) + 0.2 for other in walkers):
                 break
             place = ways.random_place(rng)
+        else:
+            raise InputError(f"people.count: {people.count} do not fit on the floor, only {len(walkers)} do")
         speed = people.speed * (1 + rng.uniform(-people.speed_spread, people.speed_spread))
-        walkers.append(_Walker(axes, float(axes.max()), speed, order, place))
+        walkers.append(_Walker(axes, speed, order, place))
     return walkers
 
 
