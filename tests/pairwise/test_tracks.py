@@ -125,6 +125,13 @@ def test_a_crowd_of_twelve_is_sorted_out() -> None:
     assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.05, 0.5)
 
 
+def test_a_crowd_seen_for_three_seconds_is_no_error() -> None:
+    rng = np.random.default_rng(4)
+    walks = [wander(rng, seconds=3) for _ in range(30)]
+    A, B = somewhere(rng, 4.0), somewhere(rng, 4.0)
+    assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.1, 1.0)
+
+
 def test_two_people_who_cross_again_and_again(rng: np.random.Generator) -> None:
     walks = [straight((-3, 0.1), (3, 0.3), 12), straight((0.2, -3), (0.1, 3), 12)]
     A, B = se2.pose(0.7, np.array([-3.0, -3.0])), se2.pose(2.4, np.array([4.0, -3.0]))

@@ -26,17 +26,20 @@ _STRETCHES = (30, 80, 1_000_000)
 _TICKS = 6
 _EXTENT = 0.15
 _FIT = 0.3
-# Hypotheses judged, samples' combinations on which they are judged coarsely and finely, and how many are refined.
+# Hypotheses judged, combinations of samples on which they are judged coarsely and finely, how many hypotheses are
+# refined coarsely and finely, and how many samples of a there must be to judge by.
 _JUDGED = 200
 _COARSE = 1200
 _FINE = 6_000
 _REFINED = 6
 _KEPT = 4
+_FEWEST = 20
 # A stretch's pose strays at its far end: what it explains coarsely may be off by this standard deviation, m.
 _STRAY = 0.3
 # Two hypotheses are one if they differ by less than this in metres and in radians.
 _SAME = (0.5, np.radians(8))
-# Ticks that must agree, more than chance alone explains, and as a share of the best hypothesis's ticks.
+# Ticks that must agree: at least, as a share of those that should, as a multiple of what chance explains, and as a
+# share of the best hypothesis's.
 _ENOUGH = 20
 _LEAST_SHARE = 0.25
 _OVER_CHANCE = 2.0
@@ -63,7 +66,7 @@ class Hypothesis:
     share: float
     """Which share that is of those that should agree, as both scanners often see people there, 0..1."""
     cost: float
-    """Mean truncated squared Mahalanobis distance of all simultaneous positions in units of the gate, 0..1."""
+    """Mean truncated squared distance of all that a saw while b saw somebody, in units of the gate, 0..1."""
     icp: bool
     """Whether the static background contributes."""
 
@@ -161,7 +164,7 @@ def _estimate(
     guesses = _guesses(met, rng)
     if not len(guesses):
         return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
-    coarse, fine = _thinned(a, b, len(met), _COARSE), _thinned(a, b, len(met), _FINE)
+    coarse, fine = _thinned(met, _COARSE), _thinned(met, _FINE)
     guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
     found = [fit for T in guesses if (fit := agree(T, coarse, depth=depth, steps=3)) is not None]
     shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
@@ -186,10 +189,11 @@ def _credible(h: Hypothesis) -> bool:
     return h.observations >= max(_ENOUGH, _OVER_CHANCE * h.chance) and h.share >= _LEAST_SHARE
 
 
-def _thinned(a: Samples, b: Samples, count: int, wanted: int) -> Meetings:
-    """The meetings of so many ticks that there are about ``wanted`` of them."""
-    step = max(1, round(count / wanted))
-    return meetings(a.every(step), b.every(step))
+def _thinned(met: Meetings, wanted: int) -> Meetings:
+    """The meetings of so many ticks that there are about ``wanted`` of them, or all if few ticks would be left."""
+    step = max(1, round(len(met) / wanted))
+    thinned = meetings(met.a.every(step), met.b.every(step))
+    return thinned if len(np.unique(thinned.row_a)) >= _FEWEST else met
 
 
 def _guesses(met: Meetings, rng: np.random.Generator) -> Array:
