@@ -134,9 +134,8 @@ def _fixed(found: Clusters, radii: tuple[float, float], walks: Walks, sigma: flo
 
     result = _in_portions(found, 6, fitted)
     radius = float(np.mean(radii))
-    noise = result[:, 2:].reshape(-1, 2, 2) + np.where(found.clipped, _GUESSED * radius, 0.0)[
-        :, None, None
-    ] ** 2 * np.eye(2)
+    guessed = np.where(found.clipped, (_GUESSED * radius) ** 2, 0.0)
+    noise = result[:, 2:].reshape(-1, 2, 2) + guessed[:, None, None] * np.eye(2)
     # Wrong radii shift the centre along the line of sight; sideways the outline's edges hold it.
     along = np.full(len(found), (unlike * radius) ** 2)
     return Centres(result[:, :2], noise, _oriented(found.means, along, along / 4))
