@@ -13,21 +13,17 @@ Rotation methods are followed by least-squares translations over the edges whose
 
 import argparse
 import time
-from collections.abc import Callable
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.graph import PoseGraph, chained, consensus_trees, groups, irls_l1, l1mc, spectral, translations
+from calgraph.graph import Method, PoseGraph, average, groups
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 NEAR, TURNED = 0.5, np.radians(5)
-# Edges whose rotations differ by less count in the translations of rotation methods, rad.
-AGREE = np.radians(5)
-Method = Callable[[PoseGraph, np.random.Generator], Array]
 
 
 def random_graph(
@@ -69,26 +65,6 @@ def decidable(graph: PoseGraph, wrong: NDArray[np.bool_]) -> bool:
     return all(graph.where(right).reachable().all() for right in kept)
 
 
-def with_positions(graph: PoseGraph, R: Array) -> Array:
-    """Poses of given rotations, from the edges whose rotation agrees; NaN where those do not connect all."""
-    i, j = graph.edges.T
-    agree = groups.magnitude(R[i] @ graph.R_i_j @ groups.transpose(R[j])) < AGREE
-    try:
-        return groups.pose(R, translations(graph, R, agree.astype(np.float64)))
-    except CalibrationError:
-        return groups.pose(R, np.full(R.shape[:-1], np.nan))
-
-
-METHODS: dict[str, Method] = {
-    "one tree": lambda graph, _: with_positions(graph, chained(graph)),
-    "spectral": lambda graph, _: with_positions(graph, spectral(graph)),
-    "irls_l1": lambda graph, _: with_positions(graph, irls_l1(graph, chained(graph))),
-    "l1mc, triangles": lambda graph, _: with_positions(graph, l1mc(graph, transitivity="triangles")),
-    "l1mc": lambda graph, _: with_positions(graph, l1mc(graph)),
-    "consensus": lambda graph, rng: consensus_trees(graph, rng).T_root_node,
-}
-
-
 def found(T_est: Array, T: Array) -> tuple[bool, bool]:
     """Whether all rotations are right, and whether all poses are."""
     n = T.shape[-1] - 1
@@ -119,13 +95,16 @@ def table(n: int, seeds: int) -> None:
             count = int(rng.integers(6, 9))
             graphs.append(random_graph(count, count * (count - 1) // 2, n, wrong, 10.0, rng))
         clear = np.array([decidable(graph, bad) for graph, _, bad in graphs])
-        for name, method in METHODS.items():
+        for method in get_args(Method):
             start = time.process_time()
-            poses = [method(graph, np.random.default_rng(seed)) for seed, (graph, _, _) in enumerate(graphs)]
+            poses = [
+                average(graph, np.random.default_rng(seed), method).T_root_node
+                for seed, (graph, _, _) in enumerate(graphs)
+            ]
             each = 1000 * (time.process_time() - start) / seeds
             ok = np.array([found(T_est, T) for T_est, (_, T, _) in zip(poses, graphs, strict=True)])
             rates = interval(ok[:, 0]), interval(ok[:, 1]), interval(ok[clear, 1])
-            print(row.format(f"{wrong:.0%}", name, *rates, clear.sum(), f"{each:.1f}"), flush=True)
+            print(row.format(f"{wrong:.0%}", method, *rates, clear.sum(), f"{each:.1f}"), flush=True)
 
 
 def large(n: int) -> None:
@@ -133,7 +112,7 @@ def large(n: int) -> None:
     rng = np.random.default_rng(n)
     graph, T, bad = random_graph(1000, 5000, n, 0.2, 100.0, rng)
     start, cpu = time.perf_counter(), time.process_time()
-    result = consensus_trees(graph, rng)
+    result = average(graph, rng)
     seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
     off = np.linalg.norm(groups.translation(result.T_root_node) - groups.translation(T), axis=1)
     lost = np.flatnonzero((off > NEAR) & held_twice(graph, ~bad))

@@ -211,6 +211,28 @@ def test_two_hundred_nodes_are_found_in_spite_of_wrong_edges(rng: np.random.Gene
 
 
 @BOTH
+def test_loosened_edges_have_the_covariance_of_both_errors(n: int, rng: np.random.Generator) -> None:
+    graph = measured(true_poses(3, n, rng), ring(3), rng).loosened(0.12, 0.0)
+    expected = [1 / (0.05**2 + 0.12**2)] * n + [ANGLE**-2] * (1 if n == 2 else 3)
+    assert_allclose(graph.information[0], np.diag(expected), rtol=1e-9)
+
+
+def test_loosened_edges_leave_open_what_they_left_open(rng: np.random.Generator) -> None:
+    graph = measured(true_poses(2, 2, rng), [(0, 1)], rng)
+    hinge = PoseGraph(2, graph.edges, graph.T_i_j, np.diag([400.0, 400.0, 0.0])[None])
+    assert_allclose(hinge.loosened(0.0, 0.01).information, hinge.information)
+
+
+@BOTH
+def test_edges_that_are_too_confident_agree_once_loosened(n: int, rng: np.random.Generator) -> None:
+    T = true_poses(6, n, rng)
+    graph = measured(T, complete(6), rng, noise=1.0)
+    sure = PoseGraph(6, graph.edges, graph.T_i_j, graph.information * 1e4)
+    assert consensus_trees(sure, rng).inliers.sum() < 15
+    assert consensus_trees(sure.loosened(POSITION, ANGLE), rng).inliers.sum() == 15
+
+
+@BOTH
 def test_one_node_stands_at_the_root(n: int, rng: np.random.Generator) -> None:
     nothing = np.zeros((0, n + 1, n + 1)), np.zeros((0, 3 * n - 3, 3 * n - 3))
     none = PoseGraph(1, np.zeros((0, 2), dtype=np.intp), *nothing)

@@ -97,7 +97,7 @@ def test_fusion_takes_from_walls_what_tracks_leave_open(rng: np.random.Generator
 def test_walls_that_contradict_the_tracks_are_rejected(rng: np.random.Generator) -> None:
     moved = [((x + 0.4, y), (u + 0.4, v)) for (x, y), (u, v) in ROOM]
     beside = se2.pose(-0.3, np.array([-1.0, 1.0]))
-    certain = np.diag([0.05, 0.05, 0.02]) ** 2
+    certain = np.diag([0.03, 0.03, 0.01]) ** 2
     found = align(se2.inverse(A) @ beside, certain, scan(ROOM, A, rng), scan(moved, beside, rng), SIGMA)
     assert isinstance(found, Rejected)
 

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.simulation import LayoutName, Network, NetworkScenario, PeopleKnobs, build_network
 from calgraph.simulation.network_walks import Walk
@@ -109,3 +110,14 @@ def test_twelve_people_on_a_grid_get_around() -> None:
     network = build_network(NetworkScenario(layout="grid", duration=10.0), 0)
     lengths = [speeds(walk).sum() * 0.01 for walk in network.walks]
     assert np.median(lengths) > 8
+
+
+def test_more_people_than_fit_are_refused() -> None:
+    crowded = NetworkScenario(layout="lab", people=PeopleKnobs(count=60), duration=1.0)
+    with pytest.raises(InputError, match=r"people\.count: 60 do not fit on the floor, only \d+ do"):
+        build_network(crowded, 0)
+
+
+def test_a_clearance_that_leaves_no_room_is_refused() -> None:
+    with pytest.raises(InputError, match=r"people\.clearance: nobody fits"):
+        build_network(NetworkScenario(layout="lab", people=PeopleKnobs(clearance=3.0)), 0)

@@ -20,9 +20,15 @@ PEOPLE = People(kind="people")
 EPOCH = 1e9
 
 
-def tracked(world: World, seconds: float = 20.0, seed: int = 1, feature: Feature = "nls") -> Tracked:
+def tracked(
+    world: World,
+    seconds: float = 20.0,
+    seed: int = 1,
+    feature: Feature = "nls",
+    target: People | Cylinder = PEOPLE,
+) -> Tracked:
     scans = world.scans(seconds, seed)
-    result = track_scanner(lambda: scans, PEOPLE, RangeNoise(), feature=feature)
+    result = track_scanner(lambda: scans, target, RangeNoise(), feature=feature)
     assert isinstance(result, Tracked)
     return result
 
@@ -61,6 +67,8 @@ def busy() -> World:
 
 
 CIRCLE = World((circling(2.0, (5.0, -1.0)),))
+DRUM = replace(CIRCLE, radii=(0.25, 0.25))
+CYLINDER = Cylinder(kind="cylinder", diameter=0.5)
 
 
 def test_one_walker_is_one_track_in_one_period() -> None:
@@ -85,9 +93,17 @@ def test_the_fixed_ellipse_has_no_bias_along_the_line_of_sight() -> None:
     assert abs((errors(result, CIRCLE) * sight).sum(axis=1).mean()) < 0.004
 
 
-def test_covariances_hold_over_many_recordings() -> None:
-    values = np.concatenate([nees(tracked(CIRCLE, 8.0, seed), CIRCLE) for seed in range(12)])
-    assert 1.0 < values.mean() < 3.0
+def test_a_cylinders_covariances_hold_over_many_recordings() -> None:
+    values = [nees(tracked(DRUM, 6.0, seed, target=CYLINDER), DRUM).mean() for seed in range(10)]
+    assert 0.8 < np.mean(values) < 2.6
+
+
+def test_peoples_covariances_hold_whatever_their_size() -> None:
+    values = []
+    for seed, larger in enumerate(np.linspace(0.94, 1.06, 10)):
+        world = replace(CIRCLE, radii=(0.25 * larger, 0.15 * larger))
+        values.append(nees(tracked(world, 6.0, seed), world).mean())
+    assert 0.4 < np.mean(values) < 2.6
 
 
 @pytest.mark.parametrize("feature", ["com", "ellipse"])
@@ -108,11 +124,8 @@ def test_beams_count_at_their_own_times(sweep: float) -> None:
 
 
 def test_a_cylinder_is_measured_to_a_centimetre() -> None:
-    world = World((circling(2.0, (5.0, -1.0)),), radii=(0.25, 0.25))
-    scans = world.scans(15.0, 0)
-    result = track_scanner(lambda: scans, Cylinder(kind="cylinder", diameter=0.5), RangeNoise())
-    assert isinstance(result, Tracked)
-    assert np.linalg.norm(errors(result, world), axis=1).mean() < 0.01
+    error = np.linalg.norm(errors(tracked(DRUM, 15.0, target=CYLINDER), DRUM), axis=1)
+    assert error.mean() < 0.01
 
 
 CROSSING = World(

@@ -25,8 +25,6 @@ _HOLD = 1e-6
 _POSITION_FLOOR, _ANGLE_FLOOR = 0.01, 0.005
 # A pair whose weakest direction is known worse than this, m or rad, is trusted less.
 _WEAK = 0.1
-# Directions that a pair leaves open count as known to this, m and rad.
-_OPEN = 100.0
 
 
 def average(
@@ -75,10 +73,8 @@ def pose_graph(root: str, estimates: Sequence[PairwiseEstimate]) -> tuple[PoseGr
     kept = [e for e in estimates if e.sensor_a in node]
     edges = np.array([(node[e.sensor_a], node[e.sensor_b]) for e in kept], dtype=np.intp).reshape(-1, 2)
     T = np.array([e.T_a_b for e in kept], dtype=np.float64).reshape(-1, 4, 4)
-    floor = np.diag([_POSITION_FLOOR**2] * 3 + [_ANGLE_FLOOR**2] * 3)
-    covariance = [np.linalg.inv(e.information + np.eye(6) * _OPEN**-2) + floor for e in kept]
-    information = np.linalg.inv(np.array(covariance, dtype=np.float64).reshape(-1, 6, 6))
-    return PoseGraph(len(names), edges, T, np.asarray(information, dtype=np.float64)), names
+    information = np.array([e.information for e in kept], dtype=np.float64).reshape(-1, 6, 6)
+    return PoseGraph(len(names), edges, T, information).loosened(_POSITION_FLOOR, _ANGLE_FLOOR), names
 
 
 def averaged_tree(

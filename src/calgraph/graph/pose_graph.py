@@ -69,6 +69,19 @@ class PoseGraph:
         """The graph of some of its edges (E,), between the same nodes."""
         return PoseGraph(self.count, self.edges[keep], self.T_i_j[keep], self.information[keep], self.root)
 
+    def loosened(self, position: float, angle: float) -> "PoseGraph":
+        """The graph with so much more error in every edge, m and rad, than its information knows of.
+
+        Consensus takes edges for wrong whose errors exceed their information, which is often too confident. What
+        edges leave open, with singular information, stays open.
+        """
+        n, dof = self.dimension, self.information.shape[-1]
+        floor = np.diag([position**2] * n + [angle**2] * (dof - n))
+        # (I + information · floor)⁻¹ information is (information⁻¹ + floor)⁻¹, without inverting what is singular.
+        loose = np.linalg.solve(np.eye(dof) + self.information @ floor, self.information)
+        information = (loose + np.swapaxes(loose, -1, -2)) / 2
+        return PoseGraph(self.count, self.edges, self.T_i_j, information, self.root)
+
 
 @dataclass(frozen=True, eq=False)
 class Averaged:

@@ -23,6 +23,8 @@ _DENSE = 300
 # Residuals (rad) below this weigh alike in reweighted L1; steps below a tenth of it are the last.
 _FLOOR = 1e-6
 _ITERATIONS = 100
+# How often the constraints of rotations in space are linearised.
+_LINEARISATIONS = 4
 
 
 def l1mc(
@@ -35,8 +37,8 @@ def l1mc(
     of a pair make a cycle of two, so that the paper's symmetry (eq. 20) holds by construction.
 
     Args:
-        graph: connected. In space, constraints are linearised at the measured rotations: they are the paper's
-            sums of rotation vectors, each turned into the axes of the node where its cycle starts.
+        graph: connected. In space, constraints are linearised at the corrected rotations, a few times: they are
+            the paper's sums of rotation vectors, each turned into the axes of the node where its cycle starts.
         weights: (E,) trust in each edge; uniform without.
         transitivity: ``triangles`` as published, as soft rows of weight 1; ``cycles`` takes a basis of all
             cycles, so that rings are covered, and holds them exactly.
@@ -53,11 +55,15 @@ def l1mc(
         cycles, soft = cycle_basis(graph.count, graph.edges), False
     else:
         cycles, soft = triangles(graph.count, graph.edges), True
-    A, errors = _transitivity(graph, cycles)
-    x = _least_absolute(A, -errors, np.repeat(trust, A.shape[1] // max(len(trust), 1)), soft)
-    corrections = x.reshape(len(graph.edges), -1)
+    d = 1 if graph.dimension == 2 else 3
+    corrections, R_i_j = np.zeros((len(graph.edges), d)), graph.R_i_j
+    for _ in range(1 if d == 1 else _LINEARISATIONS):
+        A, errors = _transitivity(R_i_j, cycles)
+        b = A @ corrections.ravel() - errors
+        corrections = _least_absolute(A, b, np.repeat(trust, d), soft).reshape(-1, d)
+        R_i_j = graph.R_i_j @ groups.exp(corrections)
     # Where cycles are not held exactly, the least corrected edges are the ones to follow.
-    return _chained(graph, graph.R_i_j @ groups.exp(corrections), np.linalg.norm(corrections, axis=1))
+    return _chained(graph, R_i_j, np.linalg.norm(corrections, axis=1))
 
 
 def spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
@@ -121,29 +127,29 @@ def chained(graph: PoseGraph) -> Array:
     return _chained(graph, graph.R_i_j, np.zeros(len(graph.edges)))
 
 
-def _transitivity(graph: PoseGraph, cycles: tuple[Cycle, ...]) -> tuple[csr_array, Array]:
+def _transitivity(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, Array]:
     """What corrections do to the cycles' errors: sparse (C d, E d), and the errors (C d,) themselves, rad.
 
     The errors are wrapped, which takes the multiples of 2π out (Algorithm 1, last rows of b).
     """
-    d = 1 if graph.dimension == 2 else 3
+    d = 1 if R_i_j.shape[-1] == 2 else 3
     if d == 1:
-        A = incidence(cycles, len(graph.edges))
-        summed = A @ groups.log(graph.R_i_j)[:, 0]
+        A = incidence(cycles, len(R_i_j))
+        summed = A @ groups.log(R_i_j)[:, 0]
         return A, np.asarray(np.angle(np.exp(1j * summed)), dtype=np.float64)
     rows, columns, blocks, errors = [], [], [], np.zeros((len(cycles), d))
     for c, cycle in enumerate(cycles):
         R = np.eye(3)
         for e, way in cycle:
             # Corrected edges are R_i_j exp(x), about j's axes: there a walk forwards ends, a backward one begins.
-            after = R @ (graph.R_i_j[e] if way > 0 else graph.R_i_j[e].T)
+            after = R @ (R_i_j[e] if way > 0 else R_i_j[e].T)
             rows.append(c)
             columns.append(int(e))
             blocks.append(after if way > 0 else -R)
             R = after
         errors[c] = groups.log(R)
     where = np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
-    A = _sparse_blocks(*where, np.array(blocks).reshape(-1, 3, 3), len(cycles), len(graph.edges))
+    A = _sparse_blocks(*where, np.array(blocks).reshape(-1, 3, 3), len(cycles), len(R_i_j))
     return A, errors.ravel()
 
 

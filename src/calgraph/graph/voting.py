@@ -26,7 +26,7 @@ _FINAL_EDGES = 5_000
 _FEWEST_FINALISTS, _MOST_FINALISTS = 1, 6
 # Shortest cycles through every edge, on which the chances of being drawn rest.
 _CYCLE_ROUNDS = 6
-# The tree alone decides between edges of such different support.
+# An edge's cost is its support to this power, inverted: doubtful edges are drawn rarely, but are drawn.
 _BIAS = 2.0
 # Rounds of least squares over the inliers, until they stay the same.
 _ROUNDS = 5

@@ -18,18 +18,22 @@ GATE = 9.21
 # Standard deviation of what no covariance of a track knows (m), at first and at least.
 _MISFIT = 0.15
 _LEAST_MISFIT = 0.005
-# Prior standard deviations of the clocks' difference (s) and of the distance (m) from the centre that tracks show
-# to the object's true one, along the beam.
+DEPTH = 0.03
+"""Prior standard deviation of the distance from the centre that tracks show to the object's true one, m."""
+# Prior standard deviation of the clocks' difference, s.
 _CLOCK = 0.01
-_DEPTH = 0.03
+# What does not average out however long people walk: the sides and the gait that they show to either scanner, m.
+_SYSTEMATIC = 0.008
 # Squared Mahalanobis distance at which the Cauchy loss halves a pair's weight.
 _CAUCHY = 6.0
 # Fewer pairs than these fit many a pose.
 _FEW = 4
 # Gauss-Newton steps with associations made anew.
 _STEPS = 6
-# Residuals farther apart than so many steps are independent.
+# Residuals farther apart than so many steps are independent; nearer than so many ticks they are not, as people
+# show another side every half second. A few seconds of residuals alone would understate that.
 _LONGEST = 100
+_SHORTEST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,33 +43,37 @@ class Agreement:
     T_a_b: Array
     """(3, 3)."""
     nuisance: Array
-    """(2,) s that b's clock is ahead, and m that objects' centres lie beyond those that tracks show."""
+    """(3,) s that b's clock is ahead, and m that centres lie beyond those that a's and that b's tracks show."""
     pairs: NDArray[np.intp]
     """(P,) which of the meetings agree: each the other's nearest at its tick."""
     misfit: float
     """Standard deviation of the pairs' distances beyond what the tracks' covariances explain, m."""
 
 
-def agree(T_a_b: Array, met: Meetings, *, steps: int = _STEPS, misfit: float = _MISFIT) -> Agreement | None:
+def agree(
+    T_a_b: Array, met: Meetings, *, depth: float = DEPTH, steps: int = _STEPS, misfit: float = _MISFIT
+) -> Agreement | None:
     """Fits the pose to all simultaneous observations that agree with it, associated anew at every step.
 
     Args:
         T_a_b: (3, 3) first guess.
         met: all simultaneous observations.
+        depth: distance (m) from the centres that tracks show to the objects' true ones, along the beam, standard
+            deviation.
         steps: how often they are associated anew.
         misfit: distance (m) between what two scanners take for one object's centre, standard deviation.
 
     Returns:
         The agreement, or None if fewer than four observations agree with the first guess.
     """
-    nuisance = np.zeros(2)
+    nuisance = np.zeros(3)
     for _ in range(steps):
         pairs, d2 = _associated(T_a_b, nuisance, met, misfit)
         if len(pairs) < _FEW:
             return None
         r, J, S = _linearized(T_a_b, nuisance, met, pairs)
         W = _inverse(S + misfit**2 * np.eye(2)) / (1 + d2 / _CAUCHY)[:, None, None]
-        H, g = _normal_equations(r, J, W, nuisance)
+        H, g = _normal_equations(r, J, W, nuisance, depth)
         step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         T_a_b = se2.retract(T_a_b, step[:3])
         nuisance = nuisance + step[3:]
@@ -106,27 +114,27 @@ def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> 
 
 
 def _linearized(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 5) by pose, clock and depth, covariances."""
+    """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 6) by pose, clock, depths, covariances."""
     a, b = met.row_a[pairs], met.row_b[pairs]
     R = T[:2, :2]
     x_a, x_b, v_b = met.a.positions[a], met.b.positions[b], met.b.velocities[b] @ R.T
     turned = x_b @ R.T
-    outward = _unit(turned) - _unit(x_a)
-    J = np.zeros((len(pairs), 2, 5))
+    out_a, out_b = _unit(x_a), _unit(turned)
+    J = np.zeros((len(pairs), 2, 6))
     J[:, 0, 0] = J[:, 1, 1] = 1
     J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
-    J[:, :, 3], J[:, :, 4] = v_b, outward
-    r = turned + T[:2, 2] - x_a + nuisance[0] * v_b + nuisance[1] * outward
+    J[:, :, 3], J[:, :, 4], J[:, :, 5] = v_b, -out_a, out_b
+    r = turned + T[:2, 2] - x_a + nuisance[0] * v_b - nuisance[1] * out_a + nuisance[2] * out_b
     return r, J, met.a.covariances[a] + R @ met.b.covariances[b] @ R.T
 
 
-def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array) -> tuple[Array, Array]:
-    prior = np.array([0, 0, 0, _CLOCK**-2, _DEPTH**-2])
-    J, WJ = J.reshape(-1, 5), (W @ J).reshape(-1, 5)
+def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array, depth: float) -> tuple[Array, Array]:
+    prior = np.array([0, 0, 0, _CLOCK**-2, depth**-2, depth**-2])
+    J, WJ = J.reshape(-1, 6), (W @ J).reshape(-1, 6)
     H = J.T @ WJ + np.diag(prior)
     g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
     # A hair of damping: observations of somebody who stands still say nothing of the angle.
-    return H + 1e-6 * np.eye(5), g
+    return H + 1e-6 * np.eye(6), g
 
 
 def _misfit(r: Array, S: Array) -> float:
@@ -136,8 +144,8 @@ def _misfit(r: Array, S: Array) -> float:
     return float(np.clip(np.sqrt(max(scatter - explained, 0.0)), _LEAST_MISFIT, _MISFIT))
 
 
-def information(fit: Agreement, met: Meetings) -> Array:
-    """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depth unknown.
+def information(fit: Agreement, met: Meetings, depth: float = DEPTH) -> Array:
+    """(3, 3) inverse covariance of the pose's error in the fixed axes of a, with clock and depths unknown.
 
     Smoothed positions err for seconds in the same direction: their number counts divided by the time over
     which residuals stay correlated, in ticks.
@@ -149,11 +157,22 @@ def information(fit: Agreement, met: Meetings) -> Array:
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
     walks = met.a.walk[met.row_a[pairs]] * (met.b.walk.max() + 1) + met.b.walk[met.row_b[pairs]]
     ticks = met.a.tick[met.row_a[pairs]]
-    together = correlation_time(whitened, walks, ticks)
-    independent = max(2 * len(pairs) / together - 5, 1.0)
+    together = max(correlation_time(whitened, walks, ticks), _SHORTEST)
+    independent = max(2 * len(pairs) / together - 6, 1.0)
     scatter = max(float(np.sum(d2)) / together / independent, 0.1)
-    H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance)
-    return np.asarray(H[:3, :3] - H[:3, 3:] @ np.linalg.solve(H[3:, 3:], H[3:, :3]))
+    H, _ = _normal_equations(r, J, W / (scatter * together), fit.nuisance, depth)
+    random = np.linalg.inv(H)[:3, :3]
+    return np.asarray(np.linalg.inv(random + _systematic(fit.T_a_b, met.x_a[pairs])), dtype=np.float64)
+
+
+def _systematic(T_a_b: Array, x_a: Array) -> Array:
+    """(3, 3) covariance of the pose for what all positions (P, 2) err alike, and differently at their two ends."""
+    center = x_a.mean(axis=0)
+    extent = np.sqrt(np.mean(np.sum((x_a - center) ** 2, axis=1)))
+    lever = center - T_a_b[:2, 2]
+    G = np.eye(3)
+    G[:2, 2] = lever[1], -lever[0]  # a turn about the centre of the positions
+    return np.asarray(G @ np.diag(np.array([1, 1, 1 / max(extent, 0.1)]) ** 2 * _SYSTEMATIC**2) @ G.T)
 
 
 def correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp]) -> float:

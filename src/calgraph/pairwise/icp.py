@@ -33,12 +33,14 @@ _SHARE = 0.5
 _THROUGH = 0.3
 # Points of one wall err together: range bias, plaster, mounting height (m). A point weighs as one of so many.
 _TOGETHER = 10.0
-_WALL = 0.01
+_WALL = 0.008
 # A direction is determined if its standard deviation is below this (m; m at _LEVER for the angle).
 _DETERMINED = 0.03
 _LEVER = 3.0
-# χ² with three degrees of freedom, 99.9 %: tracks and walls contradict each other beyond it.
+# χ² with three degrees of freedom, 99.9 %: walls and guess contradict each other beyond it. The guess may err by
+# so many times what its covariance says: in a few seconds people show one side only.
 _CONTRADICTION = 16.3
+_UNDERSTATED = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +120,7 @@ def align(
     apart = directions.T @ (se2.difference(T, T_a_b) / _SCALE)
     allowed = directions.T @ (covariance / np.outer(_SCALE, _SCALE)) @ directions
     variances = 1 / values + _WALL**2
-    if apart @ np.linalg.solve(allowed + np.diag(variances), apart) > _CONTRADICTION:
+    if apart @ np.linalg.solve(_UNDERSTATED**2 * allowed + np.diag(variances), apart) > _CONTRADICTION:
         return Rejected("walls and tracks contradict each other")
     information = (directions / variances) @ directions.T / np.outer(_SCALE, _SCALE)
     return Alignment(T, information, directions, len(found[0]))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import icp as scan_matching
-from calgraph.pairwise.agreement import GATE, Agreement, agree, costs, information
+from calgraph.pairwise.agreement import DEPTH, GATE, Agreement, agree, costs, information
 from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
 from calgraph.tracking import Tracked
 
@@ -26,17 +26,20 @@ _STRETCHES = (30, 80, 1_000_000)
 _TICKS = 6
 _EXTENT = 0.15
 _FIT = 0.3
-# Hypotheses judged, samples' combinations on which they are judged coarsely and finely, and how many are refined.
+# Hypotheses judged, combinations of samples on which they are judged coarsely and finely, how many hypotheses are
+# refined coarsely and finely, and how many samples of a there must be to judge by.
 _JUDGED = 200
 _COARSE = 1200
 _FINE = 6_000
 _REFINED = 6
 _KEPT = 4
+_FEWEST = 20
 # A stretch's pose strays at its far end: what it explains coarsely may be off by this standard deviation, m.
 _STRAY = 0.3
 # Two hypotheses are one if they differ by less than this in metres and in radians.
 _SAME = (0.5, np.radians(8))
-# Ticks that must agree, more than chance alone explains, and as a share of the best hypothesis's ticks.
+# Ticks that must agree: at least, as a share of those that should, as a multiple of what chance explains, and as a
+# share of the best hypothesis's.
 _ENOUGH = 20
 _LEAST_SHARE = 0.25
 _OVER_CHANCE = 2.0
@@ -63,7 +66,7 @@ class Hypothesis:
     share: float
     """Which share that is of those that should agree, as both scanners often see people there, 0..1."""
     cost: float
-    """Mean truncated squared Mahalanobis distance of all simultaneous positions in units of the gate, 0..1."""
+    """Mean truncated squared distance of all that a saw while b saw somebody, in units of the gate, 0..1."""
     icp: bool
     """Whether the static background contributes."""
 
@@ -93,6 +96,7 @@ def estimate_network_pairs(
     rng: np.random.Generator,
     *,
     icp: bool = True,
+    depth: float = DEPTH,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], TrackPair | Rejected]:
     """Estimates the relative pose of every pair of scanners, as :func:`estimate_network_pair` does.
@@ -101,19 +105,28 @@ def estimate_network_pairs(
         tracked: what each scanner knows, by its name.
         rng: source of the samples.
         icp: whether to match the static background, too.
+        depth: distance (m) of objects' true centres from those that tracks show, along the beam, standard
+            deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
         progress: told how much is done, 0..1.
     """
     samples = {name: sample(known) for name, known in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
     pairs: dict[tuple[str, str], TrackPair | Rejected] = {}
     for done, (a, b) in enumerate(names, start=1):
-        pairs[a, b] = _estimate(a, b, samples[a], samples[b], tracked[a], tracked[b], rng, icp)
+        pairs[a, b] = _estimate(a, b, samples[a], samples[b], tracked[a], tracked[b], rng, icp, depth)
         progress(done / len(names))
     return pairs
 
 
 def estimate_network_pair(
-    name_a: str, name_b: str, a: Tracked, b: Tracked, rng: np.random.Generator, *, icp: bool = True
+    name_a: str,
+    name_b: str,
+    a: Tracked,
+    b: Tracked,
+    rng: np.random.Generator,
+    *,
+    icp: bool = True,
+    depth: float = DEPTH,
 ) -> TrackPair | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners saw.
 
@@ -124,11 +137,13 @@ def estimate_network_pair(
         b: those of b.
         rng: source of the samples.
         icp: whether to match the static background, too.
+        depth: distance (m) of objects' true centres from those that tracks show, along the beam, standard
+            deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
 
     Returns:
         The best few hypotheses, or the reason why there is none.
     """
-    return _estimate(name_a, name_b, sample(a), sample(b), a, b, rng, icp)
+    return _estimate(name_a, name_b, sample(a), sample(b), a, b, rng, icp, depth)
 
 
 def _estimate(
@@ -140,6 +155,7 @@ def _estimate(
     tracked_b: Tracked,
     rng: np.random.Generator,
     icp: bool,
+    depth: float,
 ) -> TrackPair | Rejected:
     met = meetings(a, b)
     seconds = len(np.unique(a.tick[met.row_a])) * TICK
@@ -148,15 +164,15 @@ def _estimate(
     guesses = _guesses(met, rng)
     if not len(guesses):
         return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
-    coarse, fine = _thinned(a, b, len(met), _COARSE), _thinned(a, b, len(met), _FINE)
+    coarse, fine = _thinned(met, _COARSE), _thinned(met, _FINE)
     guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
-    found = [fit for T in guesses if (fit := agree(T, coarse, steps=3)) is not None]
+    found = [fit for T in guesses if (fit := agree(T, coarse, depth=depth, steps=3)) is not None]
     shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
     value = np.array([len(fit.pairs) for fit in found]) * shares
     promising = (shares >= _LEAST_SHARE) & (value >= _SHARE * np.max(value, initial=0.0))
     poses = _best(np.array([fit.T_a_b for fit in found]).reshape(-1, 3, 3)[promising], -value[promising], _KEPT)
-    agreements = [agree(T, fine, steps=3, misfit=0.1) for T in poses]
-    hypotheses = [_hypothesis(fit, fine, a, b, len(met) / len(fine)) for fit in agreements if fit is not None]
+    agreements = [agree(T, fine, depth=depth, steps=3, misfit=0.1) for T in poses]
+    hypotheses = [_hypothesis(fit, fine, a, b, len(met), depth) for fit in agreements if fit is not None]
     hypotheses.sort(key=lambda h: -h.observations * h.share)
     kept = [h for h in hypotheses if _credible(h)]
     if not kept:
@@ -173,10 +189,11 @@ def _credible(h: Hypothesis) -> bool:
     return h.observations >= max(_ENOUGH, _OVER_CHANCE * h.chance) and h.share >= _LEAST_SHARE
 
 
-def _thinned(a: Samples, b: Samples, count: int, wanted: int) -> Meetings:
-    """The meetings of so many ticks that there are about ``wanted`` of them."""
-    step = max(1, round(count / wanted))
-    return meetings(a.every(step), b.every(step))
+def _thinned(met: Meetings, wanted: int) -> Meetings:
+    """The meetings of so many ticks that there are about ``wanted`` of them, or all if few ticks would be left."""
+    step = max(1, round(len(met) / wanted))
+    thinned = meetings(met.a.every(step), met.b.every(step))
+    return thinned if len(np.unique(thinned.row_a)) >= _FEWEST else met
 
 
 def _guesses(met: Meetings, rng: np.random.Generator) -> Array:
@@ -251,10 +268,11 @@ def _same(T: Array, other: Array) -> bool:
     return bool(np.hypot(d[0], d[1]) < _SAME[0] and abs(d[2]) < _SAME[1])
 
 
-def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, thinned: float) -> Hypothesis:
+def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, count: int, depth: float) -> Hypothesis:
+    thinned = count / len(met)
     return Hypothesis(
         fit.T_a_b,
-        information(fit, met),
+        information(fit, met, depth),
         round(len(fit.pairs) * thinned),
         _chance(fit, met, b) * thinned,
         min(len(fit.pairs) / max(_expected(fit.T_a_b, met, a, b), 1), 1.0),

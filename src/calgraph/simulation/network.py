@@ -70,7 +70,7 @@ def build_network(scenario: NetworkScenario, seed: int) -> Network:
     """Draws building, scanners and walks.
 
     Raises:
-        InputError: the scanners' jitter puts them into walls.
+        InputError: the scanners' jitter puts them into walls, or there is no place for so many people.
 
     """
     rng = np.random.default_rng((seed, 0))
@@ -87,7 +87,7 @@ def simulate_network_scans(scenario: NetworkScenario, seed: int = 0) -> tuple[di
     """The scans by scanner, in order, and the truth, without a recording in between.
 
     Raises:
-        InputError: the scanners' jitter puts them into walls.
+        InputError: the scanners' jitter puts them into walls, or there is no place for so many people.
 
     """
     network = build_network(scenario, seed)
@@ -107,7 +107,8 @@ def simulate_network(
         progress: is told how many scans are written, of how many.
 
     Raises:
-        InputError: the scanners' jitter puts them into walls, or there is a recording in ``out`` already.
+        InputError: the scanners' jitter puts them into walls, there is no place for so many people, or there is a
+            recording in ``out`` already.
 
     """
     network = build_network(scenario, seed)

@@ -82,17 +82,14 @@ def _near(
     """Scans and beams that can hit a body, by where it is in the middle of each scan."""
     first, last = times[:, 0], times[:, -1]
     # A body that comes during a scan counts as where it comes in.
-    middle = np.clip((first + last) / 2, walk.start, None)
-    centers, _ = walk.at(middle)
+    centers, _ = walk.at(np.clip((first + last) / 2, walk.start, None))
     x, y = (centers - origin).T
-    moved = _FASTEST * (last - first) / 2
     distance = np.hypot(x, y)
-    reach = float(walk.axes.max())
-    with np.errstate(invalid="ignore", divide="ignore"):
-        half = np.arcsin(np.minimum((reach + moved) / distance, 1)) + 1e-6
-        near = (last >= walk.start) & (distance < max_range + reach + moved)
-        half = np.where(near & (distance > reach + moved), half, np.where(near, np.pi, -1.0))
-        # Scan by scan only a few beams: those whose direction, turned into [-pi, pi) around the body's, is small.
-        off = np.remainder(angles - np.arctan2(y, x)[:, None] + np.pi, 2 * np.pi) - np.pi
-        scan, beam = np.nonzero(np.abs(off) <= half[:, None])
-    return scan, beam
+    reach = float(walk.axes.max()) + _FASTEST * (last - first) / 2
+    near = np.flatnonzero((last >= walk.start) & (distance < max_range + reach))
+    # The tangents to the circle that holds the body all along; anywhere if the scanner is in that circle.
+    half = np.arcsin(np.minimum(reach[near] / np.maximum(distance[near], 1e-9), 1)) + 1e-6
+    half[distance[near] <= reach[near]] = np.pi
+    off = np.remainder(angles - np.arctan2(y[near], x[near])[:, None] + np.pi, 2 * np.pi) - np.pi
+    scan, beam = np.nonzero(np.abs(off) <= half[:, None])
+    return near[scan], beam

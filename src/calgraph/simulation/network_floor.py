@@ -10,6 +10,7 @@ from scipy.ndimage import label
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array
 
 _CELL = 0.2
@@ -102,6 +103,9 @@ def ways_through(floor: Floor, kept_clear: float, standing: Array, away: float) 
         standing: (N, 2) places of scanners, which nobody walks over.
         away: of a body's centre from those, at least, m.
 
+    Raises:
+        InputError: there is no such region.
+
     """
     low, high = floor.outline.min(axis=0), floor.outline.max(axis=0)
     axes = [np.arange(a + _CELL / 2, b, _CELL) for a, b in zip(low, high, strict=True)]
@@ -116,6 +120,10 @@ def ways_through(floor: Floor, kept_clear: float, standing: Array, away: float) 
     sizes = np.bincount(regions.ravel())
     sizes[0] = 0
     free = (regions == np.argmax(sizes)) & (clearance >= kept_clear)
+    if not free.any():
+        raise InputError(
+            f"people.clearance: nobody fits who stays {kept_clear:.2f} m away from everything; take less"
+        )
     return Ways(centers[0], clearance, free, _neighbourhood(free, clearance, kept_clear))
 
 

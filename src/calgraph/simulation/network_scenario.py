@@ -77,7 +77,7 @@ class PeopleKnobs(StrictModel):
     stop_time: NotNegative = 2.0
     """Mean length of a stop, s."""
     clearance: NotNegative = 0.15
-    """Of a body from walls, scanners and other bodies, at least, m."""
+    """Of a body from walls, scanners and other bodies, m; smoothing a walk may take up to 3 cm of it."""
 
     @property
     def reach(self) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.simulation.network_floor import Ways
 from calgraph.simulation.network_scenario import PeopleKnobs
@@ -23,6 +24,12 @@ _SMOOTH = 0.25
 """Standard deviation of the filter that places are smoothed with, s."""
 _LOOK_AHEAD = np.array([0.1, 0.4, 0.8, 1.2, 1.6])
 """Times at which a velocity is checked for what it leads into, s."""
+_BEFORE_PEOPLE = 4.0 * (1 - _LOOK_AHEAD / 2)
+"""What meeting someone at those times costs, as a fraction of the speed: the more the sooner."""
+_BEFORE_WALLS = np.array([3.0, 1.0, 0.3, 0.0, 0.0])
+"""Likewise for walls, which the way leads around farther on."""
+_STANDING = 0.5
+"""Likewise what standing costs, so that nobody rests before a bend."""
 _TURNS = np.radians([0, -15, 15, -30, 30, -50, 50, -75, 75, -105, 105, -150, 150])
 _PACES = np.array([1.0, 0.7, 0.35])
 _ARRIVED = 0.5
@@ -61,7 +68,6 @@ class _Walker:
     """One person while its walk is being made."""
 
     axes: Array
-    reach: float
     speed: float
     stations: Array
     """(K, 2) in the order of its visits, or none."""
@@ -92,6 +98,9 @@ def draw_walks(
         end: s.
         rng: draws everything random.
 
+    Raises:
+        InputError: there is no place for so many.
+
     """
     walkers = _set_out(ways, stations, people, rng)
     steps = int(np.ceil((end - start) / _STEP)) + 2
@@ -117,14 +126,16 @@ def _set_out(ways: Ways, stations: Array, people: PeopleKnobs, rng: np.random.Ge
             if all(np.linalg.norm(place - other.place) > _apart(people) + 0.2 for other in walkers):
                 break
             place = ways.random_place(rng)
+        else:
+            raise InputError(f"people.count: {people.count} do not fit on the floor, only {len(walkers)} do")
         speed = people.speed * (1 + rng.uniform(-people.speed_spread, people.speed_spread))
-        walkers.append(_Walker(axes, float(axes.max()), speed, order, place))
+        walkers.append(_Walker(axes, speed, order, place))
     return walkers
 
 
 def _apart(people: PeopleKnobs) -> float:
     """The least distance of two centres, m."""
-    return 2 * (people.reach + _SLACK) + people.clearance
+    return 2 * people.reach + people.clearance + _SLACK
 
 
 def _advance(
@@ -186,18 +197,17 @@ def _choose(walker: _Walker, wanted: Array, others: Sequence[_Walker], ways: Way
     cost = np.linalg.norm(candidates - walker.speed * wanted, axis=1)
     cost += 0.8 * np.linalg.norm(candidates - walker.velocity, axis=1)
     ahead = walker.place + _LOOK_AHEAD[:, None, None] * candidates
-    # Meeting something soon weighs more than meeting it late; the next step must be clear of everything.
-    urgency = 4.0 * walker.speed * (1 - _LOOK_AHEAD / 2)
-    blocked = ways.room(ahead) < body_clearance(people) - 0.15
+    cost[-1] += _STANDING * walker.speed
+    blocked = ways.room(ahead) < people.reach + people.clearance
     now_room = ways.room(walker.place[None])[0]
     forbidden = blocked[0] & (ways.room(ahead[0]) <= now_room)
-    cost += (urgency[:, None] * blocked).max(axis=0)
+    cost += walker.speed * (_BEFORE_WALLS[:, None] * blocked).max(axis=0)
     for other in others:
         if np.linalg.norm(other.place - walker.place) > 6:
             continue
         gaps = np.linalg.norm(ahead - other.place - _LOOK_AHEAD[:, None, None] * other.velocity, axis=-1)
         meets = gaps < _apart(people) + 0.1
-        cost += (urgency[:, None] * meets).max(axis=0)
+        cost += walker.speed * (_BEFORE_PEOPLE[:, None] * meets).max(axis=0)
         # One may step away from whom one is too near to, but not closer.
         here = np.linalg.norm(other.place - walker.place)
         after = np.linalg.norm(ahead[0] - other.place, axis=-1)

@@ -59,8 +59,8 @@ def follow(found: Clusters, spread: float, agility: float) -> list[NDArray[np.in
     # Scans without any object need no step of their own: the prediction over the whole gap is the same.
     for k, (low, high) in enumerate(pairwise(bounds)):
         live.state = predict(live.state, ahead.at(k))
-        _match(live, np.arange(low, high), centres[low:high], R, moments[k])
         _prune(live, moments[k], finished)
+        _match(live, np.arange(low, high), centres[low:high], R, moments[k])
     finished.extend(members for members in live.members if len(members) >= _CONFIRMED)
     return [np.array(members, dtype=np.intp) for members in sorted(finished)]
 

@@ -18,9 +18,15 @@ Feature = Literal["com", "ellipse", "nls"]
 _BEFORE = 0.75
 # How far it strays sideways where a part of the object is hidden, as a part of the radius; and otherwise.
 _CLIPPED, _WHOLE = 0.5, 0.1
-# How well people's shoulders are across their walk, rad; slower than this, m/s, says nothing.
-_SHOULDERS = 0.25
+# How well people's shoulders are across their walk, rad, and how well their centres of mass tell the walk, m/s;
+# slower ones than this, m/s, tell nothing.
+_SHOULDERS = 0.15
+_DRIFT = 0.2
 _STROLLING = 0.2
+# How far people's radii are off, as a part of themselves: a fit to many beams is biased by as much.
+_BODIES = 0.06
+# What a hidden side adds to the noise of a fit, as a part of the radius: which part is seen is guessed.
+_GUESSED = 0.15
 # A free ellipse is believed if its radii are within this factor of the target's.
 _CREDIBLE = (0.3, 2.0)
 # Objects are fitted in portions of like size, so that padding stays small.
@@ -80,7 +86,7 @@ def centres(feature: Feature, found: Clusters, target: People | Cylinder, walks:
         return _center_of_mass(found, radii_of(target), sigma)
     if feature == "ellipse":
         return _direct(found, radii_of(target), sigma)
-    return _fixed(found, radii_of(target), walks, sigma)
+    return _fixed(found, radii_of(target), walks, sigma, 0.0 if isinstance(target, Cylinder) else _BODIES)
 
 
 def _center_of_mass(found: Clusters, radii: tuple[float, float], sigma: float) -> Centres:
@@ -111,11 +117,13 @@ def _direct(found: Clusters, radii: tuple[float, float], sigma: float) -> Centre
     return Centres(positions, noise, np.where(credible[:, None, None], 0.0, put_back))
 
 
-def _fixed(found: Clusters, radii: tuple[float, float], walks: Walks, sigma: float) -> Centres:
+def _fixed(found: Clusters, radii: tuple[float, float], walks: Walks, sigma: float, unlike: float) -> Centres:
     speed = np.linalg.norm(walks.velocities, axis=-1)
     heading = np.arctan2(walks.velocities[:, 1], walks.velocities[:, 0])
     with np.errstate(divide="ignore"):
-        known = np.where(speed > _STROLLING, np.hypot(_SHOULDERS, np.sqrt(walks.variances) / speed), np.inf)
+        known = np.where(
+            speed > _STROLLING, np.hypot(_SHOULDERS, np.sqrt(walks.variances + _DRIFT**2) / speed), np.inf
+        )
     # The first radius of people is that of their shoulders, across the walk.
     prior = Prior(heading + np.pi / 2, known)
     sigma = _sigma_on_target(found, radii, prior, sigma)
@@ -125,7 +133,12 @@ def _fixed(found: Clusters, radii: tuple[float, float], walks: Walks, sigma: flo
         return np.concatenate([fits.centres, fits.covariances.reshape(-1, 4)], axis=-1)
 
     result = _in_portions(found, 6, fitted)
-    return Centres(result[:, :2], result[:, 2:].reshape(-1, 2, 2), np.zeros((len(found), 2, 2)))
+    radius = float(np.mean(radii))
+    guessed = np.where(found.clipped, (_GUESSED * radius) ** 2, 0.0)
+    noise = result[:, 2:].reshape(-1, 2, 2) + guessed[:, None, None] * np.eye(2)
+    # Wrong radii shift the centre along the line of sight; sideways the outline's edges hold it.
+    along = np.full(len(found), (unlike * radius) ** 2)
+    return Centres(result[:, :2], noise, _oriented(found.means, along, along / 4))
 
 
 def _sigma_on_target(found: Clusters, radii: tuple[float, float], prior: Prior, sigma: float) -> float:

@@ -178,5 +178,7 @@ def _only_plausible(groups: Groups, centres: Array, covariances: Array, radius: 
     sight = means / np.maximum(np.linalg.norm(means, axis=-1, keepdims=True), 1e-9)
     off = centres - means
     bad = ~np.isfinite(covariances).all(axis=(1, 2)) | ~np.isfinite(centres).all(axis=1)
+    # As good as nothing: such a centre may be anywhere on the object.
+    bad |= np.trace(covariances, axis1=1, axis2=2) > radius**2
     bad |= (np.linalg.norm(off, axis=-1) > 2 * radius) | ((off * sight).sum(axis=-1) < -0.2 * radius)
     return np.where(bad[:, None], np.nan, centres), np.where(bad[:, None, None], np.nan, covariances)

@@ -57,15 +57,15 @@ def track_scanner(
         return Untracked("nothing of the target's size stood out from the static surroundings in any scan")
     spread = 0.5 * float(np.mean(radii_of(target)))
     identities = [members for members in follow(found, spread, _AGILITY) if _walks(found, members)]
-    if not identities:
-        return Untracked(
-            f"{len(found)} objects of the target's size were seen in {len(np.unique(found.scan))} scans, but none "
-            f"could be followed for {_SHORTEST:g} s and {_TRAVEL:g} m"
-        )
     pieces = cut_into_periods(identities, found.scan, found.times)
     walks = _first_pass(found, pieces, target, sigma)
     measured = centres(feature, found, target, walks, sigma)
     tracks = _tracks(pieces, found.times, measured)
+    if not tracks:
+        return Untracked(
+            f"{len(found)} objects of the target's size were seen in {len(np.unique(found.scan))} scans, but none "
+            f"could be followed for {_SHORTEST:g} s and {_TRAVEL:g} m"
+        )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
     return Tracked(tracks, scene.points, sigma)
 
@@ -80,12 +80,12 @@ def _walks(found: Clusters, members: NDArray[np.intp]) -> bool:
 
 def _first_pass(found: Clusters, pieces: Sequence[Piece], target: People | Cylinder, sigma: float) -> Walks:
     """Velocities of the objects by their centres of mass."""
-    nowhere = Walks(np.zeros((len(found), 2)), np.full(len(found), np.inf))
-    measured = centres("com", found, target, nowhere, sigma)
+    walks = Walks(np.zeros((len(found), 2)), np.full(len(found), np.inf))
+    measured = centres("com", found, target, walks, sigma)
     for track in smooth_all([piece.members for piece in pieces], found.times, measured, _AGILITY):
-        nowhere.velocities[track.members] = track.mean[:, 2:]
-        nowhere.variances[track.members] = np.trace(track.covariance[:, 2:, 2:], axis1=1, axis2=2) / 2
-    return nowhere
+        walks.velocities[track.members] = track.mean[:, 2:]
+        walks.variances[track.members] = np.trace(track.covariance[:, 2:, 2:], axis1=1, axis2=2) / 2
+    return walks
 
 
 def _tracks(pieces: Sequence[Piece], times: Array, measured: Centres) -> tuple[Track, ...]:
