@@ -9,5 +9,6 @@ from calgraph.captures.timeline import SensorTimes, Timeline, survey
 
 __all__ = [
     "ActivityMeter", "Captured", "Detect", "Hold", "Observation", "SensorTimes", "Timeline", "as_scans",
-    "check_timeline", "detectors", "find_holds", "gather", "is_snapshots", "learn_backgrounds", "observe", "survey", "thinned",
+    "check_timeline", "detectors", "find_holds", "gather", "is_snapshots", "learn_backgrounds", "observe",
+    "survey", "thinned",
 ]  # fmt: skip

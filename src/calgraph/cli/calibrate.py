@@ -35,6 +35,24 @@ class TagsChoice(StrEnum):
     mean_plane = "mean_plane"
 
 
+class FeatureChoice(StrEnum):
+    """Values of --feature."""
+
+    com = "com"
+    ellipse = "ellipse"
+    nls = "nls"
+
+
+class AverageChoice(StrEnum):
+    """Values of --average."""
+
+    consensus = "consensus"
+    l1mc = "l1mc"
+    triangles = "triangles"
+    spectral = "spectral"
+    irls = "irls"
+
+
 def calibrate(
     rig_file: Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")],
     recordings: Annotated[
@@ -52,10 +70,21 @@ def calibrate(
         TagsChoice,
         typer.Option("--tags", help="A camera's plane: from all corners, or averaged over tags (the paper)."),
     ] = TagsChoice.pnp,
+    feature: Annotated[
+        FeatureChoice,
+        typer.Option(
+            "--feature", help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii."
+        ),
+    ] = FeatureChoice.nls,
+    average: Annotated[
+        AverageChoice,
+        typer.Option("--average", help="People: how pairs become poses; all but consensus are published."),
+    ] = AverageChoice.consensus,
+    icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
 ) -> None:
-    """Find the relative poses of all sensors of a rig.
+    """Find the relative poses of all sensors of a rig or network.
 
     Writes calibration.yaml, report.html, captures.csv and rig.resolved.yaml into OUT.
 
@@ -64,7 +93,15 @@ def calibrate(
     from calgraph import calibrate as story  # takes seconds, which --help should not
 
     rig = load_rig(rig_file)
-    options = story.Options(keep=keep.value, start=start.value, tags=tags.value, seed=seed)
+    options = story.Options(
+        keep=keep.value,
+        start=start.value,
+        tags=tags.value,
+        feature=feature.value,
+        average=average.value,
+        icp=icp,
+        seed=seed,
+    )
     with replacing_folder(out) as folder:
         with open_recordings(recordings) as recording, progress_bars() as progress:
             rig = with_intrinsics(rig, recording)

@@ -9,7 +9,7 @@ from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import TrackPair
 
 # What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
-_FLOOR = np.diag([0.02**2, 0.02**2, 0.004**2])
+_BEYOND_NOISE = (0.02, 0.004)
 
 
 def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tuple[str, ...]]:
@@ -22,10 +22,8 @@ def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tup
     kept = [(pair, h) for pair in pairs if pair.sensor_a in node for h in pair.hypotheses]
     edges = np.array([(node[p.sensor_a], node[p.sensor_b]) for p, _ in kept], dtype=np.intp).reshape(-1, 2)
     T = np.array([h.T_a_b for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
-    open_ = np.eye(3) * 1e-6
-    covariance = [np.linalg.inv(h.information + open_) + _FLOOR for _, h in kept]
-    information = np.linalg.inv(np.array(covariance, dtype=np.float64).reshape(-1, 3, 3))
-    return PoseGraph(len(names), edges, T, np.asarray(information, dtype=np.float64)), names
+    information = np.array([h.information for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
+    return PoseGraph(len(names), edges, T, information).loosened(*_BEYOND_NOISE), names
 
 
 def _connected(root: str, pairs: Sequence[TrackPair]) -> tuple[str, ...]:
@@ -51,14 +49,14 @@ def covariances(graph: PoseGraph, T_root_node: Array) -> Array:
     arm = T_root_node[j, :2, 2] - T_root_node[i, :2, 2]
     J_i = np.tile(-np.eye(3), (len(i), 1, 1))
     J_i[:, :2, 2] -= np.stack([-arm[:, 1], arm[:, 0]], axis=-1)
-    H = np.eye(3 * graph.count) * 1e-6
-    H = H.reshape(graph.count, 3, graph.count, 3)
-    for a, b, J_a, J_b in ((i, i, J_i, J_i), (i, j, J_i, None), (j, i, None, J_i), (j, j, None, None)):
-        left = np.swapaxes(J_a, -1, -2) @ W if J_a is not None else W
-        np.add.at(H, (a, slice(None), b), left @ J_b if J_b is not None else left)
-    flat = H.reshape(3 * graph.count, -1)
+    WJ = W @ J_i
+    blocks = ((i, i, np.swapaxes(J_i, -1, -2) @ WJ), (i, j, np.swapaxes(WJ, -1, -2)), (j, i, WJ), (j, j, W))
+    H = np.zeros((graph.count, graph.count, 3, 3))
+    for a, b, block in blocks:
+        np.add.at(H, (a, b), block)
+    flat = H.transpose(0, 2, 1, 3).reshape(3 * graph.count, -1) + 1e-6 * np.eye(3 * graph.count)
     free = np.repeat(np.arange(graph.count) != graph.root, 3)
     covariance = np.zeros_like(flat)
     covariance[np.ix_(free, free)] = np.linalg.inv(flat[np.ix_(free, free)])
-    blocks = covariance.reshape(graph.count, 3, graph.count, 3)
-    return np.asarray(blocks[np.arange(graph.count), :, np.arange(graph.count)])
+    own = np.arange(graph.count)
+    return np.asarray(covariance.reshape(graph.count, 3, graph.count, 3)[own, :, own])

@@ -66,7 +66,8 @@ def assemble_network(
 def _in_space(planar: Array) -> Array:
     """Covariances (N, 6, 6) of poses in a common plane, which is taken as exact, from those in it (N, 3, 3)."""
     spread = np.zeros((len(planar), 6, 6))
-    spread[np.ix_(np.arange(len(planar)), [0, 1, 5], [0, 1, 5])] = planar
+    in_plane = np.array([0, 1, 5])
+    spread[:, in_plane[:, None], in_plane] = planar
     return spread
 
 
@@ -101,10 +102,8 @@ def _edge(
             a, b, best.observations, 0, in_tree=False, residuals=np.zeros(0), note="contradicts the other pairs"
         )
     T_root_a, T_root_b = poses if (a, b) == (found.sensor_a, found.sensor_b) else poses[::-1]
-    off = min(
-        float(np.linalg.norm(se2.difference(se2.inverse(T_root_a) @ T_root_b, h.T_a_b)[:2]))
-        for h in found.hypotheses
-    )
+    T_a_b = se2.inverse(T_root_a) @ T_root_b
+    off = min(float(np.linalg.norm(se2.difference(T_a_b, h.T_a_b)[:2])) for h in found.hypotheses)
     in_tree = parents.get(a) == b or parents.get(b) == a
     return Edge(a, b, best.observations, best.observations, in_tree=in_tree, residuals=np.array([off]))
 
@@ -118,6 +117,5 @@ def _why_alone(name: str, followed: Mapping[str, Tracked | Untracked], pairs: Ne
         for (a, b), found in pairs.items()
         if name in (a, b) and isinstance(found, Rejected)
     }
-    return f"followed {len(own.tracks)} tracks, but " + "; ".join(
-        f"{other}: {why}" for other, why in reasons.items()
-    )
+    said = "; ".join(f"{other}: {why}" for other, why in reasons.items())
+    return f"followed {len(own.tracks)} tracks, but {said or 'no other scanner did'}"

@@ -1,0 +1,49 @@
+import numpy as np
+
+from calgraph.geometry import se2
+from calgraph.graph import covariances, network_graph
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.pairwise import Hypothesis, TrackPair
+
+
+def hypothesis(x: float, sigma: float = 0.01) -> Hypothesis:
+    T = se2.pose(0.0, np.array([x, 0.0]))
+    return Hypothesis(T, np.eye(3) / sigma**2, observations=100, chance=0.0, share=1.0, cost=0.1, icp=False)
+
+
+def test_alternatives_of_a_pair_are_edges_of_one_pair() -> None:
+    pairs = [TrackPair("a", "b", (hypothesis(1), hypothesis(2))), TrackPair("b", "c", (hypothesis(1),))]
+    graph, names = network_graph("a", pairs)
+    assert names == ("a", "b", "c")
+    np.testing.assert_array_equal(graph.edges, [[0, 1], [0, 1], [1, 2]])
+    assert len(np.unique(graph.pairs)) == 2
+
+
+def test_only_what_is_connected_to_the_root_is_in_the_graph() -> None:
+    graph, names = network_graph("a", [TrackPair("b", "c", (hypothesis(1),))])
+    assert names == ("a",)
+    assert len(graph.edges) == 0
+
+
+def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:
+    """Three scanners in a row, a metre apart."""
+    T = se2.pose(np.zeros(2), np.tile([1.0, 0.0], (2, 1)))
+    information = np.tile(np.diag([sigma_x**-2, sigma_x**-2, sigma_theta**-2]), (2, 1, 1))
+    poses = se2.pose(np.zeros(3), np.array([[0.0, 0], [1, 0], [2, 0]]))
+    return PoseGraph(3, np.array([[0, 1], [1, 2]]), T, information), poses
+
+
+def test_covariance_adds_up_along_a_chain() -> None:
+    graph, poses = chain(0.01, 0.02)
+    spread = covariances(graph, poses)
+    np.testing.assert_allclose(spread[0], 0)
+    np.testing.assert_allclose(np.diag(spread[1]), [0.01**2, 0.01**2, 0.02**2], rtol=1e-6)
+    # The first turn moves the last scanner sideways by its arm of one metre.
+    np.testing.assert_allclose(np.diag(spread[2]), [2 * 0.01**2, 2 * 0.01**2 + 0.02**2, 2 * 0.02**2], rtol=1e-6)
+
+
+def test_covariance_agrees_with_composition() -> None:
+    graph, poses = chain(0.01, 0.02)
+    pair = np.diag([0.01**2, 0.01**2, 0.02**2])
+    composed = se2.compose_covariance(poses[1], pair, pair, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(covariances(graph, poses)[2], composed, rtol=1e-6)
