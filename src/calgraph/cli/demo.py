@@ -7,12 +7,12 @@ import typer
 
 from calgraph.cli.calibrate import fail_if_unconnected, write_results
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.simulate import simulate_into
+from calgraph.cli.simulating import simulate_into
 from calgraph.cli.tables import print_calibration, print_errors, print_place
 from calgraph.errors import InputError
 from calgraph.recording import open_recording, with_intrinsics
 from calgraph.rig import load_rig, replacing_folder
-from calgraph.simulation import RigScenario, load_truth
+from calgraph.simulation import RigScenario, load_truth, simulate_rig
 
 
 def demo(
@@ -31,7 +31,7 @@ def demo(
         raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")
     with replacing_folder(out) as folder:
         with progress_bars() as progress:
-            simulate_into(folder, RigScenario(), seed, progress)
+            simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
                 rig = with_intrinsics(rig, recording)
