@@ -138,7 +138,9 @@ def test_a_terminated_run_leaves_nothing(simulated: Path, tmp_path: Path) -> Non
 
 def stopped(simulated: Path, place: Path, by: signal.Signals) -> tuple[int, str, list[str]]:
     """Exit code, stderr and files left when a calibration is stopped while it works."""
-    code = "from calgraph.cli import main; main()"
+    # A shell starts background jobs, as CI may be one, with Ctrl-C ignored; children inherit that.
+    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = f"{heed}; from calgraph.cli import main; main()"
     arguments = ["calibrate", simulated / "rig.yaml", simulated / "recording", "-o", place / "out"]
     with subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)], stderr=subprocess.PIPE, text=True
