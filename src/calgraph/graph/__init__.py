@@ -6,7 +6,7 @@ from calgraph.graph.cycles import Cycle, cycle_basis, triangles
 from calgraph.graph.network import covariances, network_graph
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
-from calgraph.graph.tree import SpanningTree, spanning_tree, unconnected
+from calgraph.graph.tree import SpanningTree, spanning_tree
 from calgraph.graph.voting import consensus_trees
 
 __all__ = [
@@ -29,5 +29,4 @@ __all__ = [
     "spectral",
     "translations",
     "triangles",
-    "unconnected",
 ]  # fmt: skip

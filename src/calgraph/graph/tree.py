@@ -1,6 +1,6 @@
 """The graph of sensors: what is connected to the root, and start poses along its minimum spanning tree."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,11 +49,6 @@ def spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningT
         best = min(leaving, key=lambda e: (_openness(e), e.squared_error))
         parents[best.sensor_b] = best.sensor_a
         poses[best.sensor_b] = poses[best.sensor_a] @ best.T_a_b
-
-
-def unconnected(sensors: Collection[str], tree: SpanningTree) -> tuple[str, ...]:
-    """The sensors that no chain of pairs connects to the root, in the order given."""
-    return tuple(name for name in sensors if name not in tree.T_root_sensor)
 
 
 def _openness(estimate: PairwiseEstimate) -> float:
