@@ -45,7 +45,7 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
     ]
     never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
     timeline = Timeline(scenario.start_time, dict.fromkeys(rig.sensors, never), np.zeros(0))
-    return rig, gather(rig, timeline, holds, observations), truth
+    return rig, gather(rig, timeline, holds, observations, cameras), truth
 
 
 def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:

@@ -112,7 +112,7 @@ def capture_board(
         progress("detecting", done / (len(holds) * len(rig.sensors)))
 
     observations = observe(recording.records(rig.topics.values()), holds, rig.topics, detect, progress=detecting)
-    return gather(rig, timeline, holds, observations)
+    return gather(rig, timeline, holds, observations, cameras)
 
 
 def solve_rig(

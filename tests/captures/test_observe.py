@@ -70,9 +70,8 @@ def test_messages_that_never_come_do_not_lose_those_that_did() -> None:
 
 def test_gathering_sorts_hits_from_misses() -> None:
     timeline = survey(Scanner().records(), 0.0, {"laser": "/scan"}, None)
-    captured = gather(
-        RIG, timeline, [], [Observation(0, "laser", SEEN), Observation(1, "laser", Rejected("too far"))]
-    )
+    observations = [Observation(0, "laser", SEEN), Observation(1, "laser", Rejected("too far"))]
+    captured = gather(RIG, timeline, [], observations, cameras={})
     assert captured.detections == {"laser": {0: SEEN}}
     assert captured.misses == {(1, "laser"): "too far"}
 

@@ -12,7 +12,7 @@ from calgraph.captures.timeline import Timeline
 from calgraph.detection import Detection, Rejected
 from calgraph.geometry import Array
 from calgraph.rig import Rig
-from calgraph.sensors import Message, Record
+from calgraph.sensors import CameraModel, Message, Record
 
 Detect = Callable[[Sequence[Any]], tuple[Detection, ...] | Rejected]
 """Finds the board in the messages that one sensor sent during one hold."""
@@ -43,9 +43,17 @@ class Captured:
     """By sensor and capture; several candidates where it is open which of them is the board."""
     misses: Mapping[tuple[int, str], str]
     """By capture and sensor, why there is no detection."""
+    cameras: Mapping[str, CameraModel]
+    """Intrinsics by camera."""
 
 
-def gather(rig: Rig, timeline: Timeline, holds: Sequence[Hold], observations: Iterable[Observation]) -> Captured:
+def gather(
+    rig: Rig,
+    timeline: Timeline,
+    holds: Sequence[Hold],
+    observations: Iterable[Observation],
+    cameras: Mapping[str, CameraModel],
+) -> Captured:
     """Sorts observations into detections and misses; weighs cameras by the noise that all their corners show."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}
     misses: dict[tuple[int, str], str] = {}
@@ -57,7 +65,7 @@ def gather(rig: Rig, timeline: Timeline, holds: Sequence[Hold], observations: It
     for name, spec in rig.cameras().items():
         detections[name] = with_measured_noise(detections[name], spec.noise.pixel)
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
-    return Captured(timeline.start, frames, tuple(holds), detections, misses)
+    return Captured(timeline.start, frames, tuple(holds), detections, misses, cameras)
 
 
 def observe(
