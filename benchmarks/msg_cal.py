@@ -15,7 +15,7 @@ import numpy as np
 
 from calgraph.calibrate import Options, solve_rig
 from calgraph.geometry import Array
-from calgraph.graph import spanning_tree
+from calgraph.graph import start_poses
 from calgraph.pairwise import estimate_pairs, estimated
 from calgraph.refinement import Joint, solve_hypergraph
 from calgraph.simulation import RigScenario
@@ -53,9 +53,10 @@ def main() -> None:
 def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float]]:
     """Mean translation (m) and rotation (degrees) error and graph error (m²) of each variant."""
     rig, captured, truth = detected(scenario, seed)
-    seen = captured.detections
-    estimates = estimated(estimate_pairs(seen, rig.board_size, np.random.default_rng(seed), polish=False))
-    tree = spanning_tree(rig.root, estimates)
+    seen, rng = captured.detections, np.random.default_rng(seed)
+    estimates = estimated(estimate_pairs(seen, rig.board_size, rng, polish=False))
+    tree = start_poses(rig.root, estimates, "tree", rng)
+    at_root = start_poses(rig.root, estimates, "identity", rng)
 
     def judge(joint: Joint) -> tuple[float, float, float]:
         metres, degrees = errors(dict(joint.T_root_sensor), truth)
@@ -67,7 +68,7 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
         "default": (float(metres.mean()), float(degrees.mean()), float("nan")),
         "pairwise": judge(solve_hypergraph(tree, estimates, seen, optimize=False)),
         "global": judge(solve_hypergraph(tree, estimates, seen)),
-        "global, from identity": judge(solve_hypergraph(tree, estimates, seen, start="identity")),
+        "global, from identity": judge(solve_hypergraph(at_root, estimates, seen)),
         "global, unfiltered": judge(solve_hypergraph(tree, estimates, seen, keep="none")),
     }
 

@@ -23,10 +23,10 @@ from calgraph.captures import (
 )
 from calgraph.detection import Averaging
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import Method, average, network_graph, spanning_tree
+from calgraph.graph import Method, Start, average, network_graph, start_poses
 from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
-from calgraph.refinement import Filter, Start, assemble, assemble_network, solve_hypergraph
+from calgraph.refinement import Filter, assemble, assemble_network, solve_hypergraph
 from calgraph.result import Calibration
 from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
 from calgraph.sensors import LaserScan, Record
@@ -50,7 +50,7 @@ class Options:
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     start: Start = "tree"
-    """Where the joint solution starts: the spanning tree of pairwise estimates, or the identity."""
+    """Where a rig's joint solution starts: its spanning tree, the identity, or all pairs averaged by a method."""
     tags: Averaging = "pnp"
     """A camera's plane: one PnP over all tags' corners, or the paper's average over tags (mean_plane)."""
     feature: Feature = "nls"
@@ -121,13 +121,13 @@ def solve_rig(
     """From detections to a calibration: every pair, the tree they span, and all sensors jointly."""
     seen = captured.detections
     pairs = estimate_pairs(seen, rig.board_size, rng, lambda done: progress("pairing", done))
-    tree = spanning_tree(rig.root, estimated(pairs))
-    joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep, start=options.start)
+    tree = start_poses(rig.root, estimated(pairs), options.start, rng)
+    joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
     if options.keep == "ransac":
         # What three captures could not tell apart, all of them can: select once more under the joint solution.
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
-        tree = spanning_tree(rig.root, estimated(pairs))
-        joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep, start=options.start)
+        tree = start_poses(rig.root, estimated(pairs), options.start, rng)
+        joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
     return assemble(rig, captured, pairs, tree, joint)
 
 

@@ -26,6 +26,11 @@ class StartChoice(StrEnum):
 
     tree = "tree"
     identity = "identity"
+    consensus = "consensus"
+    l1mc = "l1mc"
+    triangles = "triangles"
+    spectral = "spectral"
+    irls = "irls"
 
 
 class TagsChoice(StrEnum):
@@ -64,7 +69,10 @@ def calibrate(
         FilterChoice, typer.Option("--filter", help="Use the matches that agree, or all (the paper compares).")
     ] = FilterChoice.ransac,
     start: Annotated[
-        StartChoice, typer.Option("--start", help="Start of the joint solution (the paper compares).")
+        StartChoice,
+        typer.Option(
+            "--start", help="Board: start of the joint solution; all but tree and identity use every pair."
+        ),
     ] = StartChoice.tree,
     tags: Annotated[
         TagsChoice,

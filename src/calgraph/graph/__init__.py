@@ -1,9 +1,9 @@
 """The graph of sensors: connectivity and start values."""
 
 from calgraph.graph.adjustment import translations
-from calgraph.graph.averaging import Method, average, averaged_tree, pose_graph
+from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.network import covariances, network_graph
+from calgraph.graph.network import covariances, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
 from calgraph.graph.tree import SpanningTree, spanning_tree
@@ -15,6 +15,7 @@ __all__ = [
     "Method",
     "PoseGraph",
     "SpanningTree",
+    "Start",
     "average",
     "averaged_tree",
     "chained",
@@ -27,6 +28,8 @@ __all__ = [
     "pose_graph",
     "spanning_tree",
     "spectral",
+    "start_poses",
     "translations",
     "triangles",
+    "trust",
 ]  # fmt: skip

@@ -12,19 +12,18 @@ from calgraph.graph import groups
 from calgraph.graph.adjustment import translations
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
-from calgraph.graph.tree import SpanningTree, spanning_tree
+from calgraph.graph.tree import SpanningTree, openness, spanning_tree
 from calgraph.graph.voting import consensus_trees
 from calgraph.pairwise import PairwiseEstimate
 
 Method = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
+Start = Literal["tree", "identity"] | Method
 
 # Edges agree with averaged rotations up to this angle, rad; others only hold together what nothing else does.
 _AGREE = np.radians(5)
 _HOLD = 1e-6
 # What pairs of a rig are wrong by beyond their noise, m and rad: bend of the board, bias of ranges, stamps.
 _POSITION_FLOOR, _ANGLE_FLOOR = 0.01, 0.005
-# A pair whose weakest direction is known worse than this, m or rad, is trusted less.
-_WEAK = 0.1
 
 
 def average(
@@ -77,26 +76,49 @@ def pose_graph(root: str, estimates: Sequence[PairwiseEstimate]) -> tuple[PoseGr
     return PoseGraph(len(names), edges, T, information).loosened(_POSITION_FLOOR, _ANGLE_FLOOR), names
 
 
+def start_poses(
+    root: str, estimates: Sequence[PairwiseEstimate], start: Start, rng: np.random.Generator
+) -> SpanningTree:
+    """Where a rig's joint solution starts.
+
+    Args:
+        root: name of the root sensor.
+        estimates: pairwise estimates; at most one for each pair.
+        start: along the minimum spanning ``tree``; all sensors at the root (``identity``, which MSG-Cal, VII.A,
+            compares); or all pairs averaged by one of the methods of :func:`average`.
+        rng: used by ``consensus``.
+    """
+    if start == "tree":
+        return spanning_tree(root, estimates)
+    if start == "identity":
+        tree = spanning_tree(root, estimates)
+        return replace(tree, T_root_sensor=dict.fromkeys(tree.T_root_sensor, np.eye(4)))
+    return averaged_tree(root, estimates, rng, start)
+
+
 def averaged_tree(
     root: str, estimates: Sequence[PairwiseEstimate], rng: np.random.Generator, method: Method = "consensus"
 ) -> SpanningTree:
     """Start poses of a rig from all its pairs at once, in place of those along its minimum spanning tree.
 
+    Pairs that leave a direction open, as two 2-D scanners do, count only where no other pair reaches a sensor: an
+    average of rotations takes their arbitrary angle for measured, and far from it their other directions err, too.
+
     Args:
         root: name of the root sensor.
-        estimates: pairwise estimates; several of one pair are alternatives.
+        estimates: pairwise estimates; at most one for each pair.
         rng: used by ``consensus``.
         method: as for :func:`average`.
 
     Returns:
         The minimum spanning tree of the pairs that agree, with averaged poses of all connected sensors.
     """
-    graph, names = pose_graph(root, estimates)
-
-    weakest = np.linalg.eigvalsh(graph.information)[:, 0]
-    result = average(graph, rng, method, np.asarray(np.minimum(weakest * _WEAK**2, 1.0)))
-    kept = [e for e in estimates if e.sensor_a in names]
+    every = spanning_tree(root, estimates)
+    usable = [e for e in estimates if openness(e) == 0 or every.joins(e.sensor_a, e.sensor_b)]
+    graph, names = pose_graph(root, usable)
+    result = average(graph, rng, method)
+    kept = [e for e in usable if e.sensor_a in names]
     tree = spanning_tree(root, [e for e, agrees in zip(kept, result.inliers, strict=True) if agrees])
     if len(tree.T_root_sensor) < len(names):
-        tree = spanning_tree(root, kept)
+        tree = every
     return replace(tree, T_root_sensor=dict(zip(names, result.T_root_node, strict=True)))

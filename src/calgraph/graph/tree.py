@@ -46,12 +46,12 @@ def spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningT
         leaving = [e for e in directed if e.sensor_a in poses and e.sensor_b not in poses]
         if not leaving:
             return SpanningTree(root, parents, poses)
-        best = min(leaving, key=lambda e: (_openness(e), e.squared_error))
+        best = min(leaving, key=lambda e: (openness(e), e.squared_error))
         parents[best.sensor_b] = best.sensor_a
         poses[best.sensor_b] = poses[best.sensor_a] @ best.T_a_b
 
 
-def _openness(estimate: PairwiseEstimate) -> float:
+def openness(estimate: PairwiseEstimate) -> float:
     """Standard deviation along the weakest direction where that is open; 0 where it is not."""
     weakest = max(float(np.linalg.eigvalsh(estimate.information)[0]), 1e-12)
     return 0.0 if weakest >= _WEAK**-2 else weakest**-0.5

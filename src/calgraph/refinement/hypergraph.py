@@ -16,7 +16,6 @@ from calgraph.refinement import edges
 from calgraph.refinement.solver import Block, Factor, Values, marginal_covariance, solve
 
 Filter = Literal["ransac", "none"]
-Start = Literal["tree", "identity"]
 
 BLOCKS: Mapping[str, Block] = {
     "sensors": Block(6, se3.retract, fixed=(0,)),
@@ -57,7 +56,6 @@ def solve_hypergraph(
     detections: Mapping[str, Candidates],
     *,
     keep: Filter = "ransac",
-    start: Start = "tree",
     optimize: bool = True,
 ) -> Joint:
     """Solves for all connected sensors at once.
@@ -67,7 +65,6 @@ def solve_hypergraph(
         estimates: pairwise estimates with their inliers.
         detections: by sensor and capture.
         keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
-        start: from the ``tree`` or from the ``identity``, which the paper compares.
         optimize: False evaluates the start values, for comparison with them.
 
     Returns:
@@ -81,7 +78,7 @@ def solve_hypergraph(
     for pair in pairs:
         for capture, i, j in pair.matches[_kept(pair, keep)]:
             graph.connect(pair, int(capture), int(i), int(j))
-    values = graph.values(tree.T_root_sensor if start == "tree" else dict.fromkeys(names, np.eye(4)))
+    values = graph.values(tree.T_root_sensor)
     observed = graph.observation_edges()
     factors: list[Factor] = [_relative_poses(names, tree, pairs), *observed]
     converged = True
