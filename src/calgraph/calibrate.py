@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from calgraph.captures import (
 )
 from calgraph.detection import Averaging
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import Method, Start, average, network_graph, start_poses
+from calgraph.graph import Method, Start, average, network_graph, start_poses, trust
 from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
 from calgraph.refinement import Filter, assemble, assemble_network, solve_hypergraph
@@ -35,6 +36,7 @@ from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
 # How far off along the sight the centres may lie that each feature gives, as a standard deviation, m.
 DEPTHS: Mapping[Feature, float] = {"com": 0.12, "ellipse": 0.05, "nls": 0.03}
 
+Weights = Literal["uniform", "weighted"]
 Progress = Callable[[str, float], None]
 """Called with the name of the step under way and how much of it is done, 0..1."""
 
@@ -57,6 +59,8 @@ class Options:
     """What of a person is followed: centre of mass, direct ellipse, or ellipse of fixed radii (nls)."""
     average: Method = "consensus"
     """How a network's pairs become poses: consensus over trees, or one of the published rotation averagings."""
+    weights: Weights = "uniform"
+    """Trust in pairs for the published averagings: the same in all, or by the evidence for each (weighted)."""
     icp: bool = True
     """Whether a network's walls are matched, too."""
     seed: int = 0
@@ -145,8 +149,10 @@ def calibrate_network(
     pairs = estimate_network_pairs(
         tracked, rng, icp=options.icp, depth=depth, progress=lambda done: progress("pairing", done)
     )
-    graph, names = network_graph(rig.root, [pair for pair in pairs.values() if isinstance(pair, TrackPair)])
-    averaged = average(graph, rng, options.average)
+    known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
+    graph, names = network_graph(rig.root, known)
+    weights = trust(names, known) if options.weights == "weighted" else None
+    averaged = average(graph, rng, options.average, weights)
     return assemble_network(rig, frames, followed, pairs, graph, names, averaged)
 
 

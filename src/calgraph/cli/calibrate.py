@@ -58,6 +58,13 @@ class AverageChoice(StrEnum):
     irls = "irls"
 
 
+class WeightsChoice(StrEnum):
+    """Values of --weights."""
+
+    uniform = "uniform"
+    weighted = "weighted"
+
+
 def calibrate(
     rig_file: Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")],
     recordings: Annotated[
@@ -88,6 +95,10 @@ def calibrate(
         AverageChoice,
         typer.Option("--average", help="People: how pairs become poses; all but consensus are published."),
     ] = AverageChoice.consensus,
+    weights: Annotated[
+        WeightsChoice,
+        typer.Option("--weights", help="People: trust all pairs alike, or by evidence (published averagings)."),
+    ] = WeightsChoice.uniform,
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
@@ -107,6 +118,7 @@ def calibrate(
         tags=tags.value,
         feature=feature.value,
         average=average.value,
+        weights=weights.value,
         icp=icp,
         seed=seed,
     )

@@ -10,6 +10,8 @@ from calgraph.pairwise import TrackPair
 
 # What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
 _BEYOND_NOISE = (0.02, 0.004)
+# Truncated mean squared errors below this, in units of the gate, are alike.
+_LEAST_COST = 0.01
 
 
 def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tuple[str, ...]]:
@@ -24,6 +26,22 @@ def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tup
     T = np.array([h.T_a_b for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
     information = np.array([h.information for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
     return PoseGraph(len(names), edges, T, information).loosened(*_BEYOND_NOISE), names
+
+
+def trust(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
+    """Weights (E,) of the edges of :func:`network_graph` for the published averagings; 1 on average.
+
+    Matching positions count by their number and by how small the mean squared error of all simultaneous ones is,
+    as in Schenk et al., "Automatic calibration of a stationary network of laser range finders by matching movement
+    trajectories", IROS 2012.
+
+    Args:
+        names: the scanners of the graph.
+        pairs: as handed to :func:`network_graph`.
+    """
+    kept = [h for pair in pairs if pair.sensor_a in names for h in pair.hypotheses]
+    weights = np.array([h.observations / max(h.cost, _LEAST_COST) for h in kept])
+    return np.asarray(weights / weights.mean()) if len(weights) else weights
 
 
 def _connected(root: str, pairs: Sequence[TrackPair]) -> tuple[str, ...]:
