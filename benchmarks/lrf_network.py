@@ -144,11 +144,9 @@ def setups_of(cell: Cell, tables: Iterable[str]) -> tuple[Setup, ...]:
 
 
 PUBLISHED = Setup("com", True, "l1mc", False)
-AVERAGED = tuple(
-    Setup("com", True, method, weighted)
-    for weighted, method in product((True, False), ("l1mc", "spectral", "consensus"))
-)
-BY_PEOPLE = tuple(Setup("nls", False, method, False) for method in ("l1mc", "spectral", "consensus"))
+COMPARED: tuple[Average, ...] = ("l1mc", "spectral", "consensus")
+AVERAGED = tuple(Setup("com", True, m, weighted) for weighted, m in product((True, False), COMPARED))
+BY_PEOPLE = tuple(Setup("nls", False, method, False) for method in COMPARED)
 
 
 def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
@@ -239,9 +237,7 @@ Runs = Mapping[Cell, Sequence[Run]]
 
 def table_1(runs: Runs) -> None:
     """Prints which right pairs a plain threshold would discard."""
-    print(
-        "\nTable I: right pairs that a threshold of 20 cm root mean square would discard, and wrong pairs; 1 person"
-    )
+    print("\nTable I, 1 person: right pairs that a threshold of 20 cm root mean square discards, and wrong pairs")
     print(f"{'scenario':12}{'pairs':>7}{'discarded %':>13}{'wrong %':>9}")
     for cell in (cell for cell in runs if cell.people == 1):
         judged = np.concatenate([found.pairs for found in runs[cell]])
