@@ -153,7 +153,7 @@ def calibrate_network(
     graph, names = network_graph(rig.root, known)
     weights = trust(names, known) if options.weights == "weighted" else None
     averaged = average(graph, rng, options.average, weights)
-    return assemble_network(rig, frames, followed, pairs, graph, names, averaged)
+    return assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start)
 
 
 def follow_people(

@@ -7,11 +7,15 @@ import numpy as np
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, covariances
-from calgraph.pairwise import TrackPair
+from calgraph.pairwise import Hypothesis, TrackPair
+from calgraph.pairwise.samples import sample
+from calgraph.refinement.network_walks import floor_views, met, walk_rows
 from calgraph.refinement.observability import verdict
 from calgraph.result import Calibration, Edge, SensorPose
 from calgraph.rig import Rig
 from calgraph.tracking import Tracked, Untracked
+
+_ADVICE = "let people walk farther across, and to and fro, where {name} and others both see them"
 
 NetworkPairs = Mapping[tuple[str, str], TrackPair | Rejected]
 
@@ -24,6 +28,7 @@ def assemble_network(
     graph: PoseGraph,
     names: tuple[str, ...],
     averaged: Averaged,
+    start: float,
 ) -> Calibration:
     """Collects everything a network's calibration tells its user.
 
@@ -35,7 +40,12 @@ def assemble_network(
         graph: of all hypotheses of the connected scanners.
         names: the connected scanners in the order of the graph's nodes, the root first.
         averaged: their poses, and the hypotheses that agree.
+        start: of the recording, s.
     """
+    tracked = {name: own for name, own in followed.items() if isinstance(own, Tracked)}
+    samples = {name: sample(own) for name, own in tracked.items()}
+    planar = dict(zip(names, averaged.T_root_node, strict=True))
+    meeting = met(samples, planar)
     right = graph.where(averaged.inliers)
     spread = _in_space(covariances(right, averaged.T_root_node))
     parents = _parents(right, names)
@@ -53,13 +63,16 @@ def assemble_network(
                 kind="lidar2d",
                 T_root_sensor=T_root_sensor[k],
                 covariance=spread[k],
-                verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k]),
+                verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k], advice=_ADVICE),
             )
             for k, name in enumerate(names)
         ),
         edges=tuple(_edge(pair, found, agreeing, parents) for pair, found in pairs.items()),
+        captures=walk_rows(samples, meeting, start),
         unconnected={name: _why_alone(name, followed, pairs) for name in rig.sensors if name not in names},
+        residuals={"positions": meeting.residuals.ravel()} if len(meeting.residuals) else {},
         estimator="averaging",
+        floor=floor_views(tracked, samples, planar),
     )
 
 
@@ -95,17 +108,23 @@ def _edge(
     a, b = pair
     if isinstance(found, Rejected):
         return Edge(a, b, 0, 0, in_tree=False, residuals=np.zeros(0), note=found.reason)
-    best = found.hypotheses[0]
     poses = agreeing.get(frozenset(pair))
     if poses is None:
-        return Edge(
-            a, b, best.observations, 0, in_tree=False, residuals=np.zeros(0), note="contradicts the other pairs"
-        )
+        note = "contradicts the other pairs"
+        return Edge(a, b, _shared(found.hypotheses[0]), 0, in_tree=False, residuals=np.zeros(0), note=note)
     T_root_a, T_root_b = poses if (a, b) == (found.sensor_a, found.sensor_b) else poses[::-1]
     T_a_b = se2.inverse(T_root_a) @ T_root_b
-    off = min(float(np.linalg.norm(se2.difference(T_a_b, h.T_a_b)[:2])) for h in found.hypotheses)
+    off, right = min(
+        ((float(np.linalg.norm(se2.difference(T_a_b, h.T_a_b)[:2])), h) for h in found.hypotheses),
+        key=lambda found: found[0],
+    )
     in_tree = parents.get(a) == b or parents.get(b) == a
-    return Edge(a, b, best.observations, best.observations, in_tree=in_tree, residuals=np.array([off]))
+    return Edge(a, b, _shared(right), right.observations, in_tree=in_tree, residuals=np.array([off]))
+
+
+def _shared(hypothesis: Hypothesis) -> int:
+    """How many positions both scanners should have seen, were the hypothesis right."""
+    return round(hypothesis.observations / hypothesis.share)
 
 
 def _why_alone(name: str, followed: Mapping[str, Tracked | Untracked], pairs: NetworkPairs) -> str:

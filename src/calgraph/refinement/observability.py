@@ -25,7 +25,14 @@ _CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "y
 
 
 def verdict(
-    name: str, kind: str, T_root_sensor: Array, covariance: Array, doubt: str = "", rival: float = 0.0
+    name: str,
+    kind: str,
+    T_root_sensor: Array,
+    covariance: Array,
+    doubt: str = "",
+    rival: float = 0.0,
+    *,
+    advice: str = "tilt and turn the board more, in different places, while {name} and others see it",
 ) -> Verdict:
     """Grades a pose and names its weak directions along the sensor's own axes.
 
@@ -36,6 +43,7 @@ def verdict(
         covariance: (6, 6) in the root's fixed axes.
         doubt: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
         rival: angle to another pose that the captures allow as well, rad; 0 where there is none.
+        advice: what makes a weak direction better, with the sensor's name in it as ``{name}``.
 
     Returns:
         The verdict; its reason is empty for a good pose.
@@ -51,9 +59,9 @@ def verdict(
         for i, (axis, s, limit) in enumerate(zip(axes, stddev, np.repeat(_WEAK, 3), strict=True))
         if s > limit and axis not in open_axes
     ]
-    advice = f"tilt and turn the board more, in different places, while {name} and others see it"
+    advice = advice.format(name=name)
     if open_axes or rival:
-        fixed = [f"{_listed(open_axes)} fixed by no capture"] if open_axes else []
+        fixed = [f"{_listed(open_axes)} fixed by nothing seen"] if open_axes else []
         if rival:
             fixed.append(f"a pose turned by {np.degrees(rival):.0f}° fits as well")
         return Verdict("unobservable", f"{'; '.join(fixed)}; {advice}")

@@ -1,12 +1,12 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.calibration import BoardOutline, Calibration, CaptureRow, Edge, SensorPose, Verdict
+from calgraph.result.calibration import BoardOutline, Calibration, CaptureRow, Edge, FloorView, SensorPose, Verdict
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.file import save_calibration, save_captures
 from calgraph.result.reading import load_calibration
 from calgraph.result.tree import TransformTree
 
 __all__ = [
-    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "SensorPose", "TransformTree", "Verdict",
-    "export", "load_calibration", "save_calibration", "save_captures", "to_json",
+    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "FloorView", "SensorPose", "TransformTree",
+    "Verdict", "export", "load_calibration", "save_calibration", "save_captures", "to_json",
 ]  # fmt: skip

@@ -47,13 +47,15 @@ class Edge:
     sensor_a: str
     sensor_b: str
     captures: int
-    """How many captures both sensors found the board in."""
+    """How many captures both sensors found the board in; in a network, how many positions of walkers, ten a
+    second, both should have seen."""
     inliers: int
     """How many of them the pairwise consensus kept; 0 if the pair could not be calibrated."""
     in_tree: bool
     """Whether the start values of the joint solution came along this edge."""
     residuals: Array
-    """(inliers,) distances between the two detections under the final poses, m; empty in a result read back."""
+    """(inliers,) distances between the two detections under the final poses, m; in a network the one between the
+    pair's own pose and the final one. Empty in a result read back."""
     note: str = ""
     """Why the pair was not used, where it was not."""
     residual_rms: float | None = None
@@ -66,9 +68,10 @@ class Edge:
 
 @dataclass(frozen=True)
 class CaptureRow:
-    """What became of one sensor in one capture: a row of captures.csv."""
+    """What became of one sensor in one capture, or of one walk that a scanner saw: a row of captures.csv."""
 
     capture: int
+    """Its number; a walk's is of one scanner alone."""
     start: float
     """s from the start of the recording."""
     end: float
@@ -90,6 +93,17 @@ class BoardOutline:
 
 
 @dataclass(frozen=True, eq=False)
+class FloorView:
+    """What one scanner of a network saw, for pictures."""
+
+    sensor: str
+    background: Array
+    """(M, 2) what stood still, thinned, root frame, m."""
+    walks: tuple[Array, ...]
+    """(N, 2) each, where somebody walked, root frame, m."""
+
+
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """A tree of sensor poses rooted at one sensor."""
 
@@ -106,6 +120,8 @@ class Calibration:
     estimator: str = "hypergraph"
     residual_rms: Mapping[str, float] = field(default_factory=dict)
     """Root mean square of ``residuals`` by kind, taken from them if left out."""
+    floor: tuple[FloorView, ...] = ()
+    """What the connected scanners of a network saw; empty in a result read back."""
 
     def __post_init__(self) -> None:
         if not self.residual_rms:
@@ -123,6 +139,13 @@ class Calibration:
         """
         self.tree.check(name)
         return next(sensor for sensor in self.sensors if sensor.name == name)
+
+    @property
+    def planar(self) -> bool:
+        """Whether all poses lie in one plane, which is taken for exact, as those of a network do."""
+        others = [sensor for sensor in self.sensors if sensor.parent is not None]
+        upright = [np.allclose(s.T_root_sensor[2], [0, 0, 1, 0], rtol=0, atol=1e-12) for s in others]
+        return bool(others) and all(upright) and not any(s.covariance[2:5].any() for s in others)
 
     @property
     def tree(self) -> TransformTree:

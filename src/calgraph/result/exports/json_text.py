@@ -11,7 +11,7 @@ from calgraph.result.file import FORMAT
 
 
 def to_json(calibration: Calibration) -> str:
-    """The whole result, residuals, captures and board outlines included, as one JSON object.
+    """The whole result, residuals, captures and what pictures show included, as one JSON object.
 
     Keys are those of calibration.yaml; what is not finite is null.
     """
@@ -27,6 +27,14 @@ def to_json(calibration: Calibration) -> str:
         "captures": [_capture(row) for row in calibration.captures],
         "outlines": [
             {"capture": outline.capture, "corners": _plain(outline.corners)} for outline in calibration.outlines
+        ],
+        "floor": [
+            {
+                "sensor": view.sensor,
+                "background": _plain(view.background),
+                "walks": [_plain(walk) for walk in view.walks],
+            }
+            for view in calibration.floor
         ],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False)
