@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from calgraph.calibrate import Options, solve_rig
+from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.geometry import Array
 from calgraph.graph import start_poses
 from calgraph.pairwise import estimate_pairs, estimated
@@ -62,7 +62,7 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
         metres, degrees = errors(dict(joint.T_root_sensor), truth)
         return float(metres.mean()), float(degrees.mean()), joint.graph_error
 
-    calibration = solve_rig(rig, captured, Options(), np.random.default_rng(seed))
+    calibration = solve_problem(prepare(rig, captured, Options(), np.random.default_rng(seed)))
     metres, degrees = errors(poses_of(calibration), truth)
     return {
         "default": (float(metres.mean()), float(degrees.mean()), float("nan")),

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from calgraph.calibrate import Options, solve_rig
+from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
 from calgraph.simulation import RigScenario, Truth
@@ -29,7 +29,7 @@ def main() -> None:
     for seed in range(arguments.seeds):
         rig, captured, truth = recorded(scenario, seed)
         began = time.perf_counter()
-        calibration = solve_rig(rig, captured, Options(), np.random.default_rng(seed))
+        calibration = solve_problem(prepare(rig, captured, Options(), np.random.default_rng(seed)))
         seconds = time.perf_counter() - began
         metres, degrees = errors(poses_of(calibration), truth)
         complete = len(calibration.sensors) == len(rig.sensors)

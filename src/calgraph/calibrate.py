@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -27,7 +28,16 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.graph import Method, Start, average, network_graph, start_poses, trust
 from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
-from calgraph.refinement import Filter, assemble, assemble_network, solve_hypergraph
+from calgraph.refinement import (
+    Filter,
+    Problem,
+    Solver,
+    assemble,
+    assemble_network,
+    replayable,
+    save_problem,
+    solve_hypergraph,
+)
 from calgraph.result import Calibration
 from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
 from calgraph.sensors import LaserScan, Record
@@ -65,6 +75,8 @@ class Options:
     """Whether a network's walls are matched, too."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
+    dump: Path | None = None
+    """File to write a rig's joint problem to before it is solved."""
 
 
 def calibrate(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
@@ -94,7 +106,10 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
     """
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
-    return solve_rig(rig, captured, options, rng, progress)
+    problem = prepare(rig, captured, options, rng, progress)
+    if options.dump:
+        save_problem(problem, options.dump)
+    return solve_problem(problem)
 
 
 def capture_board(
@@ -119,19 +134,25 @@ def capture_board(
     return gather(rig, timeline, holds, observations, cameras)
 
 
-def solve_rig(
+def prepare(
     rig: Rig, captured: Captured, options: Options, rng: np.random.Generator, progress: Progress = silent
-) -> Calibration:
-    """From detections to a calibration: every pair, the tree they span, and all sensors jointly."""
+) -> Problem:
+    """From detections to the joint problem: every pair, and the tree they span."""
     seen = captured.detections
     pairs = estimate_pairs(seen, rig.board_size, rng, lambda done: progress("pairing", done))
     tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
     if options.keep == "ransac":
-        # What three captures could not tell apart, all of them can: select once more under the joint solution.
+        # What three captures could not tell apart, all of them can: select once more under a joint solution.
+        joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-        joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
+    return replayable(Problem(rig, captured, pairs, tree, Solver(keep=options.keep)))
+
+
+def solve_problem(problem: Problem) -> Calibration:
+    """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
+    rig, captured, pairs, tree = problem.rig, problem.captured, problem.pairs, problem.tree
+    joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=problem.solver.keep)
     return assemble(rig, captured, pairs, tree, joint)
 
 
@@ -142,6 +163,8 @@ def calibrate_network(
 
     Args, Returns and Raises as for :func:`calibrate_rig`.
     """
+    if options.dump:
+        raise InputError("--dump: only the problem of a rig with a board can be written, not that of a network")
     rng = np.random.default_rng(options.seed)
     followed, frames = follow_people(rig, recording, options, progress)
     tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
