@@ -159,21 +159,34 @@ class CameraDetector:
 
     def _detection(self, printed: _Printed, marks: Marks, pose: BoardPose) -> BoardCorners:
         corners = printed.landmarks.of(marks.ids)
-        the_plane = plane.towards_origin(plane.from_pose(pose.T_camera_board))
-        covariance = plane_covariance(pose.T_camera_board, pose.covariance)
+        detection = board_corners(pose, corners, marks.pixels, printed.number)
         if self._averaging == "mean_plane" and marks.pixels.shape[1] == 4:
             mean = mean_plane(marks, corners, self._camera, max(self._noise.pixel, pose.rms))
-            the_plane, covariance = mean or (the_plane, covariance)
-        return BoardCorners(
-            corners_board=corners[pose.used],
-            pixels=marks.pixels[pose.used],
-            T_camera_board=pose.T_camera_board,
-            covariance=pose.covariance,
-            plane=the_plane,
-            plane_covariance=covariance,
-            rms=pose.rms,
-            board=printed.number,
-        )
+            if mean is not None:
+                detection = replace(detection, plane=mean[0], plane_covariance=mean[1])
+        return detection
+
+
+def board_corners(pose: BoardPose, corners: Array, pixels: Array, board: int = 0) -> BoardCorners:
+    """The detection of a board by the pose of its marks.
+
+    Args:
+        pose: fitted to them.
+        corners: (M, k, 3) the marks' corners in the board frame, m.
+        pixels: (M, k, 2) where they were seen.
+        board: which of the rig's boards.
+
+    """
+    return BoardCorners(
+        corners_board=corners[pose.used],
+        pixels=pixels[pose.used],
+        T_camera_board=pose.T_camera_board,
+        covariance=pose.covariance,
+        plane=plane.towards_origin(plane.from_pose(pose.T_camera_board)),
+        plane_covariance=plane_covariance(pose.T_camera_board, pose.covariance),
+        rms=pose.rms,
+        board=board,
+    )
 
 
 def find_boards(

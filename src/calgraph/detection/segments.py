@@ -271,18 +271,29 @@ def _end_score(scan: MergedScan, line: _Line, direction: int) -> float:
 
 
 def _segment(scan: MergedScan, line: _Line, match: float) -> Segment:
-    """The detection: outermost beams projected on the line, with the covariance of line and beam spacing."""
-    angle, p = line.fit.parameters
+    points = np.column_stack([scan.points[line.beams], np.zeros(len(line.beams))])
+    return segment_between(scan.angles[line.beams[[0, -1]]], scan.spacing, line.fit, points, match)
+
+
+def segment_between(ends: Array, spacing: float, line: Fit, points: Array, match: float = 1.0) -> Segment:
+    """The detection: outermost beams projected on the line, with the covariance of line and beam spacing.
+
+    Args:
+        ends: (2,) angles of the outermost beams, ascending, rad.
+        spacing: angle between neighbouring beams, rad.
+        line: through all beams.
+        points: (N, 3) their ends, m.
+        match: as in :class:`Segment`.
+
+    """
+    angle, p = line.parameters
     n, t = np.array([np.cos(angle), np.sin(angle), 0]), np.array([-np.sin(angle), np.cos(angle), 0])
-    beams = line.beams
-    s = _along(scan.angles[beams[[0, -1]]], line.fit.parameters)
+    s = _along(ends, line.parameters)
     # The last beam lies up to one spacing inside the true end.
-    spacing = np.abs(_along(scan.angles[beams[[0, -1]]] + scan.spacing / 2, line.fit.parameters)
-                     - _along(scan.angles[beams[[0, -1]]] - scan.spacing / 2, line.fit.parameters))  # fmt: skip
+    spacings = np.abs(_along(ends + spacing / 2, line.parameters) - _along(ends - spacing / 2, line.parameters))
     J = np.concatenate([np.outer(n, [-s_end, 1.0]) for s_end in s])
-    covariance = J @ line.fit.covariance @ J.T
+    covariance = J @ line.covariance @ J.T
     for i in range(2):
         own = slice(3 * i, 3 * i + 3)
-        covariance[own, own] += np.outer(t, t) * spacing[i] ** 2 / 12 + np.diag([0, 0, _Z_VARIANCE])
-    points = np.column_stack([scan.points[beams], np.zeros(len(beams))])
+        covariance[own, own] += np.outer(t, t) * spacings[i] ** 2 / 12 + np.diag([0, 0, _Z_VARIANCE])
     return Segment(p * n + s[:, None] * t, covariance, points, match)

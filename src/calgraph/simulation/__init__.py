@@ -1,5 +1,6 @@
 """Known truth: simulated recordings of robots with a board, to test and to benchmark calibrations on."""
 
+from calgraph.simulation.detections import DetectionKnobs, simulate_detections
 from calgraph.simulation.network import (
     Network,
     StationaryScanner,
@@ -31,9 +32,10 @@ from calgraph.simulation.stage import (
 from calgraph.simulation.truth import BoardTruth, PersonTruth, Truth, load_truth, save_truth
 
 __all__ = [
-    "BeamKnobs", "BoardTruth", "CameraKnobs", "LaserKnobs", "LayoutName", "MultibeamKnobs", "Network",
-    "NetworkScenario", "PeopleKnobs", "PersonTruth", "Progress", "RigScenario", "ScannerKnobs",
+    "BeamKnobs", "BoardTruth", "CameraKnobs", "DetectionKnobs", "LaserKnobs", "LayoutName", "MultibeamKnobs",
+    "Network", "NetworkScenario", "PeopleKnobs", "PersonTruth", "Progress", "RigScenario", "ScannerKnobs",
     "SimulatedCapture", "SpinningKnobs", "Stage", "StationaryScanner", "Truth", "build_network", "load_truth",
     "network_rig", "network_truth", "rig_of", "save_truth", "scans_of", "set_stage", "simulate_background",
-    "simulate_captures", "simulate_network", "simulate_network_scans", "simulate_rig", "truth_of",
+    "simulate_captures", "simulate_detections", "simulate_network", "simulate_network_scans", "simulate_rig",
+    "truth_of",
 ]  # fmt: skip

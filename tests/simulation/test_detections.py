@@ -1,0 +1,206 @@
+"""Detections with known noise: what an estimator's errors are compared with has to be exactly what is stated."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calgraph.captures import Captured
+from calgraph.detection import BoardCorners, PlanePatch, Segment
+from calgraph.geometry import Array, plane, se3
+from calgraph.graph import start_poses
+from calgraph.pairwise import estimate_pairs, estimated
+from calgraph.refinement import solve_hypergraph
+from calgraph.rig import Board, Checkerboard, RangeNoise, Rig
+from calgraph.simulation import (
+    CameraKnobs,
+    DetectionKnobs,
+    LaserKnobs,
+    MultibeamKnobs,
+    RigScenario,
+    SpinningKnobs,
+    Stage,
+    Truth,
+    set_stage,
+    simulate_detections,
+)
+
+CAMERA = CameraKnobs(width=640, height=480, texels_per_mm=0.5)
+SMALL = RigScenario(
+    camera=CAMERA, laser=LaserKnobs(count=2), bearings=(-20, -10, 0, 10, 20), radii=(1.7,), background=1.0
+)
+NOISELESS = SMALL.model_copy(
+    update={"laser": LaserKnobs(count=2, range_noise=0.0), "spinning": SpinningKnobs(range_noise=0.0)}
+)
+
+
+@pytest.fixture(scope="module")
+def stage() -> Stage:
+    return set_stage(SMALL, 0)
+
+
+def ends(captured: Captured, name: str) -> dict[int, Array]:
+    """By capture, the ends of the beams of a scanner on the board."""
+    found: dict[int, Array] = {}
+    for capture, (detection,) in captured.detections[name].items():
+        assert isinstance(detection, PlanePatch | Segment)
+        found[capture] = detection.points
+    return found
+
+
+def boards(truth: Truth, name: str) -> Array:
+    """``T_sensor_board`` (C, 4, 4) in all captures."""
+    T_root_board = np.array([board.T_root_board for board in truth.boards])
+    return np.asarray(se3.inverse(truth.T_root_sensor[name]) @ T_root_board)
+
+
+def whitened_ranges(rig: Rig, captured: Captured, truth: Truth, name: str) -> Array:
+    """Differences between measured ranges and those to the true board, in stated standard deviations.
+
+    For scanners whose beams start in their origin.
+    """
+    surfaces, noise = plane.from_pose(boards(truth, name)), rig.sensors[name].noise
+    assert isinstance(noise, RangeNoise)
+    whitened = []
+    for capture, points in ends(captured, name).items():
+        ranges = np.linalg.norm(points, axis=1)
+        true = -surfaces[capture, 3] * ranges / (points @ surfaces[capture, :3])
+        whitened.append((ranges - true) / noise.range)
+    return np.concatenate(whitened)
+
+
+def whitened_pixels(captured: Captured, truth: Truth, sigma: float) -> Array:
+    poses, whitened = boards(truth, "camera"), []
+    for capture, (detection,) in captured.detections["camera"].items():
+        assert isinstance(detection, BoardCorners)
+        seen = captured.cameras["camera"].project(se3.apply(poses[capture], detection.corners_board))
+        whitened.append((detection.pixels - seen).ravel() / sigma)
+    return np.concatenate(whitened)
+
+
+def within(values: Array, confidence: float = 0.999) -> bool:
+    """Whether the sum of squares of standard normals is one that chance gives."""
+    low, high = chi2.interval(confidence, values.size)
+    return bool(low < np.sum(values**2) < high)
+
+
+def test_ranges_have_the_stated_noise(stage: Stage) -> None:
+    runs = [simulate_detections(stage, seed) for seed in range(5)]
+    whitened = np.concatenate([whitened_ranges(*run, "laser_front") for run in runs])
+    assert len(whitened) > 5_000
+    assert within(whitened)
+
+
+def test_corners_have_the_stated_noise(stage: Stage) -> None:
+    knobs = DetectionKnobs(pixel=0.2)
+    runs = [simulate_detections(stage, seed, knobs) for seed in range(5)]
+    whitened = np.concatenate([whitened_pixels(captured, truth, 0.2) for _, captured, truth in runs])
+    assert len(whitened) > 500
+    assert within(whitened)
+
+
+def test_angle_noise_spreads_ranges_by_its_share_on_an_inclined_board() -> None:
+    stage = set_stage(NOISELESS, 0)
+    knobs = DetectionKnobs(angle=0.001)
+    whitened = []
+    for seed in range(5):
+        _, captured, truth = simulate_detections(stage, seed, knobs)
+        surfaces = plane.from_pose(boards(truth, "laser_front"))
+        for capture, points in ends(captured, "laser_front").items():
+            ranges = np.linalg.norm(points, axis=1)
+            d = points / ranges[:, None]
+            n, D = surfaces[capture, :3], surfaces[capture, 3]
+            slope = D * (np.cross([0.0, 0.0, 1.0], d) @ n) / (d @ n) ** 2
+            whitened.append((ranges + D / (d @ n)) / (0.001 * np.abs(slope) + 1e-6))
+    assert within(np.concatenate(whitened))
+
+
+@pytest.mark.parametrize("name", ["lidar", "laser_front"])
+def test_beams_without_noise_end_on_the_sheet(name: str) -> None:
+    _, captured, truth = simulate_detections(set_stage(NOISELESS, 0), 0)
+    T_board_sensor = se3.inverse(boards(truth, name))
+    on_sheet = [se3.apply(T_board_sensor[capture], points) for capture, points in ends(captured, name).items()]
+    flat = np.concatenate(on_sheet)
+    assert np.abs(flat[:, 2]).max() < 1e-9
+    assert (np.abs(flat[:, :2]) < 0.5 * np.array(SMALL.board.size)).all()
+
+
+def test_every_beam_on_the_board_is_measured_in_every_sweep(stage: Stage) -> None:
+    once = simulate_detections(stage, 0, DetectionKnobs(sweeps=1))[1]
+    thrice = simulate_detections(stage, 0, DetectionKnobs(sweeps=3))[1]
+    assert [3 * len(p) for p in ends(once, "lidar").values()] == [len(p) for p in ends(thrice, "lidar").values()]
+
+
+def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(stage: Stage) -> None:
+    first, again, other = (simulate_detections(stage, seed)[1] for seed in (3, 3, 4))
+    for name in ("lidar", "laser_front"):
+        a, b, c = (np.concatenate(list(ends(run, name).values())) for run in (first, again, other))
+        assert np.array_equal(a, b)
+        assert not np.isclose(a, c, rtol=0, atol=1e-9).all(axis=1).any()
+
+
+def test_a_wrong_statement_leaves_the_measurements_as_they_are(stage: Stage) -> None:
+    right, right_captured, _ = simulate_detections(stage, 0)
+    wrong, wrong_captured, _ = simulate_detections(stage, 0, DetectionKnobs(stated=2.0))
+    assert wrong.cameras()["camera"].noise.pixel == 2 * right.cameras()["camera"].noise.pixel
+    assert np.array_equal(ends(right_captured, "lidar")[0], ends(wrong_captured, "lidar")[0])
+
+
+def test_rigs_calibrate_from_detections_alone() -> None:
+    stage = set_stage(RigScenario(camera=CAMERA), 1)
+    rig, captured, truth = simulate_detections(stage, 0)
+    rng = np.random.default_rng(0)
+    estimates = estimated(estimate_pairs(captured.detections, rig.board_size, rng))
+    joint = solve_hypergraph(start_poses(rig.root, estimates, "tree", rng), estimates, captured.detections)
+    errors = np.array([se3.difference(T, truth.T_root_sensor[name]) for name, T in joint.T_root_sensor.items()])
+    assert len(errors) == len(rig.sensors)
+    assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.010
+    assert np.degrees(np.linalg.norm(errors[:, 3:], axis=1)).max() < 0.3
+
+
+def test_in_disturbed_captures_some_sensors_see_the_board_where_it_slipped_to() -> None:
+    scenario = RigScenario(camera=CAMERA, disturbed=0.25)
+    _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
+    off = {True: 0, False: 0}
+    surfaces = plane.from_pose(boards(truth, "lidar"))
+    for capture, (detection,) in captured.detections["lidar"].items():
+        assert isinstance(detection, PlanePatch)
+        away = np.abs(plane.distance(surfaces[capture], detection.points).mean())
+        off[truth.boards[capture].disturbed] += bool(away > 0.008)
+    disturbed = sum(board.disturbed for board in truth.boards)
+    assert off[False] == 0
+    assert 0 < off[True] < disturbed
+
+
+def test_resting_captures_measure_the_same_whether_others_are_disturbed_or_not() -> None:
+    clean, slipped = (
+        simulate_detections(set_stage(SMALL.model_copy(update={"disturbed": share}), 0), 0) for share in (0.0, 0.4)
+    )
+    resting = [i for i, board in enumerate(slipped[2].boards) if not board.disturbed]
+    for name in ("lidar", "laser_front"):
+        assert all(np.array_equal(ends(clean[1], name)[i], ends(slipped[1], name)[i]) for i in resting)
+
+
+def test_a_sensor_that_does_not_see_the_board_says_so() -> None:
+    stage = set_stage(SMALL.model_copy(update={"bearings": (0, 180)}), 0)
+    _, captured, _ = simulate_detections(stage, 0)
+    behind = range(SMALL.samples, 2 * SMALL.samples)
+    assert not set(behind) & set(captured.detections["camera"])
+    assert "image" in captured.misses[behind[0], "camera"]
+
+
+def test_a_chessboard_is_seen_whole_or_not_at_all() -> None:
+    pattern = Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1)
+    board = Board(size=(1.2, 0.9), pattern=pattern)
+    narrow = CAMERA.model_copy(update={"field_of_view": 70.0})
+    scenario = SMALL.model_copy(update={"board": board, "camera": narrow, "bearings": (-40, 0, 40)})
+    _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
+    sizes = {len(found[0].pixels) for found in captured.detections["camera"].values()}  # type: ignore[union-attr]
+    assert sizes == {48}
+    assert 0 < len(captured.detections["camera"]) < len(truth.boards)
+
+
+def test_two_rings_are_no_plane() -> None:
+    few = MultibeamKnobs(count=1, rings=2, lowest=-1.0, highest=1.0)
+    scenario = SMALL.model_copy(update={"multibeam": few, "spinning": SpinningKnobs(count=0)})
+    _, captured, _ = simulate_detections(set_stage(scenario, 0), 0)
+    assert not captured.detections["lidar"]
