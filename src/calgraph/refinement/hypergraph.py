@@ -76,7 +76,7 @@ def solve_hypergraph(
         return Joint({tree.root: np.eye(4)}, {tree.root: np.zeros((6, 6))}, {}, 0.0, converged=True)
     graph = _Graph(names, detections)
     for pair in pairs:
-        for capture, i, j in pair.matches[_kept(pair, keep)]:
+        for capture, i, j in pair.matches[believed(pair, keep)]:
             graph.connect(pair, int(capture), int(i), int(j))
     values = graph.values(tree.T_root_sensor)
     observed = graph.observation_edges()
@@ -174,7 +174,8 @@ _OBSERVATION_EDGES: Mapping[str, Callable[..., Factor]] = {
 }
 
 
-def _kept(pair: PairwiseEstimate, keep: Filter) -> NDArray[np.bool_]:
+def believed(pair: PairwiseEstimate, keep: Filter) -> NDArray[np.bool_]:
+    """(M,) which of a pair's matches are used."""
     if keep == "ransac":
         return pair.inliers
     return np.asarray((pair.matches[:, 1] == 0) & (pair.matches[:, 2] == 0))

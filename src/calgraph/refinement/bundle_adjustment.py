@@ -1,0 +1,177 @@
+"""The default joint estimator of a rig: all sensors and boards at once, in the units that the sensors measure."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.captures import Captured
+from calgraph.detection import BoardCorners
+from calgraph.geometry import Array
+from calgraph.pairwise import PairwiseEstimate
+from calgraph.refinement.boards import Sighting, placed, sightings
+from calgraph.refinement.bundle import Bundle, Solved, State, covariance, linearize, solve, stacked
+from calgraph.refinement.hypergraph import Filter, Joint, believed
+from calgraph.refinement.scatter import with_measured_noise, with_measured_sway, wrong_views
+from calgraph.refinement.views import Beams, Corners, Views, relative
+from calgraph.rig import CameraSpec, Rig
+
+# Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
+_SWAY = 0.003
+# Rounds of solving, measuring the noise and leaving out what is wrong, until nothing changes by more than a share.
+_ROUNDS = 12
+_STEPS = 4
+_SETTLED = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class _Members:
+    """Which boards and views the bundle is made of."""
+
+    boards: tuple[Sighting, ...]
+    rejected: frozenset[tuple[int, str]] = frozenset()
+    """Views that were left out: board and sensor."""
+
+
+def solve_bundle(
+    rig: Rig,
+    captured: Captured,
+    estimates: Sequence[PairwiseEstimate],
+    T_root_sensor: Mapping[str, Array],
+    *,
+    keep: Filter = "ransac",
+) -> Joint:
+    """Solves for all connected sensors and all boards at once.
+
+    The noise of single measurements, and by how much whole views err, are measured on the way; views that
+    contradict all others are left out by name.
+
+    Args:
+        rig: the rig.
+        captured: detections, and the cameras' intrinsics.
+        estimates: pairs with the matches that agree.
+        T_root_sensor: start poses of the connected sensors, the root first.
+        keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
+    """
+    among = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
+    boards = sightings([(pair, believed(pair, keep)) for pair in among])
+    bundle, state = build(rig, captured, boards, T_root_sensor)
+    members = _Members(tuple(boards))
+    solved = solve(bundle, state)
+    for _ in range(_ROUNDS):
+        before = bundle
+        bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
+        bundle, members = _without_wrong(bundle, solved, members)
+        if _alike(before, bundle):
+            break
+        solved = solve(bundle, solved.state, iterations=_STEPS)
+    solved = solve(bundle, solved.state)
+    spread = covariance(bundle, solved.state, solved.system)
+    names = bundle.names
+    return Joint(
+        T_root_sensor={name: solved.state.T_root_sensor[i] for i, name in enumerate(names)},
+        covariance={name: _block(spread, i) for i, name in enumerate(names)},
+        residuals=dict(_residuals(bundle, solved)),
+        graph_error=float("nan"),
+        converged=solved.converged,
+    )
+
+
+def cramer_rao(
+    rig: Rig, captured: Captured, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
+) -> dict[str, Array]:
+    """The least covariance (6, 6) that any unbiased estimate of each sensor's pose can have, in the root's axes.
+
+    Args:
+        rig: the rig, with the true noise of its sensors.
+        captured: detections; of each sensor and capture the first.
+        T_root_sensor: true poses (4, 4), the root first.
+        T_root_board: true poses (4, 4) of the board by capture.
+    """
+    seen = {c: {n: 0 for n in T_root_sensor if c in captured.detections[n]} for c in T_root_board}
+    boards = [Sighting(c, by) for c, by in seen.items() if by]
+    bundle, state = build(rig, captured, boards, T_root_sensor)
+    truth = replace(state, T_root_board=stacked([T_root_board[board.capture] for board in boards]))
+    exact = replace(_weighed(bundle, truth), sway=np.zeros(len(bundle.names)))
+    spread = covariance(exact, truth, linearize(exact, truth))
+    return {name: _block(spread, i) for i, name in enumerate(bundle.names)}
+
+
+def build(
+    rig: Rig, captured: Captured, boards: Sequence[Sighting], T_root_sensor: Mapping[str, Array]
+) -> tuple[Bundle, State]:
+    """The bundle of sighted boards, and its start."""
+    names = tuple(T_root_sensor)
+    views = tuple(_views(rig, captured, name, boards) for name in names)
+    bundle = Bundle(
+        names,
+        views,
+        body=np.arange(len(names)),
+        sway=np.full(len(names), _SWAY**2),
+        lever=0.5 * max(rig.board_size),
+    )
+    state = State(
+        stacked([T_root_sensor[name] for name in names]),
+        stacked([placed(board, captured.detections, T_root_sensor) for board in boards]),
+        np.zeros(sum(own.unknowns for own in views)),
+    )
+    return _weighed(bundle, state), state
+
+
+def _weighed(bundle: Bundle, state: State) -> Bundle:
+    """The bundle with the noise that measurements have if taken at this state."""
+    views = [
+        own.weighed(relative(T, state.T_root_board[own.board]), own.scale)
+        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
+    ]
+    return replace(bundle, views=tuple(views))
+
+
+def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) -> Views:
+    """What one sensor saw of the boards."""
+    spec = rig.sensors[name]
+    seen = [
+        (i, captured.detections[name][board.capture][board.seen[name]])
+        for i, board in enumerate(boards)
+        if name in board.seen
+    ]
+    indices = [i for i, _ in seen]
+    if isinstance(spec, CameraSpec):
+        corners = [d for _, d in seen if isinstance(d, BoardCorners)]
+        return Corners.of(indices, corners, captured.cameras[name], spec.noise)
+    surfaces = [d for _, d in seen if not isinstance(d, BoardCorners)]
+    return Beams.of(indices, surfaces, spec.noise)
+
+
+def _without_wrong(bundle: Bundle, solved: Solved, members: _Members) -> tuple[Bundle, _Members]:
+    """The bundle without the views that contradict the others."""
+    wrong: list[NDArray[np.bool_]] = wrong_views(bundle, solved.system)
+    rejected = {
+        (int(board), name)
+        for name, views, bad in zip(bundle.names, bundle.views, wrong, strict=True)
+        for board in views.board[bad]
+    }
+    left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
+    return replace(bundle, views=left), replace(members, rejected=members.rejected | rejected)
+
+
+def _alike(a: Bundle, b: Bundle) -> bool:
+    """Whether two bundles have the same views, and nearly the same noise."""
+    same_views = all(len(p.board) == len(q.board) for p, q in zip(a.views, b.views, strict=True))
+    same_noise = all(abs(p.scale / q.scale - 1) < _SETTLED for p, q in zip(a.views, b.views, strict=True))
+    smallest = np.minimum(a.sway, b.sway)
+    same_sway = bool(np.all(np.abs(a.sway - b.sway) <= 2 * _SETTLED * smallest + 1e-9))
+    return same_views and same_noise and same_sway
+
+
+def _residuals(bundle: Bundle, solved: Solved) -> Iterator[tuple[str, Array]]:
+    for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
+        T_sensor_board = relative(solved.state.T_root_sensor[s], solved.state.T_root_board[views.board])
+        yield name, views.linearize(T_sensor_board, solved.state.own[bundle.own(s)]).residual
+
+
+def _block(joint: Array, sensor: int) -> Array:
+    """One sensor's (6, 6) of a joint covariance."""
+    own = slice(6 * sensor, 6 * sensor + 6)
+    return joint[own, own]

@@ -1,0 +1,158 @@
+"""From measurements to the normal equations of views: outliers held off, common errors allowed for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtr, chdtrc, gammaln
+
+from calgraph.geometry import Array
+from calgraph.refinement.views import Index, Rows
+
+# Residuals beyond so many standard deviations count less (Huber): Gaussian noise loses 0.3 % of its information.
+HUBER = 2.5
+# Directions of a view with less than this share of its information are not measured by it.
+_RANK = 1e-10
+# Directions of a view that the others check with less than this share of its weight are not checked.
+_CHECKED = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSums:
+    """What V views say, summed over their measurements."""
+
+    core: Array
+    """(V, q, q) information on the q numbers that the measurements depend on."""
+    slope: Array
+    """(V, q) gradient by them."""
+    basis: Array
+    """(V, q, p): how they move with the pose and the sensor's own unknowns."""
+    cost: Array
+    """(V,) robust cost."""
+    square: Array
+    """(V,) weighted sum of squared residuals."""
+    count: NDArray[np.intp]
+    """(V,) how many numbers were measured."""
+
+    @property
+    def information(self) -> Array:
+        """(V, p, p)."""
+        return np.asarray(np.swapaxes(self.basis, -1, -2) @ self.core @ self.basis)
+
+    @property
+    def gradient(self) -> Array:
+        """(V, p)."""
+        return np.asarray((np.swapaxes(self.basis, -1, -2) @ self.slope[..., None])[..., 0])
+
+    def scatter(self) -> tuple[Array, NDArray[np.intp]]:
+        """Squared residuals (V,) about each view's own best fit, and how many numbers are left to scatter (V,).
+
+        They tell the noise of single measurements, however wrong sensors and board are placed.
+        """
+        explained = np.einsum("vi,vij,vj->v", self.slope, _pseudo_inverse(self.core), self.slope)
+        return self.square - explained, self.count - _rank(self.core)
+
+
+def summed(rows: Rows, start: Index) -> ViewSums:
+    """Sums rows over views, which start at ``start`` (V,)."""
+    count, k, q = rows.jacobian.shape
+    size = np.linalg.norm(rows.residual, axis=1) if k > 1 else np.abs(rows.residual[:, 0])
+    weight = np.minimum(1.0, HUBER / np.maximum(size, HUBER))
+    cost = np.where(size <= HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER))
+    weighted = (weight[:, None, None] * rows.jacobian).reshape(-1, q).T
+    flat, residual = rows.jacobian.reshape(-1, q).T, rows.residual.ravel()
+    i, j = np.triu_indices(q)
+    core = np.zeros((len(start), q, q))
+    core[:, i, j] = core[:, j, i] = _per_view(weighted[i] * flat[j], k * start).T
+    return ViewSums(
+        core,
+        _per_view(weighted * residual, k * start).T,
+        rows.basis,
+        _per_view(cost, start),
+        _per_view(weight * size**2, start),
+        np.diff(start, append=count) * k,
+    )
+
+
+def _per_view(values: Array, start: Index) -> Array:
+    return np.asarray(np.add.reduceat(values, start, axis=-1))
+
+
+def swayed(sums: ViewSums, sway: Array) -> tuple[Array, Array, Array]:
+    """The views' information, gradients and costs if each saw its board displaced by an unknown of its own.
+
+    A bent board, a range that is off for one material, a stamp that is late: measurements of one view then err
+    together, and however many there are, they say no more than the displacement allows. It is marginalised:
+    ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``.
+
+    Args:
+        sums: of V views.
+        sway: (p,) variances Q of the displacement along the sensor's axes; 0 for the sensor's own unknowns.
+
+    Returns:
+        (V, p, p), (V, p) and (V,).
+    """
+    A, b = sums.information, sums.gradient
+    shrink = np.linalg.inv(np.eye(len(sway)) + A * sway)
+    b_left = (shrink @ b[..., None])[..., 0]
+    A_left = shrink @ A
+    return (
+        (A_left + np.swapaxes(A_left, -1, -2)) / 2,
+        b_left,
+        sums.cost - 0.5 * np.sum(b * sway * b_left, axis=-1),
+    )
+
+
+def misfit(information: Array, spread: Array, gradient: Array) -> tuple[Array, NDArray[np.intp]]:
+    """How badly views fit the solution that they are part of, for the covariance of what they say.
+
+    Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
+
+    Args:
+        information: (V, p, p) A of each view.
+        spread: (V, p, p) covariance P of the solution where the view measures it, the view's own part included.
+        gradient: (V, p) of each view at the solution; its covariance is A - A P A.
+
+    Returns:
+        Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,):
+        directions that other views hardly check do not count.
+    """
+    unit, size = _normalised(information)
+    values, vectors = np.linalg.eigh(unit)
+    seen = values > _RANK * values[..., -1:]
+    root = np.where(seen, values, 1.0) ** -0.5 * seen
+    whiten = root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :]
+    forced = whiten @ information
+    redundancy = seen[..., :, None] * np.eye(values.shape[-1]) - forced @ spread @ np.swapaxes(forced, -1, -2)
+    free, axes = np.linalg.eigh((redundancy + np.swapaxes(redundancy, -1, -2)) / 2)
+    checked = free > _CHECKED
+    along = (np.swapaxes(axes, -1, -2) @ whiten @ gradient[..., None])[..., 0]
+    squared = np.sum(checked * along**2 / np.where(checked, free, 1.0), axis=-1)
+    return squared, np.asarray(checked.sum(axis=-1), dtype=np.intp)
+
+
+def huber_scatter(dimension: int) -> float:
+    """Mean of ``weight * |r|²`` over its degrees of freedom, for Gaussian residuals ``r`` of so many numbers."""
+    d, h = dimension, HUBER
+    inside = d * chdtr(d + 2, h**2)
+    outside = h * np.sqrt(2) * np.exp(gammaln((d + 1) / 2) - gammaln(d / 2)) * chdtrc(d + 1, h**2)
+    return float((inside + outside) / d)
+
+
+def _normalised(A: Array) -> tuple[Array, Array]:
+    """Matrices with unit diagonal, so that metres and radians compare; and what they were divided by."""
+    size = np.sqrt(np.maximum(np.diagonal(A, axis1=-2, axis2=-1), 0))
+    size = np.where(size > 0, size, 1.0)
+    return A / size[..., :, None] / size[..., None, :], size
+
+
+def _pseudo_inverse(A: Array) -> Array:
+    unit, size = _normalised(A)
+    inverse = np.linalg.pinv(unit, rcond=_RANK, hermitian=True)
+    return np.asarray(inverse / size[..., :, None] / size[..., None, :])
+
+
+def _rank(A: Array) -> NDArray[np.intp]:
+    unit, _ = _normalised(A)
+    values = np.abs(np.linalg.eigvalsh(unit))
+    return np.asarray(np.sum(values > _RANK * values[..., -1:], axis=-1), dtype=np.intp)

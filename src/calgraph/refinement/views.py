@@ -1,0 +1,228 @@
+"""What one sensor measured of boards, and how it depends on the pose of each board before the sensor.
+
+A *view* is what one sensor measured of one board: corners in pixels, or ranges along beams. Everything it says is
+a function of ``T_sensor_board``, so residuals are differentiated by that pose alone: by perturbations
+(translation, rotation) along the sensor's fixed axes, as :func:`calgraph.geometry.se3.retract` applies them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.detection import BoardCorners, PlanePatch, Segment
+from calgraph.geometry import Array, se3, so3
+from calgraph.rig import PixelNoise, RangeNoise
+from calgraph.sensors import CameraModel
+
+Index = NDArray[np.intp]
+
+# Flatter than this a beam grazes the board and its range says nothing about it.
+_GRAZING = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Whitened residuals of N measurements, k numbers each, in V views, and their derivatives.
+
+    A view's measurements may depend on fewer than six numbers of the pose: derivatives are by q numbers, of which
+    ``basis`` says how they move with the pose and with the sensor's e own unknowns.
+    """
+
+    residual: Array
+    """(N, k) predicted minus measured, in standard deviations."""
+    jacobian: Array
+    """(N, k, q)."""
+    basis: Array
+    """(V, q, 6 + e)."""
+
+
+class Views(Protocol):
+    """All views of one sensor."""
+
+    @property
+    def board(self) -> Index:
+        """(V,) which board each view is of; no board twice."""
+
+    @property
+    def start(self) -> Index:
+        """(V,) the first measurement of each view."""
+
+    @property
+    def scale(self) -> float:
+        """How many times larger than stated the noise is taken to be."""
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns the sensor has besides its pose, e."""
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
+        """Residuals and derivatives at poses (V, 4, 4) and the sensor's own unknowns (e,)."""
+
+    def weighed(self, T_sensor_board: Array, scale: float) -> Self:
+        """The same views with noise as it is at these poses, ``scale`` times that stated."""
+
+    def where(self, keep: NDArray[np.bool_]) -> Self:
+        """Some of the views (V,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Printed corners in a camera's pictures, through its full model: pixels."""
+
+    board: Index
+    start: Index
+    corners_board: Array
+    """(N, 3) m."""
+    pixels: Array
+    """(N, 2)."""
+    camera: CameraModel
+    noise: PixelNoise
+    scale: float = 1.0
+    unknowns: int = 0
+
+    @classmethod
+    def of(
+        cls, board: Sequence[int], found: Sequence[BoardCorners], camera: CameraModel, noise: PixelNoise
+    ) -> "Corners":
+        """The views of detections ``found`` of these boards."""
+        return cls(
+            np.array(board, dtype=np.intp),
+            _starts([len(d.pixels) for d in found]),
+            np.concatenate([d.corners_board for d in found]),
+            np.concatenate([d.pixels for d in found]),
+            camera,
+            noise,
+        )
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:  # noqa: ARG002
+        """See :class:`Views`: reprojection errors."""
+        view = _view_of(self.start, len(self.pixels))
+        turned = (T_sensor_board[view, :3, :3] @ self.corners_board[..., None])[..., 0]
+        pixels, by_point = self.camera.project_with_jacobian(turned + T_sensor_board[view, :3, 3])
+        sigma = self.scale * self.noise.pixel
+        jacobian = np.concatenate([by_point, -by_point @ so3.hat(turned)], axis=-1)
+        basis = np.broadcast_to(np.eye(6), (len(self.board), 6, 6))
+        return Rows((pixels - self.pixels) / sigma, jacobian / sigma, basis)
+
+    def weighed(self, T_sensor_board: Array, scale: float) -> "Corners":  # noqa: ARG002
+        """See :class:`Views`."""
+        return replace(self, scale=scale)
+
+    def where(self, keep: NDArray[np.bool_]) -> "Corners":
+        """See :class:`Views`."""
+        start, kept = _selected(self.start, len(self.pixels), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            corners_board=self.corners_board[kept],
+            pixels=self.pixels[kept],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Ranges along a scanner's beams to the plane of the board: metres."""
+
+    board: Index
+    start: Index
+    directions: Array
+    """(N, 3) unit vectors in the sensor frame."""
+    ranges: Array
+    """(N,) m."""
+    noise: RangeNoise
+    sigma: Array
+    """(N,) standard deviation of each range, m: held while poses move, for it depends on them."""
+    scale: float = 1.0
+    unknowns: int = 0
+    """1 if the scanner's ranges have an unknown bias, m."""
+
+    @classmethod
+    def of(
+        cls, board: Sequence[int], found: Sequence[PlanePatch | Segment], noise: RangeNoise, bias: bool = False
+    ) -> "Beams":
+        """The views of detections ``found`` of these boards."""
+        points = np.concatenate([d.points for d in found])
+        ranges = np.linalg.norm(points, axis=1)
+        return cls(
+            np.array(board, dtype=np.intp),
+            _starts([len(d.points) for d in found]),
+            points / ranges[:, None],
+            ranges,
+            noise,
+            np.full(len(ranges), noise.range),
+            unknowns=int(bias),
+        )
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
+        """See :class:`Views`: in the board's frame, a beam ends where z = 0.
+
+        Of the board's pose, ranges know the plane: its offset along the normal, and the tilts about the board's
+        own axes, by which they change with the place (x, y) on the board where the beam meets it.
+        """
+        cosine, reach, place = self._meet(T_sensor_board)
+        by_plane = np.stack([np.ones_like(reach), place[:, 1], -place[:, 0]], axis=-1) / cosine[:, None]
+        by_bias = np.ones((len(reach), self.unknowns))
+        jacobian = np.concatenate([by_plane, by_bias], axis=-1) / self.sigma[:, None]
+        residual = (reach + own.sum() - self.ranges) / self.sigma
+        basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
+        basis[:, 0, :3] = T_sensor_board[:, :3, 2]
+        basis[:, 1, 3:6], basis[:, 2, 3:6] = T_sensor_board[:, :3, 0], T_sensor_board[:, :3, 1]
+        basis[:, 3:, 6:] = np.eye(self.unknowns)
+        return Rows(residual[:, None], jacobian[:, None], basis)
+
+    def weighed(self, T_sensor_board: Array, scale: float) -> "Beams":
+        """See :class:`Views`: an error of the beam's direction counts the more, the flatter it meets the board."""
+        cosine, _, _ = self._meet(T_sensor_board)
+        tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
+        sigma = scale * np.hypot(self.noise.range, self.noise.angle * self.ranges * tangent)
+        return replace(self, sigma=sigma, scale=scale)
+
+    def where(self, keep: NDArray[np.bool_]) -> "Beams":
+        """See :class:`Views`."""
+        start, kept = _selected(self.start, len(self.ranges), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            directions=self.directions[kept],
+            ranges=self.ranges[kept],
+            sigma=self.sigma[kept],
+        )
+
+    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array]:
+        """Cosines (N,) between beams and normals, ranges (N,) to the planes, and places (N, 2) on the boards."""
+        T_board_sensor = se3.inverse(T_sensor_board)
+        counts = np.diff(self.start, append=len(self.ranges))
+        direction = np.empty_like(self.directions)
+        for R, first, count in zip(T_board_sensor[:, :3, :3], self.start, counts, strict=True):
+            # View by view: beams share few rotations, and to repeat them for every beam takes longer.
+            np.matmul(self.directions[first : first + count], R.T, out=direction[first : first + count])
+        origin = np.repeat(T_board_sensor[:, :3, 3], counts, axis=0)
+        cosine = direction[:, 2]
+        cosine = np.where(cosine < 0, -1.0, 1.0) * np.maximum(np.abs(cosine), _GRAZING)
+        reach = -origin[:, 2] / cosine
+        return cosine, reach, origin[:, :2] + reach[:, None] * direction[:, :2]
+
+
+def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
+    """``T_sensor_board`` (V, 4, 4) of boards (V, 4, 4) before one sensor (4, 4)."""
+    return np.asarray(se3.inverse(T_root_sensor) @ T_root_board)
+
+
+def _starts(counts: Sequence[int]) -> Index:
+    return np.cumsum([0, *counts[:-1]], dtype=np.intp)
+
+
+def _view_of(start: Index, count: int) -> Index:
+    """(N,) which view each measurement belongs to."""
+    return np.repeat(np.arange(len(start)), np.diff(start, append=count))
+
+
+def _selected(start: Index, count: int, keep: NDArray[np.bool_]) -> tuple[Index, NDArray[np.bool_]]:
+    """Where the kept views start after selection, and which measurements are theirs."""
+    counts = np.diff(start, append=count)
+    return _starts(counts[keep].tolist()), np.repeat(keep, counts)
