@@ -21,14 +21,16 @@ def print_calibration(calibration: Calibration) -> None:
     paper = console()
     paper.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
     table = _table()
-    for head in ("x y z, m", "roll pitch yaw, °", "± mm", "± °", ""):
+    axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
+    heads = " ".join(("x", "y", "z")[axes]), " ".join(("roll", "pitch", "yaw")[turns])
+    for head in (f"{heads[0]}, m", f"{heads[1]}, °", "± mm", "± °", ""):
         table.add_column(head, justify="right", no_wrap=True)
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
         table.add_row(
             escape(sensor.name),
-            " ".join(f"{_fixed(v, 3):>6}" for v in T[:3, 3]),
-            " ".join(f"{_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))),
+            " ".join(f"{_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
+            " ".join(f"{_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
             *_deviations(sensor),
             _GRADES[sensor.verdict.grade],
         )

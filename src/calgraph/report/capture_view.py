@@ -1,4 +1,4 @@
-"""What became of each capture in each sensor: a matrix at a glance, and a table to search in."""
+"""What became of each capture in each sensor, or of each walk: a picture at a glance, and a table to search in."""
 
 from collections import Counter
 
@@ -6,26 +6,36 @@ import numpy as np
 
 from calgraph.report.figures import BLUE, NOTHING, ORANGE, Figure, figure, placed, plotly_text
 from calgraph.report.text import counted, escaped, fixed, length
+from calgraph.report.walk_view import timeline
+from calgraph.report.words import NETWORK, Words
 from calgraph.result import Calibration, CaptureRow
 
 _ABSENT, _REJECTED, _USED = 0, 1, 2
+# Rows at most in the picture and in the table: a browser gets slow, and the page large, with many more.
+_MOST = 6000
 
 
-def captures(calibration: Calibration) -> str:
-    """All of it; a sentence where there are no captures."""
+def captures(calibration: Calibration, words: Words) -> str:
+    """All of it; a sentence where there are none."""
     rows = calibration.captures
     if not rows:
-        return '<p class="empty">There are no captures: the board was not found at rest in this recording.</p>'
+        return f'<p class="empty">{words.no_rows}</p>'
     names = _names(calibration)
-    count = len({row.capture for row in rows})
-    matrix = placed(
-        "captures", _matrix(rows, names), 84 + 26 * len(names), "Outcome of each capture in each sensor"
+    count = counted(len({row.capture for row in rows}), words.row)
+    about, absent = words.key
+    shown = rows[:: len(rows) // _MOST + 1]
+    if len(shown) < len(rows):
+        about += f" Shown are {len(shown)} of {len(rows)} rows; captures.csv has them all."
+    draw = timeline if words is NETWORK else _matrix
+    picture = placed(
+        "captures", draw(shown, names), 84 + 26 * len(names), f"Outcome of each {words.row} in each sensor"
     )
+    swatches = {"used": "used", "rejected": "not used"} | ({"absent": absent} if absent else {})
+    key = " ".join(f'<span class="swatch {css}"></span>{meaning}' for css, meaning in swatches.items())
     return (
-        f"<p>{counted(count, 'capture')}. Point at a cell to see when it was and why it was not used.</p>"
-        f'<p class="key"><span class="swatch used"></span>used <span class="swatch rejected"></span>not used '
-        f'<span class="swatch absent"></span>no measurement</p>'
-        f"{matrix}{_reasons(rows, names)}{_table(rows, names)}"
+        f"<p>{count}. {about}</p>"
+        f'<p class="key">{key}</p>'
+        f"{picture}{_reasons(rows, names)}{_table(shown, names, words.row)}"
     )
 
 
@@ -110,7 +120,7 @@ def _reasons(rows: tuple[CaptureRow, ...], names: list[str]) -> str:
     )
 
 
-def _table(rows: tuple[CaptureRow, ...], names: list[str]) -> str:
+def _table(rows: tuple[CaptureRow, ...], names: list[str], noun: str) -> str:
     body = "".join(_table_row(row) for row in rows)
     sensors = "".join(f'<option value="{escaped(name)}">{escaped(name)}</option>' for name in names)
     return f"""\
@@ -118,10 +128,10 @@ def _table(rows: tuple[CaptureRow, ...], names: list[str]) -> str:
 <label>sensor <select id="filter-sensor"><option value="">all</option>{sensors}</select></label>
 <label>outcome <select id="filter-outcome"><option value="">all</option><option value="used">used</option>\
 <option value="not used">not used</option></select></label>
-<label>search <input id="filter-text" type="search" placeholder="reason, capture"></label>
+<label>search <input id="filter-text" type="search" placeholder="reason, {noun}"></label>
 <output id="filter-count"></output>
 </div>
-<div class="tall"><table id="capture-table"><thead><tr><th>capture</th><th>start, s</th><th>end, s</th>\
+<div class="tall"><table id="capture-table"><thead><tr><th>{noun}</th><th>start, s</th><th>end, s</th>\
 <th class="words">sensor</th><th class="words">outcome</th><th>residual</th><th class="words">reason</th></tr>\
 </thead>\
 <tbody>{body}</tbody></table></div>

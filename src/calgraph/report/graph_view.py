@@ -6,6 +6,7 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.report.text import KINDS, counted, escaped, length
+from calgraph.report.words import Words
 from calgraph.result import Calibration, Edge
 
 _WIDTH, _HEIGHT = 1040, 440
@@ -24,13 +25,13 @@ class _Label:
     text: str
 
 
-def graph(calibration: Calibration) -> str:
+def graph(calibration: Calibration, words: Words) -> str:
     """The drawing: sensors on an ellipse, in the order of the tree; unconnected ones at the right."""
     names = _in_tree_order(calibration)
     places = _places(names, list(calibration.unconnected))
     drawn = [e for e in calibration.edges if e.captures > 0 and e.sensor_a in places and e.sensor_b in places]
     drawn.sort(key=lambda edge: edge.in_tree)
-    lines = "".join(_line(edge, places) for edge in drawn)
+    lines = "".join(_line(edge, places, words.evidence) for edge in drawn)
     labelled = [edge for edge in reversed(drawn) if edge.in_tree or len(names) <= _MANY]
     labels = "".join(_caption(label) for label in _labels(labelled, places))
     nodes = "".join(_node(name, places[name], calibration) for name in places)
@@ -40,10 +41,11 @@ def graph(calibration: Calibration) -> str:
     )
 
 
-def edge_table(calibration: Calibration) -> str:
+def edge_table(calibration: Calibration, words: Words) -> str:
     """The same in numbers."""
     if not calibration.edges:
-        return '<p class="empty">No two sensors saw the board in the same capture.</p>'
+        return f'<p class="empty">{words.no_pairs}</p>'
+    heads = "".join(f"<th>{head}</th>" for head in words.columns)
     ordered = sorted(calibration.edges, key=lambda edge: (not edge.in_tree, edge.inliers == 0, edge.sensor_a))
     rows = "".join(
         f"<tr{_row_class(edge)}><th scope='row'>{escaped(edge.sensor_a)} – {escaped(edge.sensor_b)}</th>"
@@ -53,8 +55,8 @@ def edge_table(calibration: Calibration) -> str:
         for edge in ordered
     )
     return (
-        '<div class="wide"><table><thead><tr><th>pair</th><th></th><th>captures<br>of both</th><th>kept</th>'
-        f"<th>RMS<br>distance</th><th class='words'>remark</th></tr></thead><tbody>{rows}</tbody></table></div>"
+        f'<div class="wide"><table><thead><tr><th>pair</th><th></th>{heads}'
+        f"<th class='words'>remark</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
 
@@ -88,12 +90,11 @@ def _places(names: list[str], unconnected: list[str]) -> dict[str, Array]:
     return dict(zip([*names, *unconnected], [*on_ellipse, *beside], strict=True))
 
 
-def _line(edge: Edge, places: dict[str, Array]) -> str:
+def _line(edge: Edge, places: dict[str, Array], evidence: str) -> str:
     (x1, y1), (x2, y2) = places[edge.sensor_a], places[edge.sensor_b]
     css = "tree" if edge.in_tree else "failed" if edge.inliers == 0 else "other"
-    title = (
-        f"{edge.sensor_a} – {edge.sensor_b}: {counted(edge.captures, 'capture')}, {edge.inliers} kept. {edge.note}"
-    )
+    seen = f"{counted(edge.captures, evidence)}, {edge.inliers} kept"
+    title = f"{edge.sensor_a} – {edge.sensor_b}: {seen}. {edge.note}"
     return (
         f'<line class="{css}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}">'
         f"<title>{escaped(title.strip())}</title></line>"

@@ -7,12 +7,14 @@ from string import Template
 from plotly.offline import get_plotlyjs
 
 from calgraph.report.capture_view import captures
+from calgraph.report.floor_view import floor_plan
 from calgraph.report.graph_view import edge_table, graph
 from calgraph.report.pose_table import pose_table
 from calgraph.report.residual_view import histograms
 from calgraph.report.rig_view import rig_view
 from calgraph.report.text import counted, escaped
 from calgraph.report.verdicts import cards, headline
+from calgraph.report.words import NETWORK, Words, words_for
 from calgraph.result import Calibration
 from calgraph.rig import Rig, write_text
 
@@ -34,18 +36,23 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
 
 def report_html(calibration: Calibration, rig: Rig) -> str:
     """The text of the report."""
+    words = words_for(rig)
     return Template(_part("page.html")).substitute(
         title=escaped(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
         headline=escaped(headline(calibration)),
-        facts=_facts(calibration),
-        root=escaped(calibration.root),
-        cards=cards(calibration),
-        graph=graph(calibration),
-        edges=edge_table(calibration),
+        facts=_facts(calibration, words),
+        cards=cards(calibration, words),
+        about_graph=words.graph,
+        graph=graph(calibration, words),
+        edges=edge_table(calibration, words),
         poses=pose_table(calibration),
+        about_residuals=words.residuals,
         residuals=histograms(calibration),
-        view=rig_view(calibration, rig),
-        captures=captures(calibration),
+        view_title=words.view,
+        about_view=words.about_view,
+        view=floor_plan(calibration) if words is NETWORK else rig_view(calibration, rig),
+        captures_title=words.rows,
+        captures=captures(calibration, words),
         style=_part("style.css"),
         plotly=get_plotlyjs(),
         script=_part("page.js"),
@@ -56,7 +63,7 @@ def _part(name: str) -> str:
     return files("calgraph.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _facts(calibration: Calibration) -> str:
+def _facts(calibration: Calibration, words: Words) -> str:
     count = len({row.capture for row in calibration.captures})
-    facts = [f"root {calibration.root}", counted(count, "capture"), f"estimator {calibration.estimator}"]
+    facts = [f"root {calibration.root}", counted(count, words.row), f"estimator {calibration.estimator}"]
     return " · ".join(map(escaped, facts))

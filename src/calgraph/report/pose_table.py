@@ -7,34 +7,57 @@ from calgraph.report.verdicts import badge
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 
-_HEAD = """\
-<thead>
-<tr><th rowspan="2">sensor</th><th rowspan="2">verdict</th><th colspan="3">position, m</th>
-<th colspan="3">rotation</th><th colspan="3">σ of the rotation about</th>
-<th rowspan="2">clock<br>offset</th></tr>
-<tr><th>x</th><th>y</th><th>z</th><th>roll</th><th>pitch</th><th>yaw</th><th>x</th><th>y</th><th>z</th></tr>
-</thead>
-"""
+_AXES, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
+_IN_SPACE = ((0, 1, 2), (0, 1, 2))
+"""Which axes have positions, and about which are turns."""
+_IN_PLANE = ((0, 1), (2,))
 
 
 def pose_table(calibration: Calibration) -> str:
     """All poses in the frame of the root: positions with σ below them, rotations with σ beside them."""
-    rows = "".join(_row(sensor, calibration.root) for sensor in calibration.sensors)
-    return f'<div class="wide"><table class="poses">{_HEAD}<tbody>{rows}</tbody></table></div>'
+    shown = _IN_PLANE if calibration.planar else _IN_SPACE
+    rows = "".join(_row(sensor, calibration.root, *shown) for sensor in calibration.sensors)
+    return (
+        f"<p>{_about(escaped(calibration.root), calibration.planar)}</p>"
+        f'<div class="wide"><table class="poses">{_head(*shown)}<tbody>{rows}</tbody></table></div>'
+    )
 
 
-def _row(sensor: SensorPose, root: str) -> str:
+def _about(root: str, planar: bool) -> str:
+    if planar:
+        return (
+            f"Each scanner's frame in that of <b>{root}</b>, in the plane that all of them scan. Standard "
+            f"deviations (σ) of positions are along the axes of <b>{root}</b>."
+        )
+    return (
+        f"Each sensor's frame in that of <b>{root}</b>. Rotations are roll, pitch, yaw about fixed axes: "
+        "R = Rz(yaw) Ry(pitch) Rx(roll). Standard deviations (σ) are along and about the fixed axes of "
+        f"<b>{root}</b>."
+    )
+
+
+def _head(axes: tuple[int, ...], turns: tuple[int, ...]) -> str:
+    groups = f'<th colspan="{len(axes)}">position, m</th><th colspan="{len(turns)}">rotation</th>'
+    names = [_AXES[i] for i in axes] + [_TURNS[i] for i in turns] + [_AXES[i] for i in turns]
+    return (
+        '<thead><tr><th rowspan="2">sensor</th><th rowspan="2">verdict</th>'
+        f'{groups}<th colspan="{len(turns)}">σ of the rotation about</th><th rowspan="2">clock<br>offset</th></tr>'
+        f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr></thead>"
+    )
+
+
+def _row(sensor: SensorPose, root: str, axes: tuple[int, ...], turns: tuple[int, ...]) -> str:
     T = sensor.T_root_sensor
+    rpy = roll_pitch_yaw(T[:3, :3])
     with np.errstate(invalid="ignore"):
         sigma = np.sqrt(np.diag(sensor.covariance))
     is_root = sensor.name == root
     below = f"root · {kind_of(sensor)}" if is_root else f"{kind_of(sensor)} · hangs from {sensor.parent}"
     positions = (
-        f"<td>{fixed(value, 4)}{'' if is_root else f'<small>± {length(s)}</small>'}</td>"
-        for value, s in zip(T[:3, 3], sigma[:3], strict=True)
+        f"<td>{fixed(T[i, 3], 4)}{'' if is_root else f'<small>± {length(sigma[i])}</small>'}</td>" for i in axes
     )
-    angles = (f"<td>{fixed(np.degrees(value), 3)}°</td>" for value in roll_pitch_yaw(T[:3, :3]))
-    deviations = (f"<td>{'–' if is_root else angle(value)}</td>" for value in sigma[3:])
+    angles = (f"<td>{fixed(np.degrees(rpy[i]), 3)}°</td>" for i in turns)
+    deviations = (f"<td>{'–' if is_root else angle(sigma[3 + i])}</td>" for i in turns)
     return (
         f"<tr><th scope='row'>{escaped(sensor.name)}<small>{escaped(below)}<br>frame {escaped(sensor.frame_id)}"
         f"</small></th><td>{badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"

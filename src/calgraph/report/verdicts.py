@@ -4,6 +4,7 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.report.text import angle, counted, escaped, kind_of, length
+from calgraph.report.words import Words
 from calgraph.result import Calibration, SensorPose
 
 _BADGES = {
@@ -13,12 +14,6 @@ _BADGES = {
     "unconnected": ("lost", "✕", "not connected"),
 }
 """CSS class, sign and word for each grade: colour is never the only sign."""
-
-_ADVICE = {
-    "weak": "Record more captures with the board at other angles, heights and distances.",
-    "unconnected": "No capture ties it to another sensor. Hold the board where both see it at once.",
-    "unobservable": "Do not use this pose. Record captures in which the board is tilted about several axes.",
-}
 
 
 def headline(calibration: Calibration) -> str:
@@ -36,15 +31,21 @@ def headline(calibration: Calibration) -> str:
     return f"Of {counted(total, 'sensor')} besides the root: {said}."
 
 
-def cards(calibration: Calibration) -> str:
+def cards(calibration: Calibration, words: Words) -> str:
     """A card for each sensor, those that need attention first."""
     order = {"unobservable": 0, "weak": 1, "good": 2}
     sensors = sorted(
         (sensor for sensor in calibration.sensors if sensor.parent is not None),
         key=lambda sensor: order[sensor.verdict.grade],
     )
-    unconnected = [_card("unconnected", name, "no pose", why) for name, why in calibration.unconnected.items()]
-    return '<div class="cards">' + "".join([*unconnected, *map(_sensor_card, sensors)]) + "</div>"
+    advice = words.advice
+    shown = [
+        *(_card("unconnected", name, "no pose", why or advice["unconnected"])
+          for name, why in calibration.unconnected.items()),
+        *(_card(s.verdict.grade, s.name, _facts(s), s.verdict.reason or advice.get(s.verdict.grade, ""))
+          for s in sensors),
+    ]  # fmt: skip
+    return f'<div class="cards">{"".join(shown)}</div>'
 
 
 def badge(grade: str) -> str:
@@ -60,15 +61,13 @@ def worst_deviation(covariance: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def _sensor_card(sensor: SensorPose) -> str:
+def _facts(sensor: SensorPose) -> str:
     sigma_t, sigma_r = worst_deviation(sensor.covariance[:3, :3]), worst_deviation(sensor.covariance[3:, 3:])
-    facts = f"{kind_of(sensor)} · σ {length(sigma_t)}, {angle(sigma_r)} in the worst direction"
-    return _card(sensor.verdict.grade, sensor.name, facts, sensor.verdict.reason)
+    return f"{kind_of(sensor)} · σ {length(sigma_t)}, {angle(sigma_r)} in the worst direction"
 
 
 def _card(grade: str, name: str, facts: str, reason: str) -> str:
     css, _, _ = _BADGES[grade]
-    reason = reason or _ADVICE.get(grade, "")
     words = f'<p class="reason">{escaped(reason[:1].upper() + reason[1:])}</p>' if reason else ""
     return (
         f'<article class="card {css}"><h3>{escaped(name)}</h3>{badge(grade)}'
