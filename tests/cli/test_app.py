@@ -32,12 +32,12 @@ def test_the_version_is_that_of_the_package(run: Run) -> None:
 
 def test_alone_it_shows_its_commands(run: Run) -> None:
     text = run().output
-    commands = ("calibrate", "demo", "init", "inspect", "export", "simulate")
+    commands = ("calibrate", "solve", "demo", "init", "inspect", "export", "simulate")
     assert [name for name in commands if f"│ {name} " not in text] == []
 
 
 @pytest.mark.parametrize(
-    "command", [["calibrate"], ["demo"], ["init"], ["inspect"], ["export"], ["simulate", "rig"]]
+    "command", [["calibrate"], ["solve"], ["demo"], ["init"], ["inspect"], ["export"], ["simulate", "rig"]]
 )
 def test_every_command_has_help_within_80_columns(command: list[str]) -> None:
     result = CliRunner(env={"COLUMNS": "80"}).invoke(app, [*command, "--help"])

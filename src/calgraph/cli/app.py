@@ -21,6 +21,7 @@ from calgraph.cli.init import init
 from calgraph.cli.inspect import inspect
 from calgraph.cli.simulate import simulate_rig_command
 from calgraph.cli.simulate_network import simulate_network_command
+from calgraph.cli.solve import solve
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
@@ -54,6 +55,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 simulate = typer.Typer(no_args_is_help=True, help="Simulate recordings with known truth.")
 app.command()(guarded(calibrate))
+app.command()(guarded(solve))
 app.command()(guarded(demo))
 app.command()(guarded(init))
 app.command()(guarded(inspect))

@@ -11,7 +11,7 @@ from calgraph.cli.tables import print_calibration, print_place
 from calgraph.errors import CalibrationError
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, save_calibration, save_captures, to_json
-from calgraph.rig import Rig, load_rig, replacing_folder, save_yaml
+from calgraph.rig import Rig, check_place, load_rig, replacing_folder, save_yaml
 
 
 class FilterChoice(StrEnum):
@@ -101,6 +101,10 @@ def calibrate(
     ] = WeightsChoice.uniform,
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
+    dump: Annotated[
+        Path | None,
+        typer.Option("--dump", metavar="FILE", help="Board: write what the solution is made from, for solve."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
@@ -112,27 +116,30 @@ def calibrate(
     from calgraph import calibrate as story  # takes seconds, which --help should not
 
     rig = load_rig(rig_file)
-    options = story.Options(
-        keep=keep.value,
-        start=start.value,
-        tags=tags.value,
-        feature=feature.value,
-        average=average.value,
-        weights=weights.value,
-        icp=icp,
-        seed=seed,
-    )
+    if dump and not _is_in(dump, out):
+        check_place(dump)
     with replacing_folder(out) as folder:
+        options = story.Options(
+            keep=keep.value,
+            start=start.value,
+            tags=tags.value,
+            feature=feature.value,
+            average=average.value,
+            weights=weights.value,
+            icp=icp,
+            seed=seed,
+            dump=folder / dump.name if dump and _is_in(dump, out) else dump,
+        )
         with open_recordings(recordings) as recording, progress_bars() as progress:
             rig = with_intrinsics(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
         write_results(calibration, rig, folder)
-    if json:
-        typer.echo(to_json(calibration))
-    else:
-        print_calibration(calibration)
-        print_place(out)
-    fail_if_unconnected(calibration)
+    show_results(calibration, out, json=json)
+
+
+def _is_in(file: Path, folder: Path) -> bool:
+    """Whether a file is to be among the results, whose folder appears when they are complete."""
+    return file.resolve().parent == folder.resolve()
 
 
 def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
@@ -143,6 +150,20 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_captures(calibration, folder / "captures.csv")
     save_yaml(folder / "rig.resolved.yaml", rig.settings())
     write_report(calibration, rig, folder / "report.html")
+
+
+def show_results(calibration: Calibration, out: Path, *, json: bool) -> None:
+    """Prints a calibration, as tables or as JSON.
+
+    Raises:
+        CalibrationError: a sensor has no pose.
+    """
+    if json:
+        typer.echo(to_json(calibration))
+    else:
+        print_calibration(calibration)
+        print_place(out)
+    fail_if_unconnected(calibration)
 
 
 def fail_if_unconnected(calibration: Calibration) -> None:

@@ -1,6 +1,6 @@
 """rig.yaml: the sensors with their noise, the target, and how captures are marked."""
 
-from calgraph.rig.atomic import replacing, replacing_folder, write_text
+from calgraph.rig.atomic import check_place, replacing, replacing_folder, write_text
 from calgraph.rig.draft import FoundTopic, Kind, draft_rig
 from calgraph.rig.file import load_rig
 from calgraph.rig.rig import (
@@ -20,5 +20,6 @@ from calgraph.rig.writing import save_yaml, yaml_text
 __all__ = [
     "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "FoundTopic",
     "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "RangeNoise", "Rig", "SensorSpec",
-    "Tag", "draft_rig", "load_rig", "replacing", "replacing_folder", "save_yaml", "write_text", "yaml_text",
+    "Tag", "check_place", "draft_rig", "load_rig", "replacing", "replacing_folder", "save_yaml",
+    "write_text", "yaml_text",
 ]  # fmt: skip

@@ -18,10 +18,7 @@ def replacing(path: Path) -> Iterator[Path]:
         InputError: the folder of ``path`` does not exist or cannot be written to, or ``path`` is a folder.
 
     """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, a file is to be written there")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: its folder does not exist")
+    check_place(path)
     # Same folder, hence same file system: the rename is then one step for everybody who looks.
     temporary = path.parent / _unfinished(path)
     try:
@@ -30,6 +27,19 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_place(path: Path) -> None:
+    """Refuses a place where no file can be, before work begins that is to end in one.
+
+    Raises:
+        InputError: the folder of ``path`` does not exist, or ``path`` is a folder.
+
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, a file is to be written there")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: its folder does not exist")
 
 
 @contextmanager

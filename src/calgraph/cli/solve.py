@@ -1,0 +1,37 @@
+"""``calgraph solve``: the joint solution again, from what ``calibrate --dump`` wrote."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calgraph.cli.calibrate import FilterChoice, show_results, write_results
+from calgraph.rig import replacing_folder
+
+
+def solve(
+    file: Annotated[Path, typer.Argument(metavar="DUMP", help="What calibrate --dump wrote.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
+    keep: Annotated[
+        FilterChoice | None,
+        typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
+) -> None:
+    """Repeat the joint solution from the problem that calibrate --dump wrote.
+
+    Writes the same files as calibrate into OUT; with the same options and on the same machine, to the last bit.
+
+    Exit codes are those of calibrate.
+    """
+    from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
+    from calgraph.refinement import load_problem
+
+    problem = load_problem(file)
+    if keep:
+        problem = replace(problem, solver=problem.solver.model_copy(update={"keep": keep.value}))
+    with replacing_folder(out) as folder:
+        calibration = solve_problem(problem)
+        write_results(calibration, problem.rig, folder)
+    show_results(calibration, out, json=json)

@@ -1,0 +1,111 @@
+"""calgraph calibrate --dump and calgraph solve: the same result without the recording."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import Result
+
+from calgraph.detection import Rejected
+from calgraph.refinement import load_problem, save_problem
+from calgraph.result import load_calibration
+
+Run = Callable[..., Result]
+
+RESULTS = ("calibration.yaml", "captures.csv", "report.html", "rig.resolved.yaml")
+
+
+@pytest.fixture(scope="module")
+def dumped(simulated: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) -> Path:
+    """The folder that ``calibrate --dump`` wrote, the dump among the results; not to be changed."""
+    out = tmp_path_factory.mktemp("dumped") / "result"
+    result = run(
+        "calibrate", simulated / "rig.yaml", simulated / "recording", "-o", out, "--dump", out / "problem.npz"
+    )
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def test_another_process_writes_the_same_bytes(dumped: Path, tmp_path: Path) -> None:
+    code = "from calgraph.cli import main; main()"
+    arguments = ["solve", str(dumped / "problem.npz"), "-o", str(tmp_path / "again")]
+    subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True)
+    assert [n for n in RESULTS if (tmp_path / "again" / n).read_bytes() != (dumped / n).read_bytes()] == []
+
+
+def test_dumping_changes_nothing(dumped: Path, calibrated: tuple[Path, Result]) -> None:
+    assert [n for n in RESULTS if (calibrated[0] / n).read_bytes() != (dumped / n).read_bytes()] == []
+
+
+def test_json_is_what_calibrate_prints(
+    dumped: Path, calibrated: tuple[Path, Result], tmp_path: Path, run: Run
+) -> None:
+    result = run("solve", dumped / "problem.npz", "-o", tmp_path / "again", "--json")
+    assert result.stdout == calibrated[1].stdout
+
+
+def test_the_filter_may_be_another_one(dumped: Path, tmp_path: Path, run: Run) -> None:
+    problem = load_problem(dumped / "problem.npz")
+    fewer = {
+        names: replace(pair, inliers=pair.inliers & (pair.matches[:, 0] > 0))
+        for names, pair in problem.pairs.items()
+        if not isinstance(pair, Rejected)
+    }
+    save_problem(replace(problem, pairs=fewer), tmp_path / "fewer.npz")
+    run("solve", tmp_path / "fewer.npz", "-o", tmp_path / "a")
+    run("solve", tmp_path / "fewer.npz", "-o", tmp_path / "b", "--filter", "none")
+    few, all_of_them = (
+        load_calibration(tmp_path / n / "calibration.yaml").transform("lidar", "camera") for n in "ab"
+    )
+    assert not np.array_equal(few, all_of_them)
+
+
+def test_the_filter_of_the_calibration_is_stored(simulated: Path, tmp_path: Path, run: Run) -> None:
+    dump = tmp_path / "problem.npz"
+    run(
+        "calibrate", simulated / "rig.yaml", simulated / "recording", "-o", tmp_path / "out",
+        "--filter", "none", "--dump", dump,
+    )  # fmt: skip
+    assert load_problem(dump).solver.keep == "none"
+
+
+def test_a_place_without_folder_is_refused_before_the_recording_is_read(
+    simulated: Path, tmp_path: Path, run: Run
+) -> None:
+    dump = tmp_path / "none" / "problem.npz"
+    result = run("calibrate", simulated / "rig.yaml", tmp_path / "missing", "-o", tmp_path / "out", "--dump", dump)
+    assert (result.exit_code, result.stderr) == (2, f"calgraph: {dump}: its folder does not exist\n")
+
+
+def test_a_network_has_no_problem_to_dump(tmp_path: Path, simulated: Path, run: Run) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(
+        "root: a\ntarget: {kind: people}\nsensors:\n  a: {kind: lidar2d, topic: /laser_front/scan}\n"
+        "  b: {kind: lidar2d, topic: /lidar/points}\n"
+    )
+    result = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "out", "--dump", tmp_path / "p.npz")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("calgraph: --dump: only the problem of a rig with a board")
+
+
+def test_what_is_no_dump_is_bad_input(dumped: Path, tmp_path: Path, run: Run) -> None:
+    result = run("solve", dumped / "calibration.yaml", "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"calgraph: {dumped / 'calibration.yaml'}: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_sensors_that_calibrate_could_not_connect_are_named_again(
+    simulated: Path, tmp_path: Path, run: Run
+) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text((simulated / "rig.yaml").read_text().replace("tag36h11", "tag25h9"))
+    dump = tmp_path / "problem.npz"
+    first = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "a", "--dump", dump)
+    second = run("solve", dump, "-o", tmp_path / "b")
+    assert (second.exit_code, second.stderr) == (1, first.stderr)
+    assert (tmp_path / "a/captures.csv").read_bytes() == (tmp_path / "b/captures.csv").read_bytes()
