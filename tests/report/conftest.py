@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.geometry import Array, se3
-from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose, Verdict
+from calgraph.geometry import Array, se2, se3
+from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, FloorView, SensorPose, Verdict
 from calgraph.rig import Rig
 
 FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -151,4 +151,42 @@ def bare() -> Calibration:
     """A root and nothing else."""
     return Calibration(
         "lidar", (SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), np.zeros((6, 6)), Verdict("good")),)
+    )
+
+
+SCANNERS = {"hall": (0.0, 0.0, 0.0), "door <b>": (6.0, 1.0, 2.0), "stairs": (3.0, 7.0, -1.5)}
+"""x, y (m) and yaw (rad) of a network's scanners."""
+
+
+@pytest.fixture
+def network_rig() -> Rig:
+    sensors = {name: {"kind": "lidar2d", "topic": f"/{i}"} for i, name in enumerate(SCANNERS)}
+    return Rig.model_validate({"root": "hall", "target": {"kind": "people"}, "sensors": sensors})
+
+
+@pytest.fixture
+def network() -> Calibration:
+    """Three scanners on a floor, one of which saw nobody, a walk along x = 2 m, and a wall along y = -1 m."""
+    spread = np.zeros((6, 6))
+    spread[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([0.01**2, 0.02**2, 0.001**2])
+    sensors = tuple(
+        SensorPose(name, None if name == "hall" else "hall", name, "lidar2d",
+                   se2.to_se3(se2.pose(yaw, np.array([x, y]))), np.zeros((6, 6)) if name == "hall" else spread,
+                   Verdict("weak" if name == "stairs" else "good"))
+        for name, (x, y, yaw) in SCANNERS.items()
+    )  # fmt: skip
+    edges = (
+        Edge("hall", "door <b>", 340, 300, True, np.array([0.004])),
+        Edge("hall", "stairs", 90, 60, True, np.array([0.02])),
+        Edge("door <b>", "stairs", 50, 0, False, np.empty(0), "contradicts the other pairs"),
+    )
+    rows = (
+        CaptureRow(0, 0.0, 4.0, "hall", True, "", 0.021),
+        CaptureRow(1, 0.5, 4.5, "door <b>", True, "", 0.021),
+        CaptureRow(2, 2.0, 3.0, "hall", False, "no other scanner saw anybody meanwhile"),
+    )
+    wall, walk = np.linspace([0, -1], [8, -1], 50), np.linspace([2, 0], [2, 5], 40)
+    floor = (FloorView("hall", wall, (walk, walk + 0.1)), FloorView("door <b>", wall, (walk,)))
+    return Calibration(
+        "hall", sensors, edges, rows, {"attic": ""}, {"positions": np.zeros(9)}, estimator="averaging", floor=floor
     )

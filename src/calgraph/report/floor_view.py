@@ -13,7 +13,7 @@ from calgraph.result import Calibration, FloorView, SensorPose
 # Okabe and Ito's colours, which stay apart for every kind of colour blindness; with more scanners they come again.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7b3294", "#a6761d")
 _SIGMAS = 2.0
-_EXAGGERATIONS = (1, 10, 100, 1000)
+_EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipse can be seen if its longer half axis takes this part of the plan, as can an arrow of that part.
 _VISIBLE, _ARROW = 0.008, 0.05
 _HEIGHT = 680

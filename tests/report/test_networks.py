@@ -1,0 +1,156 @@
+"""The page of a network: its floor plan, its walks, and words that fit it."""
+
+import dataclasses
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array
+from calgraph.report.page import report_html
+from calgraph.result import Calibration, CaptureRow, FloorView
+from calgraph.rig import Rig
+
+
+def without_scripts(html: str) -> str:
+    return re.sub(r"<(script|style).*?</\1>", " ", html, flags=re.DOTALL)
+
+
+def words_of(html: str) -> str:
+    return " ".join(re.sub(r"<[^>]*>", " ", without_scripts(html)).split())
+
+
+def figure_of(html: str, name: str) -> dict[str, Any]:
+    (data,) = re.findall(rf'<script type="application/json"[^>]*data-for="{name}">(.*?)</script>', html)
+    figure: dict[str, Any] = json.loads(data)
+    return figure
+
+
+def lines_of(figure: dict[str, Any], scanner: str) -> list[Array]:
+    """(N, 2) points of all that is drawn as lines for one scanner; walks first, if it saw any."""
+    return [
+        np.array([trace["x"], trace["y"]], dtype=np.float64).T
+        for trace in figure["data"]
+        if trace["legendgroup"] == scanner and trace["mode"] == "lines"
+    ]
+
+
+@pytest.fixture
+def html(network: Calibration, network_rig: Rig) -> str:
+    return report_html(network, network_rig)
+
+
+def test_nothing_is_said_of_boards_and_captures(html: str) -> None:
+    text = re.sub(r'(id|for|class|href|data-for)="[^"]*"', "", without_scripts(html)).lower()
+    assert "board" not in text
+    assert "capture" not in text
+    assert "tilt" not in text
+
+
+def test_facts_and_edges_are_in_walks_and_positions(html: str) -> None:
+    words = words_of(html)
+    assert "root hall · 3 walks · estimator averaging" in words
+    assert "300 of 340 · 4.0 mm" in words
+    assert "door &lt;b&gt; – stairs 50 0 – contradicts the other pairs" in words
+
+
+def test_sensors_without_a_reason_get_advice_on_walking(html: str) -> None:
+    words = words_of(html)
+    assert "Let people walk farther across, and to and fro" in words
+    assert "Let people walk where both see them at once." in words
+
+
+def test_poses_are_those_in_the_plane(html: str) -> None:
+    assert "6.0000 ± 10 mm 1.0000 ± 20 mm 114.592° 0.057°" in words_of(html)
+    assert "roll" not in words_of(html)
+
+
+def test_walls_and_walks_lie_where_they_were_seen(html: str, network: Calibration) -> None:
+    floor = figure_of(html, "floor")
+    points = next(t for t in floor["data"] if t["legendgroup"] == "hall" and t["mode"] == "markers")
+    np.testing.assert_allclose(np.array([points["x"], points["y"]]).T, network.floor[0].background, atol=1e-5)
+    walked = lines_of(floor, "hall")[0]
+    np.testing.assert_allclose(
+        walked[np.isfinite(walked[:, 0])], np.concatenate(network.floor[0].walks), atol=1e-5
+    )
+
+
+def test_walks_are_not_joined(html: str) -> None:
+    walked = lines_of(figure_of(html, "floor"), "hall")[0]
+    assert np.isnan(walked[41]).all()
+
+
+def test_ellipses_are_two_sigma_times_what_is_said(html: str) -> None:
+    (factor,) = re.findall(r"Ellipses: 2 standard deviations .*? drawn (\d+) times", words_of(html))
+    ellipse = lines_of(figure_of(html, "floor"), "stairs")[0]
+    half_axes = np.ptp(ellipse, axis=0) / 2
+    np.testing.assert_allclose(half_axes, 2 * int(factor) * np.array([0.01, 0.02]), rtol=0.01)
+    # On a plan of some 8 m it can be seen, and does not cover its neighbours.
+    assert 0.05 < half_axes.max() < 0.5
+
+
+def test_ellipses_that_can_be_seen_are_as_large_as_they_are(network: Calibration, network_rig: Rig) -> None:
+    sensors = tuple(dataclasses.replace(s, covariance=100 * s.covariance) for s in network.sensors)
+    html = report_html(dataclasses.replace(network, sensors=sensors), network_rig)
+    assert "of a scanner's position, drawn as large as they are." in words_of(html).replace("&#x27;", "'")
+
+
+def test_the_root_has_no_ellipse(html: str) -> None:
+    walked, *others = lines_of(figure_of(html, "floor"), "hall")
+    assert len(walked) > 5
+    assert [len(line) for line in others] == [5]
+
+
+def test_arrows_point_along_x(html: str) -> None:
+    arrow = lines_of(figure_of(html, "floor"), "stairs")[-1]
+    along = arrow[1] - arrow[0]
+    assert np.arctan2(along[1], along[0]) == pytest.approx(-1.5, abs=1e-4)
+
+
+def test_every_scanner_is_in_the_legend_once(html: str) -> None:
+    entries = [t["name"] for t in figure_of(html, "floor")["data"] if t.get("showlegend", True)]
+    assert entries == ["hall", "door &lt;b&gt;", "stairs"]
+
+
+def test_walks_are_drawn_when_they_were(html: str) -> None:
+    used, unused = figure_of(html, "captures")["data"]
+    assert used["x"] == [0, 4, None, 0.5, 4.5, None]
+    assert unused["x"] == [2, 3, None]
+    assert unused["text"][0].endswith("2.0 – 3.0 s<br>no other scanner saw anybody meanwhile")
+
+
+def test_walks_at_the_same_time_lie_beside_each_other(html: str) -> None:
+    used, unused = figure_of(html, "captures")["data"]
+    assert 0.1 < abs(used["y"][0] - unused["y"][0]) < 0.5
+
+
+def test_a_result_without_a_floor_still_has_its_scanners(network: Calibration, network_rig: Rig) -> None:
+    html = report_html(dataclasses.replace(network, floor=(), captures=()), network_rig)
+    assert len([t for t in figure_of(html, "floor")["data"] if "text" in t]) == 3
+    assert "There are no walks" in words_of(html)
+
+
+def test_what_is_not_known_has_no_ellipse(network: Calibration, network_rig: Rig) -> None:
+    lost = tuple(dataclasses.replace(s, covariance=np.full((6, 6), np.nan)) for s in network.sensors)
+    html = report_html(dataclasses.replace(network, sensors=lost, floor=()), network_rig)
+    assert all(len(line) == 5 for line in lines_of(figure_of(html, "floor"), "stairs"))
+
+
+def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Rig) -> None:
+    """Thirty scanners with as much on the floor as results hold, and twenty thousand walks."""
+    rng = np.random.default_rng(0)
+    floor = tuple(
+        FloorView(f"s{k}", rng.normal(size=(400, 2)), tuple(rng.normal(size=(50, 20, 2)))) for k in range(30)
+    )
+    sensors = (
+        network.sensors[0],
+        *(dataclasses.replace(network.sensors[1], name=f"s{k}", parent="hall") for k in range(29)),
+    )
+    reason = "other scanners saw somebody meanwhile, but not within 0.5 m of it"
+    rows = tuple(CaptureRow(n, n / 7, n / 7 + 5, f"s{n % 29}", n % 2 == 0, reason) for n in range(20_000))
+    large = dataclasses.replace(network, sensors=sensors, floor=floor, captures=rows)
+    html = report_html(large, network_rig)
+    assert len(html.encode()) < 10e6
+    assert "Shown are 5000 of 20000 rows; captures.csv has them all." in words_of(html)
