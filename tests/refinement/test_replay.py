@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import zipfile
 from collections.abc import Callable, Mapping
 from io import BytesIO
@@ -158,6 +159,28 @@ def test_numpy_reads_it_without_pickle(saved: Path) -> None:
     with np.load(saved, allow_pickle=False) as archive:
         assert archive["planes/plane"].shape == (24, 4)
         assert json.loads(archive["problem.json"])["sensors"] == list(RIG.sensors)
+
+
+def test_every_member_is_documented(saved: Path) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    rows = page[page.index("## Dumped problems") :].splitlines()
+
+    def documented(*names: str) -> bool:
+        return any(row.startswith(f"| `{names[0]}`") and all(f"`{n}`" in row for n in names) for row in rows)
+
+    with np.load(saved) as archive:
+        fields = [name.removesuffix(".rows").split("/") for name in archive.files if name != "problem.json"]
+        keys = json.loads(archive["problem.json"])
+    assert [names for names in [*fields, *([key] for key in keys)] if not documented(*names)] == []
+
+
+def test_the_recipe_of_the_page_reads_it(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    (recipe,) = (text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "problem.npz" in text)
+    monkeypatch.chdir(saved.parent)
+    found: dict[str, Any] = {}
+    exec(recipe, found)
+    assert [len(points) for points in found["points"][:4]] == [11, 2, 10, 2]
 
 
 def test_a_problem_without_anything_found_comes_back(problem: Problem, tmp_path: Path) -> None:
