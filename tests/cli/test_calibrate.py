@@ -7,10 +7,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from typer.testing import Result
 
+from calgraph.cli.calibrate import StartChoice
+from calgraph.graph import Method
 from calgraph.result import load_calibration
 from calgraph.rig import load_rig
 from calgraph.simulation import load_truth
@@ -33,6 +36,10 @@ def names(folder: Path) -> list[str]:
 
 def test_the_four_files_are_written(calibrated: tuple[Path, Result]) -> None:
     assert names(calibrated[0]) == ["calibration.yaml", "captures.csv", "report.html", "rig.resolved.yaml"]
+
+
+def test_every_start_can_be_chosen() -> None:
+    assert set(StartChoice) == {"tree", "identity", *get_args(Method)}
 
 
 def test_the_poses_are_those_of_the_robot(calibrated: tuple[Path, Result], simulated: Path) -> None:

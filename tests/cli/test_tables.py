@@ -95,6 +95,22 @@ def test_in_a_pipe_every_sensor_is_one_line(calibration: Calibration, capsys: py
     assert [line.split()[0] for line in lines[2:6]] == ["lidar", "camera", LONG, "lost"]
 
 
+def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    spread = np.diag([4e-6, 1e-6, 0, 0, 0, 9e-6])
+    pose = se3.pose(so3.exp(np.radians([0.0, 0.0, 90.0])), np.array([1.0, -2.0, 0.0]))
+    network = Calibration(
+        "hall",
+        (
+            SensorPose("hall", None, "", "lidar2d", np.eye(4), np.zeros((6, 6)), Verdict("good")),
+            SensorPose("door", "hall", "", "lidar2d", pose, spread, Verdict("good")),
+        ),
+    )
+    head, hall, door = (line.split() for line in printed(lambda: print_calibration(network), capsys)[1:4])
+    assert head == ["sensor", "x", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
+    assert hall == ["hall", "0.000", "0.000", "0.00", "root", "✓"]
+    assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.172", "✓"]
+
+
 def test_verdicts_are_said_in_words(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(lambda: print_calibration(calibration), capsys)[6:] == [
         f"! {LONG} is weak: height (z) is loose: hold the board tilted, above and below the scan plane",

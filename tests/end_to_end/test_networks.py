@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from calgraph.calibrate import Options, calibrate
 from calgraph.errors import InputError
@@ -67,6 +68,30 @@ def test_deviations_of_an_office_cover_its_errors(office: tuple[Calibration, Tru
         error = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])[[0, 1, 5]]
         spread = np.sqrt(np.diag(sensor.covariance)[[0, 1, 5]])
         assert np.all(np.abs(error) < 4 * spread)
+
+
+def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibration, Truth]) -> None:
+    """Two people in the views of six scanners are hardly ever seen by one alone."""
+    walks = office[0].captures
+    assert {row.sensor for row in walks} == {sensor.name for sensor in office[0].sensors}
+    assert all(row.used or row.reason for row in walks)
+    assert np.mean([row.used for row in walks]) > 0.9
+    assert all(0 <= row.start < row.end < 41 for row in walks)
+
+
+def test_walks_of_an_office_lie_on_each_other(office: tuple[Calibration, Truth]) -> None:
+    distances = [row.residual for row in office[0].captures if row.residual is not None]
+    assert np.median(distances) < 0.04
+
+
+def test_the_floor_of_an_office_is_that_of_all_scanners(office: tuple[Calibration, Truth]) -> None:
+    """Half of the static points of each scanner lie within 3 cm of another's: they see the same walls."""
+    floor = office[0].floor
+    assert [view.sensor for view in floor] == [sensor.name for sensor in office[0].sensors]
+    for view in floor:
+        others = np.concatenate([other.background for other in floor if other is not view])
+        distances = cKDTree(others).query(view.background)[0]
+        assert np.median(distances) < 0.03, view.sensor
 
 
 def test_every_scanner_hangs_from_the_root(office: tuple[Calibration, Truth]) -> None:

@@ -6,7 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.calibrate import Options
+from calgraph.calibrate import Options, capture_board, prepare, solve_problem
+from calgraph.graph import Start
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
 from calgraph.rig import Board, Checkerboard, Rig
@@ -72,6 +73,19 @@ def assert_true(calibration: Calibration, truth: Truth, millimetres: float = 25.
 @pytest.fixture(scope="module")
 def recorded_rig() -> Staged:
     return staged(SCENARIO)
+
+
+def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:
+    rig, recording, _ = recorded_rig
+    captured = capture_board(rig, recording, Options(), np.random.default_rng(0))
+    starts: tuple[Start, ...] = ("tree", "consensus")
+    along_tree, consensus = (
+        solve_problem(prepare(rig, captured, Options(start=start), np.random.default_rng(0))) for start in starts
+    )
+    for sensor in along_tree.sensors:
+        T = consensus[sensor.name].T_root_sensor
+        np.testing.assert_allclose(T[:3, 3], sensor.T_root_sensor[:3, 3], atol=2e-4)
+        np.testing.assert_allclose(T[:3, :3], sensor.T_root_sensor[:3, :3], atol=2e-4)
 
 
 def test_camera_lidar_and_scanners_are_found(recorded_rig: Staged) -> None:

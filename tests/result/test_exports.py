@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
-from calgraph.result import Calibration, export
+from calgraph.result import Calibration, FloorView, export
 from calgraph.result.exports import FORMATS
 from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
@@ -389,6 +389,14 @@ def test_json_has_the_whole_result(calibration: Calibration) -> None:
     assert len(content["captures"]) == 4
     assert content["unconnected"] == dict(calibration.unconnected)
     assert content["sensors"]["laser"]["verdict"]["grade"] == "weak"
+
+
+def test_json_has_what_was_seen_on_the_floor(calibration: Calibration, rng: np.random.Generator) -> None:
+    view = FloorView("laser", rng.normal(size=(5, 2)), (rng.normal(size=(3, 2)), rng.normal(size=(2, 2))))
+    (seen,) = json.loads(export(dataclasses.replace(calibration, floor=(view,)), "json"))["floor"]
+    assert seen["sensor"] == "laser"
+    np.testing.assert_allclose(seen["background"], view.background)
+    np.testing.assert_allclose(seen["walks"][1], view.walks[1])
 
 
 def test_json_has_null_for_what_is_not_finite(calibration: Calibration) -> None:

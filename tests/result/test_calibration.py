@@ -1,0 +1,59 @@
+"""What a result says of itself."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array, se2
+from calgraph.result import Calibration, SensorPose, Verdict, load_calibration, save_calibration
+
+
+def in_the_plane(count: int) -> Calibration:
+    """Scanners on a floor, with what is uncertain there."""
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([1e-4, 4e-4, 1e-6])
+    number = np.arange(count, dtype=np.float64)
+    poses = se2.to_se3(se2.pose(number * 1.1, np.stack([2 * number, -number], axis=-1)))
+    sensors = (
+        SensorPose(f"s{k}", "s0" if k else None, f"s{k}", "lidar2d", T, covariance * (k > 0), Verdict("good"))
+        for k, T in enumerate(poses)
+    )
+    return Calibration("s0", tuple(sensors))
+
+
+def with_last(calibration: Calibration, T: Array) -> Calibration:
+    *others, last = calibration.sensors
+    return dataclasses.replace(calibration, sensors=(*others, dataclasses.replace(last, T_root_sensor=T)))
+
+
+def test_a_network_is_planar() -> None:
+    assert in_the_plane(4).planar
+
+
+def test_a_network_that_is_read_back_is_planar(tmp_path: Path) -> None:
+    save_calibration(in_the_plane(4), tmp_path / "calibration.yaml")
+    assert load_calibration(tmp_path / "calibration.yaml").planar
+
+
+def test_a_rig_is_not_planar(calibration: Calibration) -> None:
+    assert not calibration.planar
+
+
+@pytest.mark.parametrize("lifted", [(2, 3, 0.1), (0, 2, 0.01)], ids=["higher", "tilted"])
+def test_a_sensor_out_of_the_plane_makes_it_no_plane(lifted: tuple[int, int, float]) -> None:
+    network = in_the_plane(3)
+    T = network.sensors[-1].T_root_sensor.copy()
+    row, column, by = lifted
+    T[row, column] = by
+    T[2, :3] = np.cross(T[0, :3], T[1, :3])
+    assert not with_last(network, T).planar
+
+
+def test_a_scanner_upside_down_makes_it_no_plane() -> None:
+    assert not with_last(in_the_plane(3), np.diag([1.0, -1, -1, 1])).planar
+
+
+def test_a_root_alone_has_no_plane() -> None:
+    assert not in_the_plane(1).planar
