@@ -72,7 +72,7 @@ class Setup(NamedTuple):
     weighted: bool
 
 
-DEFAULT = Setup("nls", True, "consensus", False)
+DEFAULT = Setup("nls", True, "consensus", True)
 
 
 @dataclass(frozen=True, eq=False)

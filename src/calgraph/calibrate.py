@@ -29,6 +29,7 @@ from calgraph.graph import Method, Start, average, network_graph, start_poses, t
 from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
 from calgraph.refinement import (
+    Estimator,
     Filter,
     Problem,
     Solver,
@@ -36,6 +37,7 @@ from calgraph.refinement import (
     assemble_network,
     replayable,
     save_problem,
+    solve_bundle,
     solve_hypergraph,
 )
 from calgraph.result import Calibration
@@ -59,6 +61,8 @@ def silent(_step: str, _done: float) -> None:
 class Options:
     """How to calibrate."""
 
+    estimator: Estimator = "bundle"
+    """A rig's joint solution: sensors and boards in the units that are measured, or the paper's hypergraph."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     start: Start = "tree"
@@ -69,8 +73,8 @@ class Options:
     """What of a person is followed: centre of mass, direct ellipse, or ellipse of fixed radii (nls)."""
     average: Method = "consensus"
     """How a network's pairs become poses: consensus over trees, or one of the published rotation averagings."""
-    weights: Weights = "uniform"
-    """Trust in pairs for the published averagings: the same in all, or by the evidence for each (weighted)."""
+    weights: Weights = "weighted"
+    """Trust in a network's pairs: by the evidence for each, or uniform."""
     icp: bool = True
     """Whether a network's walls are matched, too."""
     seed: int = 0
@@ -146,13 +150,16 @@ def prepare(
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    return replayable(Problem(rig, captured, pairs, tree, Solver(keep=options.keep)))
+    return replayable(Problem(rig, captured, pairs, tree, Solver(estimator=options.estimator, keep=options.keep)))
 
 
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
     rig, captured, pairs, tree = problem.rig, problem.captured, problem.pairs, problem.tree
-    joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=problem.solver.keep)
+    if problem.solver.estimator == "bundle":
+        joint = solve_bundle(rig, captured, estimated(pairs), tree.T_root_sensor, keep=problem.solver.keep)
+    else:
+        joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=problem.solver.keep)
     return assemble(rig, captured, pairs, tree, joint)
 
 

@@ -6,9 +6,9 @@ from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import Hypothesis, TrackPair
 
 
-def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, cost: float = 0.1) -> Hypothesis:
+def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, share: float = 1.0) -> Hypothesis:
     T = se2.pose(0.0, np.array([x, 0.0]))
-    return Hypothesis(T, np.eye(3) / sigma**2, observations, chance=0.0, share=1.0, cost=cost, icp=False)
+    return Hypothesis(T, np.eye(3) / sigma**2, observations, chance=0.0, share=share, cost=0.1, icp=False)
 
 
 def test_alternatives_of_a_pair_are_edges_of_one_pair() -> None:
@@ -25,15 +25,15 @@ def test_only_what_is_connected_to_the_root_is_in_the_graph() -> None:
     assert len(graph.edges) == 0
 
 
-def test_trust_grows_with_observations_and_falls_with_their_error() -> None:
+def test_trust_grows_with_the_seconds_that_agree_and_with_their_share() -> None:
     pairs = [
-        TrackPair("a", "b", (hypothesis(1, observations=200, cost=0.2), hypothesis(2, observations=50, cost=0.1))),
+        TrackPair("a", "b", (hypothesis(1, observations=50), hypothesis(2, observations=150, share=0.5))),
         TrackPair("x", "y", (hypothesis(1),)),
-        TrackPair("b", "c", (hypothesis(1, observations=300, cost=0.1),)),
+        TrackPair("b", "c", (hypothesis(1, observations=450),)),
     ]
     _, names = network_graph("a", pairs)
-    # 1000, 500 and 3000 positions per unit of error, over their mean; what is not connected has no edge.
-    np.testing.assert_allclose(trust(names, pairs), np.array([1000, 500, 3000]) / 1500)
+    # Five seconds that agree are trusted by half; what is not connected to the root has no edge.
+    np.testing.assert_allclose(trust(names, pairs), [0.5, 0.6, 0.9])
 
 
 def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:

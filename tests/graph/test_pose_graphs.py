@@ -177,6 +177,25 @@ def test_consensus_takes_one_alternative_of_a_pair(n: int, rng: np.random.Genera
 
 
 @BOTH
+def test_of_two_answers_that_as_many_edges_support_the_more_trusted_one_is_taken(
+    n: int, rng: np.random.Generator
+) -> None:
+    # A square of right edges; two more, trusted by less, agree on another place for node 2.
+    right, other = true_poses(4, n, rng), true_poses(4, n, rng)
+    sides = measured(right, [(0, 1), (1, 2), (2, 3), (3, 0)], rng, noise=0.5)
+    other[[0, 1]] = right[[0, 1]]
+    astray = measured(other, [(0, 2), (1, 2)], rng, noise=0.5)
+    graph = PoseGraph(
+        4,
+        np.concatenate([sides.edges, astray.edges]),
+        np.concatenate([sides.T_i_j, astray.T_i_j]),
+        np.concatenate([sides.information, astray.information]),
+    )
+    found = consensus_trees(graph, rng, np.array([0.7] * 4 + [0.5] * 2))
+    assert found.inliers.tolist() == [True] * 4 + [False] * 2
+
+
+@BOTH
 def test_of_two_alternatives_that_agree_one_is_counted(n: int, rng: np.random.Generator) -> None:
     T = true_poses(4, n, rng)
     graph = measured(T, [*complete(4), (0, 1)], rng, noise=0.5)

@@ -97,8 +97,8 @@ def calibrate(
     ] = AverageChoice.consensus,
     weights: Annotated[
         WeightsChoice,
-        typer.Option("--weights", help="People: trust all pairs alike, or by evidence (published averagings)."),
-    ] = WeightsChoice.uniform,
+        typer.Option("--weights", help="People: trust pairs by their evidence, or all alike."),
+    ] = WeightsChoice.weighted,
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     dump: Annotated[

@@ -37,13 +37,13 @@ def average(
         method: ``consensus`` over spanning trees; or the published averaging of rotations ``l1mc`` over a basis
             of all cycles, over ``triangles`` alone, ``spectral``, or ``irls``, with least-squares translations
             over the edges whose rotations agree.
-        weights: (E,) trust in each edge, for the published methods; uniform without.
+        weights: (E,) trust in each edge, 0..1; uniform without.
 
     Raises:
         CalibrationError: some node is not connected to the root; it is named.
     """
     if method == "consensus":
-        return consensus_trees(graph, rng)
+        return consensus_trees(graph, rng, weights)
     if method == "spectral":
         R = spectral(graph, weights)
     elif method == "irls":

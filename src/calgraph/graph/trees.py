@@ -58,16 +58,17 @@ def tree_poses(graph: PoseGraph, costs: Array) -> Array:
     return T
 
 
-def voted(graph: PoseGraph, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+def voted(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
     """Moves nodes, one by one, to where a neighbour's edge puts them if more of their edges then agree.
 
     Args:
         graph: any.
+        trust: (E,) how much each edge's agreement counts.
         T_root_node: (N, n+1, n+1).
         gate: squared Mahalanobis distance up to which an edge agrees.
         rng: decides which of two neighbours that both would move goes first.
     """
-    ballot = _Ballot(graph, rng)
+    ballot = _Ballot(graph, trust, rng)
     T = T_root_node.copy()
     for _ in range(_SWEEPS):
         proposals, gains = ballot.count(T, gate)
@@ -83,14 +84,14 @@ def voted(graph: PoseGraph, T_root_node: Array, gate: float, rng: np.random.Gene
 class _Ballot:
     """Which edges vote on which proposals: fixed by the graph, whatever the poses."""
 
-    def __init__(self, graph: PoseGraph, rng: np.random.Generator) -> None:
-        self.graph = graph
+    def __init__(self, graph: PoseGraph, trust: Array, rng: np.random.Generator) -> None:
+        self.graph, self.trust = graph, trust
         edges = len(graph.edges)
         self.start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
         self.end = np.concatenate([graph.edges[:, 1], graph.edges[:, 0]])
         self.T_start_end = np.concatenate([graph.T_i_j, groups.inverse(graph.T_i_j)])
         self.edge = np.tile(np.arange(edges), 2)
-        self.degree = np.bincount(self.end, minlength=graph.count)
+        self.degree = np.bincount(self.end, trust[self.edge], minlength=graph.count)
         into = _by_node(self.end, graph.count, rng)
         node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], _PROPOSALS))
         voter = np.repeat(into, min(into.shape[1], _PROPOSALS), axis=1).ravel()
@@ -120,14 +121,14 @@ class _Ballot:
         return proposals[best], gains
 
     def _agreement(self, T: Array, T_end: Array, voter: NDArray[np.intp], gate: float) -> Array:
-        """(V,) how well directed edges agree with poses of the node they end in: 1 exactly, 0 at the gate."""
+        """(V,) how well directed edges agree with poses of their end: their trust at best, 0 at the gate."""
         e = self.edge[voter]
         forwards = (voter < len(self.graph.edges))[:, None, None]
         T_start = T[self.start[voter]]
         implied = groups.inverse(np.where(forwards, T_start, T_end)) @ np.where(forwards, T_end, T_start)
         r = groups.difference(implied, self.graph.T_i_j[e])
         chi2 = np.einsum("vi,vi->v", r, (self.graph.information[e] @ r[..., None])[..., 0])
-        return np.asarray(np.maximum(1 - chi2 / gate, 0.0))
+        return np.asarray(self.trust[e] * np.maximum(1 - chi2 / gate, 0.0))
 
 
 def _by_node(nodes: NDArray[np.intp], count: int, rng: np.random.Generator | None = None) -> NDArray[np.intp]:

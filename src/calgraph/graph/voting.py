@@ -28,18 +28,26 @@ _FEWEST_FINALISTS, _MOST_FINALISTS = 1, 6
 _CYCLE_ROUNDS = 6
 # An edge's cost is its support to this power, inverted: doubtful edges are drawn rarely, but are drawn.
 _BIAS = 2.0
+# Whatever nobody trusts still holds together what nothing else does.
+_LEAST_TRUST = 1e-3
 # Rounds of least squares over the inliers, until they stay the same.
 _ROUNDS = 5
 
 
 def consensus_trees(
-    graph: PoseGraph, rng: np.random.Generator, *, trees: int | None = None, finalists: int | None = None
+    graph: PoseGraph,
+    rng: np.random.Generator,
+    weights: Array | None = None,
+    *,
+    trees: int | None = None,
+    finalists: int | None = None,
 ) -> Averaged:
     """The poses that most pairs agree with, from no start, refined over the edges that agree.
 
     Args:
         graph: connected; several edges of a pair are alternatives, of which the best counts.
         rng: source of the trees.
+        weights: (E,) how much each edge's agreement counts, 0..1; all alike without.
         trees: how many spanning trees to draw; without, as many as suit the graph's size.
         finalists: how many of them to improve and to judge again; likewise.
 
@@ -49,20 +57,21 @@ def consensus_trees(
     graph.require_connected()
     if graph.count == 1:
         return Averaged(np.eye(graph.dimension + 1)[None], np.zeros(len(graph.edges), dtype=np.bool_))
+    trust = np.ones(len(graph.edges)) if weights is None else np.maximum(weights, _LEAST_TRUST)
     gate = float(chdtri(graph.information.shape[-1], _CHANCE))
     edges = max(len(graph.edges), 1)
     count = trees or int(np.clip(_TREE_EDGES // edges, _FEWEST_TREES, _MOST_TREES))
     final = finalists or int(np.clip(_FINAL_EDGES // edges, _FEWEST_FINALISTS, _MOST_FINALISTS))
-    starts = tree_poses(graph, _costs(graph, count, rng))
-    scores, agreeing = _judged(graph, starts, gate * _TREE_SCALE)
+    starts = tree_poses(graph, _costs(graph, trust, count, rng))
+    scores, agreeing = _judged(graph, trust, starts, gate * _TREE_SCALE)
     best: Averaged | None = None
     best_score, seen = np.inf, set[bytes]()
     for k in np.argsort(scores, kind="stable"):
         if agreeing[k].tobytes() in seen:
             continue
         seen.add(agreeing[k].tobytes())
-        T = _improved(graph, starts[k], gate, rng)
-        (score,), (inliers,) = _judged(graph, T[None], gate)
+        T = _improved(graph, trust, starts[k], gate, rng)
+        (score,), (inliers,) = _judged(graph, trust, T[None], gate)
         if best is None or score < best_score:
             best, best_score = Averaged(T, inliers), float(score)
         if len(seen) >= final:
@@ -71,37 +80,49 @@ def consensus_trees(
     return best
 
 
-def _costs(graph: PoseGraph, count: int, rng: np.random.Generator) -> Array:
-    """(count, E) costs of edges: small for those that cycles support, and more random from tree to tree."""
+def _costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator) -> Array:
+    """(count, E) costs of edges: small for trusted ones that cycles support, and more random from tree to tree."""
     cycles = (*cycle_basis(graph.count, graph.edges), *cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
-    expensive = support(graph, cycles) ** -_BIAS
+    expensive = (trust * support(graph, cycles)) ** -_BIAS
     chance = np.linspace(0, 1, count)[:, None]
     return np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
 
 
-def _improved(graph: PoseGraph, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
-    """Poses near a tree's that fit the edges which agree: votes, robust and then plain least squares."""
-    T = voted(graph, T_root_node, gate * _TREE_SCALE, rng)
+def _improved(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+    """Poses near a tree's that fit the edges which agree: by votes and robust least squares, or as the tree is.
+
+    Votes and a forgiving loss repair a large graph's tree, but may lead a small graph's right one astray.
+    """
+    T = voted(graph, trust, T_root_node, gate * _TREE_SCALE, rng)
     T = robustly_adjusted(graph, T, gate)
-    T = voted(graph, T, gate, rng)
-    inliers = np.zeros(len(graph.edges), dtype=np.bool_)
+    T = voted(graph, trust, T, gate, rng)
+    settled = np.stack([_settled(graph, trust, start, gate) for start in (T, T_root_node)])
+    return np.asarray(settled[np.argmin(_judged(graph, trust, settled, gate)[0])])
+
+
+def _settled(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> Array:
+    """The least squares poses over the edges that agree, until they stay the same."""
+    T, inliers = T_root_node, _judged(graph, trust, T_root_node[None], gate * _TREE_SCALE)[1][0]
     for _ in range(_ROUNDS):
-        before, inliers = inliers, _judged(graph, T[None], gate)[1][0]
-        if np.array_equal(before, inliers) or not graph.where(inliers).reachable().all():
+        if not graph.where(inliers).reachable().all():
             break
         T = adjusted(graph, T, inliers.astype(np.float64))
+        before, inliers = inliers, _judged(graph, trust, T[None], gate)[1][0]
+        if np.array_equal(before, inliers):
+            break
     return T
 
 
-def _judged(graph: PoseGraph, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
+def _judged(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
     """Scores of K sets of node poses: truncated squared residuals, summed over pairs, and who agrees.
 
     Returns:
-        (K,) scores in units of the gate, and (K, E) the best edge of each pair where it is within the gate.
+        (K,) scores, the less the better: 0 without any agreement, and minus its trust for an edge that agrees
+        exactly; and (K, E) the best edge of each pair where it is within the gate.
     """
-    chi2 = chi_squared(graph, T_root_node) / gate
+    gains = trust * np.maximum(1 - chi_squared(graph, T_root_node) / gate, 0.0)
     order = np.argsort(graph.pairs, kind="stable")
     sizes = np.bincount(graph.pairs)
-    best = np.minimum.reduceat(chi2[:, order], np.cumsum(sizes) - sizes, axis=1) if len(sizes) else chi2
-    agree = (chi2 <= 1) & (chi2 == best[:, graph.pairs])
-    return np.minimum(best, 1.0).sum(axis=1), agree
+    best = np.maximum.reduceat(gains[:, order], np.cumsum(sizes) - sizes, axis=1) if len(sizes) else gains
+    agree = (gains > 0) & (gains == best[:, graph.pairs])
+    return -best.sum(axis=1), agree
