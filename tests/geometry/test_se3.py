@@ -141,6 +141,18 @@ def test_composed_covariance_is_the_scatter_of_composed_poses(
     assert_allclose(errors.std(axis=0), stated, rtol=0.03)
 
 
+def test_relative_covariance_is_the_transported_one(T_a_b: Array, T_b_c: Array, rng: np.random.Generator) -> None:
+    """Both poses move, together and apart, by central differences."""
+    A = rng.normal(scale=0.01, size=(12, 12))
+    h = 1e-6
+
+    def relative(delta: Array) -> Array:
+        return se3.inverse(se3.retract(T_a_b, delta[:6])) @ se3.retract(T_b_c, delta[6:])
+
+    J = np.stack([se3.difference(relative(h * e), relative(-h * e)) / (2 * h) for e in np.eye(12)], axis=-1)
+    assert_allclose(se3.relative_covariance(T_a_b, T_b_c, A @ A.T), J @ A @ A.T @ J.T, rtol=1e-6, atol=1e-10)
+
+
 @pytest.mark.parametrize("shape", [(), (1,), (4,), (2, 3), (0,)])
 def test_every_map_works_on_any_leading_axes(shape: tuple[int, ...], rng: np.random.Generator) -> None:
     delta = rng.uniform(-1, 1, size=(*shape, 6))

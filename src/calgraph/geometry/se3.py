@@ -66,3 +66,17 @@ def inverse_covariance(T_a_b: Array, cov_a_b: Array) -> Array:
     J[:3, :3] = J[3:, 3:] = -R_b_a
     J[:3, 3:] = -R_b_a @ so3.hat(T_a_b[:3, 3])
     return np.asarray(J @ cov_a_b @ J.T)
+
+
+def relative_covariance(T_r_a: Array, T_r_b: Array, joint: Array) -> Array:
+    """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a, from the joint one (12, 12) of T_r_a and T_r_b.
+
+    To first order, errors (t, phi) of both poses at positions p, in the fixed axes of r, give the rotation error
+    ``R_a_r @ (phi_b - phi_a)`` and the translation error ``R_a_r @ (t_b - t_a + (p_b - p_a) x phi_a)``.
+    """
+    R_a_r = T_r_a[:3, :3].T
+    J = np.zeros((6, 12))
+    J[:3, 6:9] = J[3:, 9:] = R_a_r
+    J[:3, :3] = J[3:, 3:6] = -R_a_r
+    J[:3, 3:6] = R_a_r @ so3.hat(T_r_b[:3, 3] - T_r_a[:3, 3])
+    return np.asarray(J @ joint @ J.T)

@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.geometry import Array
+from calgraph.errors import CalibrationError
+from calgraph.geometry import Array, se3
 from calgraph.result.tree import TransformTree
 
 Grade = Literal["good", "weak", "unobservable"]
@@ -122,6 +123,9 @@ class Calibration:
     """Root mean square of ``residuals`` by kind, taken from them if left out."""
     floor: tuple[FloorView, ...] = ()
     """What the connected scanners of a network saw; empty in a result read back."""
+    joint_covariance: Array | None = None
+    """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes, correlations
+    included; zero for the root. None where it is not known."""
 
     def __post_init__(self) -> None:
         if not self.residual_rms:
@@ -156,6 +160,23 @@ class Calibration:
     def transform(self, a: str, b: str) -> Array:
         """``T_a_b`` (4, 4) of any two sensors; raises as :meth:`TransformTree.transform` does."""
         return self.tree.transform(a, b)
+
+    def covariance(self, a: str, b: str) -> Array:
+        """Covariance (6, 6) of the error of ``T_a_b`` in the fixed axes of a, (translation, rotation), m and rad.
+
+        Raises:
+            InputError: there is no sensor a or b.
+            CalibrationError: a or b is not connected to the root, or no joint covariance is known.
+
+        """
+        T_root_a, T_root_b = self[a].T_root_sensor, self[b].T_root_sensor
+        if self.joint_covariance is None:
+            raise CalibrationError(
+                f"how errors of {a!r} and {b!r} go together is not known: this result has no joint_covariance"
+            )
+        names = [sensor.name for sensor in self.sensors]
+        both = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
+        return se3.relative_covariance(T_root_a, T_root_b, self.joint_covariance[np.ix_(both, both)])
 
 
 def rms(values: Array) -> float | None:

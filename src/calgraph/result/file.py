@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.geometry import Array, so3
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
@@ -15,7 +16,8 @@ from calgraph.rig.writing import on_one_line
 FORMAT = "calgraph/1"
 _HEADER = """\
 Poses map coordinates in a sensor's frame to the root's: translation in metres, rotation as quaternion x, y, z, w.
-covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. residual_rms of edges in m, of kinds
+covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. joint_covariance: of all sensors,
+one after the other, in the same axes. residual_rms of edges in m, of kinds
 in standard deviations (1 is as the noise says).
 """
 _CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
@@ -30,12 +32,18 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         InputError: ``path`` cannot be written.
 
     """
-    content = {
+    content: dict[str, Any] = {
         "format": FORMAT,
         "root": calibration.root,
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
+    if calibration.joint_covariance is not None:
+        content["joint_covariance"] = {
+            "order": on_one_line(sensor.name for sensor in calibration.sensors),
+            # Two sensors may know each other far better than both know the root: more digits for the difference.
+            "matrix": _symmetric(calibration.joint_covariance, 14),
+        }
     save_yaml(path, content, _HEADER)
 
 
@@ -65,8 +73,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     # So many digits keep poses to better than 1e-12 at any distance that a rig has.
     entry["translation"] = on_one_line(_digits(sensor.T_root_sensor[:3, 3], 15))
     entry["rotation"] = on_one_line(_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
-    symmetric = 0.5 * (sensor.covariance + sensor.covariance.T)
-    entry["covariance"] = [on_one_line(_digits(row, 9)) for row in symmetric]
+    entry["covariance"] = _symmetric(sensor.covariance, 9)
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
     if sensor.clock_offset_stddev is not None:
@@ -122,6 +129,10 @@ def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
     for row in rows:
         (used if row.used else rejected.setdefault(row.reason, [])).append(row.capture)
     return {"used": on_one_line(used), "rejected": {why: on_one_line(n) for why, n in rejected.items()}}
+
+
+def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
+    return [on_one_line(_digits(row, digits)) for row in 0.5 * (covariance + covariance.T)]
 
 
 def _digits(values: Iterable[float] | Array, digits: int) -> list[float]:

@@ -1,5 +1,6 @@
 """Reading calibration.yaml back: a model of the file, strict about keys, types and what its numbers must be."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -57,7 +58,7 @@ class _Sensor(StrictModel):
         covariance = np.array(self.covariance)
         if np.isnan(covariance).any() or np.any(np.diag(covariance) < 0):
             raise wrong("covariance", "must have variances of 0 or more on its diagonal and no NaN")
-        _check_symmetric(covariance)
+        _check_symmetric(covariance, "covariance")
         return self
 
 
@@ -95,6 +96,24 @@ class _Quality(StrictModel):
     captures: _Captures = _Captures(windows={}, sensors={})
 
 
+class _JointCovariance(StrictModel):
+    order: tuple[str, ...]
+    """The sensors, one after the other."""
+    matrix: tuple[tuple[Finite, ...], ...]
+    """Six rows and columns for each of them, in the root's fixed axes, m and rad."""
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> "_JointCovariance":
+        size = 6 * len(self.order)
+        if {len(self.matrix), *map(len, self.matrix)} != {size}:
+            raise wrong("matrix", f"must have {size} rows of {size} numbers, six for each of order")
+        matrix = np.array(self.matrix)
+        if np.any(np.diag(matrix) < 0):
+            raise wrong("matrix", "must have variances of 0 or more on its diagonal")
+        _check_symmetric(matrix, "matrix")
+        return self
+
+
 class _File(StrictModel):
     format: str
     """Version of the file's format."""
@@ -104,6 +123,15 @@ class _File(StrictModel):
     """The sensors with their poses."""
     quality: _Quality
     """How far the poses can be relied on."""
+    joint_covariance: _JointCovariance | None = None
+    """How the errors of all sensors go together."""
+
+    @model_validator(mode="after")
+    def _is_of_all_sensors(self) -> "_File":
+        order = self.joint_covariance.order if self.joint_covariance else tuple(self.sensors)
+        if sorted(order) != sorted(self.sensors):
+            raise wrong("joint_covariance.order", f"must be the sensors, {', '.join(self.sensors)}")
+        return self
 
     @model_validator(mode="after")
     def _is_a_tree(self) -> "_File":
@@ -164,6 +192,7 @@ def load_calibration(path: Path) -> Calibration:
         unconnected=file.quality.unconnected,
         estimator=file.quality.estimator,
         residual_rms=file.quality.residual_rms,
+        joint_covariance=_joint_covariance(file.joint_covariance, names),
     )
 
 
@@ -179,6 +208,13 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
         clock_offset=entry.clock_offset,
         clock_offset_stddev=entry.clock_offset_stddev,
     )
+
+
+def _joint_covariance(entry: _JointCovariance | None, names: Sequence[str]) -> Array | None:
+    if entry is None:
+        return None
+    order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
+    return np.asarray(np.array(entry.matrix)[np.ix_(order, order)])
 
 
 def _edge(entry: _Edge) -> Edge:
@@ -205,7 +241,7 @@ def _rows(captures: _Captures) -> tuple[CaptureRow, ...]:
     return tuple(sorted(rows, key=lambda row: row.capture))
 
 
-def _check_symmetric(covariance: Array) -> None:
+def _check_symmetric(covariance: Array, key: str) -> None:
     """Refuses an element that differs from its mirror image by more than rounding."""
     scale = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):  # infinite variances
@@ -214,6 +250,6 @@ def _check_symmetric(covariance: Array) -> None:
     if len(wrong_at):
         i, j = wrong_at[0]
         raise wrong(
-            f"covariance[{i}][{j}]",
-            f"must equal covariance[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}",
+            f"{key}[{i}][{j}]",
+            f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}",
         )

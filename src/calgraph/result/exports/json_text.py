@@ -20,6 +20,7 @@ def to_json(calibration: Calibration) -> str:
         "root": calibration.root,
         "estimator": calibration.estimator,
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
+        "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(calibration.unconnected),
         "edges": [_edge(edge) for edge in calibration.edges],
         "residual_rms": _plain(dict(calibration.residual_rms)),
@@ -54,6 +55,13 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
         "clock_offset_stddev": _plain(sensor.clock_offset_stddev),
         "verdict": {"grade": sensor.verdict.grade, "reason": sensor.verdict.reason},
     }
+
+
+def _joint_covariance(calibration: Calibration) -> dict[str, Any] | None:
+    if calibration.joint_covariance is None:
+        return None
+    order = [sensor.name for sensor in calibration.sensors]
+    return {"order": order, "matrix": _plain(calibration.joint_covariance)}
 
 
 def _edge(edge: Edge) -> dict[str, Any]:

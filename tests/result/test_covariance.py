@@ -1,0 +1,163 @@
+"""The covariance between any two sensors, from the joint one of all."""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from calgraph.errors import CalibrationError, InputError
+from calgraph.geometry import Array, se3, so3
+from calgraph.result import Calibration, SensorPose, Verdict, export, load_calibration, save_calibration
+
+
+def hung(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
+    """A calibration of cameras with a joint covariance."""
+    names = list(T_root_sensor)
+    sensors = tuple(
+        SensorPose(
+            name, names[0] if k else None, name, "camera", T_root_sensor[name],
+            joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], Verdict("good"),
+        )
+        for k, name in enumerate(names)
+    )  # fmt: skip
+    return Calibration(names[0], sensors, joint_covariance=joint, unconnected={"sonar": "never saw the board"})
+
+
+@pytest.fixture
+def poses(rng: np.random.Generator) -> dict[str, Array]:
+    drawn = [se3.pose(so3.exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(3)]
+    return dict(zip(("lidar", "a", "b", "c"), [np.eye(4), *drawn], strict=True))
+
+
+@pytest.fixture
+def correlated(poses: dict[str, Array], rng: np.random.Generator) -> Calibration:
+    """All errors go together; most of them is common to all, as where one bad pair ties all to the root."""
+    joint = np.zeros((24, 24))
+    A = rng.normal(scale=0.0003, size=(18, 18))
+    common = np.tile(rng.normal(scale=0.003, size=(6, 6)), (3, 1))
+    joint[6:, 6:] = A @ A.T + common @ common.T
+    return hung(poses, joint)
+
+
+def test_in_a_chain_neighbours_know_each_other_as_their_edge_says(
+    poses: dict[str, Array], rng: np.random.Generator
+) -> None:
+    """Solved by hand: root–a and a–b were measured independently, so a–b is as uncertain as measured."""
+    edges = [A @ A.T for A in rng.normal(scale=0.01, size=(2, 6, 6))]
+    T_root_a, T_root_b = poses["a"], poses["b"]
+    arm = so3.hat(T_root_b[:3, 3] - T_root_a[:3, 3])
+    carried = np.block([[np.eye(3), -arm], [np.zeros((3, 3)), np.eye(3)]])
+    turned = np.kron(np.eye(2), T_root_a[:3, :3])
+    joint = np.zeros((18, 18))
+    joint[6:12, 6:12] = edges[0]
+    joint[6:12, 12:] = edges[0] @ carried.T
+    joint[12:, 6:12] = carried @ edges[0]
+    joint[12:, 12:] = carried @ edges[0] @ carried.T + turned @ edges[1] @ turned.T
+    chain = hung({name: poses[name] for name in ("lidar", "a", "b")}, joint)
+    np.testing.assert_allclose(chain.covariance("a", "b"), edges[1], atol=1e-15)
+
+
+@pytest.mark.parametrize(("a", "b"), [("a", "b"), ("b", "a"), ("c", "a"), ("c", "lidar"), ("lidar", "b")])
+def test_it_is_the_scatter_of_perturbed_poses(
+    a: str, b: str, correlated: Calibration, poses: dict[str, Array], rng: np.random.Generator
+) -> None:
+    """Mean NEES of 4000 draws within its 99.9 % interval, in every direction."""
+    joint, count = correlated.joint_covariance, 4000
+    assert joint is not None
+    errors = rng.multivariate_normal(np.zeros(24), joint, size=count).reshape(count, 4, 6)
+    drawn = {name: se3.retract(T, errors[:, k]) for k, (name, T) in enumerate(poses.items())}
+    e = se3.difference(se3.inverse(drawn[a]) @ drawn[b], correlated.transform(a, b))
+    white = np.linalg.solve(np.linalg.cholesky(correlated.covariance(a, b)), e.T)
+    low, high = scipy.stats.chi2.interval(0.999 ** (1 / 6), count) / np.array(count)
+    assert ((low < (white**2).mean(axis=1)) & ((white**2).mean(axis=1) < high)).all()
+
+
+def test_from_the_root_it_is_that_of_the_sensor(correlated: Calibration) -> None:
+    np.testing.assert_allclose(correlated.covariance("lidar", "b"), correlated["b"].covariance, atol=1e-18)
+
+
+def test_both_directions_say_the_same(correlated: Calibration) -> None:
+    inverse = se3.inverse_covariance(correlated.transform("a", "b"), correlated.covariance("a", "b"))
+    np.testing.assert_allclose(correlated.covariance("b", "a"), inverse, atol=1e-16)
+
+
+def test_a_sensor_knows_itself(correlated: Calibration) -> None:
+    np.testing.assert_allclose(correlated.covariance("a", "a"), np.zeros((6, 6)), atol=1e-18)
+
+
+def test_sensors_without_pose_are_refused(correlated: Calibration) -> None:
+    with pytest.raises(InputError, match="there is no sensor 'radar' in this calibration; it has lidar, a, b, c"):
+        correlated.covariance("a", "radar")
+    with pytest.raises(CalibrationError, match=r"'sonar' has no pose: nothing connects it to 'lidar' \(never saw"):
+        correlated.covariance("sonar", "a")
+
+
+def test_a_result_that_does_not_know_says_so(correlated: Calibration) -> None:
+    with pytest.raises(CalibrationError, match="errors of 'a' and 'b' go together is not known"):
+        dataclasses.replace(correlated, joint_covariance=None).covariance("a", "b")
+
+
+def test_it_comes_back_from_a_file(correlated: Calibration, tmp_path: Path) -> None:
+    save_calibration(correlated, tmp_path / "calibration.yaml")
+    found = load_calibration(tmp_path / "calibration.yaml")
+    np.testing.assert_allclose(found.covariance("c", "a"), correlated.covariance("c", "a"), rtol=1e-8)
+
+
+def test_sensors_that_hardly_know_the_root_know_each_other_in_a_file(
+    poses: dict[str, Array], tmp_path: Path
+) -> None:
+    """To 0.1 mm, though both are 10 m off."""
+    joint = np.zeros((18, 18))
+    joint[6:, 6:] = np.kron(np.ones((2, 2)), 100.0 * np.diag([1, 1, 1, 0, 0, 0])) + 1e-8 * np.eye(12)
+    pair = hung({name: poses[name] for name in ("lidar", "a", "b")}, joint)
+    save_calibration(pair, tmp_path / "calibration.yaml")
+    found = load_calibration(tmp_path / "calibration.yaml").covariance("a", "b")
+    np.testing.assert_allclose(np.diag(found), np.diag(pair.covariance("a", "b")), rtol=1e-3)
+
+
+def test_a_file_may_list_the_sensors_in_another_order(correlated: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    order = np.concatenate([6 * k + np.arange(6) for k in (3, 0, 1, 2)])
+    assert correlated.joint_covariance is not None
+    mixed = dataclasses.replace(correlated, joint_covariance=correlated.joint_covariance[np.ix_(order, order)])
+    save_calibration(mixed, path)
+    path.write_text(path.read_text().replace("order: [lidar, a, b, c]", "order: [c, lidar, a, b]"))
+    np.testing.assert_allclose(
+        load_calibration(path).covariance("c", "a"), correlated.covariance("c", "a"), rtol=1e-8
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            r"order: \[lidar, a, b, c\]",
+            "order: [lidar, a, b, d]",
+            r"joint_covariance\.order: must be the sensors, li",
+        ),
+        (r"(order: \[lidar, a, b,) c\]", r"\1 d]", r"joint_covariance\.order: must be the sensors, lidar"),
+        (r"(order: \[lidar, a), b, c\]", r"\1]", r"joint_covariance\.matrix: must have 12 rows of 12 numbers"),
+        (r"(matrix:\s+- \[)0.0, ", r"\1", r"joint_covariance\.matrix: must have 24 rows of 24 numbers"),
+        (r"(matrix:\s+- \[)0.0, ", r"\1-1.0, ", r"joint_covariance\.matrix: must have variances of 0 or more"),
+        (r"(matrix:\s+- \[0.0,) 0.0", r"\1 1.0", r"matrix\[0\]\[1\]: must equal matrix\[1\]\[0\], got 1 and 0"),
+        (r"(matrix:\s+- \[)0.0", r"\1.inf", r"joint_covariance\.matrix\[0\]\[0\]: must be a finite number"),
+    ],
+)
+def test_damage_is_named(old: str, new: str, message: str, correlated: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    save_calibration(correlated, path)
+    text, changes = re.subn(old, new, path.read_text())
+    assert changes == 1
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_calibration(path)
+
+
+def test_json_has_it(correlated: Calibration) -> None:
+    found = json.loads(export(correlated, "json"))["joint_covariance"]
+    assert found["order"] == ["lidar", "a", "b", "c"]
+    np.testing.assert_array_equal(found["matrix"], correlated.joint_covariance)
