@@ -26,7 +26,7 @@ _FINAL_EDGES = 5_000
 _FEWEST_FINALISTS, _MOST_FINALISTS = 1, 6
 # Shortest cycles through every edge, on which the chances of being drawn rest.
 _CYCLE_ROUNDS = 6
-# An edge's cost is its support to this power, inverted: doubtful edges are drawn rarely, but are drawn.
+# An edge's cost is its support to this power, inverted, in the first trees; to ever lower powers in the next.
 _BIAS = 2.0
 # Whatever nobody trusts still holds together what nothing else does.
 _LEAST_TRUST = 1e-3
@@ -81,10 +81,13 @@ def consensus_trees(
 
 
 def _costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator) -> Array:
-    """(count, E) costs of edges: small for trusted ones that cycles support, and more random from tree to tree."""
+    """(count, E) costs of edges: at first small for trusted ones that cycles support, at last blindly random.
+
+    Wrong edges that agree with each other in a triangle look better than right ones in a long cycle.
+    """
     cycles = (*cycle_basis(graph.count, graph.edges), *cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
-    expensive = (trust * support(graph, cycles)) ** -_BIAS
     chance = np.linspace(0, 1, count)[:, None]
+    expensive = (trust * support(graph, cycles)) ** (-_BIAS * (1 - chance))
     return np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
 
 
