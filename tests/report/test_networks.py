@@ -154,3 +154,17 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
     html = report_html(large, network_rig)
     assert len(html.encode()) < 10e6
     assert "Shown are 5000 of 20000 rows; captures.csv has them all." in words_of(html)
+
+
+def test_in_a_crowd_boxes_do_not_hide_each_other(network: Calibration, network_rig: Rig) -> None:
+    """Of thirty scanners, each box shows at least two thirds of its width or half of its height beside any other."""
+    others = (
+        dataclasses.replace(network.sensors[1], name=f"s{k}", parent=f"s{k - 1}" if k else "hall")
+        for k in range(29)
+    )
+    html = report_html(dataclasses.replace(network, sensors=(network.sensors[0], *others), edges=()), network_rig)
+    found = re.findall(r'<g class="node [^"]*"><title>[^<]*</title><rect x="([\d.]+)" y="([\d.]+)"', html)
+    corners = np.array(found, dtype=np.float64)[:30]
+    apart = np.abs(corners[:, None] - corners) / [150, 44]
+    clear = (apart[..., 0] > 2 / 3) | (apart[..., 1] > 1 / 2) | np.eye(30, dtype=bool)
+    assert clear.all()

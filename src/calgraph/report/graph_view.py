@@ -13,7 +13,11 @@ _WIDTH, _HEIGHT = 1040, 440
 _NODE = np.array([150.0, 44.0])
 _LABEL = np.array([128.0, 20.0])
 _MANY = 8
-"""With more sensors than this only the tree's edges are labelled; the table has them all."""
+"""With more sensors than this only the tree's edges are labelled, and unused ones left to the table."""
+_CROWD = 14
+"""With more sensors than this the drawing grows, so that their boxes do not cover each other."""
+_LONG = 40
+"""A table of more pairs than this scrolls on its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +32,21 @@ class _Label:
 def graph(calibration: Calibration, words: Words) -> str:
     """The drawing: sensors on an ellipse, in the order of the tree; unconnected ones at the right."""
     names = _in_tree_order(calibration)
-    places = _places(names, list(calibration.unconnected))
-    drawn = [e for e in calibration.edges if e.captures > 0 and e.sensor_a in places and e.sensor_b in places]
+    growth = max(1.0, len(names) / _CROWD) ** 0.5
+    width, height = _WIDTH * growth, _HEIGHT * growth**2
+    places = _places(names, list(calibration.unconnected), width, height)
+    drawn = [
+        e
+        for e in calibration.edges
+        if (e.inliers if len(names) > _MANY else e.captures) > 0 and e.sensor_a in places and e.sensor_b in places
+    ]
     drawn.sort(key=lambda edge: edge.in_tree)
     lines = "".join(_line(edge, places, words.evidence) for edge in drawn)
     labelled = [edge for edge in reversed(drawn) if edge.in_tree or len(names) <= _MANY]
     labels = "".join(_caption(label) for label in _labels(labelled, places))
     nodes = "".join(_node(name, places[name], calibration) for name in places)
     return (
-        f'<svg class="graph" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="Graph of the sensors">'
+        f'<svg class="graph" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="Graph of the sensors">'
         f"{lines}{nodes}{labels}</svg>"
     )
 
@@ -46,6 +56,7 @@ def edge_table(calibration: Calibration, words: Words) -> str:
     if not calibration.edges:
         return f'<p class="empty">{words.no_pairs}</p>'
     heads = "".join(f"<th>{head}</th>" for head in words.columns)
+    box = "tall" if len(calibration.edges) > _LONG else "wide"
     ordered = sorted(calibration.edges, key=lambda edge: (not edge.in_tree, edge.inliers == 0, edge.sensor_a))
     rows = "".join(
         f"<tr{_row_class(edge)}><th scope='row'>{escaped(edge.sensor_a)} – {escaped(edge.sensor_b)}</th>"
@@ -55,7 +66,7 @@ def edge_table(calibration: Calibration, words: Words) -> str:
         for edge in ordered
     )
     return (
-        f'<div class="wide"><table><thead><tr><th>pair</th><th></th>{heads}'
+        f'<div class="{box}"><table><thead><tr><th>pair</th><th></th>{heads}'
         f"<th class='words'>remark</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
@@ -78,15 +89,14 @@ def _in_tree_order(calibration: Calibration) -> list[str]:
     return order
 
 
-def _places(names: list[str], unconnected: list[str]) -> dict[str, Array]:
+def _places(names: list[str], unconnected: list[str], width: float, height: float) -> dict[str, Array]:
     """Centres (2,) of the sensors' boxes, pixels."""
-    width = _WIDTH - (_NODE[0] + 50 if unconnected else 0)
-    center = np.array([width, _HEIGHT]) / 2
+    center = np.array([width - (_NODE[0] + 50 if unconnected else 0), height]) / 2
     radii = center - _NODE / 2 - 8 if len(names) > 1 else np.zeros(2)
     angles = np.pi + 2 * np.pi * np.arange(len(names)) / max(len(names), 1)
     on_ellipse = center + radii * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    heights = (np.arange(len(unconnected)) + 1) * _HEIGHT / (len(unconnected) + 1)
-    beside = [np.array([_WIDTH - _NODE[0] / 2 - 8, y]) for y in heights]
+    heights = (np.arange(len(unconnected)) + 1) * height / (len(unconnected) + 1)
+    beside = [np.array([width - _NODE[0] / 2 - 8, y]) for y in heights]
     return dict(zip([*names, *unconnected], [*on_ellipse, *beside], strict=True))
 
 
