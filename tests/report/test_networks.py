@@ -157,11 +157,9 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
 
 
 def test_in_a_crowd_boxes_do_not_hide_each_other(network: Calibration, network_rig: Rig) -> None:
-    """Of thirty scanners, each box shows at least two thirds of its width or half of its height beside any other."""
-    others = (
-        dataclasses.replace(network.sensors[1], name=f"s{k}", parent=f"s{k - 1}" if k else "hall")
-        for k in range(29)
-    )
+    """Each of thirty boxes shows at least two thirds of its width or half of its height beside any other."""
+    door = network.sensors[1]
+    others = (dataclasses.replace(door, name=f"s{k}", parent=f"s{k - 1}" if k else "hall") for k in range(29))
     html = report_html(dataclasses.replace(network, sensors=(network.sensors[0], *others), edges=()), network_rig)
     found = re.findall(r'<g class="node [^"]*"><title>[^<]*</title><rect x="([\d.]+)" y="([\d.]+)"', html)
     corners = np.array(found, dtype=np.float64)[:30]
