@@ -1,7 +1,7 @@
 """The default joint estimator of a rig: all sensors and boards at once, in the units that the sensors measure."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.boards import Sighting, placed, sightings
 from calgraph.refinement.bundle import Bundle, Solved, State, covariance, linearize, solve, stacked
-from calgraph.refinement.hypergraph import Filter, Joint, believed
+from calgraph.refinement.hypergraph import Filter, believed
+from calgraph.refinement.joint import Joint, MeasuredNoise
 from calgraph.refinement.scatter import with_measured_noise, with_measured_sway, wrong_views
 from calgraph.refinement.views import Beams, Corners, Views, relative
 from calgraph.rig import CameraSpec, Rig
@@ -23,15 +24,7 @@ _SWAY = 0.003
 _ROUNDS = 12
 _STEPS = 4
 _SETTLED = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class _Members:
-    """Which boards and views the bundle is made of."""
-
-    boards: tuple[Sighting, ...]
-    rejected: frozenset[tuple[int, str]] = frozenset()
-    """Views that were left out: board and sensor."""
+_CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
 
 
 def solve_bundle(
@@ -56,25 +49,34 @@ def solve_bundle(
     """
     among = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
     boards = sightings([(pair, believed(pair, keep)) for pair in among])
+    if not boards:
+        (root,) = T_root_sensor
+        return Joint("bundle", {root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True)
     bundle, state = build(rig, captured, boards, T_root_sensor)
-    members = _Members(tuple(boards))
+    rejected: set[tuple[int, str]] = set()
+    seen = np.array([len(views.board) for views in bundle.views])
     solved = solve(bundle, state)
     for _ in range(_ROUNDS):
         before = bundle
         bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
-        bundle, members = _without_wrong(bundle, solved, members)
+        bundle, wrong = _without_wrong(bundle, solved, seen)
+        rejected |= wrong
         if _alike(before, bundle):
             break
         solved = solve(bundle, solved.state, iterations=_STEPS)
     solved = solve(bundle, solved.state)
-    spread = covariance(bundle, solved.state, solved.system)
     names = bundle.names
     return Joint(
-        T_root_sensor={name: solved.state.T_root_sensor[i] for i, name in enumerate(names)},
-        covariance={name: _block(spread, i) for i, name in enumerate(names)},
+        estimator="bundle",
+        T_root_sensor=dict(zip(names, solved.state.T_root_sensor, strict=True)),
+        joint_covariance=covariance(bundle, solved.state, solved.system),
         residuals=dict(_residuals(bundle, solved)),
-        graph_error=float("nan"),
         converged=solved.converged,
+        rejected={(boards[i].capture, name): _CONTRADICTS for i, name in sorted(rejected)},
+        noise={
+            name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
+            for name, views, sway in zip(names, bundle.views, bundle.sway, strict=True)
+        },
     )
 
 
@@ -95,7 +97,8 @@ def cramer_rao(
     truth = replace(state, T_root_board=stacked([T_root_board[board.capture] for board in boards]))
     exact = replace(_weighed(bundle, truth), sway=np.zeros(len(bundle.names)))
     spread = covariance(exact, truth, linearize(exact, truth))
-    return {name: _block(spread, i) for i, name in enumerate(bundle.names)}
+    blocks = spread.reshape(len(bundle.names), 6, len(bundle.names), 6)
+    return {name: blocks[i, :, i] for i, name in enumerate(bundle.names)}
 
 
 def build(
@@ -144,16 +147,22 @@ def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) 
     return Beams.of(indices, surfaces, spec.noise)
 
 
-def _without_wrong(bundle: Bundle, solved: Solved, members: _Members) -> tuple[Bundle, _Members]:
-    """The bundle without the views that contradict the others."""
-    wrong: list[NDArray[np.bool_]] = wrong_views(bundle, solved.system)
+def _without_wrong(bundle: Bundle, solved: Solved, seen: NDArray[np.intp]) -> tuple[Bundle, set[tuple[int, str]]]:
+    """The bundle without the views that contradict the others; and those, by board and sensor.
+
+    A sensor that would lose more than half of the views (S,) it had keeps them: not they, its model is wrong.
+    """
+    wrong = [
+        bad & (len(bad) - bad.sum() > count / 2)
+        for bad, count in zip(wrong_views(bundle, solved.system), seen, strict=True)
+    ]
     rejected = {
         (int(board), name)
         for name, views, bad in zip(bundle.names, bundle.views, wrong, strict=True)
         for board in views.board[bad]
     }
     left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
-    return replace(bundle, views=left), replace(members, rejected=members.rejected | rejected)
+    return replace(bundle, views=left), rejected
 
 
 def _alike(a: Bundle, b: Bundle) -> bool:
@@ -169,9 +178,3 @@ def _residuals(bundle: Bundle, solved: Solved) -> Iterator[tuple[str, Array]]:
     for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
         T_sensor_board = relative(solved.state.T_root_sensor[s], solved.state.T_root_board[views.board])
         yield name, views.linearize(T_sensor_board, solved.state.own[bundle.own(s)]).residual
-
-
-def _block(joint: Array, sensor: int) -> Array:
-    """One sensor's (6, 6) of a joint covariance."""
-    own = slice(6 * sensor, 6 * sensor + 6)
-    return joint[own, own]

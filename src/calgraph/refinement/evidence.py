@@ -9,7 +9,7 @@ from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
-from calgraph.refinement.hypergraph import Joint
+from calgraph.refinement.joint import Joint
 from calgraph.refinement.observability import doubts, rivals, verdict
 from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import Rig
@@ -29,24 +29,25 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     """
     connected = tree.T_root_sensor
     within = [e for e in estimated(pairs) if e.sensor_a in connected and e.sensor_b in connected]
-    used = _residuals_of_used(within)
+    used = {seen: r for seen, r in _residuals_of_used(within).items() if seen not in joint.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
     doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
     if not joint.converged:
         doubted = dict.fromkeys(connected, "the joint solution was still moving when it was stopped") | doubted
-    root_first = sorted(rig.sensors, key=lambda name: name != rig.root)
+    root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
         sensors=tuple(
             _pose(name, rig, captured, tree, joint, doubted.get(name, ""), ambiguous.get(name, 0.0))
             for name in root_first
-            if name in connected
         ),
         edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
-        captures=tuple(_row(hold, name, captured, used) for hold in captured.holds for name in rig.sensors),
+        captures=tuple(_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors),
         unconnected=_unconnected(rig, captured, pairs, connected),
         residuals=joint.residuals,
         outlines=tuple(_outlines(rig, captured, used, joint)),
+        estimator=joint.estimator,
+        joint_covariance=_ordered(joint, root_first),
     )
 
 
@@ -64,6 +65,13 @@ def _pose(
         covariance=covariance,
         verdict=verdict(name, spec.kind, T, covariance, doubt, rival),
     )
+
+
+def _ordered(joint: Joint, names: Sequence[str]) -> Array:
+    """The joint covariance of the sensors in another order."""
+    order = list(joint.T_root_sensor)
+    rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
+    return np.asarray(joint.joint_covariance[np.ix_(rows, rows)])
 
 
 def _edge(
@@ -86,13 +94,15 @@ def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:
     return used
 
 
-def _row(hold: Hold, name: str, captured: Captured, used: Used) -> CaptureRow:
+def _row(hold: Hold, name: str, captured: Captured, used: Used, joint: Joint) -> CaptureRow:
     residual, reason = None, ""
     if (hold.index, name) in used:
         matched = np.concatenate(list(used[hold.index, name].values()))
         residual = float(np.sqrt(np.mean(matched**2)))
     elif hold.index not in captured.detections[name]:
         reason = captured.misses[hold.index, name]
+    elif (hold.index, name) in joint.rejected:
+        reason = joint.rejected[hold.index, name]
     elif any(hold.index in seen for other, seen in captured.detections.items() if other != name):
         reason = "disagrees with what the other sensors saw"
     else:

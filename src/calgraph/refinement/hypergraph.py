@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, PairwiseEstimate
 from calgraph.refinement import edges
+from calgraph.refinement.joint import Joint
 from calgraph.refinement.solver import Block, Factor, Values, marginal_covariance, solve
 
 Filter = Literal["ransac", "none"]
@@ -33,21 +33,6 @@ _HOLD = 0.01
 _FIRM = 10
 # What is believed of a pose without any data: m and rad.
 _PRIOR = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
-
-
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """The joint solution."""
-
-    T_root_sensor: Mapping[str, Array]
-    """(4, 4) by sensor, the root included."""
-    covariance: Mapping[str, Array]
-    """(6, 6) by sensor, in the root's fixed axes; zero for the root."""
-    residuals: Mapping[str, Array]
-    """Whitened residuals by kind of edge."""
-    graph_error: float
-    """Sum of squared errors over all edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
-    converged: bool
 
 
 def solve_hypergraph(
@@ -73,7 +58,7 @@ def solve_hypergraph(
     names = list(tree.T_root_sensor)
     pairs = [e for e in estimates if e.sensor_a in names and e.sensor_b in names]
     if not pairs:
-        return Joint({tree.root: np.eye(4)}, {tree.root: np.zeros((6, 6))}, {}, 0.0, converged=True)
+        return Joint("hypergraph", {tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0)
     graph = _Graph(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[believed(pair, keep)]:
@@ -87,16 +72,16 @@ def solve_hypergraph(
         values, converged = solution.values, solution.converged
     # The pairwise estimates come from the same detections: they may guide the solution, but not count as evidence.
     covariance = marginal_covariance(values, BLOCKS, observed, "sensors", _PRIOR)
-    covariance = covariance.reshape(len(names), 6, len(names), 6)
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}
     chi2 = sum(float(np.sum(residuals[factor.name] ** 2)) for factor in observed)
     scatter = _scatter(chi2, graph.freedom - 6 * (len(names) - 1))
     return Joint(
+        estimator="hypergraph",
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
-        covariance={name: covariance[i, :, i] * scatter for i, name in enumerate(names)},
+        joint_covariance=covariance * scatter,
         residuals=residuals,
-        graph_error=_graph_error(values, observed),
         converged=converged,
+        graph_error=_graph_error(values, observed),
     )
 
 

@@ -64,7 +64,9 @@ def verdict(
         fixed = [f"{_listed(open_axes)} fixed by nothing seen"] if open_axes else []
         if rival:
             fixed.append(f"a pose turned by {np.degrees(rival):.0f}° fits as well")
-        return Verdict("unobservable", f"{'; '.join(fixed)}; {advice}")
+        if weak_axes:
+            fixed.append(f"hardly fixed: {', '.join(weak_axes)}")
+        return Verdict("unobservable", "; ".join([*fixed, *([doubt] if doubt else []), advice]))
     weaknesses = [doubt] if doubt else []
     if weak_axes:
         weaknesses.append(f"{', '.join(weak_axes)} of {name}: {advice}")

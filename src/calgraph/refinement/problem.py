@@ -13,14 +13,14 @@ from calgraph.refinement.hypergraph import Filter
 from calgraph.rig import Rig
 from calgraph.rig.model import StrictModel
 
-Estimator = Literal["hypergraph"]
+Estimator = Literal["bundle", "hypergraph"]
 
 
 class Solver(StrictModel):
     """How to solve a problem."""
 
-    estimator: Estimator = "hypergraph"
-    """The joint estimator."""
+    estimator: Estimator = "bundle"
+    """All sensors and boards in the units that sensors measure, or the paper's hypergraph."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
 

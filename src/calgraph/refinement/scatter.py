@@ -38,12 +38,15 @@ def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
     unequal", Biometrika 1971.
     """
     sway = bundle.sway.copy()
+    sharing = max(sum(len(views.board) for views in bundle.views) / max(len(system.H_board), 1), 2.0)
     for s, (at, P) in enumerate(zip(system.views, view_covariances(bundle, system), strict=True)):
         shape = replace(bundle, sway=np.ones(len(sway))).swaying(s)
         W = at.information - at.information @ P @ at.information
         score = np.sum(shape * at.gradient**2) - np.sum(shape * np.diagonal(W, axis1=-2, axis2=-1))
         fisher = np.sum(shape[:, None] * W * np.swapaxes(W, -1, -2) * shape)
-        sway[s] = max(sway[s] + float(score / fisher), 0.0) if fisher > 0 else sway[s]
+        # Views of one board explain each other's scatter: were each to take it all, they would overshoot together.
+        step = (1 - 1 / sharing) * float(score / fisher) if fisher > 0 else 0.0
+        sway[s] = max(sway[s] + step, 0.0)
     return replace(bundle, sway=sway)
 
 
