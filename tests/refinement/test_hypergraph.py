@@ -66,13 +66,34 @@ def test_the_joint_solution_beats_the_tree_it_starts_from() -> None:
     assert np.mean(joint) < 0.0035
 
 
-def test_covariances_hold_what_they_promise() -> None:
+@pytest.fixture(scope="module")
+def solved() -> list[tuple[dict[str, Array], Joint]]:
+    """Truth and solution of 30 rigs."""
+    return [(truth, solve_hypergraph(tree, pairs, seen)) for truth, seen, pairs, tree in map(world, range(30))]
+
+
+def test_covariances_hold_what_they_promise(solved: list[tuple[dict[str, Array], Joint]]) -> None:
     """Mean NEES of 30 rigs, three sensors and six degrees of freedom each, within its 99.9 % interval."""
-    values = np.concatenate(
-        [nees(solve_hypergraph(tree, pairs, seen), truth) for truth, seen, pairs, tree in map(world, range(30))]
-    )
+    values = np.concatenate([nees(joint, truth) for truth, joint in solved])
     low, high = scipy.stats.chi2.interval(0.999, 6 * len(values)) / np.array(6 * len(values))
     assert low < values.mean() / 6 < high
+
+
+@pytest.mark.parametrize(("a", "b"), [("camera", "front"), ("front", "left"), ("left", "camera")])
+def test_covariances_between_sensors_hold_what_they_promise(
+    a: str, b: str, solved: list[tuple[dict[str, Array], Joint]]
+) -> None:
+    """As above, for a pair that the root is not in."""
+    values = []
+    for truth, joint in solved:
+        order = list(joint.T_root_sensor)
+        both = np.concatenate([6 * order.index(name) + np.arange(6) for name in (a, b)])
+        T_root_a, T_root_b = joint.T_root_sensor[a], joint.T_root_sensor[b]
+        covariance = se3.relative_covariance(T_root_a, T_root_b, joint.joint_covariance[np.ix_(both, both)])
+        e = se3.difference(se3.inverse(T_root_a) @ T_root_b, se3.inverse(truth[a]) @ truth[b])
+        values.append(e @ np.linalg.solve(covariance, e))
+    low, high = scipy.stats.chi2.interval(0.999, 6 * len(values)) / np.array(6 * len(values))
+    assert low < np.mean(values) / 6 < high
 
 
 @pytest.mark.parametrize("start", ["identity", *get_args(Method)])
