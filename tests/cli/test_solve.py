@@ -64,6 +64,24 @@ def test_the_filter_may_be_another_one(dumped: Path, tmp_path: Path, run: Run) -
     assert not np.array_equal(few, all_of_them)
 
 
+@pytest.mark.parametrize("estimator", ["bundle", "hypergraph"])
+def test_both_estimators_repeat_to_the_last_bit(
+    estimator: str, simulated: Path, dumped: Path, tmp_path: Path, run: Run
+) -> None:
+    rig, recording, name = simulated / "rig.yaml", simulated / "recording", "calibration.yaml"
+    run("calibrate", rig, recording, "-o", tmp_path / "a", "--estimator", estimator)
+    run("solve", dumped / "problem.npz", "-o", tmp_path / "b", "--estimator", estimator)
+    assert load_calibration(tmp_path / "b" / name).estimator == estimator
+    assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_result_says_how_well_two_sensors_know_each_other(dumped: Path) -> None:
+    found = load_calibration(dumped / "calibration.yaml")
+    deviations = np.sqrt(np.diag(found.covariance("camera", "laser_front")))
+    assert ((deviations > 1e-5) & (deviations < 0.03)).all()
+    np.testing.assert_allclose(found.covariance("lidar", "camera"), found["camera"].covariance, rtol=1e-7)
+
+
 def test_the_filter_of_the_calibration_is_stored(simulated: Path, tmp_path: Path, run: Run) -> None:
     dump = tmp_path / "problem.npz"
     run(

@@ -14,6 +14,13 @@ from calgraph.result import Calibration, save_calibration, save_captures, to_jso
 from calgraph.rig import Rig, check_place, load_rig, replacing_folder, save_yaml
 
 
+class EstimatorChoice(StrEnum):
+    """Values of --estimator."""
+
+    bundle = "bundle"
+    hypergraph = "hypergraph"
+
+
 class FilterChoice(StrEnum):
     """Values of --filter."""
 
@@ -72,6 +79,10 @@ def calibrate(
         typer.Argument(metavar="RECORDING...", help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, or plain folder."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
+    estimator: Annotated[
+        EstimatorChoice,
+        typer.Option("--estimator", help="Board: joint solution in the measured units, or the paper's."),
+    ] = EstimatorChoice.bundle,
     keep: Annotated[
         FilterChoice, typer.Option("--filter", help="Use the matches that agree, or all (the paper compares).")
     ] = FilterChoice.ransac,
@@ -120,6 +131,7 @@ def calibrate(
         check_place(dump)
     with replacing_folder(out) as folder:
         options = story.Options(
+            estimator=estimator.value,
             keep=keep.value,
             start=start.value,
             tags=tags.value,

@@ -6,13 +6,19 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.calibrate import FilterChoice, show_results, write_results
+from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.rig import replacing_folder
 
 
 def solve(
     file: Annotated[Path, typer.Argument(metavar="DUMP", help="What calibrate --dump wrote.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
+    estimator: Annotated[
+        EstimatorChoice | None,
+        typer.Option(
+            "--estimator", help="Solution in the measured units, or the paper's; as calibrate did if left out."
+        ),
+    ] = None,
     keep: Annotated[
         FilterChoice | None,
         typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
@@ -29,8 +35,9 @@ def solve(
     from calgraph.refinement import load_problem
 
     problem = load_problem(file)
-    if keep:
-        problem = replace(problem, solver=problem.solver.model_copy(update={"keep": keep.value}))
+    given = {"estimator": estimator, "keep": keep}
+    chosen = {name: choice.value for name, choice in given.items() if choice is not None}
+    problem = replace(problem, solver=problem.solver.model_copy(update=chosen))
     with replacing_folder(out) as folder:
         calibration = solve_problem(problem)
         write_results(calibration, problem.rig, folder)
