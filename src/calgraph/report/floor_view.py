@@ -16,7 +16,8 @@ _SIGMAS = 2.0
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipse can be seen if its longer half axis takes this part of the plan, as can an arrow of that part.
 _VISIBLE, _ARROW = 0.008, 0.05
-_HEIGHT = 680
+# Pixels: of the plan, and of a line of the legend, which takes so many names.
+_HEIGHT, _LEGEND_LINE, _NAMES = 680, 25, 9
 
 
 def floor_plan(calibration: Calibration) -> str:
@@ -31,7 +32,8 @@ def floor_plan(calibration: Calibration) -> str:
     ]
     size = "as large as they are" if factor == 1 else f"{factor} times as large as they are"
     words = f"<p>Ellipses: {_SIGMAS:g} standard deviations (σ) of a scanner's position, drawn {size}.</p>"
-    return words + placed("floor", _plan(traces), _HEIGHT, "Floor plan of the network")
+    height = _HEIGHT + _LEGEND_LINE * (len(calibration.sensors) // _NAMES)
+    return words + placed("floor", _plan(traces), height, "Floor plan of the network")
 
 
 def _plan(traces: list[dict[str, Any]]) -> Figure:

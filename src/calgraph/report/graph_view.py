@@ -16,6 +16,8 @@ _MANY = 8
 """With more sensors than this only the tree's edges are labelled, and unused ones left to the table."""
 _CROWD = 14
 """With more sensors than this the drawing grows, so that their boxes do not cover each other."""
+_COVERED = 0.5
+"""A caption that covers others by so much of its own size is left to the table."""
 _LONG = 40
 """A table of more pairs than this scrolls on its own."""
 
@@ -112,15 +114,17 @@ def _line(edge: Edge, places: dict[str, Array], evidence: str) -> str:
 
 
 def _labels(edges: list[Edge], places: dict[str, Array]) -> list[_Label]:
-    """A caption for each edge, moved along it until it covers no box and no other caption."""
+    """A caption for each edge, moved along it until it covers no box and no other caption; none where it must."""
     taken = [(center, _NODE) for center in places.values()]
     labels = []
     for edge in edges:
         a, b = places[edge.sensor_a], places[edge.sensor_b]
         candidates = [a + t * (b - a) for t in (0.5, 0.42, 0.58, 0.34, 0.66, 0.27, 0.73, 0.2, 0.8)]
-        center = min(candidates, key=lambda c: sum(_overlap(c, *other) for other in taken))
-        taken.append((center, _LABEL))
-        labels.append(_Label(center, _words(edge)))
+        covered = [sum(_overlap(c, *other) for other in taken) for c in candidates]
+        best = int(np.argmin(covered))
+        if covered[best] < _COVERED * np.prod(_LABEL):
+            taken.append((candidates[best], _LABEL))
+            labels.append(_Label(candidates[best], _words(edge)))
     return labels
 
 
