@@ -8,60 +8,32 @@ python benchmarks/efficiency.py --runs 200 --stated 2          # rig.yaml states
 
 Of an efficient estimator, the RMSE over the bound is 1 up to chance; of honest covariances, so is the NEES per
 degree of freedom, and their 95 % ellipsoids hold the truth in 95 % of runs. Chance is stated as 99 % intervals.
-How long estimators take is in solve_times.py.
+``pairwise`` is the start along the spanning tree. How long estimators take is in solve_times.py.
 """
 
 import argparse
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 from scipy.stats import binomtest, chi2
 
-from calgraph.calibrate import Options, prepare
+from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.captures import Captured
 from calgraph.geometry import Array, se3
-from calgraph.pairwise import estimated
-from calgraph.refinement import Problem, solve_hypergraph
-from calgraph.refinement.bundle_adjustment import cramer_rao, solve_bundle
+from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
 from calgraph.rig import Rig
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
-from simulated import recorded
+from simulated import poses_of, recorded
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 TARGET = 0.95, 1.10
 """Of the RMSE over the bound."""
 CONFIDENCE = 0.99
 Recording = tuple[Rig, Captured, Truth]
-Poses = tuple[Mapping[str, Array], Mapping[str, Array]]
-"""``T_root_sensor`` by sensor, and covariances (6, 6) where the estimator states them."""
-
-
-def pairwise(problem: Problem) -> Poses:
-    """The start poses along the spanning tree: no joint solution, and no covariance."""
-    return problem.tree.T_root_sensor, {}
-
-
-def hypergraph(problem: Problem) -> Poses:
-    """The paper's estimator."""
-    seen = problem.captured.detections
-    joint = solve_hypergraph(problem.tree, estimated(problem.pairs), seen, keep=problem.solver.keep)
-    return joint.T_root_sensor, joint.covariance
-
-
-def bundle(problem: Problem) -> Poses:
-    """The default."""
-    estimates, start = estimated(problem.pairs), problem.tree.T_root_sensor
-    joint = solve_bundle(problem.rig, problem.captured, estimates, start, keep=problem.solver.keep)
-    return joint.T_root_sensor, joint.covariance
-
-
-ESTIMATORS: Mapping[str, Callable[[Problem], Poses]] = {
-    "pairwise": pairwise,
-    "hypergraph": hypergraph,
-    "bundle": bundle,
-}
+ESTIMATORS = "pairwise", *get_args(Estimator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,13 +139,22 @@ def judge(recordings: Iterator[Recording], estimators: Sequence[str], stated: fl
         bounds.append(bound(rig, captured, truth, sensors))
         problem = prepare(rig, captured, Options(), np.random.default_rng(seed))
         for name in estimators:
-            found[name].append(deviations(*ESTIMATORS[name](problem), truth, sensors))
+            found[name].append(deviations(*solution(problem, name), truth, sensors))
     return {
         name: Outcomes(
             sensors, np.array([e for e, _ in pairs]), np.array([c for _, c in pairs]), np.array(bounds) / stated**2
         )
         for name, pairs in found.items()
     }
+
+
+def solution(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Mapping[str, Array]]:
+    """``T_root_sensor`` by sensor, and covariances (6, 6) where the estimator states them."""
+    if estimator == "pairwise":
+        return problem.tree.T_root_sensor, {}
+    solver = Solver.model_validate({**problem.solver.model_dump(), "estimator": estimator})
+    calibration = solve_problem(replace(problem, solver=solver))
+    return poses_of(calibration), {sensor.name: sensor.covariance for sensor in calibration.sensors}
 
 
 def bound(rig: Rig, captured: Captured, truth: Truth, sensors: Sequence[str]) -> Array:

@@ -8,7 +8,7 @@ import pytest
 from calgraph.captures import Captured
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, se3
-from calgraph.refinement.bundle_adjustment import cramer_rao
+from calgraph.refinement import cramer_rao
 from calgraph.rig import CameraSpec, Rig
 from calgraph.simulation import CameraKnobs, RigScenario, set_stage, simulate_detections
 
