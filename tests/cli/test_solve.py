@@ -30,22 +30,29 @@ def dumped(simulated: Path, tmp_path_factory: pytest.TempPathFactory, run: Run) 
     return out
 
 
-def test_another_process_writes_the_same_bytes(dumped: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def solved(dumped: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder that ``solve --json`` wrote in another process, and what it printed."""
+    out = tmp_path_factory.mktemp("solved") / "again"
     code = "from calgraph.cli import main; main()"
-    arguments = ["solve", str(dumped / "problem.npz"), "-o", str(tmp_path / "again")]
-    subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True)
-    assert [n for n in RESULTS if (tmp_path / "again" / n).read_bytes() != (dumped / n).read_bytes()] == []
+    arguments = ["solve", str(dumped / "problem.npz"), "-o", str(out), "--json"]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True, text=True)
+    return out, done.stdout
+
+
+def test_another_process_writes_the_same_bytes(dumped: Path, solved: tuple[Path, str]) -> None:
+    assert [n for n in RESULTS if (solved[0] / n).read_bytes() != (dumped / n).read_bytes()] == []
+
+
+def test_another_process_finds_the_same_in_all_digits(
+    calibrated: tuple[Path, Result], solved: tuple[Path, str]
+) -> None:
+    """JSON has poses and covariances to the last bit."""
+    assert solved[1] == calibrated[1].stdout
 
 
 def test_dumping_changes_nothing(dumped: Path, calibrated: tuple[Path, Result]) -> None:
     assert [n for n in RESULTS if (calibrated[0] / n).read_bytes() != (dumped / n).read_bytes()] == []
-
-
-def test_json_is_what_calibrate_prints(
-    dumped: Path, calibrated: tuple[Path, Result], tmp_path: Path, run: Run
-) -> None:
-    result = run("solve", dumped / "problem.npz", "-o", tmp_path / "again", "--json")
-    assert result.stdout == calibrated[1].stdout
 
 
 def test_the_filter_may_be_another_one(dumped: Path, tmp_path: Path, run: Run) -> None:
