@@ -13,6 +13,7 @@ degree of freedom, and their 95 % ellipsoids hold the truth in 95 % of runs. Cha
 
 import argparse
 import logging
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
@@ -140,6 +141,7 @@ def judge(recordings: Iterator[Recording], estimators: Sequence[str], stated: fl
         problem = prepare(rig, captured, Options(), np.random.default_rng(seed))
         for name in estimators:
             found[name].append(deviations(*solution(problem, name), truth, sensors))
+        print(f"\r{len(bounds)} runs", end="", file=sys.stderr, flush=True)
     return {
         name: Outcomes(
             sensors, np.array([e for e, _ in pairs]), np.array([c for _, c in pairs]), np.array(bounds) / stated**2
