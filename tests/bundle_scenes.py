@@ -1,0 +1,116 @@
+"""Bundles of a small rig with known truth, without detectors: cheap enough to draw their noise a hundred times."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calgraph.geometry import Array, se3, so3
+from calgraph.refinement.bundle import Bundle, State
+from calgraph.refinement.views import Beams, Corners, Views, relative
+from calgraph.rig import PixelNoise, RangeNoise
+from calgraph.sensors import CameraModel
+
+CAMERA = CameraModel("pinhole", 640, 480, np.array([[400, 0, 319.5], [0, 400, 239.5], [0, 0, 1]]), np.zeros(0))
+PIXEL, RANGE = PixelNoise(pixel=0.3), RangeNoise(range=0.012, angle=1e-5)
+WIDTH, HEIGHT = 1.2, 0.9
+# Four corners of each of three tags.
+_SQUARE = 0.16 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+CORNERS = np.concatenate([_SQUARE + center for center in ([-0.38, 0.2, 0], [0.38, 0.2, 0], [0, -0.2, 0])])
+# Optical axes: z where the robot's x is.
+_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What sensors measure of boards, without noise."""
+
+    bundle: Bundle
+    truth: State
+
+    def measured(self, rng: np.random.Generator, noise: float = 1.0, sway: float = 0.0) -> Bundle:
+        """The bundle with Gaussian noise so many times that stated, and views displaced by ``sway`` (m)."""
+        swaying = replace(self.bundle, sway=np.full(len(self.bundle.names), sway**2))
+        views = []
+        for s, own in enumerate(self.bundle.views):
+            T = relative(self.truth.T_root_sensor[s], self.truth.T_root_board[own.board])
+            spread = np.sqrt(swaying.swaying(s)[:6])
+            T = se3.retract(T, spread * rng.normal(size=(len(T), 6)))
+            views.append(remeasured(own, T, rng, noise))
+        return replace(self.bundle, views=tuple(views))
+
+    def without_sway(self) -> "Scene":
+        """The scene in which views are known not to err as a whole."""
+        return replace(self, bundle=replace(self.bundle, sway=np.zeros(len(self.bundle.names))))
+
+
+def remeasured(views: Views, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> Views:
+    """The views with what they measure of boards at other poses, with noise so many times that stated."""
+    error = views.linearize(T_sensor_board, np.zeros(views.unknowns)).residual
+    if isinstance(views, Corners):
+        sigma = views.noise.pixel * views.scale
+        return replace(views, pixels=views.pixels + sigma * (error + noise * rng.normal(size=error.shape)))
+    assert isinstance(views, Beams)
+    drawn = error[:, 0] + noise * rng.normal(size=len(error))
+    return replace(views, ranges=views.ranges + views.sigma * drawn)
+
+
+def scene(sensors: Sequence[str] = ("lidar", "camera", "laser"), boards: int = 20, seed: int = 0) -> Scene:
+    """Boards before a robot, all seen by all of its sensors, which are called after their kinds."""
+    rng = np.random.default_rng(seed)
+    T_root_sensor = np.array([sensor_pose(name, rng) for name in sensors])
+    # As sensors are counted from the first, the root.
+    T_root_sensor = se3.inverse(T_root_sensor[0]) @ T_root_sensor
+    T_root_board = se3.inverse(sensor_pose(sensors[0], np.random.default_rng(seed))) @ board_poses(boards, rng)
+    views = [views_of(name, relative(T, T_root_board)) for name, T in zip(sensors, T_root_sensor, strict=True)]
+    bundle = Bundle(
+        tuple(sensors), tuple(views), np.arange(len(sensors)), np.full(len(sensors), 1e-6), lever=0.5 * WIDTH
+    )
+    return Scene(bundle, State(T_root_sensor, T_root_board, np.zeros(0)))
+
+
+def sensor_pose(name: str, rng: np.random.Generator) -> Array:
+    """``T_robot_sensor`` (4, 4) of a sensor near the robot's origin that looks ahead."""
+    turned = so3.exp(rng.uniform(-0.1, 0.1, 3))
+    return se3.pose(turned @ _OPTICAL if name == "camera" else turned, rng.uniform(-0.2, 0.2, 3))
+
+
+def board_poses(count: int, rng: np.random.Generator) -> Array:
+    """``T_robot_board`` (count, 4, 4) ahead of the robot, facing it, tilted by up to 35 degrees."""
+    bearing, distance = rng.uniform(-0.35, 0.35, count), rng.uniform(1.7, 3.0, count)
+    t = np.stack([distance * np.cos(bearing), distance * np.sin(bearing), rng.uniform(-0.1, 0.1, count)], axis=-1)
+    facing = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
+    return se3.pose(so3.exp(rng.uniform(-0.4, 0.4, (count, 3))) @ facing, t)
+
+
+def views_of(name: str, T_sensor_board: Array) -> Views:
+    """What a sensor measures of boards (C, 4, 4) before it, without noise."""
+    count = len(T_sensor_board)
+    if name == "camera":
+        points = se3.apply(T_sensor_board, CORNERS)
+        pixels = CAMERA.project(points.reshape(-1, 3))
+        start = np.arange(count) * len(CORNERS)
+        return Corners(np.arange(count), start, np.tile(CORNERS, (count, 1)), pixels, CAMERA, PIXEL)
+    points_of = _cut if name.startswith("laser") else _swept
+    points = [points_of(T) for T in T_sensor_board]
+    ranges = np.linalg.norm(np.concatenate(points), axis=1)
+    start = np.cumsum([0, *[len(p) for p in points[:-1]]])
+    return Beams(
+        np.arange(count), start, np.concatenate(points) / ranges[:, None], ranges, RANGE,
+        np.full(len(ranges), RANGE.range),
+    )  # fmt: skip
+
+
+def _swept(T_sensor_board: Array) -> Array:
+    """(N, 3) where a 3-D scanner's beams meet the board."""
+    x, y = np.meshgrid(np.linspace(-0.55, 0.55, 12), np.linspace(-0.4, 0.4, 9))
+    return se3.apply(T_sensor_board, np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1))
+
+
+def _cut(T_sensor_board: Array) -> Array:
+    """(N, 3) where the board meets the plane z = 0 of a 2-D scanner."""
+    a, b, _ = T_sensor_board[2, :3]
+    nearest = -T_sensor_board[2, 3] * np.array([a, b]) / (a * a + b * b)
+    line = nearest + np.linspace(-1, 1, 161)[:, None] * np.array([b, -a]) / np.hypot(a, b)
+    on_board = line[np.all(np.abs(line) < [WIDTH / 2 - 0.02, HEIGHT / 2 - 0.02], axis=1)]
+    return se3.apply(T_sensor_board, np.column_stack([on_board, np.zeros(len(on_board))]))
