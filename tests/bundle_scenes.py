@@ -92,11 +92,11 @@ def views_of(name: str, T_sensor_board: Array) -> Views:
         start = np.arange(count) * len(CORNERS)
         return Corners(np.arange(count), start, np.tile(CORNERS, (count, 1)), pixels, CAMERA, PIXEL)
     points_of = _cut if name.startswith("laser") else _swept
-    points = [points_of(T) for T in T_sensor_board]
-    ranges = np.linalg.norm(np.concatenate(points), axis=1)
-    start = np.cumsum([0, *[len(p) for p in points[:-1]]])
+    ends = [points_of(T) for T in T_sensor_board]
+    ranges = np.linalg.norm(np.concatenate(ends), axis=1)
+    start = np.cumsum([0, *[len(points) for points in ends[:-1]]])
     return Beams(
-        np.arange(count), start, np.concatenate(points) / ranges[:, None], ranges, RANGE,
+        np.arange(count), start, np.concatenate(ends) / ranges[:, None], ranges, RANGE,
         np.full(len(ranges), RANGE.range),
     )  # fmt: skip
 

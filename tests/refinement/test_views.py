@@ -63,7 +63,7 @@ def test_corners_are_differentiated_as_numbers_say(camera: CameraModel, pose: Ar
 def test_beams_are_differentiated_as_numbers_say(kind: str, bias: int) -> None:
     truth = scene((kind,), boards=6, seed=3).truth
     T = relative(truth.T_root_sensor[0], truth.T_root_board)
-    views = replace(views_of(kind, T), unknowns=bias)
+    views = beams(kind, T, bias)
     # Off the poses that the beams were made for: then their places on the boards matter.
     T, own = se3.retract(T, np.tile([0.1, -0.2, 0.1, 0.1, -0.1, 0.2], (6, 1))), np.full(bias, 0.03)
     np.testing.assert_allclose(
@@ -142,3 +142,9 @@ def one_beam(direction: Array, measured: float) -> Beams:
         np.array([0]), np.array([0]), direction[None], np.array([measured]), RangeNoise(range=0.012, angle=1e-5),
         np.array([0.012]),
     )  # fmt: skip
+
+
+def beams(kind: str, T_sensor_board: Array, bias: int) -> Beams:
+    views = views_of(kind, T_sensor_board)
+    assert isinstance(views, Beams)
+    return replace(views, unknowns=bias)
