@@ -10,6 +10,7 @@ from calgraph.errors import InputError
 from calgraph.result import export as export_text
 from calgraph.result import load_calibration
 from calgraph.rig import Rig, load_rig, write_text
+from calgraph.rig.reading import read_text
 
 
 class Format(StrEnum):
@@ -57,7 +58,7 @@ def export(
         load_calibration(file),
         format.value,
         rig=_rig(rig, file) if format == Format.kalibr else None,
-        urdf=_text_of(urdf) if urdf else None,
+        urdf=read_text(urdf) if urdf else None,
     )
     if out:
         write_text(out, text)
@@ -70,12 +71,3 @@ def _rig(given: Path | None, calibration: Path) -> Rig | None:
     beside = calibration.with_name("rig.resolved.yaml")
     file = given or (beside if beside.is_file() else None)
     return load_rig(file) if file else None
-
-
-def _text_of(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error

@@ -1,12 +1,23 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.calibration import BoardOutline, Calibration, CaptureRow, Edge, FloorView, SensorPose, Verdict
+from calgraph.result.calibration import (
+    BoardOutline,
+    Calibration,
+    CaptureRow,
+    Edge,
+    FloorView,
+    LeftOut,
+    SensorPose,
+    Verdict,
+)
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.file import save_calibration, save_captures
+from calgraph.result.known_poses import KnownPoses, read_poses
 from calgraph.result.reading import load_calibration
 from calgraph.result.tree import TransformTree
 
 __all__ = [
-    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "FloorView", "SensorPose", "TransformTree",
-    "Verdict", "export", "load_calibration", "save_calibration", "save_captures", "to_json",
+    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "FloorView", "KnownPoses", "LeftOut",
+    "SensorPose", "TransformTree", "Verdict", "export", "load_calibration", "read_poses", "save_calibration",
+    "save_captures", "to_json",
 ]  # fmt: skip

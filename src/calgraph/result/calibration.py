@@ -84,6 +84,24 @@ class CaptureRow:
     """Distance to what the other sensors saw, m, where it was used."""
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """How far what a sensor saw is from what the others predict, in captures left out of the solution."""
+
+    views: int
+    """How many captures were predicted for it."""
+    unit: Literal["px", "m"]
+    """Of ``rms`` and ``median``: distances between corners, or of beam ends from the board's plane."""
+    rms: float
+    median: float
+    ratio: float
+    """Errors over what noise and the poses' covariances let expect: about 1 if those hold."""
+    along: float | None = None
+    """RMS along the beam, m; None for cameras."""
+    tilt: float | None = None
+    """RMS angle between the board's normal as predicted and as seen, rad; None where no view knows it."""
+
+
 @dataclass(frozen=True, eq=False)
 class BoardOutline:
     """Where the board was in one capture, for pictures."""
@@ -126,6 +144,8 @@ class Calibration:
     joint_covariance: Array | None = None
     """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes, correlations
     included; zero for the root. None where it is not known."""
+    left_out: Mapping[str, LeftOut] = field(default_factory=dict)
+    """Cross-validation by sensor; none for those that no other sensor predicts, and where it was not asked for."""
 
     def __post_init__(self) -> None:
         if not self.residual_rms:

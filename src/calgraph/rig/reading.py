@@ -30,17 +30,43 @@ def read_yaml(path: Path) -> dict[Any, Any]:
         InputError: the file is missing, is not YAML, gives a key twice, or holds something else than a mapping.
 
     """
+    text = read_text(path)
     try:
-        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+        content = YAML(typ="safe").load(text)
     except YAMLError as error:
         raise InputError(f"{path}{_explain_syntax(error)}") from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold a mapping of keys to values, not {_shown(content)}")
     return content
+
+
+def read_documents(path: Path) -> list[Any]:
+    """All documents of a YAML file, empty ones left out, as a recorded stream of messages has many.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or gives a key twice.
+
+    """
+    text = read_text(path)
+    try:
+        return [content for content in YAML(typ="safe").load_all(text) if content is not None]
+    except YAMLError as error:
+        raise InputError(f"{path}{_explain_syntax(error)}") from error
+
+
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: the file is missing, or is not UTF-8.
+
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error
 
 
 def validated(model: type[Model], content: dict[Any, Any], source: Path) -> Model:

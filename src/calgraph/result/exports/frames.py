@@ -83,3 +83,9 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     c, s = np.cos(yaw), np.sin(yaw)
     rest = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R
     return float(np.arctan2(-rest[1, 2], rest[1, 1])), float(np.arctan2(-rest[2, 0], rest[0, 0])), float(yaw)
+
+
+def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
+    """Rotation matrix of angles about the fixed axes x, y, z, rad: ``Rz(yaw) @ Ry(pitch) @ Rx(roll)``."""
+    Rz, Ry, Rx = (so3.exp(angle * axis) for angle, axis in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True))
+    return np.asarray(Rz @ Ry @ Rx)

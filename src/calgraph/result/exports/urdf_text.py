@@ -1,6 +1,7 @@
 """The joints of a URDF, with where in its text their origins stand, so that a file can be corrected in place."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.parsers import expat
@@ -8,7 +9,9 @@ from xml.parsers import expat
 import numpy as np
 
 from calgraph.errors import InputError
-from calgraph.geometry import Array, se3, so3
+from calgraph.geometry import Array, se3
+from calgraph.result.exports.frames import from_roll_pitch_yaw
+from calgraph.result.frame_tree import FrameTree, Hanging
 
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
@@ -66,7 +69,11 @@ def read_joints(text: str) -> list[Joint]:
     def end(_tag: str) -> None:
         path.pop()
 
+    def refuse_entity(name: str, *_declaration: object) -> None:
+        raise InputError(f"the URDF declares an entity, {name!r}, which no URDF needs: write it out")
+
     parser.StartElementHandler = start
+    parser.EntityDeclHandler = refuse_entity
     parser.EndElementHandler = end
     try:
         parser.Parse(content, True)
@@ -75,6 +82,25 @@ def read_joints(text: str) -> list[Joint]:
     if not drafts:
         raise InputError("the URDF has no joints below its element <robot>")
     return [_joint(draft) for draft in drafts]
+
+
+def hung(joints: Sequence[Joint], source: str = "the URDF") -> FrameTree:
+    """The links of a URDF as frames that hang from each other.
+
+    Raises:
+        InputError: a link hangs from two.
+
+    """
+    child, count = Counter(joint.child for joint in joints).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"link {child!r} of the URDF is the child of {count} joints, it can be of one only")
+    return FrameTree(source, {joint.child: _hanging(joint) for joint in joints})
+
+
+def _hanging(joint: Joint) -> Hanging:
+    fixed = joint.type == "fixed"
+    movable = "" if fixed else f"joint {joint.name!r} of the URDF is {joint.type or 'of no type'}"
+    return Hanging(joint.parent, joint.T_parent_child, movable)
 
 
 def replace_origins(text: str, joints: Sequence[Joint], origins: Mapping[str, str]) -> str:
@@ -118,8 +144,8 @@ def _joint(draft: _Draft) -> Joint:
         raise InputError(f"joint {name!r} of the URDF needs a parent and a child link")
     origin = draft.origin or {}
     roll, pitch, yaw = _numbers(name, "rpy", origin.get("rpy", "0 0 0"))
-    Rz, Ry, Rx = (so3.exp(angle * axis) for angle, axis in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True))
-    T = se3.pose(Rz @ Ry @ Rx, np.array(_numbers(name, "xyz", origin.get("xyz", "0 0 0"))))
+    xyz = np.array(_numbers(name, "xyz", origin.get("xyz", "0 0 0")))
+    T = se3.pose(from_roll_pitch_yaw(roll, pitch, yaw), xyz)
     span = draft.span or (draft.insertion, draft.insertion)
     return Joint(name, draft.attributes.get("type", ""), draft.parent, draft.child, T, span)
 

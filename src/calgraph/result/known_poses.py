@@ -1,0 +1,200 @@
+"""Sensor poses that somebody else wrote: a calibration.yaml, a URDF, or transforms of tf."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3, so3
+from calgraph.result.calibration import Calibration
+from calgraph.result.exports.frames import from_roll_pitch_yaw
+from calgraph.result.exports.urdf_text import hung, read_joints
+from calgraph.result.frame_tree import FrameTree, Hanging
+from calgraph.result.reading import load_calibration
+from calgraph.rig.reading import read_documents, read_text
+
+# A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
+_UNIT_TOLERANCE = 2e-3
+_SHAPE = "needs the frame's parent (frame_id or parent), child_frame_id, translation and rotation"
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoses:
+    """Frames as a file has them, which sensors find themselves in by frame_id or by name."""
+
+    path: Path
+    tree: FrameTree
+    aliases: Mapping[str, str] = field(default_factory=dict)
+    """Other names of frames."""
+    calibration: Calibration | None = None
+    """What the file holds, where it says how sure it is of the poses."""
+
+    def frames_of(self, frame_ids: Mapping[str, str]) -> dict[str, str]:
+        """The frames of those sensors that the file knows: the one called as a sensor's frame_id, else as itself.
+
+        Args:
+            frame_ids: by sensor.
+
+        Raises:
+            InputError: it knows none of them, or two sensors are one frame.
+        """
+        known = dict(self.aliases) | {frame: frame for frame in self.tree.frames}
+        found = {
+            name: known[alias]
+            for name, frame_id in frame_ids.items()
+            for alias in [next((a for a in (frame_id.lstrip("/"), name) if a in known), None)]
+            if alias is not None
+        }
+        if not found:
+            raise InputError(
+                f"{self.path}: has none of the sensors' frames {_listed(frame_ids.values())}, nor their names "
+                f"{_listed(frame_ids)}; it has {_listed(known)}"
+            )
+        for name, frame in found.items():
+            same = [other for other, its in found.items() if its == frame]
+            if same[0] != name:
+                raise InputError(
+                    f"{self.path}: {' and '.join(same)} are both its frame {frame!r}; give them different "
+                    "frame_ids in rig.yaml"
+                )
+        return found
+
+    def frame(self, name: str, frame_ids: Mapping[str, str]) -> str:
+        """The frame of one sensor.
+
+        Raises:
+            InputError: the file does not know it.
+        """
+        found = self.frames_of(frame_ids)
+        if name not in found:
+            raise InputError(
+                f"{self.path}: has no frame {frame_ids[name]!r}, nor one called {name} as the sensor is; "
+                f"it has {_listed({*self.tree.frames, *self.aliases})}"
+            )
+        return found[name]
+
+    def transform(self, a: str, b: str) -> Array:
+        """``T_a_b`` (4, 4) of two frames.
+
+        Raises:
+            InputError: nothing connects them, or something movable is between them.
+        """
+        return self.tree.transform(a, b)
+
+    def covariance(self, a: str, b: str) -> Array:
+        """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a; zero where the file does not say."""
+        if self.calibration is None or self.calibration.joint_covariance is None:
+            return np.zeros((6, 6))
+        return self.calibration.covariance(a, b)
+
+
+def read_poses(path: Path) -> KnownPoses:
+    """Reads poses from a calibration.yaml, a URDF, or a YAML file with transforms of tf.
+
+    The latter is a list of transforms, or a mapping whose key ``transforms`` is one, as messages of
+    tf2_msgs/TFMessage are printed; several of them may follow each other. Each transform has ``header.frame_id``
+    (or ``frame_id``, ``parent``) and ``child_frame_id`` (or ``child``), and, below ``transform`` or beside them,
+    ``translation`` (x, y, z; m) and ``rotation``: a quaternion (x, y, z, w), or ``roll, pitch, yaw``, rad; these
+    may also be called ``rpy``.
+
+    Raises:
+        InputError: the file is none of these, or what it says cannot be; the message says where.
+    """
+    if path.suffix in (".urdf", ".xml", ".xacro") or read_text(path).lstrip("\ufeff \t\r\n").startswith("<"):
+        return _of_urdf(path)
+    documents = read_documents(path)
+    if len(documents) == 1 and isinstance(documents[0], dict) and "format" in documents[0]:
+        return _of_calibration(path)
+    return _of_tf(path, documents)
+
+
+def _of_calibration(path: Path) -> KnownPoses:
+    found = load_calibration(path)
+    above = {s.name: Hanging(found.root, s.T_root_sensor) for s in found.sensors if s.name != found.root}
+    frame_ids = [sensor.frame_id.lstrip("/") for sensor in found.sensors]
+    aliases = {f: s.name for f, s in zip(frame_ids, found.sensors, strict=True) if f and frame_ids.count(f) == 1}
+    return KnownPoses(path, FrameTree(str(path), above), aliases, found)
+
+
+def _of_urdf(path: Path) -> KnownPoses:
+    try:
+        tree = hung(read_joints(read_text(path)), str(path))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return KnownPoses(path, tree)
+
+
+def _of_tf(path: Path, documents: list[Any]) -> KnownPoses:
+    above: dict[str, Hanging] = {}
+    for where, entry in _entries(path, documents):
+        child, hanging = _transform(where, entry)
+        before = above.get(child)
+        if before and before.parent != hanging.parent:
+            raise InputError(f"{where}: {child!r} hangs from {before.parent!r} and {hanging.parent!r}")
+        above[child] = hanging
+    if not above:
+        raise InputError(f"{path}: has no transforms; {_SHAPE}")
+    return KnownPoses(path, FrameTree(str(path), above))
+
+
+def _entries(path: Path, documents: list[Any]) -> list[tuple[str, Any]]:
+    """All transforms, each with where it stands."""
+    entries = []
+    for content in documents:
+        listed = content.get("transforms") if isinstance(content, dict) else content
+        if not isinstance(listed, list):
+            raise InputError(
+                f"{path}: must be a calibration.yaml (with the key format), a URDF, or a list of transforms, "
+                "which may be below the key transforms"
+            )
+        entries += [(f"{path}: transforms[{i}]", entry) for i, entry in enumerate(listed)]
+    return entries
+
+
+def _transform(where: str, entry: Any) -> tuple[str, Hanging]:
+    """The child frame, and how it hangs."""
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: must be a mapping, it {_SHAPE}")
+    flat = entry | _mapping(entry, "header") | _mapping(entry, "transform")
+    parent, child = (
+        next((flat[key].lstrip("/") for key in keys if isinstance(flat.get(key), str)), "")
+        for keys in (("frame_id", "parent_frame_id", "parent"), ("child_frame_id", "child"))
+    )
+    if not parent or not child or "translation" not in flat:
+        raise InputError(f"{where}: {_SHAPE}; it has {_listed(flat)}")
+    t = _numbers(f"{where}: translation", flat["translation"], "x y z")
+    return child, Hanging(parent, se3.pose(_rotation(where, flat), t))
+
+
+def _mapping(entry: dict[Any, Any], key: str) -> dict[Any, Any]:
+    part = entry.get(key)
+    return part if isinstance(part, dict) else {}
+
+
+def _rotation(where: str, flat: dict[Any, Any]) -> Array:
+    given = flat.get("rpy", flat.get("rotation"))
+    if "rpy" in flat or (isinstance(given, dict | list) and len(given) == 3):
+        return from_roll_pitch_yaw(*_numbers(f"{where}: rotation", given, "roll pitch yaw"))
+    q = _numbers(f"{where}: rotation", given, "x y z w")
+    length = float(np.linalg.norm(q))
+    if abs(length - 1) > _UNIT_TOLERANCE:
+        raise InputError(
+            f"{where}: rotation: must be a quaternion x, y, z, w of length 1, its length is {length:.4g}"
+        )
+    return so3.from_quaternion(q)
+
+
+def _numbers(where: str, given: Any, names: str) -> Array:
+    """Numbers that are given in order, or by name."""
+    values = [given.get(name) for name in names.split()] if isinstance(given, dict) else given
+    good = isinstance(values, list) and len(values) == len(names.split())
+    if not good or not all(isinstance(v, int | float) and np.isfinite(v) for v in values):
+        raise InputError(f"{where}: must be the numbers {names.replace(' ', ', ')}, got {given!r}")
+    return np.array(values, dtype=np.float64)
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(sorted(map(str, names))) or "none"
