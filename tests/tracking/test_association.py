@@ -15,7 +15,7 @@ def one_beam_each(scan: NDArray[np.intp], centres: Array) -> Clusters:
     index = np.arange(len(scan))
     ones = np.ones(len(scan), dtype=np.intp)
     nothing = np.zeros(len(scan))
-    return Clusters(centres, index, index, ones, scan, scan / RATE, nothing, nothing > 0)
+    return Clusters(centres, index, index, ones, scan, scan / RATE, scan / RATE, nothing, nothing > 0)
 
 
 def identities(*paths: Array, seen: NDArray[np.bool_] | None = None) -> list[list[int]]:

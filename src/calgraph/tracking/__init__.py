@@ -2,6 +2,6 @@
 
 from calgraph.tracking.features import Feature
 from calgraph.tracking.scanner import track_scanner
-from calgraph.tracking.track import Track, Tracked, Untracked
+from calgraph.tracking.track import Hits, Track, Tracked, Untracked
 
-__all__ = ["Feature", "Track", "Tracked", "Untracked", "track_scanner"]
+__all__ = ["Feature", "Hits", "Track", "Tracked", "Untracked", "track_scanner"]

@@ -102,8 +102,9 @@ def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     stretches = min(_STRETCHES, scans)
     stretch = seen * stretches // scans
     # hits[t, d, b]: how often beam b ended at depth d in stretch t; one bin of margin at either end.
-    hits = np.zeros((stretches, int(bins.max()) + 3, count), dtype=np.int32)
-    np.add.at(hits, (stretch, bins + 1, beams), 1)
+    shape = (stretches, int(bins.max()) + 3, count)
+    cell = np.ravel_multi_index((stretch, bins + 1, beams), shape)
+    hits = np.bincount(cell, minlength=int(np.prod(shape))).reshape(shape)
     near = hits[:, :-2] + hits[:, 1:-1] + hits[:, 2:]
     often = near.sum(axis=0)
     static = (often >= max(_OFTEN * scans, 1)) & ((near > 0).sum(axis=0) >= _THROUGHOUT * stretches)

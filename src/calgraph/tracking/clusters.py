@@ -39,6 +39,8 @@ class Clusters:
     """(C,) the scan of each cluster, ascending."""
     times: Array
     """(C,) mean time of the cluster's beams, s."""
+    point_times: Array
+    """(P,) when each point was measured, s."""
     spacing: Array
     """(C,) angle between neighbouring beams, rad."""
     clipped: NDArray[np.bool_]
@@ -178,6 +180,6 @@ def _gathered(seen: Foreground, points: Array, label: NDArray[np.intp], width: f
     total = np.add.reduceat(seen.times[order] - seen.times[:1], first) if len(first) else np.empty(0)
     return Clusters(
         points[order], owner, first, count, scan,
-        total / count + (seen.times[0] if len(seen.times) else 0.0),
+        total / count + (seen.times[0] if len(seen.times) else 0.0), seen.times[order],
         seen.spacing[scan] if len(scan) else np.empty(0), hidden[first] | hidden[last],
     )  # fmt: skip

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
 from calgraph.rig import Cylinder, People, RangeNoise
 from calgraph.sensors import LaserScan
 from calgraph.tracking.association import follow
@@ -15,7 +14,7 @@ from calgraph.tracking.clusters import Clusters, clusters, foreground
 from calgraph.tracking.features import Centres, Feature, Walks, centres, radii_of, width_of
 from calgraph.tracking.periods import Piece, cut_into_periods
 from calgraph.tracking.smoothing import smooth_all, with_unmodelled_noise
-from calgraph.tracking.track import Track, Tracked, Untracked
+from calgraph.tracking.track import Hits, Track, Tracked, Untracked
 
 _log = logging.getLogger(__name__)
 
@@ -60,7 +59,7 @@ def track_scanner(
     pieces = cut_into_periods(identities, found.scan, found.times)
     walks = _first_pass(found, pieces, target, sigma)
     measured = centres(feature, found, target, walks, sigma)
-    tracks = _tracks(pieces, found.times, measured)
+    tracks = _tracks(pieces, found, measured)
     if not tracks:
         return Untracked(
             f"{len(found)} objects of the target's size were seen in {len(np.unique(found.scan))} scans, but none "
@@ -88,19 +87,29 @@ def _first_pass(found: Clusters, pieces: Sequence[Piece], target: People | Cylin
     return walks
 
 
-def _tracks(pieces: Sequence[Piece], times: Array, measured: Centres) -> tuple[Track, ...]:
+def _tracks(pieces: Sequence[Piece], found: Clusters, measured: Centres) -> tuple[Track, ...]:
     """Tracks of the pieces that hold enough measurements."""
     members = [piece.members for piece in pieces]
-    measured = with_unmodelled_noise(members, times, measured, _AGILITY)
-    smoothed = smooth_all(members, times, measured, _AGILITY)
+    measured = with_unmodelled_noise(members, found.times, measured, _AGILITY)
+    smoothed = smooth_all(members, found.times, measured, _AGILITY)
     return tuple(
         Track(
-            times[motion.members],
+            found.times[motion.members],
             motion.mean[:, :2],
             motion.mean[:, 2:],
             motion.covariance[:, :2, :2] + measured.bias[motion.members],
             piece.period,
+            _hits(found, motion.members),
         )
         for piece, motion in zip(pieces, smoothed, strict=True)
         if len(motion.members) >= _FEWEST
     )
+
+
+def _hits(found: Clusters, members: NDArray[np.intp]) -> Hits:
+    """The beams of some clusters, in their order."""
+    count = found.count[members]
+    owner = np.repeat(np.arange(len(members)), count)
+    within = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    point = found.first[members][owner] + within
+    return Hits(found.points[point], found.point_times[point], owner)

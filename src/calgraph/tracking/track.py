@@ -2,7 +2,25 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from calgraph.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """The beams that ended on one object, in order of time."""
+
+    points: Array
+    """(N, 2) where they ended, sensor frame, m."""
+    times: Array
+    """(N,) when they were measured, s."""
+    owner: NDArray[np.intp]
+    """(N,) which of the track's times they belong to, ascending; each time has some."""
+
+
+NO_HITS = Hits(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.intp))
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +37,8 @@ class Track:
     """(T, 2, 2) of the positions, m²."""
     period: int
     """The set of visible objects is constant within a period of the scanner."""
+    hits: Hits = NO_HITS
+    """What it was measured by; none where only its positions are known."""
 
 
 @dataclass(frozen=True, eq=False)
