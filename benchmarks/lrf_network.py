@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from calgraph.calibrate import DEPTHS
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, average, covariances, network_graph, trust
+from calgraph.graph import Averaged, PoseGraph, average_network, covariances, network_graph, trust
 from calgraph.graph.trees import tree_poses
 from calgraph.pairwise import TrackPair, estimate_network_pairs
 from calgraph.pairwise.samples import meetings, sample
@@ -200,7 +200,7 @@ def poses(
     graph, names = network_graph(root, pairs)
     if setup.average != "none":
         weights = trust(names, pairs) if setup.weighted else None
-        return average(graph, rng, setup.average, weights), graph, names
+        return *average_network(graph, rng, setup.average, weights), names
     # The pair with the root where there is one, otherwise the fewest and best pairs.
     costs = np.array([1 + pair.hypotheses[0].cost for pair in pairs if pair.sensor_a in names])
     return Averaged(tree_poses(graph, costs[None])[0], np.ones(len(costs), dtype=np.bool_)), graph, names

@@ -25,7 +25,7 @@ from calgraph.captures import (
 )
 from calgraph.detection import Averaging
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import Method, Start, average, network_graph, start_poses, trust
+from calgraph.graph import Method, Start, average_network, network_graph, start_poses, trust
 from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
 from calgraph.refinement import (
@@ -182,7 +182,7 @@ def calibrate_network(
     known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
     graph, names = network_graph(rig.root, known)
     weights = trust(names, known) if options.weights == "weighted" else None
-    averaged = average(graph, rng, options.average, weights)
+    averaged, graph = average_network(graph, rng, options.average, weights)
     return assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start)
 
 

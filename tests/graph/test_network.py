@@ -1,7 +1,8 @@
 import numpy as np
+import pytest
 
 from calgraph.geometry import se2
-from calgraph.graph import covariances, network_graph, trust
+from calgraph.graph import average_network, covariances, network_graph, trust
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import Hypothesis, TrackPair
 
@@ -58,3 +59,35 @@ def test_covariance_agrees_with_composition() -> None:
     pair = np.diag([0.01**2, 0.01**2, 0.02**2])
     composed = se2.compose_covariance(poses[1], pair, pair, np.array([1.0, 0.0]))
     np.testing.assert_allclose(covariances(graph, poses)[2], composed, rtol=1e-6)
+
+
+def complete(error: float, sigma: float, rng: np.random.Generator) -> tuple[PoseGraph, np.ndarray]:
+    """Ten scanners that all see each other, pairs off by as much as ``error`` (m) though they claim ``sigma``."""
+    T = se2.pose(rng.uniform(-np.pi, np.pi, 10), rng.uniform(-5, 5, (10, 2)))
+    T = se2.inverse(T[0]) @ T
+    edges = np.column_stack(np.triu_indices(10, 1))
+    off = np.array([1, 1, 0.2]) * error * rng.normal(size=(len(edges), 3))
+    T_i_j = se2.retract(se2.inverse(T[edges[:, 0]]) @ T[edges[:, 1]], off)
+    information = np.tile(np.diag([1, 1, 25]) / sigma**2, (len(edges), 1, 1))
+    return PoseGraph(10, edges, T_i_j, information), T
+
+
+@pytest.mark.parametrize(("error", "sigma"), [(0.02, 0.004), (0.01, 0.01), (0.005, 0.001)])
+def test_covariances_grow_with_what_pairs_are_off_beyond_their_own(error: float, sigma: float) -> None:
+    values = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        graph, T = complete(error, sigma, rng)
+        found, loosened = average_network(graph, rng)
+        spread = covariances(loosened.where(found.inliers), found.T_root_node)
+        off = se2.difference(found.T_root_node, T)[1:]
+        values.append(np.mean([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off, spread[1:], strict=True)]))
+    # Errors of all nodes share the root's: the mean over 30 graphs has a standard deviation of about 0.1.
+    assert 0.6 < np.mean(values) < 1.4
+
+
+def test_a_single_pair_is_given_the_usual_error_beyond_its_noise() -> None:
+    graph, _ = network_graph("a", [TrackPair("a", "b", (hypothesis(1, sigma=0.001),))])
+    found, loosened = average_network(graph, np.random.default_rng(0))
+    sd = np.sqrt(np.diag(covariances(loosened, found.T_root_node)[1]))
+    np.testing.assert_allclose(sd, [0.02, 0.02, 0.004], rtol=0.05)

@@ -3,7 +3,7 @@
 from calgraph.graph.adjustment import translations
 from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.network import covariances, network_graph, trust
+from calgraph.graph.network import average_network, covariances, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
 from calgraph.graph.tree import SpanningTree, spanning_tree
@@ -17,6 +17,7 @@ __all__ = [
     "SpanningTree",
     "Start",
     "average",
+    "average_network",
     "averaged_tree",
     "chained",
     "consensus_trees",

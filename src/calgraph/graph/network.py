@@ -5,11 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.adjustment import adjusted
+from calgraph.graph.averaging import Method, average
+from calgraph.graph.pose_graph import Averaged, PoseGraph, chi_squared
 from calgraph.pairwise import TrackPair
 
 # What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
 _BEYOND_NOISE = (0.02, 0.004)
+# How many residuals a prior is worth that takes this for right; scales tried, and how often the range is halved.
+_PRIOR = 3.0
+_SCALES = (0.05, 20.0)
+_HALVINGS = 16
 # Positions that agree (every 0.1 s), times their share of those that should, at which a pair is half trusted.
 _DOUBTFUL = 50.0
 
@@ -25,7 +31,45 @@ def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tup
     edges = np.array([(node[p.sensor_a], node[p.sensor_b]) for p, _ in kept], dtype=np.intp).reshape(-1, 2)
     T = np.array([h.T_a_b for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
     information = np.array([h.information for _, h in kept], dtype=np.float64).reshape(-1, 3, 3)
-    return PoseGraph(len(names), edges, T, information).loosened(*_BEYOND_NOISE), names
+    return PoseGraph(len(names), edges, T, information), names
+
+
+def average_network(
+    graph: PoseGraph, rng: np.random.Generator, method: Method = "consensus", weights: Array | None = None
+) -> tuple[Averaged, PoseGraph]:
+    """Poses of a network's scanners, as :func:`average` finds them, and the graph with errors as they are.
+
+    What pairs are wrong by beyond their noise is not known of one pair alone. Those that agree show it when put
+    together: by as much every pair is loosened, and the consensus' poses are adjusted once more.
+
+    Args:
+        graph: of :func:`network_graph`.
+        rng: used by ``consensus``.
+        method: as for :func:`average`.
+        weights: (E,) trust in each edge; uniform without.
+    """
+    averaged = average(graph.loosened(*_BEYOND_NOISE), rng, method, weights)
+    scale = _beyond_noise(graph.where(averaged.inliers), averaged.T_root_node)
+    loosened = graph.loosened(*(scale * floor for floor in _BEYOND_NOISE))
+    if method != "consensus":
+        return averaged, loosened
+    T = adjusted(loosened, averaged.T_root_node, averaged.inliers.astype(np.float64))
+    return Averaged(T, averaged.inliers), loosened
+
+
+def _beyond_noise(right: PoseGraph, T_root_node: Array) -> float:
+    """How many times what is usual the pairs' errors exceed their noise, where cycles tell; elsewhere once.
+
+    The scale at which the squared residuals are as large as they should be, their number and a prior's together.
+    """
+    freedom = right.information.shape[-1] * (len(right.edges) - right.count + 1)
+    low, high = _SCALES
+    for _ in range(_HALVINGS):
+        scale = float(np.sqrt(low * high))
+        chi2 = float(chi_squared(right.loosened(*(scale * floor for floor in _BEYOND_NOISE)), T_root_node).sum())
+        too_small = chi2 + _PRIOR / scale**2 > freedom + _PRIOR
+        low, high = (scale, high) if too_small else (low, scale)
+    return float(np.sqrt(low * high))
 
 
 def trust(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:

@@ -169,10 +169,15 @@ def _systematic(T_a_b: Array, x_a: Array) -> Array:
     """(3, 3) covariance of the pose for what all positions (P, 2) err alike, and differently at their two ends."""
     center = x_a.mean(axis=0)
     extent = np.sqrt(np.mean(np.sum((x_a - center) ** 2, axis=1)))
+    return rigid_spread(T_a_b, center, _SYSTEMATIC, _SYSTEMATIC / max(float(extent), 0.1))
+
+
+def rigid_spread(T_a_b: Array, center: Array, shift: float, turn: float) -> Array:
+    """(3, 3) covariance of a pose shifted (m) along either axis and turned (rad) about a center (2,) of a."""
     lever = center - T_a_b[:2, 2]
     G = np.eye(3)
-    G[:2, 2] = lever[1], -lever[0]  # a turn about the centre of the positions
-    return np.asarray(G @ np.diag(np.array([1, 1, 1 / max(extent, 0.1)]) ** 2 * _SYSTEMATIC**2) @ G.T)
+    G[:2, 2] = lever[1], -lever[0]
+    return np.asarray(G @ np.diag(np.array([shift, shift, turn]) ** 2) @ G.T)
 
 
 def correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp]) -> float:

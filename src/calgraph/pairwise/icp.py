@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.pairwise.agreement import rigid_spread
 
 # Neighbours on either side that make a line, how far apart two neighbours of one wall are at most (m, and as a
 # share of their range), and how far (m) the points of a line may stray from it.
@@ -33,7 +34,7 @@ _SHARE = 0.5
 _THROUGH = 0.3
 # Points of one wall err together: range bias, plaster, mounting height (m). A point weighs as one of so many.
 _TOGETHER = 10.0
-_WALL = 0.008
+_WALL = 0.01
 # A direction is determined if its standard deviation is below this (m; m at _LEVER for the angle).
 _DETERMINED = 0.03
 _LEVER = 3.0
@@ -119,10 +120,11 @@ def align(
         return Rejected("the static background determines no direction")
     apart = directions.T @ (se2.difference(T, T_a_b) / _SCALE)
     allowed = directions.T @ (covariance / np.outer(_SCALE, _SCALE)) @ directions
-    variances = 1 / values + _WALL**2
-    if apart @ np.linalg.solve(_UNDERSTATED**2 * allowed + np.diag(variances), apart) > _CONTRADICTION:
+    common = directions.T @ (_common_error(T, a, found[1]) / np.outer(_SCALE, _SCALE)) @ directions
+    own = np.diag(1 / values) + common
+    if apart @ np.linalg.solve(_UNDERSTATED**2 * allowed + own, apart) > _CONTRADICTION:
         return Rejected("walls and tracks contradict each other")
-    information = (directions / variances) @ directions.T / np.outer(_SCALE, _SCALE)
+    information = directions @ np.linalg.solve(own, directions.T) / np.outer(_SCALE, _SCALE)
     return Alignment(T, information, directions, len(found[0]))
 
 
@@ -181,6 +183,15 @@ def _determined(H: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(H * np.outer(_SCALE, _SCALE))
     fixed = values > _DETERMINED**-2
     return vectors[:, fixed], values[fixed]
+
+
+def _common_error(T_a_b: Array, a: _Lines, of_a: NDArray[np.intp]) -> Array:
+    """(3, 3) covariance of the pose for what all points of a wall err alike, which turns short walls more."""
+    x, normal = a.points[of_a], a.normals[of_a]
+    center = x.mean(axis=0)
+    off = x - center
+    along = float(np.sqrt(np.mean((normal[:, 1] * off[:, 0] - normal[:, 0] * off[:, 1]) ** 2)))
+    return rigid_spread(T_a_b, center, _WALL, _WALL / max(along, 0.1))
 
 
 def _looked_through(T_a_b: Array, background_a: Array, points_b: Array) -> int:
