@@ -93,4 +93,4 @@ def _damage_named(path: Path, member: str = "") -> Iterator[None]:
         yield
     except _DAMAGE as error:
         what = f"its member {member} is damaged" if member else "is truncated, damaged, or not a ZIP file"
-        raise InputError(f"{path}: {what} ({error or type(error).__name__}); write it again") from error
+        raise InputError(f"{path}: {what} ({str(error) or type(error).__name__}); write it again") from error
