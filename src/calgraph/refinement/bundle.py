@@ -19,7 +19,7 @@ from calgraph.refinement.normal_equations import summed, swayed
 from calgraph.refinement.views import Index, Views, relative
 
 # What is believed of a board without any data (m⁻², rad⁻²): it keeps what no view sees from being singular.
-_FAINT = 1e-4
+FAINT = 1e-4
 # What is believed of a sensor without any data: m and rad.
 _BELIEF = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
 # A step that gains less than this (half squared standard deviations) moves nothing by a thousandth of its own.
@@ -37,6 +37,22 @@ class Prior:
     """(6, 6) inverse covariance of its error in the root's fixed axes."""
 
 
+@dataclass(frozen=True)
+class Unknown:
+    """A number that is estimated along with the poses."""
+
+    name: str
+    """Of what, in words."""
+    unit: str
+    """``m``, ``px``, ``rad``, or nothing."""
+    start: float
+    """What it is beforehand taken to be."""
+    belief: float
+    """Standard deviation of that: wide, so that it decides only what nothing measures."""
+    sensors: tuple[int, ...]
+    """Those whose measurements depend on it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Bundle:
     """Who measured which boards."""
@@ -52,22 +68,32 @@ class Bundle:
     lever: float
     """A displacement by one metre comes with a rotation of one metre over this, m: half the size of a board."""
     priors: tuple[Prior, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    """Besides poses. Views of a sensor take theirs in this order."""
 
-    def own(self, sensor: int) -> slice:
-        """Where a sensor's own unknowns stand among those of all sensors."""
-        before = sum(views.unknowns for views in self.views[:sensor])
-        return slice(before, before + self.views[sensor].unknowns)
+    def own(self, sensor: int) -> Index:
+        """(e,) which unknowns a sensor's measurements depend on."""
+        return np.array([i for i, one in enumerate(self.unknowns) if sensor in one.sensors], dtype=np.intp)
 
     def columns(self, sensor: int) -> Index:
         """(6 + e,) columns of a sensor's body and own unknowns in the reduced problem; -1 where it is fixed."""
         body = 6 * (self.body[sensor] - 1) + np.arange(6)
-        own = np.arange(self.own(sensor).start, self.own(sensor).stop) + 6 * int(self.body.max())
-        return np.concatenate([np.maximum(body, -1), own])
+        return np.concatenate([np.maximum(body, -1), self.own(sensor) + 6 * self.bodies])
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies that move."""
+        return int(self.body.max())
 
     @property
     def size(self) -> int:
         """Number of unknowns of the reduced problem."""
-        return 6 * int(self.body.max()) + sum(views.unknowns for views in self.views)
+        return 6 * self.bodies + len(self.unknowns)
+
+    @property
+    def beliefs(self) -> Array:
+        """(G,) standard deviations of the reduced problem's unknowns without any data."""
+        return np.concatenate([np.tile(_BELIEF, self.bodies), [one.belief for one in self.unknowns]])
 
     def swaying(self, sensor: int) -> Array:
         """(6 + e,) variances of the displacement of one view, along the sensor's axes."""
@@ -84,7 +110,7 @@ class State:
     T_root_board: Array
     """(C, 4, 4)."""
     own: Array
-    """(E,) the sensors' own unknowns, one sensor after the other."""
+    """(E,) of the unknowns besides poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +150,7 @@ class System:
         Boards follow the sensors' step: their own is ``-(K[..., :-1] @ step + K[..., -1])``.
         """
         right = np.concatenate([self.coupling, self.g_board[..., None]], axis=-1)
-        K = np.linalg.solve(_damped(self.H_board, damping) + _FAINT * np.eye(6), right)
+        K = np.linalg.solve(_damped(self.H_board, damping) + FAINT * np.eye(6), right)
         size = len(self.g)
         both = self.coupling.reshape(-1, size).T @ K.reshape(-1, size + 1)
         return _damped(self.H, damping) - both[:, :-1], self.g - both[:, -1], K
@@ -143,7 +169,7 @@ class Solved:
 def linearize(bundle: Bundle, state: State) -> System:
     """The normal equations at a state."""
     size, boards = bundle.size, len(state.T_root_board)
-    cost, H, g = 0.0, np.zeros((size, size)), np.zeros(size)
+    cost, H, g = _believed(bundle, state)
     H_board, g_board, coupling = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     equations = []
     for s, views in enumerate(bundle.views):
@@ -213,7 +239,7 @@ def moved(bundle: Bundle, state: State, step: Array, boards: Array) -> State:
 
 def covariance(bundle: Bundle, state: State, system: System) -> Array:
     """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
-    inner = reduced_covariance(bundle, system)
+    inner = reduced_covariance(system)
     spread = np.zeros((6 * len(bundle.names), bundle.size))
     for s in range(len(bundle.names)):
         columns = bundle.columns(s)[:6]
@@ -222,21 +248,19 @@ def covariance(bundle: Bundle, state: State, system: System) -> Array:
     return np.asarray(spread @ inner @ spread.T)
 
 
-def reduced_covariance(bundle: Bundle, system: System) -> Array:
+def reduced_covariance(system: System) -> Array:
     """Covariance (G, G) of the sensors' bodies and own unknowns."""
     H, _, _ = system.reduced()
-    believed = np.zeros(bundle.size)
-    believed[: 6 * int(bundle.body.max())] = np.tile(_BELIEF**-2, int(bundle.body.max()))
-    return np.asarray(np.linalg.inv(H + np.diag(believed)))
+    return np.asarray(np.linalg.inv(H))
 
 
 def view_covariances(bundle: Bundle, system: System) -> list[Array]:
     """By sensor, covariance (V, p, p) of where the solution has each board before it."""
-    inner = reduced_covariance(bundle, system)
+    inner = reduced_covariance(system)
     _, _, K = system.reduced()
     K = K[..., :-1]
     K_inner = K @ inner
-    of_board = np.linalg.inv(system.H_board + _FAINT * np.eye(6)) + K_inner @ np.swapaxes(K, -1, -2)
+    of_board = np.linalg.inv(system.H_board + FAINT * np.eye(6)) + K_inner @ np.swapaxes(K, -1, -2)
     found = []
     for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
         columns = bundle.columns(s)
@@ -276,9 +300,18 @@ def _rigid(bundle: Bundle, before: State, T_root_sensor: Array) -> Array:
     T = T_root_sensor.copy()
     for s, body in enumerate(bundle.body):
         first = int(np.flatnonzero(bundle.body == body)[0])
-        if first != s:
+        if body > 0 and first != s:
             T[s] = T[first] @ se3.inverse(before.T_root_sensor[first]) @ before.T_root_sensor[s]
     return T
+
+
+def _believed(bundle: Bundle, state: State) -> tuple[float, Array, Array]:
+    """What is known without data: cost, matrix (G, G) and gradient (G,)."""
+    # Poses are not drawn anywhere: only what no data fix stays where it is.
+    off = np.zeros(bundle.size)
+    off[6 * bundle.bodies :] = state.own - [one.start for one in bundle.unknowns]
+    certain = bundle.beliefs**-2
+    return 0.5 * float(certain @ off**2), np.diag(certain), certain * off
 
 
 def _add_prior(bundle: Bundle, state: State, prior: Prior, H: Array, g: Array) -> float:
