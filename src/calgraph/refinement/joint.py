@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.geometry import Array
+from calgraph.refinement.bundle import Bundle, Solved
+from calgraph.refinement.views import Index
 
 
 @dataclass(frozen=True)
@@ -16,6 +18,17 @@ class MeasuredNoise:
     """Standard deviation of single measurements, over that stated in rig.yaml."""
     sway: float
     """Standard deviation of the displacement that all measurements of one view share, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """A solved bundle, for whoever asks it more: how well it predicts, what a further board would tell."""
+
+    bundle: Bundle
+    """With the noise that was measured, and without the views that were wrong."""
+    solved: Solved
+    captures: Index
+    """(C,) the capture of each board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +44,16 @@ class Joint:
     residuals: Mapping[str, Array]
     """Whitened residuals by what was measured."""
     converged: bool
+    doubts: Mapping[str, str] = field(default_factory=dict)
+    """By sensor, why its pose cannot be trusted however small its covariance."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
     """By capture and sensor, why what it saw was left out although it agreed with another sensor."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
     """By sensor, where it was measured."""
     graph_error: float = float("nan")
     """Sum of squared errors over all of a hypergraph's edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
+    adjusted: Adjusted | None = None
+    """What the bundle ended with; None for other estimators, and where no two sensors share a board."""
 
     @property
     def covariance(self) -> dict[str, Array]:

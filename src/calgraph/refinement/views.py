@@ -64,8 +64,8 @@ class Views(Protocol):
     def weighed(self, T_sensor_board: Array, scale: float) -> Self:
         """The same views with noise as it is at these poses, ``scale`` times that stated."""
 
-    def where(self, keep: NDArray[np.bool_]) -> Self:
-        """Some of the views (V,)."""
+    def where(self, keep: NDArray[np.bool_] | Index) -> Self:
+        """Some of the views: a mask (V,), or their numbers, which may repeat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Corners:
         """See :class:`Views`."""
         return replace(self, scale=scale)
 
-    def where(self, keep: NDArray[np.bool_]) -> "Corners":
+    def where(self, keep: NDArray[np.bool_] | Index) -> "Corners":
         """See :class:`Views`."""
         start, kept = _selected(self.start, len(self.pixels), keep)
         return replace(
@@ -181,7 +181,7 @@ class Beams:
         sigma = scale * np.hypot(self.noise.range, self.noise.angle * self.ranges * tangent)
         return replace(self, sigma=sigma, scale=scale)
 
-    def where(self, keep: NDArray[np.bool_]) -> "Beams":
+    def where(self, keep: NDArray[np.bool_] | Index) -> "Beams":
         """See :class:`Views`."""
         start, kept = _selected(self.start, len(self.ranges), keep)
         return replace(
@@ -214,7 +214,7 @@ def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
 
 
 def _starts(counts: Sequence[int]) -> Index:
-    return np.cumsum([0, *counts[:-1]], dtype=np.intp)
+    return np.cumsum([0, *counts], dtype=np.intp)[:-1]
 
 
 def _view_of(start: Index, count: int) -> Index:
@@ -222,7 +222,8 @@ def _view_of(start: Index, count: int) -> Index:
     return np.repeat(np.arange(len(start)), np.diff(start, append=count))
 
 
-def _selected(start: Index, count: int, keep: NDArray[np.bool_]) -> tuple[Index, NDArray[np.bool_]]:
-    """Where the kept views start after selection, and which measurements are theirs."""
-    counts = np.diff(start, append=count)
-    return _starts(counts[keep].tolist()), np.repeat(keep, counts)
+def _selected(start: Index, count: int, keep: NDArray[np.bool_] | Index) -> tuple[Index, Index]:
+    """Where the chosen views start after selection, and which measurements are theirs."""
+    counts = np.diff(start, append=count)[keep]
+    after = _starts(counts.tolist())
+    return after, np.repeat(start[keep] - after, counts) + np.arange(counts.sum())
