@@ -23,9 +23,10 @@ from scipy.stats import binomtest, chi2
 
 from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.captures import Captured
+from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, se3
 from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
-from calgraph.rig import Rig
+from calgraph.rig import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
 
@@ -33,7 +34,31 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 TARGET = 0.95, 1.10
 """Of the RMSE over the bound."""
 CONFIDENCE = 0.99
-Recording = tuple[Rig, Captured, Truth]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a calibration gets, and the truth to judge it by."""
+
+    rig: Rig
+    captured: Captured
+    truth: Truth
+    noise: Rig
+    """The rig with the noise that its measurements have."""
+
+    @property
+    def T_root_sensor(self) -> dict[str, Array]:
+        """True poses (4, 4), the root first."""
+        return {self.rig.root: self.truth.T_root_sensor[self.rig.root], **self.truth.T_root_sensor}
+
+    @property
+    def T_root_board(self) -> dict[int, Array]:
+        """True poses (4, 4) of the board by capture."""
+        starts, boards = np.array([board.trigger for board in self.truth.boards]), self.truth.boards
+        nearest = {hold.index: int(np.argmin(np.abs(starts - hold.start))) for hold in self.captured.holds}
+        return {index: boards[i].T_root_board for index, i in nearest.items()}
+
+
 ESTIMATORS = "pairwise", *get_args(Estimator)
 
 
@@ -92,7 +117,7 @@ def main() -> None:
             recordings = recorded_runs(scenario, arguments.runs)
         else:
             recordings = detected_runs(scenario, arguments.scenarios, arguments.runs, knobs)
-        return judge(recordings, arguments.estimators, arguments.stated)
+        return judge(recordings, arguments.estimators)
 
     clean = outcomes_of(scenario)
     show(clean)
@@ -121,31 +146,35 @@ def detected_runs(scenario: RigScenario, scenarios: int, runs: int, knobs: Detec
     """Runs that differ in their noise only, of one rig with its board poses after the other."""
     for world in range(scenarios):
         stage = set_stage(scenario, world)
+        noise, _, _ = simulate_detections(stage, 0, replace(knobs, stated=1.0))
         for seed in range(runs):
-            yield simulate_detections(stage, seed, knobs)
+            yield Recording(*simulate_detections(stage, seed, knobs), noise)
 
 
 def recorded_runs(scenario: RigScenario, runs: int) -> Iterator[Recording]:
     """Another rig, room and walk each time, through images, clouds and the search for captures."""
-    return (recorded(scenario, seed) for seed in range(runs))
+    for seed in range(runs):
+        rig, captured, truth = recorded(scenario, seed)
+        stated = Recording(rig, captured, truth, rig)
+        yield replace(stated, noise=with_noise_about_truth(stated))
 
 
-def judge(recordings: Iterator[Recording], estimators: Sequence[str], stated: float) -> dict[str, Outcomes]:
-    """What the estimators make of recordings whose rigs state so many times the true noise."""
+def judge(recordings: Iterator[Recording], estimators: Sequence[str]) -> dict[str, Outcomes]:
+    """What the estimators make of the recordings."""
     found: dict[str, list[tuple[Array, Array]]] = {name: [] for name in estimators}
     bounds: list[Array] = []
     sensors: tuple[str, ...] = ()
-    for seed, (rig, captured, truth) in enumerate(recordings):
+    for seed, recording in enumerate(recordings):
+        rig, captured = recording.rig, recording.captured
         sensors = tuple(name for name in rig.sensors if name != rig.root)
-        bounds.append(bound(rig, captured, truth, sensors))
+        least = cramer_rao(recording.noise, captured, recording.T_root_sensor, recording.T_root_board)
+        bounds.append(np.array([least[name] for name in sensors]))
         problem = prepare(rig, captured, Options(), np.random.default_rng(seed))
         for name in estimators:
-            found[name].append(deviations(*solution(problem, name), truth, sensors))
+            found[name].append(deviations(*solution(problem, name), recording.truth, sensors))
         print(f"\r{len(bounds)} runs", end="", file=sys.stderr, flush=True)
     return {
-        name: Outcomes(
-            sensors, np.array([e for e, _ in pairs]), np.array([c for _, c in pairs]), np.array(bounds) / stated**2
-        )
+        name: Outcomes(sensors, np.array([e for e, _ in pairs]), np.array([c for _, c in pairs]), np.array(bounds))
         for name, pairs in found.items()
     }
 
@@ -159,16 +188,38 @@ def solution(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Map
     return poses_of(calibration), {sensor.name: sensor.covariance for sensor in calibration.sensors}
 
 
-def bound(rig: Rig, captured: Captured, truth: Truth, sensors: Sequence[str]) -> Array:
-    """(S, 6, 6) the Cramér–Rao bound at the truth for the stated noise."""
-    starts = np.array([board.trigger for board in truth.boards])
-    T_root_board = {
-        hold.index: truth.boards[int(np.argmin(np.abs(starts - hold.start)))].T_root_board
-        for hold in captured.holds
+def with_noise_about_truth(recording: Recording) -> Rig:
+    """The rig with the noise of its measurements about the truth.
+
+    That is not what rig.yaml states: detectors find corners more precisely, and average beams over scans.
+    """
+    rig = recording.rig
+    sensors = {
+        name: with_noise(spec, 1.4826 * float(np.median(np.abs(errors_of_measurements(recording, name)))))
+        for name, spec in rig.sensors.items()
     }
-    root_first = {rig.root: truth.T_root_sensor[rig.root], **truth.T_root_sensor}
-    by_sensor = cramer_rao(rig, captured, root_first, T_root_board)
-    return np.array([by_sensor[name] for name in sensors])
+    return rig.model_copy(update={"sensors": sensors})
+
+
+def errors_of_measurements(recording: Recording, name: str) -> Array:
+    """(N,) what a sensor measured, minus what it should have measured: pixels or m."""
+    errors, captured = [], recording.captured
+    for capture, (detection, *_) in captured.detections[name].items():
+        T_sensor_board = se3.inverse(recording.T_root_sensor[name]) @ recording.T_root_board[capture]
+        if isinstance(detection, BoardCorners):
+            seen = captured.cameras[name].project(se3.apply(T_sensor_board, detection.corners_board))
+            errors.append((detection.pixels - seen).ravel())
+        else:
+            n, t = T_sensor_board[:3, 2], T_sensor_board[:3, 3]
+            ranges = np.linalg.norm(detection.points, axis=1)
+            errors.append(ranges * (1 - n @ t / (detection.points @ n)))
+    return np.concatenate(errors)
+
+
+def with_noise(spec: SensorSpec, sigma: float) -> SensorSpec:
+    """The sensor with this noise in pixels or in range, m."""
+    noise = PixelNoise(pixel=sigma) if isinstance(spec, CameraSpec) else RangeNoise(range=sigma, angle=1e-5)
+    return spec.model_copy(update={"noise": noise})
 
 
 def deviations(
