@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.refinement.bundle import FAINT, Bundle, State, System, linearize, moved, reduced_covariance, solve
 from calgraph.refinement.joint import Adjusted
@@ -27,7 +28,7 @@ _PLACED = 0.02
 # A view whose own tilt is less certain than this has none to compare, rad.
 _TILT = 0.1
 # Steps that place boards before sensors that are held.
-_STEPS = 3
+_STEPS = 2
 # Directions of a view with less than this share of its information are not measured by it.
 _RANK = 1e-10
 
@@ -59,7 +60,12 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
 
     Returns:
         By sensor, how far what it saw is from its prediction; none for one that no other sensor predicts.
+
+    Raises:
+        InputError: there is one fold, or a number below.
     """
+    if folds < 2:
+        raise InputError(f"--folds: must be 0 for none, or 2 and more, got {folds}")
     bundle = adjusted.bundle
     units: dict[str, Literal["px", "m"]] = {
         name: "px" if isinstance(views, Corners) else "m"
