@@ -30,6 +30,7 @@ from calgraph.rig import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
 
+ESTIMATORS = "pairwise", *get_args(Estimator)
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 TARGET = 0.95, 1.10
 """Of the RMSE over the bound."""
@@ -57,9 +58,6 @@ class Recording:
         starts, boards = np.array([board.trigger for board in self.truth.boards]), self.truth.boards
         nearest = {hold.index: int(np.argmin(np.abs(starts - hold.start))) for hold in self.captured.holds}
         return {index: boards[i].T_root_board for index, i in nearest.items()}
-
-
-ESTIMATORS = "pairwise", *get_args(Estimator)
 
 
 @dataclass(frozen=True, eq=False)
