@@ -31,10 +31,14 @@ from calgraph.recording import Recording, read_cameras
 from calgraph.refinement import (
     Estimator,
     Filter,
+    PriorFile,
     Problem,
+    RigidFile,
     Solver,
     assemble,
     assemble_network,
+    attached,
+    knowing,
     replayable,
     save_problem,
     solve_bundle,
@@ -64,6 +68,10 @@ class Options:
 
     estimator: Estimator = "bundle"
     """A rig's joint solution: sensors and boards in the units that are measured, or the paper's hypergraph."""
+    prior: PriorFile | None = None
+    """Where a rig's sensors are about."""
+    rigid: tuple[RigidFile, ...] = ()
+    """Which of a rig's sensors are fixed to each other, and how."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     start: Start = "tree"
@@ -109,6 +117,7 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
         InputError: the rig does not fit the recording.
         CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
     """
+    _check_estimator(options.estimator, bool(options.prior or options.rigid))
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
     problem = prepare(rig, captured, options, rng, progress)
@@ -151,17 +160,28 @@ def prepare(
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    return replayable(Problem(rig, captured, pairs, tree, Solver(estimator=options.estimator, keep=options.keep)))
+    solver = Solver(estimator=options.estimator, keep=options.keep)
+    return replayable(knowing(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
 
 
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
-    rig, captured, pairs, tree = problem.rig, problem.captured, problem.pairs, problem.tree
-    if problem.solver.estimator == "bundle":
-        joint = solve_bundle(rig, captured, estimated(pairs), tree.T_root_sensor, keep=problem.solver.keep)
+    rig, captured, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
+    _check_estimator(solver.estimator, bool(solver.priors or solver.groups))
+    tree = attached(problem.tree, estimated(pairs), solver.priors, solver.groups)
+    if solver.estimator == "bundle":
+        joint = solve_bundle(
+            rig, captured, estimated(pairs), tree.T_root_sensor,
+            keep=solver.keep, priors=solver.priors, groups=solver.groups,
+        )  # fmt: skip
     else:
-        joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=problem.solver.keep)
+        joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=solver.keep)
     return assemble(rig, captured, pairs, tree, joint)
+
+
+def _check_estimator(estimator: Estimator, known: bool) -> None:
+    if known and estimator != "bundle":
+        raise InputError(f"--prior and --rigid: go with --estimator bundle, got {estimator}")
 
 
 def calibrate_network(
@@ -173,6 +193,8 @@ def calibrate_network(
     """
     if options.dump:
         raise InputError("--dump: only the problem of a rig with a board can be written, not that of a network")
+    if options.prior or options.rigid:
+        raise InputError("--prior and --rigid: are for rigs with a board, not for networks")
     rng = np.random.default_rng(options.seed)
     followed, frames = follow_people(rig, recording, options, progress)
     tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_calibration, print_place
 from calgraph.errors import CalibrationError
@@ -92,6 +93,9 @@ def calibrate(
             "--start", help="Board: start of the joint solution; all but tree and identity use every pair."
         ),
     ] = StartChoice.tree,
+    prior: PriorOption = None,
+    prior_stddev: DeviationOption = None,
+    rigid: RigidOption = None,
     tags: Annotated[
         TagsChoice,
         typer.Option("--tags", help="A camera's plane: from all corners, or averaged over tags (the paper)."),
@@ -129,9 +133,12 @@ def calibrate(
     rig = load_rig(rig_file)
     if dump and not _is_in(dump, out):
         check_place(dump)
+    known, groups = known_files(prior, prior_stddev, rigid)
     with replacing_folder(out) as folder:
         options = story.Options(
             estimator=estimator.value,
+            prior=known,
+            rigid=groups,
             keep=keep.value,
             start=start.value,
             tags=tags.value,

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
+from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.rig import replacing_folder
 
 
@@ -23,6 +24,9 @@ def solve(
         FilterChoice | None,
         typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
     ] = None,
+    prior: PriorOption = None,
+    prior_stddev: DeviationOption = None,
+    rigid: RigidOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
@@ -32,12 +36,14 @@ def solve(
     Exit codes are those of calibrate.
     """
     from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
-    from calgraph.refinement import load_problem
+    from calgraph.refinement import knowing, load_problem, replayable
 
+    known, groups = known_files(prior, prior_stddev, rigid)
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}
     chosen = {name: choice.value for name, choice in given.items() if choice is not None}
     problem = replace(problem, solver=problem.solver.model_copy(update=chosen))
+    problem = replayable(knowing(problem, known, groups))
     with replacing_folder(out) as folder:
         calibration = solve_problem(problem)
         write_results(calibration, problem.rig, folder)

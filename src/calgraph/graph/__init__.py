@@ -6,7 +6,7 @@ from calgraph.graph.cycles import Cycle, cycle_basis, triangles
 from calgraph.graph.network import average_network, covariances, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
-from calgraph.graph.tree import SpanningTree, spanning_tree
+from calgraph.graph.tree import SpanningTree, grown, spanning_tree
 from calgraph.graph.voting import consensus_trees
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "consensus_trees",
     "covariances",
     "cycle_basis",
+    "grown",
     "irls_l1",
     "l1mc",
     "network_graph",

@@ -39,13 +39,17 @@ def spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningT
     Returns:
         The tree of all sensors that are connected to the root.
     """
-    poses: dict[str, Array] = {root: np.eye(4)}
-    parents: dict[str, str] = {}
+    return grown(SpanningTree(root, {}, {root: np.eye(4)}), estimates)
+
+
+def grown(tree: SpanningTree, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
+    """The tree with all sensors that estimates tie to it, as :func:`spanning_tree` grows it."""
+    poses, parents = dict(tree.T_root_sensor), dict(tree.parents)
     directed = [*estimates, *(e.inverse() for e in estimates)]
     while True:
         leaving = [e for e in directed if e.sensor_a in poses and e.sensor_b not in poses]
         if not leaving:
-            return SpanningTree(root, parents, poses)
+            return SpanningTree(tree.root, parents, poses)
         best = min(leaving, key=lambda e: (openness(e), e.squared_error))
         parents[best.sensor_b] = best.sensor_a
         poses[best.sensor_b] = poses[best.sensor_a] @ best.T_a_b

@@ -12,8 +12,10 @@ from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.boards import Sighting, placed, sightings
 from calgraph.refinement.bundle import Bundle, Solved, State, covariance, linearize, solve, stacked
+from calgraph.refinement.contradictions import doubts_of_known
 from calgraph.refinement.hypergraph import Filter, believed
-from calgraph.refinement.joint import Joint, MeasuredNoise
+from calgraph.refinement.joint import Adjusted, Joint, MeasuredNoise
+from calgraph.refinement.known import PosePrior, RigidGroup, free, with_groups, with_known
 from calgraph.refinement.scatter import with_measured_noise, with_measured_sway, wrong_views
 from calgraph.refinement.views import Beams, Corners, Views, relative
 from calgraph.rig import CameraSpec, Rig
@@ -34,6 +36,8 @@ def solve_bundle(
     T_root_sensor: Mapping[str, Array],
     *,
     keep: Filter = "ransac",
+    priors: Sequence[PosePrior] = (),
+    groups: Sequence[RigidGroup] = (),
 ) -> Joint:
     """Solves for all connected sensors and all boards at once.
 
@@ -46,13 +50,15 @@ def solve_bundle(
         estimates: pairs with the matches that agree.
         T_root_sensor: start poses of the connected sensors, the root first.
         keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
+        priors: what is known of sensors' poses.
+        groups: sensors that are fixed to each other.
     """
     among = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
     boards = sightings([(pair, believed(pair, keep)) for pair in among])
-    if not boards:
-        (root,) = T_root_sensor
-        return Joint("bundle", {root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True)
+    if len(T_root_sensor) == 1:
+        return Joint("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
     bundle, state = build(rig, captured, boards, T_root_sensor)
+    bundle = free(bundle)
     rejected: set[tuple[int, str]] = set()
     seen = np.array([len(views.board) for views in bundle.views])
     solved = solve(bundle, state)
@@ -64,7 +70,9 @@ def solve_bundle(
         if _alike(before, bundle):
             break
         solved = solve(bundle, solved.state, iterations=_STEPS)
-    solved = solve(bundle, solved.state)
+    # What was known had no part so far: were it wrong, it would pass for noise.
+    bundle = with_known(bundle, priors, groups)
+    solved = solve(bundle, with_groups(solved.state, bundle.names, groups))
     names = bundle.names
     return Joint(
         estimator="bundle",
@@ -72,11 +80,13 @@ def solve_bundle(
         joint_covariance=covariance(bundle, solved.state, solved.system),
         residuals=dict(_residuals(bundle, solved)),
         converged=solved.converged,
+        doubts=doubts_of_known(bundle, solved, groups),
         rejected={(boards[i].capture, name): _CONTRADICTS for i, name in sorted(rejected)},
         noise={
             name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
             for name, views, sway in zip(names, bundle.views, bundle.sway, strict=True)
         },
+        adjusted=Adjusted(bundle, solved, np.array([board.capture for board in boards])),
     )
 
 

@@ -10,6 +10,7 @@ from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.joint import Joint
+from calgraph.refinement.known import frame_id
 from calgraph.refinement.observability import doubts, rivals, verdict
 from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import Rig
@@ -32,6 +33,8 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
     used = {seen: r for seen, r in _residuals_of_used(within).items() if seen not in joint.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
     doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
+    for name, why in joint.doubts.items():
+        doubted[name] = f"{doubted[name]}; {why}" if name in doubted else why
     if not joint.converged:
         doubted = dict.fromkeys(connected, "the joint solution was still moving when it was stopped") | doubted
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
@@ -59,7 +62,7 @@ def _pose(
     return SensorPose(
         name=name,
         parent=tree.parents.get(name),
-        frame_id=spec.frame_id or captured.frames[name] or name,
+        frame_id=frame_id(name, rig, captured),
         kind=spec.kind,
         T_root_sensor=T,
         covariance=covariance,

@@ -1,7 +1,7 @@
 """The joint problem of a rig: everything that its joint solution is made from."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Literal
 
@@ -10,6 +10,7 @@ from calgraph.errors import InputError
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.hypergraph import Filter
+from calgraph.refinement.known import PosePrior, PriorFile, RigidFile, RigidGroup, known_poses
 from calgraph.rig import Rig
 from calgraph.rig.model import StrictModel
 
@@ -23,6 +24,10 @@ class Solver(StrictModel):
     """All sensors and boards in the units that sensors measure, or the paper's hypergraph."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
+    priors: tuple[PosePrior, ...] = ()
+    """What is known of sensors' poses beforehand."""
+    groups: tuple[RigidGroup, ...] = ()
+    """Sensors that are fixed to each other as stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +45,18 @@ class Problem:
     tree: SpanningTree
     """What is connected to the root, and the start poses."""
     solver: Solver
+
+
+def knowing(problem: Problem, prior: PriorFile | None, rigid: Sequence[RigidFile]) -> Problem:
+    """The problem with what files say of the poses in place of what was known of them, where there is any.
+
+    Raises:
+        InputError: as :func:`known_poses` does.
+    """
+    if prior is None and not rigid:
+        return problem
+    priors, groups = known_poses(problem.rig, problem.captured, prior, rigid)
+    return replace(problem, solver=problem.solver.model_copy(update={"priors": priors, "groups": groups}))
 
 
 def check_problem(problem: Problem) -> None:

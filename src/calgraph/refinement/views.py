@@ -91,8 +91,8 @@ class Corners:
         return cls(
             np.array(board, dtype=np.intp),
             _starts([len(d.pixels) for d in found]),
-            np.concatenate([d.corners_board for d in found]),
-            np.concatenate([d.pixels for d in found]),
+            np.concatenate([np.empty((0, 3)), *(d.corners_board for d in found)]),
+            np.concatenate([np.empty((0, 2)), *(d.pixels for d in found)]),
             camera,
             noise,
         )
@@ -145,7 +145,7 @@ class Beams:
         cls, board: Sequence[int], found: Sequence[PlanePatch | Segment], noise: RangeNoise, bias: bool = False
     ) -> "Beams":
         """The views of detections ``found`` of these boards."""
-        points = np.concatenate([d.points for d in found])
+        points = np.concatenate([np.empty((0, 3)), *(d.points for d in found)])
         ranges = np.linalg.norm(points, axis=1)
         return cls(
             np.array(board, dtype=np.intp),

@@ -1,0 +1,67 @@
+"""Options for poses that are known beforehand, which ``calibrate`` and ``solve`` share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from calgraph.errors import InputError
+from calgraph.result import read_poses
+
+if TYPE_CHECKING:
+    from calgraph.refinement import PriorFile, RigidFile
+
+PriorOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--prior",
+        metavar="FILE",
+        help="Board: poses that are about known: calibration.yaml, URDF, or transforms of tf (YAML).",
+    ),
+]
+DeviationOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--prior-stddev",
+        metavar="M DEG",
+        help="Of --prior's positions and rotations, m and degrees; 0 0: exact. A calibration.yaml has its own.",
+    ),
+]
+RigidOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--rigid",
+        metavar="FILE:A,B,...",
+        help="Board: sensors A, B, ... are fixed to each other as FILE says. May be given again.",
+    ),
+]
+
+
+def known_files(
+    prior: Path | None, stddev: tuple[float, float] | None, rigid: list[str] | None
+) -> tuple[PriorFile | None, tuple[RigidFile, ...]]:
+    """What the options ask for, the files read.
+
+    Raises:
+        InputError: an option, or a file, is wrong.
+    """
+    from calgraph.refinement import PriorFile, RigidFile  # takes seconds, which --help should not
+
+    if stddev is not None and prior is None:
+        raise InputError("--prior-stddev: goes with --prior")
+    if stddev is not None and not (stddev == (0, 0) or (min(stddev) > 0 and np.isfinite(stddev).all())):
+        raise InputError(
+            f"--prior-stddev: must be two numbers above 0, in m and degrees, or 0 0 for poses that are exact, "
+            f"got {stddev[0]:g} {stddev[1]:g}"
+        )
+    groups = []
+    for text in rigid or ():
+        file, _, names = text.rpartition(":")
+        if not file or not names:
+            raise InputError(f"--rigid: must be a file and sensors, as in robot.urdf:camera,laser, got {text!r}")
+        groups.append(RigidFile(read_poses(Path(file)), tuple(names.split(","))))
+    known = PriorFile(read_poses(prior), stddev and (stddev[0], float(np.radians(stddev[1])))) if prior else None
+    return known, tuple(groups)
