@@ -25,11 +25,20 @@ from calgraph.simulation import (
 )
 
 CAMERA = CameraKnobs(width=640, height=480, texels_per_mm=0.5)
+COARSE = SpinningKnobs(resolution=1.0, scans_per_degree=1 / 6)
 SMALL = RigScenario(
-    camera=CAMERA, laser=LaserKnobs(count=2), bearings=(-20, -10, 0, 10, 20), radii=(1.7,), background=1.0
+    camera=CAMERA,
+    laser=LaserKnobs(count=2),
+    spinning=COARSE,
+    bearings=(-20, -10, 0, 10, 20),
+    radii=(1.7,),
+    background=1.0,
 )
 NOISELESS = SMALL.model_copy(
-    update={"laser": LaserKnobs(count=2, range_noise=0.0), "spinning": SpinningKnobs(range_noise=0.0)}
+    update={
+        "laser": LaserKnobs(count=2, range_noise=0.0),
+        "spinning": COARSE.model_copy(update={"range_noise": 0.0}),
+    }
 )
 
 
@@ -158,7 +167,7 @@ def test_rigs_calibrate_from_detections_alone() -> None:
 
 
 def test_in_disturbed_captures_some_sensors_see_the_board_where_it_slipped_to() -> None:
-    scenario = RigScenario(camera=CAMERA, disturbed=0.25)
+    scenario = SMALL.model_copy(update={"samples": 8, "disturbed": 0.25})
     _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
     off = {True: 0, False: 0}
     surfaces = plane.from_pose(boards(truth, "lidar"))
