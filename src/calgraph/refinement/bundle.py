@@ -239,13 +239,18 @@ def moved(bundle: Bundle, state: State, step: Array, boards: Array) -> State:
 
 def covariance(bundle: Bundle, state: State, system: System) -> Array:
     """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
-    inner = reduced_covariance(system)
-    spread = np.zeros((6 * len(bundle.names), bundle.size))
+    by_unknowns = pose_jacobian(bundle, state)
+    return np.asarray(by_unknowns @ reduced_covariance(system) @ by_unknowns.T)
+
+
+def pose_jacobian(bundle: Bundle, state: State) -> Array:
+    """(S·6, G) how all sensors' poses move with the unknowns of the reduced problem, in the root's fixed axes."""
+    by_unknowns = np.zeros((6 * len(bundle.names), bundle.size))
     for s in range(len(bundle.names)):
         columns = bundle.columns(s)[:6]
         if columns[0] >= 0:
-            spread[6 * s : 6 * s + 6, columns] = _on_body(bundle, state, s)
-    return np.asarray(spread @ inner @ spread.T)
+            by_unknowns[6 * s : 6 * s + 6, columns] = _on_body(bundle, state, s)
+    return by_unknowns
 
 
 def reduced_covariance(system: System) -> Array:
