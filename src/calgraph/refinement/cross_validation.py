@@ -95,7 +95,7 @@ def _placed(bundle: Bundle, state: State) -> tuple[State, System]:
     """Boards where all sensors together have them, with sensors held."""
     held, system = np.zeros(bundle.size), linearize(bundle, state)
     for _ in range(_STEPS):
-        step = np.linalg.solve(system.H_board + FAINT * np.eye(6), -system.g_board[..., None])[..., 0]
+        step = _times(_inverse(system.H_board), -system.g_board)
         state = moved(bundle, state, held, step)
         system = linearize(bundle, state)
     return state, system
@@ -147,7 +147,7 @@ def _prediction(bundle: Bundle, system: System, spread: Array, sensor: int) -> t
     G = np.zeros((*at.by_sensor.shape[:-1], bundle.size))
     G[..., columns[columns >= 0]] = at.by_sensor[..., columns >= 0]
     B, Bt = at.by_board, np.swapaxes(at.by_board, -1, -2)
-    L = np.linalg.inv(system.H_board[board] - Bt @ at.information @ B + FAINT * np.eye(6))
+    L = _inverse(system.H_board[board] - Bt @ at.information @ B)
     step = -_times(L, system.g_board[board] - _times(Bt, at.gradient))
     by_sensors = G - B @ L @ (system.coupling[board] - Bt @ at.information @ G)
     return _times(B, step), B @ L @ Bt + by_sensors @ spread @ np.swapaxes(by_sensors, -1, -2)
@@ -223,3 +223,8 @@ def _summary(found: Sequence[_Errors], unit: Literal["px", "m"]) -> LeftOut | No
 def _times(A: Array, x: Array) -> Array:
     """Matrices (V, n, p) times vectors (V, p)."""
     return np.asarray((A @ x[..., None])[..., 0])
+
+
+def _inverse(H_board: Array) -> Array:
+    """Covariances of boards (V, 6, 6), wide where nothing places them."""
+    return np.asarray(np.linalg.inv(H_board + FAINT * np.eye(6)))

@@ -6,6 +6,7 @@ trusts only the last. Source: Efron, "Bootstrap methods: another look at the jac
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.special import chdtri
@@ -15,6 +16,8 @@ from calgraph.refinement.board_shares import board_shares
 from calgraph.refinement.bundle import Bundle, State, pose_jacobian, reduced_covariance, solve
 from calgraph.refinement.joint import Adjusted
 from calgraph.refinement.views import Index
+
+Honesty = Literal["honest", "optimistic", "pessimistic"]
 
 # Probability with which all intervals together hold if all covariances do.
 CONFIDENCE = 0.95
@@ -43,6 +46,18 @@ class Scatter:
     def ratio(self) -> Array:
         """(6,) ``found / stated``: above 1 the covariance is optimistic."""
         return self.found / self.stated
+
+    @property
+    def verdict(self) -> Honesty:
+        """Whether the intervals of all axes have 1 in them; if not, on which side they lie."""
+        if np.any(self.low > 1):
+            return "optimistic"
+        return "pessimistic" if np.any(self.high < 1) else "honest"
+
+    @property
+    def worst(self) -> int:
+        """The axis that is farthest from what is stated, on the side of the verdict."""
+        return int(np.argmin(self.ratio) if self.verdict == "pessimistic" else np.argmax(self.low))
 
 
 def resample(

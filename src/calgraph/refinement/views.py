@@ -6,8 +6,8 @@ a function of ``T_sensor_board``, so residuals are differentiated by that pose a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from dataclasses import Field, dataclass, replace
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,9 @@ class Rows:
 
 
 class Views(Protocol):
-    """All views of one sensor."""
+    """All views of one sensor, a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def board(self) -> Index:
