@@ -19,13 +19,16 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-from scipy.stats import binomtest, chi2
+from scipy.stats import binomtest, chi2, norm
 
 from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.captures import Captured
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, se3
 from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
+from calgraph.refinement.boards import Sighting
+from calgraph.refinement.bundle import linearize
+from calgraph.refinement.bundle_adjustment import build
 from calgraph.rig import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
@@ -71,6 +74,8 @@ class Outcomes:
     """(R, S, 6, 6) as it states them."""
     bounds: Array
     """(R, S, 6, 6)."""
+    ideal: Array
+    """(R, S, 6) errors of the ideal estimate from the same noise."""
 
     @property
     def ratios(self) -> Array:
@@ -79,6 +84,17 @@ class Outcomes:
         together = squared(self.errors, self.bounds) / 6
         relative = np.concatenate([self.errors**2 / variances, together[..., None]], axis=-1)
         return np.asarray(np.sqrt(np.nanmean(relative, axis=0)))
+
+    @property
+    def paired(self) -> tuple[Array, Array]:
+        """(S, 6) RMSE over that of the ideal estimate, and by which factor chance may change it."""
+        both = np.isfinite(self.errors)
+        squares = np.sum(self.errors**2, axis=0, where=both)
+        ideals = np.sum(self.ideal**2, axis=0, where=both)
+        alike = np.sum(self.errors * self.ideal, axis=0, where=both) ** 2 / (squares * ideals)
+        # Two correlated normals differ only by what they do not share (Pitman, Biometrika 1939).
+        spread = norm.ppf((1 + CONFIDENCE) / 2) * np.sqrt((1 - alike) / both.sum(axis=0))
+        return np.sqrt(squares / ideals), np.exp(spread)
 
     @property
     def nees(self) -> Array:
@@ -122,7 +138,7 @@ def main() -> None:
     if arguments.disturbed:
         slipped = {
             # A slip is no noise: the bound is that of the same captures at rest.
-            name: replace(outcome, bounds=clean[name].bounds)
+            name: replace(outcome, bounds=clean[name].bounds, ideal=clean[name].ideal)
             for name, outcome in outcomes_of(
                 scenario.model_copy(update={"disturbed": arguments.disturbed})
             ).items()
@@ -161,10 +177,12 @@ def judge(recordings: Iterator[Recording], estimators: Sequence[str]) -> dict[st
     """What the estimators make of the recordings."""
     found: dict[str, list[tuple[Array, Array]]] = {name: [] for name in estimators}
     bounds: list[Array] = []
+    ideals: list[Array] = []
     sensors: tuple[str, ...] = ()
     for seed, recording in enumerate(recordings):
         rig, captured = recording.rig, recording.captured
         sensors = tuple(name for name in rig.sensors if name != rig.root)
+        ideals.append(ideal_errors(recording))
         least = cramer_rao(recording.noise, captured, recording.T_root_sensor, recording.T_root_board)
         bounds.append(np.array([least[name] for name in sensors]))
         problem = prepare(rig, captured, Options(), np.random.default_rng(seed))
@@ -172,7 +190,13 @@ def judge(recordings: Iterator[Recording], estimators: Sequence[str]) -> dict[st
             found[name].append(deviations(*solution(problem, name), recording.truth, sensors))
         print(f"\r{len(bounds)} runs", end="", file=sys.stderr, flush=True)
     return {
-        name: Outcomes(sensors, np.array([e for e, _ in pairs]), np.array([c for _, c in pairs]), np.array(bounds))
+        name: Outcomes(
+            sensors,
+            errors=np.array([errors for errors, _ in pairs]),
+            covariances=np.array([covariances for _, covariances in pairs]),
+            bounds=np.array(bounds),
+            ideal=np.array(ideals),
+        )
         for name, pairs in found.items()
     }
 
@@ -184,6 +208,24 @@ def solution(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Map
     solver = Solver.model_validate({**problem.solver.model_dump(), "estimator": estimator})
     calibration = solve_problem(replace(problem, solver=solver))
     return poses_of(calibration), {sensor.name: sensor.covariance for sensor in calibration.sensors}
+
+
+def ideal_errors(recording: Recording) -> Array:
+    """(S, 6) errors of one Gauss–Newton step from the truth, with the true noise: no estimator errs less.
+
+    They are distributed as the bound says, but share their noise with the estimators'.
+    """
+    seen, T_root_sensor = recording.captured.detections, recording.T_root_sensor
+    boards = [
+        Sighting(capture, {name: 0 for name in T_root_sensor if capture in seen[name]})
+        for capture in recording.T_root_board
+        if any(capture in found for found in seen.values())
+    ]
+    bundle, start = build(recording.noise, recording.captured, boards, T_root_sensor)
+    truth = replace(start, T_root_board=np.array([recording.T_root_board[board.capture] for board in boards]))
+    H, g, _ = linearize(replace(bundle, sway=np.zeros(len(bundle.names))), truth).reduced()
+    steps = dict(zip(bundle.names[1:], -np.linalg.solve(H, g).reshape(-1, 6), strict=True))
+    return np.array([steps[name] for name in recording.rig.sensors if name != recording.rig.root])
 
 
 def with_noise_about_truth(recording: Recording) -> Rig:
@@ -255,9 +297,21 @@ def show(outcomes: Mapping[str, Outcomes]) -> None:
             f"{name:12} {ratios.min():.2f} to {ratios.max():.2f}; of {ratios.size} axes {met} within "
             f"{TARGET[0]:.2f} to {TARGET[1]:.2f}, {explained} within chance of 1; {outcome.lost} poses not found"
         )
+    show_paired(outcomes)
     stating = {name: outcome for name, outcome in outcomes.items() if np.isfinite(outcome.covariances).any()}
     show_nees(stating, names, runs)
     show_coverage(stating)
+
+
+def show_paired(outcomes: Mapping[str, Outcomes]) -> None:
+    """Prints RMSE over that of the ideal estimate."""
+    print("\nRMSE over that of the ideal estimate from the same noise, one Gauss–Newton step from the truth")
+    print(f"{'':26}" + "".join(f"{axis:>7}" for axis in AXES))
+    for name, outcome in outcomes.items():
+        ratios, factors = outcome.paired
+        for sensor, row in zip(outcome.sensors, ratios, strict=True):
+            print(f"{sensor:14}{name:12}" + "".join(f"{ratio:7.3f}" for ratio in row))
+        print(f"{name:12} {ratios.min():.3f} to {ratios.max():.3f}; chance: up to a factor of {factors.max():.3f}")
 
 
 def show_nees(outcomes: Mapping[str, Outcomes], names: Sequence[str], runs: int) -> None:
