@@ -1,7 +1,7 @@
 """The two stories, one screen each: from a recording to a calibrated tree of transforms."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -25,26 +25,30 @@ from calgraph.captures import (
 )
 from calgraph.detection import Averaging
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import Method, Start, average_network, network_graph, start_poses, trust
+from calgraph.graph import Method, SpanningTree, Start, average_network, network_graph, start_poses, trust
 from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
 from calgraph.refinement import (
+    Audit,
     Estimator,
     Filter,
+    Joint,
     PriorFile,
     Problem,
     RigidFile,
     Solver,
+    Tolerance,
     assemble,
     assemble_network,
     attached,
+    audit,
     knowing,
     replayable,
     save_problem,
     solve_bundle,
     solve_hypergraph,
 )
-from calgraph.result import Calibration
+from calgraph.result import Calibration, KnownPoses
 from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
 from calgraph.sensors import LaserScan, Record
 from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
@@ -117,13 +121,18 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
         InputError: the rig does not fit the recording.
         CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
     """
-    _check_estimator(options.estimator, bool(options.prior or options.rigid))
-    rng = np.random.default_rng(options.seed)
-    captured = capture_board(rig, recording, options, rng, progress)
-    problem = prepare(rig, captured, options, rng, progress)
+    problem = pose_problem(rig, recording, options, progress)
     if options.dump:
         save_problem(problem, options.dump)
     return solve_problem(problem)
+
+
+def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
+    """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
+    _check_estimator(options.estimator, bool(options.prior or options.rigid))
+    rng = np.random.default_rng(options.seed)
+    captured = capture_board(rig, recording, options, rng, progress)
+    return prepare(rig, captured, options, rng, progress)
 
 
 def capture_board(
@@ -166,6 +175,27 @@ def prepare(
 
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
+    joint, tree = _solved(problem)
+    return assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+
+
+def audit_problem(
+    problem: Problem, given: KnownPoses, tolerance: Tolerance | None = None
+) -> tuple[Calibration, Audit]:
+    """What the captures say of given extrinsics: a calibration that knows nothing of them, and the comparison.
+
+    Raises:
+        InputError: the extrinsics lack the root, or nothing fixed connects the sensors there.
+    """
+    unknowing = {"estimator": "bundle", "priors": (), "groups": ()}
+    problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
+    joint, tree = _solved(problem)
+    calibration = assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    return calibration, audit(calibration, joint.adjusted, given, tolerance)
+
+
+def _solved(problem: Problem) -> tuple[Joint, SpanningTree]:
+    """The joint solution, and the tree that it started from."""
     rig, captured, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
     _check_estimator(solver.estimator, bool(solver.priors or solver.groups))
     tree = attached(problem.tree, estimated(pairs), solver.priors, solver.groups)
@@ -176,7 +206,7 @@ def solve_problem(problem: Problem) -> Calibration:
         )  # fmt: skip
     else:
         joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=solver.keep)
-    return assemble(rig, captured, pairs, tree, joint)
+    return joint, tree
 
 
 def _check_estimator(estimator: Estimator, known: bool) -> None:

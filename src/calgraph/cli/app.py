@@ -14,6 +14,7 @@ import typer
 from rich.markup import escape
 
 from calgraph.cli.calibrate import calibrate
+from calgraph.cli.check import check
 from calgraph.cli.console import console
 from calgraph.cli.demo import demo
 from calgraph.cli.export import export
@@ -56,6 +57,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 simulate = typer.Typer(no_args_is_help=True, help="Simulate recordings with known truth.")
 app.command()(guarded(calibrate))
 app.command()(guarded(solve))
+app.command()(guarded(check))
 app.command()(guarded(demo))
 app.command()(guarded(init))
 app.command()(guarded(inspect))

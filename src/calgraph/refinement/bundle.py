@@ -151,8 +151,8 @@ class System:
         """
         right = np.concatenate([self.coupling, self.g_board[..., None]], axis=-1)
         K = np.linalg.solve(_damped(self.H_board, damping) + FAINT * np.eye(6), right)
-        size = len(self.g)
-        both = self.coupling.reshape(-1, size).T @ K.reshape(-1, size + 1)
+        rows, size = K.shape[0] * K.shape[1], len(self.g)
+        both = self.coupling.reshape(rows, size).T @ K.reshape(rows, size + 1)
         return _damped(self.H, damping) - both[:, :-1], self.g - both[:, -1], K
 
 

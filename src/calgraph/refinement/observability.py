@@ -24,6 +24,11 @@ _SCANNER_AXES = ("forward (x)", "sideways (y)", "height (z)", "roll (about x)", 
 _CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "yaw (about y)", "roll (about z)")
 
 
+def axis_names(kind: str) -> tuple[str, ...]:
+    """What the six axes of a sensor are called: along x, y, z, and about them."""
+    return _CAMERA_AXES if kind == "camera" else _SCANNER_AXES
+
+
 def verdict(
     name: str,
     kind: str,
@@ -50,7 +55,7 @@ def verdict(
     """
     to_sensor = np.kron(np.eye(2), T_root_sensor[:3, :3].T)
     stddev = np.sqrt(np.maximum(np.diag(to_sensor @ covariance @ to_sensor.T), 0))
-    axes = _CAMERA_AXES if kind == "camera" else _SCANNER_AXES
+    axes = axis_names(kind)
     open_axes = [
         axis for axis, s, limit in zip(axes, stddev, np.repeat(_UNOBSERVABLE, 3), strict=True) if s > limit
     ]

@@ -1,0 +1,146 @@
+"""``calgraph check``: whether given extrinsics still hold, by a recording."""
+
+import json as json_module
+from contextlib import nullcontext
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from calgraph.cli.calibrate import write_results
+from calgraph.cli.console import console
+from calgraph.cli.progress import progress_bars
+from calgraph.errors import InputError
+from calgraph.recording import open_recordings, with_intrinsics
+from calgraph.result import read_poses
+from calgraph.rig import Rig, load_rig, replacing_folder, write_text
+
+if TYPE_CHECKING:
+    from calgraph.refinement import Audit, Misfit, Problem, Tolerance
+
+_SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
+"""Sign for each outcome: colour is never the only one."""
+_FORMAT = "calgraph-check/1"
+
+
+def check(
+    rig_file: Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")],
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING...", help="As for calibrate; or what calibrate --dump wrote (.npz)."),
+    ],
+    against: Annotated[
+        Path,
+        typer.Option(
+            "--against", metavar="FILE", help="The extrinsics: calibration.yaml, URDF, or transforms of tf (YAML)."
+        ),
+    ],
+    tolerance: Annotated[
+        tuple[float, float],
+        typer.Option("--tolerance", metavar="M DEG", help="What may be off without harm, m and degrees."),
+    ] = (0.01, 0.3),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the calibration found."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
+) -> None:
+    """Check given extrinsics of a rig by a recording: pass, warn or fail, by sensor and axis, and why.
+
+    The recording is calibrated as if nothing were known, and the poses are compared. A sensor fails along an axis
+    where FILE is off by more than the tolerance and by more than chance explains; what is significant but
+    harmless, and what the recording cannot tell, are warnings.
+
+    Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
+    """
+    from calgraph.calibrate import audit_problem  # takes seconds, which --help should not
+    from calgraph.refinement import Tolerance
+
+    if not (min(tolerance) > 0 and np.isfinite(tolerance).all()):
+        raise InputError(
+            f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
+        )
+    allowed = Tolerance(tolerance[0], float(np.radians(tolerance[1])))
+    rig, given = load_rig(rig_file), read_poses(against)
+    with replacing_folder(out) if out else nullcontext() as folder:
+        problem = _problem(rig, recordings, seed)
+        calibration, audit = audit_problem(problem, given, allowed)
+        content = _content(audit, against, allowed)
+        if folder:
+            write_results(calibration, problem.rig, folder)
+            write_text(folder / "check.json", content + "\n")
+    if json:
+        typer.echo(content)
+    else:
+        _print(audit, against, rig.root)
+    if audit.outcome == "fail":
+        raise typer.Exit(1)
+
+
+def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
+    """The joint problem of a recording, or the one in a dump."""
+    from calgraph import calibrate as story
+    from calgraph.refinement import check_problem, load_problem
+
+    if any(file.suffix == ".npz" and file.is_file() for file in recordings):
+        if len(recordings) > 1:
+            raise InputError(f"{recordings[0]}: a dump is one recording's, got {len(recordings)} files")
+        problem = replace(load_problem(recordings[0]), rig=rig)
+        check_problem(problem)
+        return problem
+    with open_recordings(recordings) as recording, progress_bars() as progress:
+        return story.pose_problem(with_intrinsics(rig, recording), recording, story.Options(seed=seed), progress)
+
+
+def _content(audit: "Audit", against: Path, tolerance: "Tolerance") -> str:
+    """check.json: the audit with its settings; what is not finite is null."""
+    content: dict[str, Any] = {
+        "format": _FORMAT,
+        "against": str(against),
+        "outcome": audit.outcome,
+        "tolerance": asdict(tolerance),
+        **asdict(audit),
+    }
+    for sensor in content["sensors"]:
+        sensor["distance"] = sensor["distance"] if np.isfinite(sensor["distance"]) else None
+    return json_module.dumps(content, ensure_ascii=False, allow_nan=False, indent=1)
+
+
+def _print(audit: "Audit", against: Path, root: str) -> None:
+    """A row a sensor: what FILE says minus what was found, along its axes; then what is to be said of each."""
+    paper = console()
+    paper.print(f"[bold]{escape(str(against))} minus what was found[/], along the sensors' own axes")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("sensor", overflow="fold")
+    for head in ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""):
+        table.add_column(head, justify="right", no_wrap=True)
+    for sensor in audit.sensors:
+        cells = [
+            f"{1000 * axis.offset if i < 3 else np.degrees(axis.offset):+.{1 if i < 3 else 2}f}"
+            f"{'' if axis.outcome == 'pass' else _SIGNS[axis.outcome]}"
+            for i, axis in enumerate(sensor.axes)
+        ]
+        table.add_row(escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), _SIGNS[sensor.outcome])
+    table.add_row(escape(audit.reference), *[""] * 6, _misfit(audit.misfit), "")
+    paper.print(table)
+    paper.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as found")
+    if audit.reference != root:
+        paper.print(
+            f"Seen from {escape(root)}, more than one sensor is off: either {escape(root)} is, or they are."
+        )
+    for sensor in audit.sensors:
+        said = f"{sensor.sensor}: {sensor.outcome}{': ' if sensor.reason else ''}{sensor.reason}"
+        paper.print(f"{_SIGNS[sensor.outcome]} {escape(said)}")
+
+
+def _misfit(misfit: "Misfit | None") -> str:
+    if misfit is None:
+        return ""
+    if misfit.unit == "px":
+        return f"{misfit.given:.2f}/{misfit.found:.2f} px"
+    return f"{1000 * misfit.given:.1f}/{1000 * misfit.found:.1f} mm"
