@@ -17,7 +17,7 @@ from calgraph.refinement.bundle import (
     linearize,
     moved,
     solve,
-    view_covariances,
+    view_spreads,
 )
 from calgraph.refinement.views import relative
 
@@ -118,7 +118,7 @@ def test_the_root_has_no_covariance() -> None:
 
 def test_covariance_where_views_measure_is_the_dense_one() -> None:
     exact = quiet(boards=4)
-    spread = view_covariances(exact.bundle, linearize(exact.bundle, exact.truth))
+    factor = view_spreads(exact.bundle, linearize(exact.bundle, exact.truth))[1][2]
     J = dense_jacobian(exact.bundle, exact.truth)
     everything = np.linalg.inv(J.T @ J)
     T_root_camera, T_root_board = exact.truth.T_root_sensor[1], exact.truth.T_root_board[2]
@@ -132,7 +132,9 @@ def test_covariance_where_views_measure_is_the_dense_one() -> None:
     by_all = np.stack([(before(s) - before(-s)) / 2e-6 for s in steps], axis=-1)
     expected = by_all @ everything @ by_all.T
     size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(spread[1][2] / np.outer(size, size), expected / np.outer(size, size), atol=1e-3)
+    np.testing.assert_allclose(
+        factor @ factor.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-3
+    )
 
 
 def test_a_prior_pulls_as_a_kalman_update(rng: np.random.Generator) -> None:

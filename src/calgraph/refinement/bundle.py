@@ -15,7 +15,7 @@ import numpy as np
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3, so3
 from calgraph.refinement.edges import relative_pose_jacobians
-from calgraph.refinement.normal_equations import summed, swayed
+from calgraph.refinement.normal_equations import swayed
 from calgraph.refinement.views import Index, Views, relative
 
 # What is believed of a board without any data (m⁻², rad⁻²): it keeps what no view sees from being singular.
@@ -175,7 +175,7 @@ def linearize(bundle: Bundle, state: State) -> System:
     for s, views in enumerate(bundle.views):
         T_root_sensor, T_root_board = state.T_root_sensor[s], state.T_root_board[views.board]
         rows = views.linearize(relative(T_root_sensor, T_root_board), state.own[bundle.own(s)])
-        A, b, costs = swayed(summed(rows, views.start), bundle.swaying(s))
+        A, b, costs = swayed(rows, views.start, bundle.swaying(s))
         by_sensor, by_board = _chain(bundle, state, s, T_root_board, views.unknowns)
         equations.append(ViewEquations(A, b, by_sensor, by_board))
         cost += float(costs.sum())
@@ -259,21 +259,21 @@ def reduced_covariance(system: System) -> Array:
     return np.asarray(np.linalg.inv(H))
 
 
-def view_covariances(bundle: Bundle, system: System) -> list[Array]:
-    """By sensor, covariance (V, p, p) of where the solution has each board before it."""
-    inner = reduced_covariance(system)
+def view_spreads(bundle: Bundle, system: System) -> list[Array]:
+    """By sensor, how far off the solution may have each board before it: factors ``F`` (V, p, G + 6).
+
+    Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
+    board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
+    """
     _, _, K = system.reduced()
-    K = K[..., :-1]
-    K_inner = K @ inner
-    of_board = np.linalg.inv(system.H_board + FAINT * np.eye(6)) + K_inner @ np.swapaxes(K, -1, -2)
+    inner = np.linalg.cholesky(reduced_covariance(system))
+    of_board = np.linalg.cholesky(np.linalg.inv(system.H_board + FAINT * np.eye(6)))
     found = []
     for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
         columns = bundle.columns(s)
-        G, columns = at.by_sensor[..., columns >= 0], columns[columns >= 0]
-        B, Gt, Bt = at.by_board, *(np.swapaxes(J, -1, -2) for J in (G, at.by_board))
-        cross = G @ -np.swapaxes(K_inner[views.board][..., columns], -1, -2) @ Bt
-        own = G @ inner[np.ix_(columns, columns)] @ Gt
-        found.append(own + cross + np.swapaxes(cross, -1, -2) + B @ of_board[views.board] @ Bt)
+        by_unknowns = -at.by_board @ K[views.board, :, :-1]
+        by_unknowns[..., columns[columns >= 0]] += at.by_sensor[..., columns >= 0]
+        found.append(np.concatenate([by_unknowns @ inner, at.by_board @ of_board[views.board]], axis=-1))
     return found
 
 

@@ -1,5 +1,6 @@
 """From measurements to the normal equations of views: outliers held off, common errors allowed for."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from calgraph.refinement.views import Index, Rows
 
 # Residuals beyond so many standard deviations count less (Huber): Gaussian noise loses 0.3 % of its information.
 HUBER = 2.5
+# Times at most that outliers of a view are judged anew about where it then is.
+_REWEIGHTINGS = 3
 # Directions of a view with less than this share of its information are not measured by it.
 _RANK = 1e-10
 # Directions of a view that the others check with less than this share of its weight are not checked.
@@ -52,12 +55,38 @@ class ViewSums:
         explained = np.einsum("vi,vij,vj->v", self.slope, _pseudo_inverse(self.core), self.slope)
         return self.square - explained, self.count - _rank(self.core)
 
+    def fit(self) -> Array:
+        """(V, q) by how much the numbers that measurements depend on are to change to fit each view best."""
+        return np.asarray(-(_pseudo_inverse(self.core) @ self.slope[..., None])[..., 0])
 
-def summed(rows: Rows, start: Index) -> ViewSums:
-    """Sums rows over views, which start at ``start`` (V,)."""
+
+def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewSums.fit) -> ViewSums:
+    """Sums rows over views, which start at ``start`` (V,).
+
+    Which measurements are outliers is judged where each view itself would have its board: where it is displaced as
+    a whole, all of its measurements are off, and none of them is wrong.
+
+    Args:
+        rows: of N measurements.
+        start: (V,).
+        fitted: (V, q) from sums, where the views are to be judged.
+    """
+    unit = np.broadcast_to(1.0, len(rows.residual))
+    sums = _weighted_sums(rows, start, unit, rows.residual)
+    for _ in range(_REWEIGHTINGS):
+        shift = np.repeat(fitted(sums), np.diff(start, append=len(rows.residual)), axis=0)
+        about = rows.residual + (rows.jacobian @ shift[..., None])[..., 0]
+        weight = HUBER / np.maximum(_sizes(about), HUBER)
+        sums = _weighted_sums(rows, start, weight, about)
+        if weight.min(initial=1.0) == 1.0:
+            break
+    return sums
+
+
+def _weighted_sums(rows: Rows, start: Index, weight: Array, about: Array) -> ViewSums:
+    """Sums with weights (N,), and the robust cost of residuals (N, k) about where views are judged."""
     count, k, q = rows.jacobian.shape
-    size = np.linalg.norm(rows.residual, axis=1) if k > 1 else np.abs(rows.residual[:, 0])
-    weight = np.minimum(1.0, HUBER / np.maximum(size, HUBER))
+    size = _sizes(about)
     cost = np.where(size <= HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER))
     weighted = (weight[:, None, None] * rows.jacobian).reshape(-1, q).T
     flat, residual = rows.jacobian.reshape(-1, q).T, rows.residual.ravel()
@@ -69,38 +98,47 @@ def summed(rows: Rows, start: Index) -> ViewSums:
         _per_view(weighted * residual, k * start).T,
         rows.basis,
         _per_view(cost, start),
-        _per_view(weight * size**2, start),
+        _per_view(weight * _sizes(rows.residual) ** 2, start),
         np.diff(start, append=count) * k,
     )
+
+
+def _sizes(residual: Array) -> Array:
+    """(N,) lengths of residuals (N, k)."""
+    return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
 
 
 def _per_view(values: Array, start: Index) -> Array:
     return np.asarray(np.add.reduceat(values, start, axis=-1))
 
 
-def swayed(sums: ViewSums, sway: Array) -> tuple[Array, Array, Array]:
+def swayed(rows: Rows, start: Index, sway: Array) -> tuple[Array, Array, Array]:
     """The views' information, gradients and costs if each saw its board displaced by an unknown of its own.
 
     A bent board, a range that is off for one material, a stamp that is late: measurements of one view then err
     together, and however many there are, they say no more than the displacement allows. It is marginalised:
-    ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``.
+    ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``, and ``-Q b`` is the likeliest displacement.
 
     Args:
-        sums: of V views.
+        rows: of N measurements.
+        start: (V,) where views begin.
         sway: (p,) variances Q of the displacement along the sensor's axes; 0 for the sensor's own unknowns.
 
     Returns:
         (V, p, p), (V, p) and (V,).
     """
-    A, b = sums.information, sums.gradient
-    shrink = np.linalg.inv(np.eye(len(sway)) + A * sway)
-    b_left = (shrink @ b[..., None])[..., 0]
-    A_left = shrink @ A
-    return (
-        (A_left + np.swapaxes(A_left, -1, -2)) / 2,
-        b_left,
-        sums.cost - 0.5 * np.sum(b * sway * b_left, axis=-1),
-    )
+
+    def marginal(sums: ViewSums) -> tuple[Array, Array]:
+        A, b = sums.information, sums.gradient
+        shrink = np.linalg.inv(np.eye(len(sway)) + A * sway)
+        return shrink @ A, (shrink @ b[..., None])[..., 0]
+
+    def displaced(sums: ViewSums) -> Array:
+        return np.asarray((sums.basis @ (-sway * marginal(sums)[1])[..., None])[..., 0])
+
+    sums = summed(rows, start, displaced)
+    A, b = marginal(sums)
+    return (A + np.swapaxes(A, -1, -2)) / 2, b, sums.cost + 0.5 * np.sum(sway * b**2, axis=-1)
 
 
 def misfit(information: Array, spread: Array, gradient: Array) -> tuple[Array, NDArray[np.intp]]:

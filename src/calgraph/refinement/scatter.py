@@ -4,15 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 from scipy.special import chdtri
 
 from calgraph.geometry import Array
-from calgraph.refinement.bundle import Bundle, State, System, view_covariances
+from calgraph.refinement.bundle import Bundle, State, System, view_spreads
 from calgraph.refinement.normal_equations import huber_scatter, misfit, summed
 from calgraph.refinement.views import relative
 
 # How firmly the stated noise is believed, in measured numbers.
 _FIRM = 10
+# By which share of its Fisher information each sway holds on to what it is.
+_INERT = 0.01
 # A view is wrong if it is as far from the others as chance would have it once in so many.
 _CHANCE = 1e-5
 
@@ -31,32 +34,47 @@ def with_measured_noise(bundle: Bundle, state: State) -> Bundle:
 
 
 def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
-    """The bundle with each sensor's sway one step nearer to what the scatter of its views says.
+    """The bundle with all sensors' sway one step nearer to what the scatter of their views says.
 
-    Fisher scoring of the restricted likelihood: views' gradients have the covariance ``A - A P A`` if noise and
-    sway are right. Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are
-    unequal", Biometrika 1971.
+    Fisher scoring of the restricted likelihood: views' gradients have the covariance ``W = A - A P A`` if noise
+    and sway are right. Views of one board explain each other's scatter, so sensors are scored together; that of
+    different boards goes together only as far as sensors are uncertain, and is left out.
+
+    Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika
+    1971.
     """
-    sway = bundle.sway.copy()
-    sharing = max(sum(len(views.board) for views in bundle.views) / max(len(system.H_board), 1), 2.0)
-    for s, (at, P) in enumerate(zip(system.views, view_covariances(bundle, system), strict=True)):
-        shape = replace(bundle, sway=np.ones(len(sway))).swaying(s)
-        W = at.information - at.information @ P @ at.information
-        score = np.sum(shape * at.gradient**2) - np.sum(shape * np.diagonal(W, axis1=-2, axis2=-1))
-        fisher = np.sum(shape[:, None] * W * np.swapaxes(W, -1, -2) * shape)
-        # Views of one board explain each other's scatter: were each to take it all, they would overshoot together.
-        step = (1 - 1 / sharing) * float(score / fisher) if fisher > 0 else 0.0
-        sway[s] = max(sway[s] + step, 0.0)
-    return replace(bundle, sway=sway)
+    sensors = range(len(bundle.names))
+    shapes = [replace(bundle, sway=np.ones(len(sensors))).swaying(s) for s in sensors]
+    A = [at.information for at in system.views]
+    Y = [information @ F for information, F in zip(A, view_spreads(bundle, system), strict=True)]
+    score, fisher = np.zeros(len(sensors)), np.zeros((len(sensors), len(sensors)))
+    for s in sensors:
+        W = A[s] - Y[s] @ np.swapaxes(Y[s], -1, -2)
+        score[s] = shapes[s] @ (system.views[s].gradient ** 2 - np.diagonal(W, axis1=-2, axis2=-1)).sum(axis=0)
+        fisher[s, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[s]
+        for t in sensors[:s]:
+            _, i, j = np.intersect1d(bundle.views[s].board, bundle.views[t].board, return_indices=True)
+            W = Y[s][i] @ np.swapaxes(Y[t][j], -1, -2)
+            fisher[s, t] = fisher[t, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[t]
+    return replace(bundle, sway=_ascended(bundle.sway, score, fisher))
+
+
+def _ascended(variances: Array, score: Array, fisher: Array) -> Array:
+    """Variances one step of Fisher scoring up the likelihood, none of them negative."""
+    # Of two sensors alone only the sum is known: what the scatter does not tell stays.
+    firm = fisher + np.diag(_INERT * np.diag(fisher) + np.finfo(float).tiny)
+    root = np.linalg.cholesky(firm).T
+    best, _ = nnls(root, root @ variances + np.linalg.solve(root.T, score))
+    return np.asarray(best)
 
 
 def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
     """By sensor, (V,) which views contradict the others: of a board only the worst, for it bends the others."""
     boards = len(system.H_board)
-    excess, covariances = [], view_covariances(bundle, system)
+    excess, spreads = [], view_spreads(bundle, system)
     worst: Array = np.zeros(boards)
-    for views, at, P in zip(bundle.views, system.views, covariances, strict=True):
-        squared, freedom = misfit(at.information, P, at.gradient)
+    for views, at, F in zip(bundle.views, system.views, spreads, strict=True):
+        squared, freedom = misfit(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
         over = squared / chdtri(np.maximum(freedom, 1), _CHANCE)
         excess.append(over)
         worst[views.board] = np.maximum(worst[views.board], over)
