@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.graph import Averaged, PoseGraph
 from calgraph.pairwise import icp
 from calgraph.refinement.outlines import cast, seen
 from calgraph.refinement.splines import Knots, evaluate
@@ -42,12 +44,12 @@ _FAR = 6.0
 _SWAY, _TWIST = 0.01, 0.05
 # Nobody is an ellipse to better than this, m.
 _LEAST_SWAY = 0.0005
-# Rounds of choosing beams, matching walls anew, measuring the sway and solving, until the sway changes by less than
-# a share of itself; and steps in each.
+# Rounds of choosing beams, matching walls anew, measuring the sway and solving, until the sway changes by less
+# than a share of itself; and steps in each.
 _ROUNDS = 5
 _SETTLED = 0.3
 _STEPS = 3
-# Expected smoothness of the first guess of a path: spectral density of the acceleration, m²/s³; noise of places, m.
+# First guess of a path: spectral density of a walker's acceleration, m²/s³, and noise of tracked places, m.
 _AGILITY, _NOISE = 0.5, 0.03
 
 
@@ -88,8 +90,8 @@ class JointNetwork:
 def solve_network(
     target: People | Cylinder,
     tracked: Sequence[Tracked],
-    T_root_scanner: Array,
-    edges: Sequence[Wall] = (),
+    averaged: Averaged,
+    graph: PoseGraph,
     *,
     clocks: bool = True,
 ) -> JointNetwork:
@@ -98,10 +100,18 @@ def solve_network(
     Args:
         target: what walks.
         tracked: what each scanner followed, the root first.
-        T_root_scanner: (S, 3, 3) start poses.
-        edges: what pairs of scanners were found to be, for those that nothing else connects.
+        averaged: start poses, and the pairs that agree with them.
+        graph: of these pairs.
         clocks: whether the scanners' clocks may differ.
     """
+    T_root_scanner = averaged.T_root_node
+    edges = [
+        Wall(int(i), int(j), T, information)
+        for (i, j), T, information, agrees in zip(
+            graph.edges, graph.T_i_j, graph.information, averaged.inliers, strict=True
+        )
+        if agrees
+    ]
     bodies = walkers(tracked, T_root_scanner)
     state = State(
         T_root_scanner,
@@ -156,7 +166,8 @@ def _glimpses(scanner: int, tracks: Sequence[Track]) -> Glimpses:
         points.append(track.hits.points)
         beam_times.append(track.hits.times)
         counts.append(np.bincount(track.hits.owner, minlength=len(track.times)))
-    at, hit, when, count = (np.concatenate(part) for part in (times, points, beam_times, counts))
+    at, hit, when = (np.concatenate(part) for part in (times, points, beam_times))
+    count = np.concatenate(counts)
     # Tracks of one body that overlap by a moment are brought in order, beams and all.
     order = np.argsort(at, kind="stable")
     start = np.cumsum(count) - count
@@ -205,14 +216,12 @@ def _with_beams(network: Network, state: State) -> Network:
     """The network with the beams that meet their body well enough."""
     bodies = []
     for body, motion in zip(network.bodies, state.motions, strict=True):
-        glimpses = tuple(
-            replace(one, used=_usable(network, state, body, motion, one)) for one in body.glimpses
-        )
+        glimpses = tuple(replace(one, used=_usable(network, state, body, motion, one)) for one in body.glimpses)
         bodies.append(replace(body, glimpses=glimpses))
     return replace(network, bodies=tuple(bodies))
 
 
-def _usable(network: Network, state: State, body: Body, motion: Motion, one: Glimpses) -> Array:
+def _usable(network: Network, state: State, body: Body, motion: Motion, one: Glimpses) -> NDArray[np.bool_]:
     first, weights, slopes = body.knots.at(one.times - state.offset[one.scanner])
     pose, rate = evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
     view = np.repeat(np.arange(len(one.start)), np.diff(one.start, append=len(one.ranges)))
@@ -224,7 +233,7 @@ def _usable(network: Network, state: State, body: Body, motion: Motion, one: Gli
     spread = np.hypot(network.sigma[one.scanner], 2 * np.sqrt(network.sway[0]))
     with np.errstate(invalid="ignore"):
         near = np.abs(hits.ranges - one.ranges) < _FAR * spread
-    return np.asarray(seen(hits, _GRAZING) & near)
+    return np.asarray(seen(hits, _GRAZING) & near, dtype=np.bool_)
 
 
 def _with_sway(network: Network, system: System) -> Network:

@@ -55,9 +55,7 @@ def assemble_network(
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _parents(right, names)
     T_root_sensor = se2.to_se3(T_root_scanner)
-    agreeing = {
-        frozenset((names[i], names[j])): (T_root_scanner[i], T_root_scanner[j]) for i, j in right.edges
-    }
+    agreeing = {frozenset((names[i], names[j])): (T_root_scanner[i], T_root_scanner[j]) for i, j in right.edges}
     return Calibration(
         root=rig.root,
         sensors=tuple(

@@ -17,7 +17,7 @@ class Outlines:
     incidence: Array
     """(N,) cosines of the angles between beams and outlines' normals, 0..1; NaN likewise."""
     jacobian: Array
-    """(N, 5) of the ranges by the ellipse's place (2, m) and turn (rad) before the scanner, and its two radii (m)."""
+    """(N, 5) of the ranges by the ellipse's place (2, m) and turn (rad) before the scanner, and its radii (m)."""
 
 
 def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> Outlines:

@@ -29,16 +29,16 @@ class Knots:
         return cls(start, step, max(int(np.ceil((end - start) / step)), 1) + 3)
 
     def at(self, times: Array) -> tuple[NDArray[np.intp], Array, Array]:
-        """The first of four control points (N,) at times (N,), their weights (N, 4), and weights of the slope, 1/s."""
+        """At times (N,): first of four control points (N,), their weights (N, 4), and those of the slope, 1/s."""
         position = (times - self.start) / self.step
         first = np.clip(np.floor(position).astype(np.intp), 0, self.count - 4)
         u = position - first
         powers = np.stack([np.ones_like(u), u, u * u, u**3], axis=-1)
-        return first, powers @ _PIECES.T, powers[:, :3] @ _SLOPES.T / self.step
+        return first, np.asarray(powers @ _PIECES.T), np.asarray(powers[:, :3] @ _SLOPES.T / self.step)
 
     def centres(self) -> Array:
         """(count,) the times at which the control points act most, s."""
-        return self.start + self.step * (np.arange(self.count) - 1.0)
+        return np.asarray(self.start + self.step * (np.arange(self.count) - 1.0), dtype=np.float64)
 
 
 def evaluate(control: Array, first: NDArray[np.intp], weights: Array) -> Array:

@@ -1,8 +1,8 @@
 """The joint estimator of a network: scanners, their clocks, and the path and size of every body that walked.
 
-A body is an ellipse on a smooth curve of places and headings. Residuals are ranges along the beams, each at its own
-time. Bodies do not know each other, so their curves, whose equations are banded, are eliminated one by one, and what
-is left is a small dense problem over scanners and clocks, however long the recording is.
+A body is an ellipse on a smooth curve of places and headings. Residuals are ranges along the beams, each at its
+own time. Bodies do not know each other, so their curves, whose equations are banded, are eliminated one by one,
+and what is left is a small dense problem over scanners and clocks, however long the recording is.
 """
 
 from collections.abc import Sequence
@@ -168,8 +168,8 @@ def eliminated(equations: BodyEquations, damping: float) -> tuple[Array, Array, 
     """What a body says of the scanners once its path and size are eliminated.
 
     Returns:
-        (4L, 4L), (4L,), and ``K`` (3K + 2, 4L + 1): the step of path and radii is ``-(K[:, :-1] @ step + K[:, -1])``
-        for a step (4L,) of the scanners.
+        (4L, 4L), (4L,), and ``K`` (3K + 2, 4L + 1): for a step (4L,) of the scanners, that of path and radii is
+        ``-(K[:, :-1] @ step + K[:, -1])``.
     """
     count = len(equations.band)
     factor = cholesky_banded(_banded(equations.band, damping), lower=True)
@@ -188,13 +188,13 @@ def eliminated(equations: BodyEquations, damping: float) -> tuple[Array, Array, 
 
 
 def free(network: Network) -> Index:
-    """Columns of what is to be found: all but the root's pose and clock, and without clocks where they are known."""
+    """Columns of what is to be found: all but the root's pose and clock, and no clocks where they are known."""
     columns = np.arange(4, 4 * network.count)
     return columns if network.clock_sigma > 0 else columns[columns % 4 != 3]
 
 
 def reduced(network: Network, system: System, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
-    """The problem of scanners and clocks alone: its matrix and gradient over :func:`free`, and each body's ``K``."""
+    """The problem without bodies: its matrix and gradient over :func:`free`, and each body's ``K``."""
     H, g = system.H.copy(), system.g.copy()
     follow = []
     for equations in system.bodies:
@@ -233,12 +233,8 @@ def moved(system: System, state: State, step: Array, follow: Sequence[Array]) ->
     motions = []
     for equations, motion, K in zip(system.bodies, state.motions, follow, strict=True):
         own = -(K[:, :-1] @ step[equations.columns] + K[:, -1])
-        motions.append(
-            Motion(motion.control + own[:-2].reshape(-1, 3), np.maximum(motion.radii + own[-2:], 0.02))
-        )
-    return State(
-        se2.retract(state.T_root_scanner, steps[:, :3]), state.offset + steps[:, 3], tuple(motions)
-    )
+        motions.append(Motion(motion.control + own[:-2].reshape(-1, 3), np.maximum(motion.radii + own[-2:], 0.02)))
+    return State(se2.retract(state.T_root_scanner, steps[:, :3]), state.offset + steps[:, 3], tuple(motions))
 
 
 def covariance(network: Network, system: System) -> Array:
@@ -296,10 +292,8 @@ def _body_equations(
     return BodyEquations(band, gradient, border, corner, slope, columns), cost, shown, allowed
 
 
-def glimpsed(
-    network: Network, state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array
-) -> Rows:
-    """Whitened residuals (N, 1) of beams on a body whose pose and its rate (V, 3) are given at the scans' times."""
+def glimpsed(network: Network, state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array) -> Rows:
+    """Whitened residuals (N, 1) of beams on a body, whose pose and rate (V, 3) at the scans' times are given."""
     view = np.repeat(np.arange(len(seen.start)), np.diff(seen.start, append=len(seen.ranges)))
     at = pose[view] + seen.lag[:, None] * rate[view]
     T = state.T_root_scanner[seen.scanner]
