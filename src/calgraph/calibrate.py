@@ -1,10 +1,10 @@
 """The two stories, one screen each: from a recording to a calibrated tree of transforms."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -47,6 +47,7 @@ from calgraph.refinement import (
     save_problem,
     solve_bundle,
     solve_hypergraph,
+    solve_network,
 )
 from calgraph.result import Calibration, KnownPoses
 from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
@@ -57,6 +58,7 @@ from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
 # mass lies three quarters of the radius before the centre.
 DEPTHS: Mapping[Feature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.03}
 
+NetworkEstimator = Literal["joint", "averaging"]
 Weights = Literal["uniform", "weighted"]
 Progress = Callable[[str, float], None]
 """Called with the name of the step under way and how much of it is done, 0..1."""
@@ -70,8 +72,9 @@ def silent(_step: str, _done: float) -> None:
 class Options:
     """How to calibrate."""
 
-    estimator: Estimator = "bundle"
-    """A rig's joint solution: sensors and boards in the units that are measured, or the paper's hypergraph."""
+    estimator: Estimator | NetworkEstimator | None = None
+    """The joint solution. Rigs: bundle, in the units that are measured, or the paper's hypergraph. Networks:
+    joint, with clocks and paths, or the paper's averaging of pairs. If left out, the first of them."""
     prior: PriorFile | None = None
     """Where a rig's sensors are about."""
     rigid: tuple[RigidFile, ...] = ()
@@ -129,7 +132,7 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
 
 def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
-    _check_estimator(options.estimator, bool(options.prior or options.rigid))
+    _check_estimator(_rig_estimator(options), bool(options.prior or options.rigid))
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
     return prepare(rig, captured, options, rng, progress)
@@ -169,7 +172,7 @@ def prepare(
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    solver = Solver(estimator=options.estimator, keep=options.keep)
+    solver = Solver(estimator=_rig_estimator(options), keep=options.keep)
     return replayable(knowing(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
 
 
@@ -209,6 +212,11 @@ def _solved(problem: Problem) -> tuple[Joint, SpanningTree]:
     return joint, tree
 
 
+def _rig_estimator(options: Options) -> Estimator:
+    estimator: Estimator = _chosen(options.estimator, get_args(Estimator), "a rig with a board")
+    return estimator
+
+
 def _check_estimator(estimator: Estimator, known: bool) -> None:
     if known and estimator != "bundle":
         raise InputError(f"--prior and --rigid: go with --estimator bundle, got {estimator}")
@@ -225,6 +233,7 @@ def calibrate_network(
         raise InputError("--dump: only the problem of a rig with a board can be written, not that of a network")
     if options.prior or options.rigid:
         raise InputError("--prior and --rigid: are for rigs with a board, not for networks")
+    estimator = _chosen(options.estimator, get_args(NetworkEstimator), "a network")
     rng = np.random.default_rng(options.seed)
     followed, frames = follow_people(rig, recording, options, progress)
     tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
@@ -236,15 +245,26 @@ def calibrate_network(
     graph, names = network_graph(rig.root, known)
     weights = trust(names, known) if options.weights == "weighted" else None
     averaged, graph = average_network(graph, rng, options.average, weights)
-    return assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start)
+    joint = None
+    if estimator == "joint":
+        progress("solving", 0.0)
+        joint = solve_network(_walking(rig), [tracked[name] for name in names], averaged, graph)
+        progress("solving", 1.0)
+    return assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start, joint)
+
+
+def _chosen(estimator: str | None, known: Sequence[str], what: str) -> Any:
+    """The estimator that was asked for, the first one if none was."""
+    if estimator not in (None, *known):
+        raise InputError(f"--estimator: {what} has {' and '.join(known)}, got {estimator}")
+    return estimator or known[0]
 
 
 def follow_people(
     rig: Rig, recording: Recording, options: Options, progress: Progress = silent
 ) -> tuple[dict[str, Tracked | Untracked], dict[str, str]]:
     """What moved through each scanner's view, and the frames that their messages state."""
-    if not isinstance(rig.target, People | Cylinder):
-        raise InputError("target.kind: a network needs people or cylinder")
+    target = _walking(rig)
     followed: dict[str, Tracked | Untracked] = {}
     frames: dict[str, str] = {}
     for done, (name, spec) in enumerate(rig.sensors.items()):
@@ -253,9 +273,15 @@ def follow_people(
             raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
         scans = partial(_scans, recording, spec.topic)
         frames[name] = next((scan.frame_id for scan in scans()), "")
-        followed[name] = track_scanner(scans, rig.target, spec.noise, feature=options.feature)
+        followed[name] = track_scanner(scans, target, spec.noise, feature=options.feature)
     progress("following", 1.0)
     return followed, frames
+
+
+def _walking(rig: Rig) -> People | Cylinder:
+    if not isinstance(rig.target, People | Cylinder):
+        raise InputError("target.kind: a network needs people or cylinder")
+    return rig.target
 
 
 def _scans(recording: Recording, topic: str) -> Iterator[LaserScan]:

@@ -20,6 +20,8 @@ class EstimatorChoice(StrEnum):
 
     bundle = "bundle"
     hypergraph = "hypergraph"
+    joint = "joint"
+    averaging = "averaging"
 
 
 class FilterChoice(StrEnum):
@@ -81,9 +83,11 @@ def calibrate(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
     estimator: Annotated[
-        EstimatorChoice,
-        typer.Option("--estimator", help="Board: joint solution in the measured units, or the paper's."),
-    ] = EstimatorChoice.bundle,
+        EstimatorChoice | None,
+        typer.Option(
+            "--estimator", help="Board: bundle (default) or hypergraph. People: joint (default) or averaging."
+        ),
+    ] = None,
     keep: Annotated[
         FilterChoice, typer.Option("--filter", help="Use the matches that agree, or all (the paper compares).")
     ] = FilterChoice.ransac,
@@ -136,7 +140,7 @@ def calibrate(
     known, groups = known_files(prior, prior_stddev, rigid)
     with replacing_folder(out) as folder:
         options = story.Options(
-            estimator=estimator.value,
+            estimator=estimator.value if estimator else None,
             prior=known,
             rigid=groups,
             keep=keep.value,

@@ -9,6 +9,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, covariances
 from calgraph.pairwise import Hypothesis, TrackPair
 from calgraph.pairwise.samples import sample
+from calgraph.refinement.joint_network import JointNetwork
 from calgraph.refinement.network_walks import floor_views, met, walk_rows
 from calgraph.refinement.observability import verdict
 from calgraph.result import Calibration, Edge, SensorPose
@@ -29,6 +30,7 @@ def assemble_network(
     names: tuple[str, ...],
     averaged: Averaged,
     start: float,
+    joint: JointNetwork | None = None,
 ) -> Calibration:
     """Collects everything a network's calibration tells its user.
 
@@ -41,18 +43,19 @@ def assemble_network(
         names: the connected scanners in the order of the graph's nodes, the root first.
         averaged: their poses, and the hypotheses that agree.
         start: of the recording, s.
+        joint: the joint solution, if there is one; its poses count then.
     """
     tracked = {name: own for name, own in followed.items() if isinstance(own, Tracked)}
     samples = {name: sample(own) for name, own in tracked.items()}
-    planar = dict(zip(names, averaged.T_root_node, strict=True))
+    T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
+    planar = dict(zip(names, T_root_scanner, strict=True))
     meeting = met(samples, planar)
     right = graph.where(averaged.inliers)
-    spread = _in_space(covariances(right, averaged.T_root_node))
+    spread = _in_space(covariances(right, averaged.T_root_node) if joint is None else joint.pose_covariances)
+    clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _parents(right, names)
-    T_root_sensor = se2.to_se3(averaged.T_root_node)
-    agreeing = {
-        frozenset((names[i], names[j])): (averaged.T_root_node[i], averaged.T_root_node[j]) for i, j in right.edges
-    }
+    T_root_sensor = se2.to_se3(T_root_scanner)
+    agreeing = {frozenset((names[i], names[j])): (T_root_scanner[i], T_root_scanner[j]) for i, j in right.edges}
     return Calibration(
         root=rig.root,
         sensors=tuple(
@@ -64,6 +67,8 @@ def assemble_network(
                 T_root_sensor=T_root_sensor[k],
                 covariance=spread[k],
                 verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k], advice=_ADVICE),
+                clock_offset=_estimated(clocks[k, 0]),
+                clock_offset_stddev=_estimated(clocks[k, 1]),
             )
             for k, name in enumerate(names)
         ),
@@ -71,9 +76,13 @@ def assemble_network(
         captures=walk_rows(samples, meeting, start),
         unconnected={name: _why_alone(name, followed, pairs) for name in rig.sensors if name not in names},
         residuals={"positions": meeting.residuals.ravel()} if len(meeting.residuals) else {},
-        estimator="averaging",
+        estimator="averaging" if joint is None else "joint",
         floor=floor_views(tracked, samples, planar),
     )
+
+
+def _estimated(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _in_space(planar: Array) -> Array:
