@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from calgraph.geometry import Array, se2
-from calgraph.refinement.normal_equations import summed, swayed
+from calgraph.refinement.normal_equations import swayed
 from calgraph.refinement.outlines import cast
 from calgraph.refinement.splines import Knots, evaluate
 from calgraph.refinement.views import Index, Rows
@@ -264,7 +264,7 @@ def _body_equations(
         first, weights, slopes = body.knots.at(seen.times - state.offset[seen.scanner])
         pose, rate = evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
         rows = glimpsed(network, state, motion, seen, pose, rate)
-        A, b, costs = swayed(summed(rows, seen.start), np.array([*network.sway[[0, 0, 1]], 0.0, 0.0]))
+        A, b, costs = swayed(rows, seen.start, np.array([*network.sway[[0, 0, 1]], 0.0, 0.0]))
         cost += float(costs.sum())
         shown += float(np.sum(b[:, :2] ** 2))
         allowed += float(np.sum(A[:, 0, 0] + A[:, 1, 1]))
