@@ -8,7 +8,10 @@ python benchmarks/efficiency.py --runs 200 --stated 2          # rig.yaml states
 
 Of an efficient estimator, the RMSE over the bound is 1 up to chance; of honest covariances, so is the NEES per
 degree of freedom, and their 95 % ellipsoids hold the truth in 95 % of runs. Chance is stated as 99 % intervals.
-``pairwise`` is the start along the spanning tree. How long estimators take is in solve_times.py.
+Against the ideal estimate, which has the same noise before it and starts at the truth, chance cancels for the most
+part. ``pairwise`` is the start along the spanning tree.
+
+How long estimators take is in solve_times.py.
 """
 
 import argparse
