@@ -130,9 +130,7 @@ def _print(audit: "Audit", against: Path, root: str) -> None:
     paper.print(table)
     paper.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as found")
     if audit.reference != root:
-        paper.print(
-            f"Seen from {escape(root)}, more than one sensor is off: either {escape(root)} is, or they are."
-        )
+        paper.print(f"Seen from {escape(root)}, several sensors are off: either it has moved, or they have.")
     for sensor in audit.sensors:
         said = f"{sensor.sensor}: {sensor.outcome}{': ' if sensor.reason else ''}{sensor.reason}"
         paper.print(f"{_SIGNS[sensor.outcome]} {escape(said)}")

@@ -13,6 +13,8 @@ from calgraph.refinement.normal_equations import misfit
 
 # What is known is doubted if chance alone would have it as far from the captures once in so many.
 _CHANCE = 1e-4
+# Directions in which the captures have less than this share in a pose are the prior's.
+_COMPROMISE = 1e-3
 
 
 def doubts_of_known(bundle: Bundle, solved: Solved, groups: Sequence[RigidGroup]) -> dict[str, str]:
@@ -39,8 +41,10 @@ def doubted_priors(bundle: Bundle, solved: Solved) -> Iterator[tuple[str, str]]:
         error = se3.difference(solved.state.T_root_sensor[s], prior.T_root_sensor)
         squared, freedom = misfit(A[None], spread[s, :, s][None], (A @ error)[None])
         if freedom[0] and squared[0] > chdtri(freedom[0], _CHANCE):
+            # The solution is a compromise: without the prior it would be farther away.
+            apart = np.linalg.pinv(np.eye(6) - spread[s, :, s] @ A, rcond=_COMPROMISE) @ error
             name = bundle.names[s]
-            yield name, f"the prior of {name} disagrees with the captures by {_far(squared[0], error)}"
+            yield name, f"the prior of {name} disagrees with the captures by {_far(squared[0], apart)}"
 
 
 def doubted_groups(bundle: Bundle, solved: Solved, groups: Sequence[RigidGroup]) -> Iterator[tuple[str, str]]:
