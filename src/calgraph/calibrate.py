@@ -36,6 +36,7 @@ from calgraph.refinement import (
     PriorFile,
     Problem,
     RigidFile,
+    Scatter,
     Solver,
     Tolerance,
     assemble,
@@ -44,10 +45,12 @@ from calgraph.refinement import (
     audit,
     knowing,
     replayable,
+    resample,
     save_problem,
     solve_bundle,
     solve_hypergraph,
     solve_network,
+    with_outlook,
 )
 from calgraph.result import Calibration, KnownPoses
 from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
@@ -81,6 +84,8 @@ class Options:
     """Which of a rig's sensors are fixed to each other, and how."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
+    folds: int = Solver().folds
+    """In how many parts a rig's captures are left out for cross-validation; 0 for none."""
     start: Start = "tree"
     """Where a rig's joint solution starts: its spanning tree, the identity, or all pairs averaged by a method."""
     tags: Averaging = "pnp"
@@ -172,14 +177,34 @@ def prepare(
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    solver = Solver(estimator=_rig_estimator(options), keep=options.keep)
+    solver = Solver(estimator=_rig_estimator(options), keep=options.keep, folds=options.folds)
     return replayable(knowing(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
 
 
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
     joint, tree = _solved(problem)
-    return assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    rig, calibration = problem.rig, assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    if joint.adjusted is None:
+        return calibration
+    rng = np.random.default_rng(0)  # of the boards that are tried: any draw of so many serves
+    return with_outlook(calibration, joint.adjusted, rig.board_size, problem.solver.folds, rng)
+
+
+def verify_problem(
+    problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = silent
+) -> tuple[Calibration, dict[str, Scatter]]:
+    """A calibration, and by sensor how far its pose scatters when the captures are drawn anew.
+
+    Raises:
+        CalibrationError: no two sensors saw the board together.
+    """
+    problem = replace(problem, solver=problem.solver.model_copy(update={"estimator": "bundle"}))
+    joint, tree = _solved(problem)
+    if joint.adjusted is None:
+        raise CalibrationError(f"there is nothing to verify: nothing is connected to the root {problem.rig.root}")
+    scatter = resample(joint.adjusted, rounds, rng, lambda done: progress("resampling", done))
+    return assemble(problem.rig, problem.captured, problem.pairs, tree, joint), scatter
 
 
 def audit_problem(

@@ -23,6 +23,7 @@ from calgraph.cli.inspect import inspect
 from calgraph.cli.simulate import simulate_rig_command
 from calgraph.cli.simulate_network import simulate_network_command
 from calgraph.cli.solve import solve
+from calgraph.cli.verify import verify
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
@@ -58,6 +59,7 @@ simulate = typer.Typer(no_args_is_help=True, help="Simulate recordings with know
 app.command()(guarded(calibrate))
 app.command()(guarded(solve))
 app.command()(guarded(check))
+app.command()(guarded(verify))
 app.command()(guarded(demo))
 app.command()(guarded(init))
 app.command()(guarded(inspect))

@@ -4,16 +4,20 @@ from calgraph.refinement.audit import Audit, AxisAudit, Misfit, SensorAudit, Tol
 from calgraph.refinement.bundle_adjustment import cramer_rao, solve_bundle
 from calgraph.refinement.evidence import assemble
 from calgraph.refinement.hypergraph import Filter, solve_hypergraph
-from calgraph.refinement.joint import Joint, MeasuredNoise
+from calgraph.refinement.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.joint_network import JointNetwork, solve_network
 from calgraph.refinement.known import PosePrior, PriorFile, RigidFile, RigidGroup, attached
 from calgraph.refinement.network_evidence import assemble_network
+from calgraph.refinement.observability import axis_names
+from calgraph.refinement.outlook import with_outlook
 from calgraph.refinement.problem import Estimator, Problem, Solver, check_problem, knowing
 from calgraph.refinement.replay import load_problem, replayable, save_problem
+from calgraph.refinement.resampling import CONFIDENCE, Scatter, resample
 
 __all__ = [
-    "Audit", "AxisAudit", "Estimator", "Filter", "Joint", "JointNetwork", "MeasuredNoise", "Misfit",
-    "PosePrior", "PriorFile", "Problem", "RigidFile", "RigidGroup", "SensorAudit", "Solver", "Tolerance",
-    "assemble", "assemble_network", "attached", "audit", "check_problem", "cramer_rao", "knowing",
-    "load_problem", "replayable", "save_problem", "solve_bundle", "solve_hypergraph", "solve_network",
+    "CONFIDENCE", "Adjusted", "Audit", "AxisAudit", "Estimator", "Filter", "Joint", "JointNetwork",
+    "MeasuredNoise", "Misfit", "PosePrior", "PriorFile", "Problem", "RigidFile", "RigidGroup", "Scatter",
+    "SensorAudit", "Solver", "Tolerance", "assemble", "assemble_network", "attached", "audit", "axis_names",
+    "check_problem", "cramer_rao", "knowing", "load_problem", "replayable", "resample", "save_problem",
+    "solve_bundle", "solve_hypergraph", "solve_network", "with_outlook",
 ]  # fmt: skip

@@ -9,7 +9,7 @@ from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import Verdict
 
 # Standard deviations (m, rad) beyond which a direction is called weak, and unobservable.
-_WEAK = (0.02, np.radians(0.5))
+WEAK = (0.02, np.radians(0.5))
 _UNOBSERVABLE = (0.2, np.radians(10))
 
 # How many times farther apart two sensors' detections may be than their noise explains.
@@ -61,7 +61,7 @@ def verdict(
     ]
     weak_axes = [
         f"{axis} ±{_size(s, i)}"
-        for i, (axis, s, limit) in enumerate(zip(axes, stddev, np.repeat(_WEAK, 3), strict=True))
+        for i, (axis, s, limit) in enumerate(zip(axes, stddev, np.repeat(WEAK, 3), strict=True))
         if s > limit and axis not in open_axes
     ]
     advice = advice.format(name=name)

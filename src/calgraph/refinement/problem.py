@@ -3,7 +3,9 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from calgraph.captures import Captured
 from calgraph.errors import InputError
@@ -24,6 +26,8 @@ class Solver(StrictModel):
     """All sensors and boards in the units that sensors measure, or the paper's hypergraph."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
+    folds: Annotated[int, Field(ge=0)] = 5
+    """In how many parts the captures are left out for cross-validation; 0 for none."""
     priors: tuple[PosePrior, ...] = ()
     """What is known of sensors' poses beforehand."""
     groups: tuple[RigidGroup, ...] = ()

@@ -8,6 +8,7 @@ from calgraph.result.calibration import (
     FloorView,
     LeftOut,
     SensorPose,
+    Suggestion,
     Verdict,
 )
 from calgraph.result.exports import FORMATS, export, to_json
@@ -18,6 +19,6 @@ from calgraph.result.tree import TransformTree
 
 __all__ = [
     "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "FloorView", "KnownPoses", "LeftOut",
-    "SensorPose", "TransformTree", "Verdict", "export", "load_calibration", "read_poses", "save_calibration",
-    "save_captures", "to_json",
+    "SensorPose", "Suggestion", "TransformTree", "Verdict", "export", "load_calibration", "read_poses",
+    "save_calibration", "save_captures", "to_json",
 ]  # fmt: skip

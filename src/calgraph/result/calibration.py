@@ -12,6 +12,9 @@ from calgraph.result.tree import TransformTree
 
 Grade = Literal["good", "weak", "unobservable"]
 
+_UNKNOWN: Mapping[Literal["m", "rad"], float] = {"m": 0.2, "rad": np.radians(10)}
+"""Standard deviations beyond which there is no saying where along an axis a sensor is."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -103,6 +106,32 @@ class LeftOut:
 
 
 @dataclass(frozen=True, eq=False)
+class Suggestion:
+    """A further capture that would make the least certain sensor more certain."""
+
+    hold: str
+    """Where and how to hold the board, in words."""
+    sensor: str
+    """The sensor that is least certain before it."""
+    axis: str
+    """Along or about which of its axes."""
+    unit: Literal["m", "rad"]
+    stddev: float
+    """Standard deviation along that axis without the capture, but with those suggested before."""
+    expected: float
+    """And with it."""
+    T_root_board: Array
+    """(4, 4)."""
+
+    def __str__(self) -> str:
+        """The suggestion as a sentence."""
+        if self.expected > _UNKNOWN[self.unit]:
+            return f"{self.hold}: a step towards {self.axis} of {self.sensor}, which takes more than one"
+        before, after = (_plus_minus(value, self.unit) for value in (self.stddev, self.expected))
+        return f"{self.hold}: {self.axis} of {self.sensor} {before} → {after}"
+
+
+@dataclass(frozen=True, eq=False)
 class BoardOutline:
     """Where the board was in one capture, for pictures."""
 
@@ -146,6 +175,8 @@ class Calibration:
     included; zero for the root. None where it is not known."""
     left_out: Mapping[str, LeftOut] = field(default_factory=dict)
     """Cross-validation by sensor; none for those that no other sensor predicts, and where it was not asked for."""
+    suggestions: tuple[Suggestion, ...] = ()
+    """Further captures that would help most, the first one first."""
 
     def __post_init__(self) -> None:
         if not self.residual_rms:
@@ -197,6 +228,12 @@ class Calibration:
         names = [sensor.name for sensor in self.sensors]
         both = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
         return se3.relative_covariance(T_root_a, T_root_b, self.joint_covariance[np.ix_(both, both)])
+
+
+def _plus_minus(stddev: float, unit: Literal["m", "rad"]) -> str:
+    if stddev > _UNKNOWN[unit]:
+        return "unknown"
+    return f"±{1000 * stddev:.2g} mm" if unit == "m" else f"±{np.degrees(stddev):.2g}°"
 
 
 def rms(values: Array) -> float | None:

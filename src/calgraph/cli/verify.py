@@ -1,0 +1,125 @@
+"""``calgraph verify``: whether the covariances of a calibration hold, by drawing its captures anew."""
+
+import json as json_module
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from calgraph.cli.calibrate import fail_if_unconnected
+from calgraph.cli.console import console
+from calgraph.cli.progress import progress_bars
+from calgraph.errors import CalibrationError, InputError
+from calgraph.recording import open_recordings, with_intrinsics
+from calgraph.rig import load_rig
+
+if TYPE_CHECKING:
+    from calgraph.calibrate import Progress
+    from calgraph.refinement import Problem, Scatter
+
+_FORMAT = "calgraph-verify/1"
+_SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}
+"""Sign for each verdict: colour is never the only one."""
+
+
+def verify(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="DUMP | RIG.yaml RECORDING...", help="As for calibrate; or what --dump wrote."),
+    ],
+    rounds: Annotated[int, typer.Option(min=20, help="How often captures are drawn anew.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draws: same seed, same result.")] = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Check whether the covariances of a rig's calibration hold, by a bootstrap over its captures.
+
+    The rig is solved again from as many captures, drawn with replacement. How far each sensor's pose scatters, by
+    axis, is compared with its standard deviation. The intervals of all ratios hold together with 95 %.
+
+    Exit code 0: no covariance is optimistic; 1: one is, or a sensor could not be calibrated; 2: bad input.
+    """
+    from calgraph.calibrate import verify_problem  # takes seconds, which --help should not
+
+    with progress_bars() as progress:
+        problem = _problem(files, seed, progress)
+        calibration, scatter = verify_problem(problem, rounds, np.random.default_rng(seed), progress)
+    kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
+    if json:
+        typer.echo(_content(scatter, kinds, rounds))
+    else:
+        _print(scatter, kinds, rounds)
+    fail_if_unconnected(calibration)
+    optimistic = [name for name, found in scatter.items() if found.verdict == "optimistic"]
+    if optimistic:
+        raise CalibrationError(f"the covariance is optimistic: {', '.join(optimistic)}")
+
+
+def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
+    """The joint problem in a dump, or that of a recording."""
+    from calgraph import calibrate as story
+    from calgraph.refinement import load_problem
+
+    if len(files) == 1:
+        if files[0].suffix in (".yaml", ".yml"):
+            raise InputError(f"{files[0]}: a rig needs a recording beside it: verify RIG.yaml RECORDING")
+        return load_problem(files[0])
+    rig = load_rig(files[0])
+    with open_recordings(files[1:]) as recording:
+        rig = with_intrinsics(rig, recording)
+        return story.pose_problem(rig, recording, story.Options(seed=seed), progress)
+
+
+def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> str:
+    """All numbers, m and rad."""
+    from calgraph.refinement import CONFIDENCE, axis_names
+
+    sensors: dict[str, Any] = {
+        name: {
+            "verdict": found.verdict,
+            "axes": [
+                {"axis": axis, "stddev": stated, "scatter": far, "ratio": ratio, "interval": [low, high]}
+                for axis, stated, far, ratio, low, high in zip(
+                    axis_names(kinds[name]),
+                    found.stated.tolist(), found.found.tolist(), found.ratio.tolist(),
+                    found.low.tolist(), found.high.tolist(),
+                    strict=True,
+                )
+            ],
+        }
+        for name, found in scatter.items()
+    }  # fmt: skip
+    content = {"format": _FORMAT, "rounds": rounds, "confidence": CONFIDENCE, "sensors": sensors}
+    return json_module.dumps(content, ensure_ascii=False, allow_nan=False, indent=1)
+
+
+def _print(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> None:
+    """A row a sensor and axis, then the verdicts."""
+    from calgraph.refinement import CONFIDENCE, axis_names
+
+    paper = console()
+    paper.print(f"[bold]Scatter over {rounds} draws of the captures, and what the covariances say[/]")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("sensor", overflow="fold")
+    table.add_column("axis", no_wrap=True)
+    for head in ("scatter", "stated", "ratio", f"all in, {CONFIDENCE:.0%}"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, found in scatter.items():
+        for i, axis in enumerate(axis_names(kinds[name])):
+            table.add_row(
+                escape(name) if i == 0 else "", axis, _size(found.found[i], i), _size(found.stated[i], i),
+                f"{found.ratio[i]:.2f}", f"{found.low[i]:.2f} – {found.high[i]:.2f}",
+            )  # fmt: skip
+    paper.print(table)
+    for name, found in scatter.items():
+        axis, ratio = axis_names(kinds[name])[found.worst], found.ratio[found.worst]
+        times = ratio if found.verdict == "optimistic" else 1 / ratio
+        by = "" if found.verdict == "honest" else f" by {times:.1f}, most for {axis}"
+        paper.print(f"{_SIGNS[found.verdict]} {escape(f'the covariance of {name} is {found.verdict}{by}')}")
+
+
+def _size(stddev: float, axis: int) -> str:
+    return f"{1000 * stddev:.2f} mm" if axis < 3 else f"{np.degrees(stddev):.3f}°"
