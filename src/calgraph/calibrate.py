@@ -30,6 +30,7 @@ from calgraph.pairwise import TrackPair, estimate_network_pairs, estimate_pairs,
 from calgraph.recording import Recording, read_cameras
 from calgraph.refinement import (
     Audit,
+    Estimable,
     Estimator,
     Filter,
     Joint,
@@ -78,6 +79,8 @@ class Options:
     estimator: Estimator | NetworkEstimator | None = None
     """The joint solution. Rigs: bundle, in the units that are measured, or the paper's hypergraph. Networks:
     joint, with clocks and paths, or the paper's averaging of pairs. If left out, the first of them."""
+    estimate: tuple[Estimable, ...] = ()
+    """What a rig's joint solution estimates besides poses: range biases, intrinsics, tags' places."""
     prior: PriorFile | None = None
     """Where a rig's sensors are about."""
     rigid: tuple[RigidFile, ...] = ()
@@ -137,7 +140,7 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
 
 def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
-    _check_estimator(_rig_estimator(options), bool(options.prior or options.rigid))
+    _check_estimator(_rig_estimator(options), bool(options.prior or options.rigid), options.estimate)
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
     return prepare(rig, captured, options, rng, progress)
@@ -177,7 +180,9 @@ def prepare(
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    solver = Solver(estimator=_rig_estimator(options), keep=options.keep, folds=options.folds)
+    solver = Solver(
+        estimator=_rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
+    )
     return replayable(knowing(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
 
 
@@ -187,8 +192,10 @@ def solve_problem(problem: Problem) -> Calibration:
     rig, calibration = problem.rig, assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
     if joint.adjusted is None:
         return calibration
-    rng = np.random.default_rng(0)  # of the boards that are tried: any draw of so many serves
-    return with_outlook(calibration, joint.adjusted, rig.board_size, problem.solver.folds, rng)
+    # The boards that are tried need no seed of the user's: any draw of so many serves.
+    return with_outlook(
+        calibration, joint.adjusted, rig.board_size, problem.solver.folds, np.random.default_rng(0)
+    )
 
 
 def verify_problem(
@@ -202,7 +209,9 @@ def verify_problem(
     problem = replace(problem, solver=problem.solver.model_copy(update={"estimator": "bundle"}))
     joint, tree = _solved(problem)
     if joint.adjusted is None:
-        raise CalibrationError(f"there is nothing to verify: nothing is connected to the root {problem.rig.root}")
+        raise CalibrationError(
+            f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
+        )
     scatter = resample(joint.adjusted, rounds, rng, lambda done: progress("resampling", done))
     return assemble(problem.rig, problem.captured, problem.pairs, tree, joint), scatter
 
@@ -225,12 +234,12 @@ def audit_problem(
 def _solved(problem: Problem) -> tuple[Joint, SpanningTree]:
     """The joint solution, and the tree that it started from."""
     rig, captured, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
-    _check_estimator(solver.estimator, bool(solver.priors or solver.groups))
+    _check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
     tree = attached(problem.tree, estimated(pairs), solver.priors, solver.groups)
     if solver.estimator == "bundle":
         joint = solve_bundle(
             rig, captured, estimated(pairs), tree.T_root_sensor,
-            keep=solver.keep, priors=solver.priors, groups=solver.groups,
+            keep=solver.keep, estimate=solver.estimate, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
         joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=solver.keep)
@@ -242,7 +251,9 @@ def _rig_estimator(options: Options) -> Estimator:
     return estimator
 
 
-def _check_estimator(estimator: Estimator, known: bool) -> None:
+def _check_estimator(estimator: Estimator, known: bool, estimate: Sequence[Estimable]) -> None:
+    if estimate and estimator != "bundle":
+        raise InputError(f"--estimate: goes with --estimator bundle, got {estimator}")
     if known and estimator != "bundle":
         raise InputError(f"--prior and --rigid: go with --estimator bundle, got {estimator}")
 
@@ -256,6 +267,8 @@ def calibrate_network(
     """
     if options.dump:
         raise InputError("--dump: only the problem of a rig with a board can be written, not that of a network")
+    if options.estimate:
+        raise InputError("--estimate: is for rigs with a board, not for networks")
     if options.prior or options.rigid:
         raise InputError("--prior and --rigid: are for rigs with a board, not for networks")
     estimator = _chosen(options.estimator, get_args(NetworkEstimator), "a network")

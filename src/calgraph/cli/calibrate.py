@@ -31,6 +31,20 @@ class FilterChoice(StrEnum):
     none = "none"
 
 
+class EstimateChoice(StrEnum):
+    """Values of --estimate."""
+
+    range_bias = "range_bias"
+    intrinsics = "intrinsics"
+    tags = "tags"
+
+
+EstimateOption = Annotated[
+    list[EstimateChoice] | None,
+    typer.Option("--estimate", help="Board: estimate this besides poses; repeatable."),
+]
+
+
 class StartChoice(StrEnum):
     """Values of --start."""
 
@@ -97,6 +111,7 @@ def calibrate(
             "--start", help="Board: start of the joint solution; all but tree and identity use every pair."
         ),
     ] = StartChoice.tree,
+    estimate: EstimateOption = None,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
@@ -141,6 +156,7 @@ def calibrate(
     with replacing_folder(out) as folder:
         options = story.Options(
             estimator=estimator.value if estimator else None,
+            estimate=tuple(choice.value for choice in estimate or ()),
             prior=known,
             rigid=groups,
             keep=keep.value,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
+from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.rig import replacing_folder
 
@@ -24,6 +24,7 @@ def solve(
         FilterChoice | None,
         typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
     ] = None,
+    estimate: EstimateOption = None,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
@@ -42,7 +43,8 @@ def solve(
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}
     chosen = {name: choice.value for name, choice in given.items() if choice is not None}
-    problem = replace(problem, solver=problem.solver.model_copy(update=chosen))
+    besides = {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
+    problem = replace(problem, solver=problem.solver.model_copy(update=chosen | besides))
     problem = replayable(knowing(problem, known, groups))
     with replacing_folder(out) as folder:
         calibration = solve_problem(problem)

@@ -13,11 +13,13 @@ from calgraph.refinement.outlook import with_outlook
 from calgraph.refinement.problem import Estimator, Problem, Solver, check_problem, knowing
 from calgraph.refinement.replay import load_problem, replayable, save_problem
 from calgraph.refinement.resampling import CONFIDENCE, Scatter, resample
+from calgraph.refinement.unknowns import Estimable
 
 __all__ = [
-    "CONFIDENCE", "Adjusted", "Audit", "AxisAudit", "Estimator", "Filter", "Joint", "JointNetwork",
-    "MeasuredNoise", "Misfit", "PosePrior", "PriorFile", "Problem", "RigidFile", "RigidGroup", "Scatter",
-    "SensorAudit", "Solver", "Tolerance", "assemble", "assemble_network", "attached", "audit", "axis_names",
-    "check_problem", "cramer_rao", "knowing", "load_problem", "replayable", "resample", "save_problem",
-    "solve_bundle", "solve_hypergraph", "solve_network", "with_outlook",
+    "CONFIDENCE", "Adjusted", "Audit", "AxisAudit", "Estimable", "Estimator", "Filter", "Joint",
+    "JointNetwork", "MeasuredNoise", "Misfit", "PosePrior", "PriorFile", "Problem", "RigidFile",
+    "RigidGroup", "Scatter", "SensorAudit", "Solver", "Tolerance", "assemble", "assemble_network",
+    "attached", "audit", "axis_names", "check_problem", "cramer_rao", "knowing", "load_problem",
+    "replayable", "resample", "save_problem", "solve_bundle", "solve_hypergraph", "solve_network",
+    "with_outlook",
 ]  # fmt: skip

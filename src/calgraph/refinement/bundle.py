@@ -41,8 +41,9 @@ class Prior:
 class Unknown:
     """A number that is estimated along with the poses."""
 
-    name: str
-    """Of what, in words."""
+    of: str
+    """Whose: a sensor, or a tag."""
+    quantity: str
     unit: str
     """``m``, ``px``, ``rad``, or nothing."""
     start: float
@@ -265,9 +266,8 @@ def view_spreads(bundle: Bundle, system: System) -> list[Array]:
     Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
     board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
     """
-    _, _, K = system.reduced()
-    inner = np.linalg.cholesky(reduced_covariance(system))
-    of_board = np.linalg.cholesky(np.linalg.inv(system.H_board + FAINT * np.eye(6)))
+    H, _, K = system.reduced()
+    inner, of_board = _inverse_root(H), _inverse_root(system.H_board + FAINT * np.eye(6))
     found = []
     for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
         columns = bundle.columns(s)
@@ -330,6 +330,13 @@ def _add_prior(bundle: Bundle, state: State, prior: Prior, H: Array, g: Array) -
         H[np.ix_(columns, columns)] += J.T @ prior.information @ J
         g[columns] += J.T @ prior.information @ error
     return 0.5 * float(error @ prior.information @ error)
+
+
+def _inverse_root(A: Array) -> Array:
+    """``R`` (..., n, n) with ``R @ R.T`` the inverse of positive definite A, be it almost singular."""
+    values, vectors = np.linalg.eigh(A)
+    least = np.finfo(float).eps * values[..., -1:]
+    return np.asarray(vectors / np.sqrt(np.maximum(values, least))[..., None, :])
 
 
 def _damped(H: Array, damping: float) -> Array:

@@ -10,14 +10,15 @@ from calgraph.captures import Captured
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.refinement.boards import Sighting, placed, sightings
+from calgraph.refinement.boards import Sighting, placed, seen_in, sightings
 from calgraph.refinement.bundle import Bundle, Solved, State, covariance, linearize, solve, stacked
 from calgraph.refinement.contradictions import doubts_of_known
 from calgraph.refinement.hypergraph import Filter, believed
 from calgraph.refinement.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.known import PosePrior, RigidGroup, free, with_groups, with_known
 from calgraph.refinement.scatter import with_measured_noise, with_measured_sway, wrong_views
-from calgraph.refinement.views import Beams, Corners, Views, relative
+from calgraph.refinement.unknowns import Estimable, estimated_values, with_unknowns
+from calgraph.refinement.views import Beams, Corners, Index, Views, relative
 from calgraph.rig import CameraSpec, Rig
 
 # Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
@@ -36,6 +37,7 @@ def solve_bundle(
     T_root_sensor: Mapping[str, Array],
     *,
     keep: Filter = "ransac",
+    estimate: Sequence[Estimable] = (),
     priors: Sequence[PosePrior] = (),
     groups: Sequence[RigidGroup] = (),
 ) -> Joint:
@@ -50,6 +52,7 @@ def solve_bundle(
         estimates: pairs with the matches that agree.
         T_root_sensor: start poses of the connected sensors, the root first.
         keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
+        estimate: what to estimate besides poses.
         priors: what is known of sensors' poses.
         groups: sensors that are fixed to each other.
     """
@@ -59,6 +62,8 @@ def solve_bundle(
         return Joint("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
     bundle, state = build(rig, captured, boards, T_root_sensor)
     bundle = free(bundle)
+    if estimate:
+        bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
     rejected: set[tuple[int, str]] = set()
     seen = np.array([len(views.board) for views in bundle.views])
     solved = solve(bundle, state)
@@ -86,6 +91,7 @@ def solve_bundle(
             name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
             for name, views, sway in zip(names, bundle.views, bundle.sway, strict=True)
         },
+        estimated=estimated_values(bundle, solved.state, solved.system),
         adjusted=Adjusted(bundle, solved, np.array([board.capture for board in boards])),
     )
 
@@ -127,9 +133,15 @@ def build(
     state = State(
         stacked([T_root_sensor[name] for name in names]),
         stacked([placed(board, captured.detections, T_root_sensor) for board in boards]),
-        np.zeros(sum(own.unknowns for own in views)),
+        np.zeros(0),
     )
     return _weighed(bundle, state), state
+
+
+def _printed_on(captured: Captured, boards: Sequence[Sighting]) -> Index:
+    """(C,) which of the rig's boards each sighting is of, as cameras saw it; the first where none did."""
+    seen = [[d.board for _, d in seen_in(b, captured.detections) if isinstance(d, BoardCorners)] for b in boards]
+    return np.array([found[0] if found else 0 for found in seen], dtype=np.intp)
 
 
 def _weighed(bundle: Bundle, state: State) -> Bundle:

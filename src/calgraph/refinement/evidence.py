@@ -50,6 +50,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         residuals=joint.residuals,
         outlines=tuple(_outlines(rig, captured, used, joint)),
         estimator=joint.estimator,
+        estimated=joint.estimated,
         joint_covariance=_ordered(joint, root_first),
     )
 

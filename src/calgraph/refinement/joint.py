@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.refinement.bundle import Bundle, Solved
 from calgraph.refinement.views import Index
+from calgraph.result import Estimated
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class Joint:
     """By sensor, where it was measured."""
     graph_error: float = float("nan")
     """Sum of squared errors over all of a hypergraph's edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
+    estimated: tuple[Estimated, ...] = ()
+    """What was estimated besides poses."""
     adjusted: Adjusted | None = None
     """What the bundle ended with; None for other estimators, and where no two sensors share a board."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,19 +87,21 @@ def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewS
 def _weighted_sums(rows: Rows, start: Index, weight: Array, about: Array) -> ViewSums:
     """Sums with weights (N,), and the robust cost of residuals (N, k) about where views are judged."""
     count, k, q = rows.jacobian.shape
+    flat, residual = rows.jacobian.reshape(-1, q), rows.residual.ravel()
+    weighted = (weight[:, None, None] * rows.jacobian).reshape(-1, q)
+    core, slope = np.empty((len(start), q, q)), np.empty((len(start), q))
+    for view, (first, last) in enumerate(pairwise(k * np.append(start, count))):
+        # View by view: this is what BLAS is best at.
+        core[view] = weighted[first:last].T @ flat[first:last]
+        slope[view] = weighted[first:last].T @ residual[first:last]
     size = _sizes(about)
     cost = np.where(size <= HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER))
-    weighted = (weight[:, None, None] * rows.jacobian).reshape(-1, q).T
-    flat, residual = rows.jacobian.reshape(-1, q).T, rows.residual.ravel()
-    i, j = np.triu_indices(q)
-    core = np.zeros((len(start), q, q))
-    core[:, i, j] = core[:, j, i] = _per_view(weighted[i] * flat[j], k * start).T
     return ViewSums(
         core,
-        _per_view(weighted * residual, k * start).T,
+        slope,
         rows.basis,
-        _per_view(cost, start),
-        _per_view(weight * _sizes(rows.residual) ** 2, start),
+        np.add.reduceat(cost, start),
+        np.add.reduceat(weight * _sizes(rows.residual) ** 2, start),
         np.diff(start, append=count) * k,
     )
 
@@ -106,10 +109,6 @@ def _weighted_sums(rows: Rows, start: Index, weight: Array, about: Array) -> Vie
 def _sizes(residual: Array) -> Array:
     """(N,) lengths of residuals (N, k)."""
     return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
-
-
-def _per_view(values: Array, start: Index) -> Array:
-    return np.asarray(np.add.reduceat(values, start, axis=-1))
 
 
 def swayed(rows: Rows, start: Index, sway: Array) -> tuple[Array, Array, Array]:

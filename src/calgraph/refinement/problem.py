@@ -13,6 +13,7 @@ from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.hypergraph import Filter
 from calgraph.refinement.known import PosePrior, PriorFile, RigidFile, RigidGroup, known_poses
+from calgraph.refinement.unknowns import Estimable
 from calgraph.rig import Rig
 from calgraph.rig.model import StrictModel
 
@@ -28,6 +29,8 @@ class Solver(StrictModel):
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     folds: Annotated[int, Field(ge=0)] = 5
     """In how many parts the captures are left out for cross-validation; 0 for none."""
+    estimate: tuple[Estimable, ...] = ()
+    """What to estimate besides poses: the scanners' range biases, the cameras' intrinsics, the tags' places."""
     priors: tuple[PosePrior, ...] = ()
     """What is known of sensors' poses beforehand."""
     groups: tuple[RigidGroup, ...] = ()

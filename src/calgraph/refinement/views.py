@@ -6,7 +6,7 @@ a function of ``T_sensor_board``, so residuals are differentiated by that pose a
 """
 
 from collections.abc import Sequence
-from dataclasses import Field, dataclass, replace
+from dataclasses import Field, dataclass, field, replace
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -83,7 +83,12 @@ class Corners:
     camera: CameraModel
     noise: PixelNoise
     scale: float = 1.0
-    unknowns: int = 0
+    intrinsics: bool = False
+    """Whether the camera's intrinsics are unknown."""
+    tags: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(M, 2) centres of the tags whose places on the board are unknown, m."""
+    tag: Index | None = None
+    """(N,) on which of ``tags`` each corner is; -1 on none. Needed where there are any."""
 
     @classmethod
     def of(
@@ -99,15 +104,44 @@ class Corners:
             noise,
         )
 
-    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:  # noqa: ARG002
+    @property
+    def unknowns(self) -> int:
+        """The camera's intrinsics, then (x, y, rotation) of each tag, m and rad; where they are unknown."""
+        return len(self.camera.intrinsics) * self.intrinsics + 3 * len(self.tags)
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
         """See :class:`Views`: reprojection errors."""
         view = _view_of(self.start, len(self.pixels))
-        turned = (T_sensor_board[view, :3, :3] @ self.corners_board[..., None])[..., 0]
-        pixels, by_point = self.camera.project_with_jacobian(turned + T_sensor_board[view, :3, 3])
-        sigma = self.scale * self.noise.pixel
-        jacobian = np.concatenate([by_point, -by_point @ so3.hat(turned)], axis=-1)
-        basis = np.broadcast_to(np.eye(6), (len(self.board), 6, 6))
-        return Rows((pixels - self.pixels) / sigma, jacobian / sigma, basis)
+        intrinsics, places = np.split(own, [self.unknowns - 3 * len(self.tags)])
+        camera = self.camera.with_intrinsics(intrinsics) if self.intrinsics else self.camera
+        corners_board, by_places = self._placed(places.reshape(-1, 3))
+        R = T_sensor_board[view, :3, :3]
+        turned = (R @ corners_board[..., None])[..., 0]
+        points = turned + T_sensor_board[view, :3, 3]
+        pixels, by_point = camera.project_with_jacobian(points)
+        parts = [by_point, -by_point @ so3.hat(turned)]
+        if self.intrinsics:
+            parts.append(camera.project_by_intrinsics(points))
+        if len(places):
+            parts.append(by_point @ R @ by_places)
+        sigma, size = self.scale * self.noise.pixel, 6 + self.unknowns
+        basis = np.broadcast_to(np.eye(size), (len(self.board), size, size))
+        return Rows((pixels - self.pixels) / sigma, np.concatenate(parts, axis=-1) / sigma, basis)
+
+    def _placed(self, places: Array) -> tuple[Array, Array]:
+        """Corners (N, 3) with their tags moved by ``places`` (M, 3), and derivatives (N, 3, 3 M) by those."""
+        if self.tag is None or not len(places):
+            return self.corners_board, np.zeros((len(self.corners_board), 3, 0))
+        moved, of = self.corners_board.copy(), np.flatnonzero(self.tag >= 0)
+        x, y, angle = places[self.tag[of]].T
+        center, (c, s) = self.tags[self.tag[of]], (np.cos(angle), np.sin(angle))
+        dx, dy = (self.corners_board[of, :2] - center).T
+        arm = np.stack([c * dx - s * dy, s * dx + c * dy], axis=-1)
+        moved[of, :2] = center + arm + np.stack([x, y], axis=-1)
+        J = np.zeros((len(moved), 3, len(places), 3))
+        J[of, 0, self.tag[of], 0] = J[of, 1, self.tag[of], 1] = 1
+        J[of, 0, self.tag[of], 2], J[of, 1, self.tag[of], 2] = -arm[:, 1], arm[:, 0]
+        return moved, J.reshape(len(moved), 3, -1)
 
     def weighed(self, T_sensor_board: Array, scale: float) -> "Corners":  # noqa: ARG002
         """See :class:`Views`."""
@@ -122,6 +156,7 @@ class Corners:
             start=start,
             corners_board=self.corners_board[kept],
             pixels=self.pixels[kept],
+            tag=None if self.tag is None else self.tag[kept],
         )
 
 

@@ -11,6 +11,7 @@ from calgraph.result.calibration import (
     Suggestion,
     Verdict,
 )
+from calgraph.result.estimated import Estimated
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.file import save_calibration, save_captures
 from calgraph.result.known_poses import KnownPoses, read_poses
@@ -18,7 +19,7 @@ from calgraph.result.reading import load_calibration
 from calgraph.result.tree import TransformTree
 
 __all__ = [
-    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "FloorView", "KnownPoses", "LeftOut",
-    "SensorPose", "Suggestion", "TransformTree", "Verdict", "export", "load_calibration", "read_poses",
+    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView", "KnownPoses",
+    "LeftOut", "SensorPose", "Suggestion", "TransformTree", "Verdict", "export", "load_calibration", "read_poses",
     "save_calibration", "save_captures", "to_json",
 ]  # fmt: skip

@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3
+from calgraph.result.estimated import Estimated
 from calgraph.result.tree import TransformTree
 
 Grade = Literal["good", "weak", "unobservable"]
@@ -177,6 +178,9 @@ class Calibration:
     """Cross-validation by sensor; none for those that no other sensor predicts, and where it was not asked for."""
     suggestions: tuple[Suggestion, ...] = ()
     """Further captures that would help most, the first one first."""
+
+    estimated: tuple[Estimated, ...] = ()
+    """What was estimated besides poses."""
 
     def __post_init__(self) -> None:
         if not self.residual_rms:

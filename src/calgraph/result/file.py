@@ -10,6 +10,7 @@ from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.geometry import Array, so3
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
+from calgraph.result.estimated import Estimated
 from calgraph.rig import replacing, save_yaml
 from calgraph.rig.writing import on_one_line
 
@@ -38,6 +39,8 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
+    if calibration.estimated:
+        content["estimated"] = [_estimated(one) for one in calibration.estimated]
     if calibration.joint_covariance is not None:
         content["joint_covariance"] = {
             "order": on_one_line(sensor.name for sensor in calibration.sensors),
@@ -79,6 +82,13 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     if sensor.clock_offset_stddev is not None:
         entry["clock_offset_stddev"] = sensor.clock_offset_stddev
     return entry
+
+
+def _estimated(one: Estimated) -> dict[str, Any]:
+    unit = {"unit": one.unit} if one.unit else {}
+    stated, value, stddev = _digits([one.stated, one.value, one.stddev], 9)
+    numbers = {"stated": stated, "value": value, "stddev": stddev, "measured": one.measured}
+    return {"of": one.of, "quantity": one.quantity, **unit, **numbers}
 
 
 def _quality(calibration: Calibration) -> dict[str, Any]:

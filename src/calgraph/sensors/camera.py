@@ -3,7 +3,7 @@
 Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -66,6 +66,26 @@ class CameraModel:
         """Pixels (N, 2) as :meth:`project` gives them, and their derivatives (N, 2, 3) by the points, pixels/m."""
         bent, J = self.lens.bend(np.asarray(points, dtype=np.float64))
         return self.focal * bent + self.principal_point, self.focal[:, None] * J
+
+    @property
+    def intrinsics(self) -> Array:
+        """(4 + n,) fx, fy, cx, cy, pixels, and the coefficients of the distortion."""
+        return np.concatenate([self.focal, self.principal_point, self.distortion])
+
+    def with_intrinsics(self, intrinsics: Array) -> "CameraModel":
+        """The camera with other ``intrinsics`` (4 + n,)."""
+        K = np.eye(3)
+        K[[0, 1, 0, 1], [0, 1, 2, 2]] = intrinsics[:4]
+        return replace(self, K=K, distortion=intrinsics[4:])
+
+    def project_by_intrinsics(self, points: Array) -> Array:
+        """Derivatives (N, 2, 4 + n) of the pixels of points (N, 3) by ``intrinsics``."""
+        bent, _ = self.lens.bend(points)
+        by_coefficients = self.lens.by_coefficients(points)[..., : len(self.distortion)]
+        principal = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+        return np.concatenate(
+            [bent[:, None] * np.eye(2), principal, self.focal[:, None] * by_coefficients], axis=-1
+        )
 
     def rays(self, pixels: Array) -> Array:
         """Unit vectors (N, 3) from the camera's centre through pixels (N, 2); NaN where no point is seen there.

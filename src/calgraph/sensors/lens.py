@@ -29,6 +29,9 @@ class Lens(Protocol):
     def bend(self, points: Array) -> tuple[Array, Array]:
         """Bent coordinates (N, 2) of points (N, 3) and their derivatives (N, 2, 3); NaN past the limit."""
 
+    def by_coefficients(self, points: Array) -> Array:
+        """Derivatives (N, 2, n) of the bent coordinates of points (N, 3) by the model's n coefficients."""
+
     def straighten(self, bent: Array) -> Array:
         """Unit vectors (N, 3) of bent coordinates (N, 2); past the limit any value, which does not bend back."""
 
@@ -56,6 +59,19 @@ class Pinhole:
         # Tangential terms shift the fold a little; a mirrored neighbourhood is past it.
         unfolded = _determinant(D) > 0
         return np.where(unfolded[:, None], bent, np.nan), np.where(unfolded[:, None, None], J, np.nan)
+
+    def by_coefficients(self, points: Array) -> Array:
+        """See :class:`Lens`; n = 8."""
+        x, y = (points[:, :2] / points[:, 2:]).T
+        s = x * x + y * y
+        _, _, _, _, _, k4, k5, k6 = self.k
+        c, below = self._radial(s)[0], 1 + s * (k4 + s * (k5 + s * k6))
+        powers = np.stack([s, s**2, s**3], axis=-1) / below[:, None]
+        above = powers[:, None] * np.stack([x, y], axis=-1)[..., None]
+        tangential = np.stack(
+            [np.stack([2 * x * y, s + 2 * x * x], axis=-1), np.stack([s + 2 * y * y, 2 * x * y], axis=-1)], axis=1
+        )
+        return np.concatenate([above[..., :2], tangential, above[..., 2:], -c[:, None, None] * above], axis=-1)
 
     def straighten(self, bent: Array) -> Array:
         """See :class:`Lens`."""
@@ -127,6 +143,14 @@ class Fisheye:
             axis=-2,
         )
         return scale[:, None] * points[:, :2], np.where(np.isfinite(scale)[:, None, None], J, np.nan)
+
+    def by_coefficients(self, points: Array) -> Array:
+        """See :class:`Lens`; n = 4."""
+        x, y, z = points.T
+        r = np.hypot(x, y)
+        angle = np.arctan2(r, z)
+        away = points[:, :2] / np.where(r > 0, r, 1.0)[:, None]
+        return np.asarray(away[..., None] * angle[:, None, None] ** np.array([3, 5, 7, 9]))
 
     def straighten(self, bent: Array) -> Array:
         """See :class:`Lens`."""
