@@ -14,6 +14,7 @@ from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph
 from calgraph.pairwise import icp
+from calgraph.refinement.headings import with_best_headings
 from calgraph.refinement.outlines import cast, seen
 from calgraph.refinement.splines import Knots, evaluate
 from calgraph.refinement.trajectories import (
@@ -26,6 +27,7 @@ from calgraph.refinement.trajectories import (
     Wall,
     covariance,
     solve,
+    view_of,
 )
 from calgraph.refinement.walkers import Walker, scanners_of, walkers
 from calgraph.rig import Cylinder, People
@@ -128,6 +130,8 @@ def solve_network(
     )
     network = _with_beams(replace(network, walls=_bridging(network, (), edges)), state)
     state, system = solve(network, state)
+    state = with_best_headings(network, state)
+    state, system = solve(_with_beams(network, state), state)
     for _ in range(_ROUNDS):
         before = network.sway[0]
         network = _with_sway(_with_beams(network, state), system)
@@ -224,7 +228,7 @@ def _with_beams(network: Network, state: State) -> Network:
 def _usable(network: Network, state: State, body: Body, motion: Motion, one: Glimpses) -> NDArray[np.bool_]:
     first, weights, slopes = body.knots.at(one.times - state.offset[one.scanner])
     pose, rate = evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
-    view = np.repeat(np.arange(len(one.start)), np.diff(one.start, append=len(one.ranges)))
+    view = view_of(one)
     at = pose[view] + one.lag[:, None] * rate[view]
     T = state.T_root_scanner[one.scanner]
     direction = one.direction @ T[:2, :2].T

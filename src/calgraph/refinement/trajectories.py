@@ -18,11 +18,11 @@ from calgraph.refinement.outlines import cast
 from calgraph.refinement.splines import Knots, evaluate
 from calgraph.refinement.views import Index, Rows
 
-# Spectral densities of a walker's acceleration, m²/s³, and of its turning, rad²/s.
-_AGILITY, _TURNING = 0.5, 0.5
+# Spectral densities of a walker's acceleration, m²/s³, and of its turning, rad²/s: about within a second.
+_AGILITY, _TURNING = 0.5, 5.0
 # People face where they walk, give or take so much, rad, if they walk at least so fast, m/s.
 _FACING = 0.3
-_STROLL = 0.3
+_STROLL = 0.5
 # A beam that misses the ellipse counts as this many standard deviations, whichever way it moves.
 _MISSED = 4.0
 # Steps that change the cost by less than this share of it, or need more damping than this, are the last.
@@ -294,7 +294,7 @@ def _body_equations(
 
 def glimpsed(network: Network, state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array) -> Rows:
     """Whitened residuals (N, 1) of beams on a body, whose pose and rate (V, 3) at the scans' times are given."""
-    view = np.repeat(np.arange(len(seen.start)), np.diff(seen.start, append=len(seen.ranges)))
+    view = view_of(seen)
     at = pose[view] + seen.lag[:, None] * rate[view]
     T = state.T_root_scanner[seen.scanner]
     direction = seen.direction @ T[:2, :2].T
@@ -339,14 +339,27 @@ def _prior(body: Body, motion: Motion) -> tuple[Array, Array, float]:
     if not body.faces:
         band[:, 0, 2, 2] += 1.0
         return band, gradient, cost
-    velocity = np.gradient(control[:, :2], h, axis=0)
+    # Where one walks is taken as known: that the heading says so, too, would add next to nothing.
+    off, weight = facing(body, control[:, :2], control[:, 2:])
+    gradient[:, 2] += weight * off[:, 0]
+    band[:, 0, 2, 2] += weight + 1e-6
+    return band, gradient, cost + 0.5 * float(weight @ off[:, 0] ** 2)
+
+
+def facing(body: Body, path: Array, headings: Array) -> tuple[Array, Array]:
+    """How far headings (K, G) or (G,) at control points are from where a path (K, 2) leads, (K, G); weights (K,).
+
+    Modulo π: an ellipse has no front.
+    """
+    velocity = np.gradient(path, body.knots.step, axis=0)
     walking = np.linalg.norm(velocity, axis=1) > _STROLL
-    # The direction is taken as known: that the heading also says where one walks would add next to nothing.
-    off = control[:, 2] - np.arctan2(velocity[:, 1], velocity[:, 0])
-    off = np.where(walking, (off + np.pi) % (2 * np.pi) - np.pi, 0.0)
-    gradient[:, 2] += off / _FACING**2
-    band[:, 0, 2, 2] += walking / _FACING**2 + 1e-6
-    return band, gradient, cost + 0.5 * float(off @ off) / _FACING**2
+    off = headings - np.arctan2(velocity[:, 1], velocity[:, 0])[:, None]
+    return (off + np.pi / 2) % np.pi - np.pi / 2, walking / _FACING**2
+
+
+def view_of(seen: Glimpses) -> Index:
+    """(N,) which scan each beam belongs to."""
+    return np.repeat(np.arange(len(seen.start)), np.diff(seen.start, append=len(seen.ranges)))
 
 
 def _banded(band: Array, damping: float) -> Array:
