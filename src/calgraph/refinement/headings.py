@@ -1,7 +1,8 @@
 """Which way bodies face while they turn: the best sequence of headings on a grid, by dynamic programming.
 
 Where somebody turns about, the path alone does not tell whether to the left or to the right, and least squares
-does not find from one to the other; the outlines seen meanwhile do. An ellipse has no front: headings count modulo π.
+does not find from one to the other; the outlines seen meanwhile do. An ellipse has no front: headings count
+modulo π.
 """
 
 from dataclasses import replace
