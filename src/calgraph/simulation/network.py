@@ -15,6 +15,7 @@ from calgraph.geometry import Array, se2
 from calgraph.recording.writer import RecordingWriter
 from calgraph.rig import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, Rig, save_yaml
 from calgraph.sensors import LaserScan
+from calgraph.simulation.network_arms import with_arms
 from calgraph.simulation.network_beams import cast_segments, true_ranges
 from calgraph.simulation.network_floor import Floor, ways_through
 from calgraph.simulation.network_layouts import build_layout
@@ -161,11 +162,12 @@ def scans_of(network: Network, scanner: StationaryScanner) -> Iterator[LaserScan
     origin, yaw = scanner.T_world_scanner[:2, 2], float(se2.angle(scanner.T_world_scanner))
     static = cast_segments(origin, yaw + scanner.angles, network.floor.segments)
     within = scanner.time_increment * np.arange(len(scanner.angles))
+    bodies = [part for walk in network.walks for part in with_arms(walk, scenario.people.swing)]
     count = _scan_count(scenario, scanner)
     for first in range(0, count, _AT_ONCE):
         starts = scanner.phase + scanner.period * np.arange(first, min(first + _AT_ONCE, count))
         times = starts[:, None] + within
-        true = true_ranges(origin, yaw + scanner.angles, static, times, network.walks, knobs.max_range)
+        true = true_ranges(origin, yaw + scanner.angles, static, times, bodies, knobs.max_range)
         stamps = scenario.start_time + starts + scanner.clock_offset
         for stamp, ranges in zip(stamps, _measured(true, knobs, rng), strict=True):
             yield LaserScan(float(stamp), scanner.name, scanner.angles, ranges, scanner.time_increment)

@@ -78,6 +78,15 @@ class PeopleKnobs(StrictModel):
     """Mean length of a stop, s."""
     clearance: NotNegative = 0.15
     """Of a body from walls, scanners and other bodies, m; smoothing a walk may take up to 3 cm of it."""
+    swing: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    """How far people's arms swing forth and back while they walk, m; 0 for people without arms. The clearance is
+    the torso's."""
+
+    @model_validator(mode="after")
+    def _has_arms_to_swing(self) -> "PeopleKnobs":
+        if self.swing > 0 and self.kind != "people":
+            raise wrong("swing", f"a {self.kind} has no arms")
+        return self
 
     @property
     def reach(self) -> float:

@@ -18,7 +18,7 @@ from calgraph.simulation.network_scenario import PeopleKnobs
 
 _STEP = 0.1
 """Time between two choices of a velocity, s."""
-_FINE = 0.01
+SAMPLE = 0.01
 """Time between two samples of a walk, s: chords of a walk are within 0.1 mm of it."""
 _SMOOTH = 0.25
 """Standard deviation of the filter that places are smoothed with, s."""
@@ -55,7 +55,7 @@ class Walk:
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Centres (..., 2) and headings (...) at times (...), s; NaN before it comes and after its last sample."""
-        sample = (times - self.start) / _FINE
+        sample = (times - self.start) / SAMPLE
         there = (sample >= 0) & (sample <= len(self.places) - 1)
         first = np.clip(np.floor(np.where(there, sample, 0)).astype(np.intp), 0, len(self.places) - 2)
         part = np.where(there, sample - first, np.nan)
@@ -219,10 +219,10 @@ def _choose(walker: _Walker, wanted: Array, others: Sequence[_Walker], ways: Way
 def _walk(axes: Array, places: Array, start: float) -> Walk:
     """A smooth walk through the places (steps, 2) of every tenth of a second."""
     coarse = _STEP * np.arange(len(places))
-    fine = _FINE * np.arange(round(coarse[-1] / _FINE) + 1)
+    fine = SAMPLE * np.arange(round(coarse[-1] / SAMPLE) + 1)
     dense = np.stack([np.interp(fine, coarse, places[:, k]) for k in (0, 1)], axis=-1)
-    smooth = gaussian_filter1d(dense, _SMOOTH / _FINE, axis=0, mode="nearest")
-    return Walk(axes, start, smooth, _headings(np.gradient(smooth, _FINE, axis=0)))
+    smooth = gaussian_filter1d(dense, _SMOOTH / SAMPLE, axis=0, mode="nearest")
+    return Walk(axes, start, smooth, _headings(np.gradient(smooth, SAMPLE, axis=0)))
 
 
 def _headings(velocities: Array) -> Array:
@@ -232,4 +232,4 @@ def _headings(velocities: Array) -> Array:
         return np.zeros(len(velocities))
     latest = np.maximum.accumulate(np.where(moving, np.arange(len(velocities)), np.argmax(moving)))
     angles = np.unwrap(np.arctan2(velocities[latest, 1], velocities[latest, 0]))
-    return np.asarray(gaussian_filter1d(angles, _SMOOTH / _FINE, mode="nearest"))
+    return np.asarray(gaussian_filter1d(angles, _SMOOTH / SAMPLE, mode="nearest"))
