@@ -66,7 +66,7 @@ def audited(given: KnownPoses, seed: int = 0, tolerance: Tolerance | None = None
 
 
 def step(axis: int, size: float) -> Array:
-    return size * np.eye(6)[axis]
+    return np.asarray(size * np.eye(6)[axis])
 
 
 def test_a_rig_that_nobody_touched_passes() -> None:

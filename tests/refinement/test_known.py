@@ -211,7 +211,8 @@ def test_what_cannot_be_known_so_is_refused(
 
 def prior_of(sensor: str, x: float) -> PosePrior:
     T = se3.pose(np.eye(3), np.array([x, 0, 0])).tolist()
-    return PosePrior(sensor=sensor, T_root_sensor=T, covariance=np.eye(6).tolist(), source="prior")
+    plain = {"sensor": sensor, "T_root_sensor": T, "covariance": np.eye(6).tolist(), "source": "prior"}
+    return PosePrior.model_validate(plain)
 
 
 def estimate(a: str, b: str, x: float) -> PairwiseEstimate:

@@ -106,9 +106,16 @@ def _content(audit: "Audit", against: Path, tolerance: "Tolerance") -> str:
         "tolerance": asdict(tolerance),
         **asdict(audit),
     }
-    for sensor in content["sensors"]:
-        sensor["distance"] = sensor["distance"] if np.isfinite(sensor["distance"]) else None
-    return json_module.dumps(content, ensure_ascii=False, allow_nan=False, indent=1)
+    return json_module.dumps(_finite(content), ensure_ascii=False, allow_nan=False, indent=1)
+
+
+def _finite(value: Any) -> Any:
+    """Plain values with null for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _print(audit: "Audit", against: Path, root: str) -> None:
@@ -139,6 +146,6 @@ def _print(audit: "Audit", against: Path, root: str) -> None:
 def _misfit(misfit: "Misfit | None") -> str:
     if misfit is None:
         return ""
-    if misfit.unit == "px":
-        return f"{misfit.given:.2f}/{misfit.found:.2f} px"
-    return f"{1000 * misfit.given:.1f}/{1000 * misfit.found:.1f} mm"
+    scale, digits, unit = (1, 2, "px") if misfit.unit == "px" else (1000, 1, "mm")
+    given = f"{scale * misfit.given:.{digits}f}" if np.isfinite(misfit.given) else "∞"
+    return f"{given}/{scale * misfit.found:.{digits}f} {unit}"

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import chdtri, ndtri
 
+from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3
 from calgraph.refinement.bundle import Bundle, State, solve
 from calgraph.refinement.joint import Adjusted
@@ -53,7 +54,7 @@ class Misfit:
 
     unit: Literal["px", "m"]
     given: float
-    """Root mean square, corners in x and y, ranges along the beam."""
+    """Root mean square, corners in x and y, ranges along the beam; infinite where boards cannot even be placed."""
     found: float
 
 
@@ -240,7 +241,11 @@ def _misfits(adjusted: Adjusted, T_root_sensor: Mapping[str, Array]) -> dict[str
 
 def _residuals(held: Bundle, state: State) -> list[float]:
     """By sensor, the root mean square of what separates its measurements from the boards, px or m."""
-    placed = solve(held, state).state
+    try:
+        placed = solve(held, state).state
+    except CalibrationError:
+        # So far off that boards are behind a camera.
+        return [float("inf")] * len(held.views)
     sizes = []
     for s, views in enumerate(held.views):
         T_sensor_board = relative(placed.T_root_sensor[s], placed.T_root_board[views.board])
