@@ -134,3 +134,23 @@ def test_sensors_that_calibrate_could_not_connect_are_named_again(
     second = run("solve", dump, "-o", tmp_path / "b")
     assert (second.exit_code, second.stderr) == (1, first.stderr)
     assert (tmp_path / "a/captures.csv").read_bytes() == (tmp_path / "b/captures.csv").read_bytes()
+
+
+def test_more_than_poses_is_estimated_on_request(dumped: Path, tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "more"
+    result = run(
+        "solve", dumped / "problem.npz", "-o", out, "--estimate", "range_bias", "--estimate", "intrinsics"
+    )
+    assert result.exit_code == 0, result.output
+    estimated = load_calibration(out / "calibration.yaml").estimated
+    assert {"range bias", "fx", "cy"} <= {one.quantity for one in estimated}
+    assert "range bias" in result.stdout
+    assert "range bias" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_papers_estimator_estimates_poses_only(dumped: Path, tmp_path: Path, run: Run) -> None:
+    result = run(
+        "solve", dumped / "problem.npz", "-o", tmp_path / "more", "--estimate", "tags", "--estimator", "hypergraph"
+    )
+    assert result.exit_code == 2
+    assert "--estimate: goes with --estimator bundle" in result.stderr

@@ -58,6 +58,30 @@ def test_corners_are_differentiated_as_numbers_say(camera: CameraModel, pose: Ar
     np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max(), rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    "camera", [CAMERA, PLUMB_BOB, RATIONAL, FISHEYE], ids=["plain", "bob", "rational", "fisheye"]
+)
+def test_corners_are_differentiated_by_intrinsics_and_by_the_tags_places(camera: CameraModel) -> None:
+    tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
+    views, T = replace(corners(camera), intrinsics=True, tags=centers, tag=tag), ORDINARY[None]
+    own = np.concatenate([camera.intrinsics, [0.01, -0.02, 0.1, -0.01, 0.02, -0.2]])
+    expected = numerical(views, T, own)
+    assert np.abs(expected[:, 6:]).max(axis=0).min() > 0
+    found = jacobian(views.linearize(T, own), views)
+    size = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-6)
+
+
+def test_a_tag_turns_about_its_own_centre() -> None:
+    tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
+    views = replace(corners(CAMERA), tags=centers, tag=tag)
+    T, quarter = ORDINARY[None], np.array([0, 0, np.pi / 2, 0, 0, 0])
+    still, turned = (views.linearize(T, own).residual for own in (np.zeros(6), quarter))
+    # A quarter turn brings each corner where the next one was, and leaves other tags alone.
+    np.testing.assert_allclose(turned[4:8], np.roll(still[4:8], 1, axis=0), atol=1e-8)
+    np.testing.assert_allclose(np.delete(turned, slice(4, 8), axis=0), np.delete(still, slice(4, 8), axis=0))
+
+
 @pytest.mark.parametrize("bias", [0, 1])
 @pytest.mark.parametrize("kind", ["lidar", "laser"])
 def test_beams_are_differentiated_as_numbers_say(kind: str, bias: int) -> None:

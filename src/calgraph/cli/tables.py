@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -35,12 +36,29 @@ def print_calibration(calibration: Calibration) -> None:
             _GRADES[sensor.verdict.grade],
         )
     paper.print(table)
+    if calibration.estimated:
+        _print_estimated(paper, calibration)
     for sensor in calibration.sensors:
         if sensor.verdict.grade != "good":
             reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
             paper.print(
                 f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
             )
+
+
+def _print_estimated(paper: Console, calibration: Calibration) -> None:
+    """Prints what was estimated besides poses."""
+    paper.print("[bold]Estimated besides[/]")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("of", overflow="fold")
+    table.add_column("")
+    for head in ("stated", "found", "±", ""):
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("")
+    for one in calibration.estimated:
+        told = "" if one.measured else "[yellow]! told by no capture[/]"
+        table.add_row(escape(one.of), one.quantity, *one.shown, told)
+    paper.print(table)
 
 
 def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:

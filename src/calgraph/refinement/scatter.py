@@ -18,6 +18,8 @@ _FIRM = 10
 _INERT = 0.01
 # A view is wrong if it is as far from the others as chance would have it once in so many.
 _CHANCE = 1e-5
+# Views less wrong than this share of the worst wait until that is left out.
+_WAITING = 0.25
 
 
 def with_measured_noise(bundle: Bundle, state: State) -> Bundle:
@@ -69,7 +71,10 @@ def _ascended(variances: Array, score: Array, fisher: Array) -> Array:
 
 
 def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
-    """By sensor, (V,) which views contradict the others: of a board only the worst, for it bends the others."""
+    """By sensor, (V,) which views contradict the others: of a board only the worst, for it bends the others.
+
+    Views that are far worse than the rest bend all sensors: those that are less wrong are judged without them.
+    """
     boards = len(system.H_board)
     excess, spreads = [], view_spreads(bundle, system)
     worst: Array = np.zeros(boards)
@@ -78,7 +83,8 @@ def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
         over = squared / chdtri(np.maximum(freedom, 1), _CHANCE)
         excess.append(over)
         worst[views.board] = np.maximum(worst[views.board], over)
+    limit = max(1.0, _WAITING * worst.max(initial=0.0))
     return [
-        np.asarray((over > 1) & (over >= worst[views.board]), dtype=np.bool_)
+        np.asarray((over > limit) & (over >= worst[views.board]), dtype=np.bool_)
         for views, over in zip(bundle.views, excess, strict=True)
     ]

@@ -9,7 +9,7 @@ from plotly.offline import get_plotlyjs
 from calgraph.report.capture_view import captures
 from calgraph.report.floor_view import floor_plan
 from calgraph.report.graph_view import edge_table, graph
-from calgraph.report.pose_table import pose_table
+from calgraph.report.pose_table import estimated_table, pose_table
 from calgraph.report.residual_view import histograms
 from calgraph.report.rig_view import rig_view
 from calgraph.report.text import counted, escaped
@@ -45,7 +45,7 @@ def report_html(calibration: Calibration, rig: Rig) -> str:
         about_graph=words.graph,
         graph=graph(calibration, words),
         edges=edge_table(calibration, words),
-        poses=pose_table(calibration),
+        poses=pose_table(calibration) + estimated_table(calibration),
         about_residuals=words.residuals,
         residuals=histograms(calibration),
         view_title=words.view,

@@ -1,6 +1,9 @@
 """What a calibration estimated besides poses."""
 
+import math
 from dataclasses import dataclass
+
+_SHOWN = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
 
 
 @dataclass(frozen=True)
@@ -18,3 +21,18 @@ class Estimated:
     stddev: float
     measured: bool
     """Whether the captures tell it; where they do not, it is hardly better known than before."""
+
+    @property
+    def shown(self) -> tuple[str, str, str, str]:
+        """Stated value, value, standard deviation and unit, for people: mm and degrees instead of m and rad.
+
+        Values have as many decimals as leave two digits of the standard deviation.
+        """
+        factor, unit = _SHOWN.get(self.unit, (1.0, self.unit))
+        stddev = factor * self.stddev
+        decimals = max(1 - math.floor(math.log10(stddev)), 0) if 0 < stddev < math.inf else 3
+        texts = (
+            f"{round(factor * v, decimals) + 0.0:.{decimals}f}" for v in (self.stated, self.value, self.stddev)
+        )
+        stated, value, deviation = texts
+        return stated, value, deviation, unit

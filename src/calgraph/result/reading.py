@@ -10,6 +10,7 @@ from pydantic import Field, Strict, model_validator
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose, Verdict
+from calgraph.result.estimated import Estimated
 from calgraph.result.file import FORMAT
 from calgraph.rig.model import StrictModel, wrong
 from calgraph.rig.reading import read_yaml, validated
@@ -114,6 +115,17 @@ class _JointCovariance(StrictModel):
         return self
 
 
+class _Estimated(StrictModel):
+    of: str
+    """A sensor, or a tag."""
+    quantity: str
+    unit: str = ""
+    stated: Finite
+    value: Finite
+    stddev: Positive
+    measured: Flag
+
+
 class _File(StrictModel):
     format: str
     """Version of the file's format."""
@@ -123,6 +135,8 @@ class _File(StrictModel):
     """The sensors with their poses."""
     quality: _Quality
     """How far the poses can be relied on."""
+    estimated: tuple[_Estimated, ...] = ()
+    """What was estimated besides poses."""
     joint_covariance: _JointCovariance | None = None
     """How the errors of all sensors go together."""
 
@@ -192,6 +206,7 @@ def load_calibration(path: Path) -> Calibration:
         unconnected=file.quality.unconnected,
         estimator=file.quality.estimator,
         residual_rms=file.quality.residual_rms,
+        estimated=tuple(Estimated(**vars(one)) for one in file.estimated),
         joint_covariance=_joint_covariance(file.joint_covariance, names),
     )
 

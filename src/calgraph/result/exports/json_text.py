@@ -1,6 +1,7 @@
 """The whole result as JSON, for scripts."""
 
 import json
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ def to_json(calibration: Calibration) -> str:
         "root": calibration.root,
         "estimator": calibration.estimator,
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
+        "estimated": [asdict(one) for one in calibration.estimated],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(calibration.unconnected),
         "edges": [_edge(edge) for edge in calibration.edges],
