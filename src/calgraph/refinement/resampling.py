@@ -21,10 +21,8 @@ Honesty = Literal["honest", "optimistic", "pessimistic"]
 
 # Probability with which all intervals together hold if all covariances do.
 CONFIDENCE = 0.95
-# Shares of a normal distribution one standard deviation below and above its mean.
-_TAILS = (0.158655, 0.841345)
-# Of how many standard deviations' worth of draws one value of that width says as much.
-_WIDTH_EFFICIENCY = 0.54
+# Draws like the captures themselves hardly move: by this share of the variance at least they are taken to.
+_LEAST = 0.01
 # Steps of each solution: it starts near.
 _STEPS = 8
 
@@ -34,9 +32,9 @@ class Scatter:
     """How a sensor's pose scatters over resampled captures, along its own axes."""
 
     stated: Array
-    """(6,) standard deviations that the captures give the pose by its covariance, m and rad."""
+    """(6,) standard deviations by the pose's covariance, m and rad."""
     found: Array
-    """(6,) how far it scattered."""
+    """(6,) those that its scatter tells."""
     low: Array
     """(6,) lower ends of the intervals of ``found / stated``; all intervals together hold with 95 %."""
     high: Array
@@ -74,29 +72,30 @@ def resample(
     Returns:
         By sensor; none for those that do not move.
     """
-    bundle, state = adjusted.bundle, adjusted.solved.state
-    boards_of = [np.flatnonzero(adjusted.captures == capture) for capture in np.unique(adjusted.captures)]
+    bundle, state, system = adjusted.bundle, adjusted.solved.state, adjusted.solved.system
+    captures, capture = np.unique(adjusted.captures, return_inverse=True)
+    shares = np.zeros((len(captures), bundle.size, bundle.size))
+    np.add.at(shares, capture, board_shares(bundle, system))
+    V = reduced_covariance(system)
     turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
-    errors = np.empty((rounds, len(bundle.names), 6))
+    axes = turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)
+    squares, stated = np.zeros(axes.shape[:2]), np.sqrt(_variances(axes, V))
+    free = axes[:, 0].any(axis=-1)
     for i in range(rounds):
-        drawn = np.concatenate([boards_of[k] for k in rng.integers(len(boards_of), size=len(boards_of))])
-        solved = solve(*_drawn(bundle, state, drawn), iterations=_STEPS)
-        moves = (
-            se3.difference(T, T0) for T, T0 in zip(solved.state.T_root_sensor, state.T_root_sensor, strict=True)
+        often = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
+        solved = solve(
+            *_drawn(bundle, state, np.repeat(np.arange(len(capture)), often[capture])), iterations=_STEPS
         )
-        errors[i] = (turns @ np.array(list(moves))[..., None])[..., 0]
+        both = zip(solved.state.T_root_sensor, state.T_root_sensor, strict=True)
+        moves = np.array([se3.difference(T, T_whole) for T, T_whole in both])
+        expected = np.maximum(_variances(axes, _move_covariance(shares, V, often)), _LEAST * stated**2)
+        squares[free] += ((turns @ moves[..., None])[..., 0] ** 2)[free] / expected[free] / rounds
         progress((i + 1) / rounds)
-    # A draw that hardly ties a sensor throws it far: the middle two thirds of the draws tell the width.
-    lower, upper = np.quantile(errors, _TAILS, axis=0)
-    shares, followed = _shares(adjusted, turns)
-    stated = np.sqrt(shares.sum(axis=0))
-    free = np.flatnonzero(stated[:, 0] > 0)
-    low, high = _interval(shares[:, free], rounds)
-    found = (upper - lower)[free] / 2 / np.sqrt(1 - followed[free])
-    ratio = found / stated[free]
+    ratio = np.sqrt(squares)
+    low, high = _interval(axes[free] @ V, shares, rounds)
     return {
-        bundle.names[s]: Scatter(stated[s], found[i], (ratio * low)[i], (ratio * high)[i])
-        for i, s in enumerate(free)
+        bundle.names[s]: Scatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
+        for i, s in enumerate(np.flatnonzero(free))
     }
 
 
@@ -111,37 +110,32 @@ def _drawn(bundle: Bundle, state: State, boards: Index) -> tuple[Bundle, State]:
     return replace(bundle, views=tuple(views)), replace(state, T_root_board=state.T_root_board[boards])
 
 
-def _shares(adjusted: Adjusted, turns: Array) -> tuple[Array, Array]:
-    """What each capture contributes to the variances of the poses, along the sensors' own axes.
+def _move_covariance(shares: Array, V: Array, often: Index) -> Array:
+    """Covariance (G, G) of the move from the whole solution to one of captures drawn so often (C,).
 
-    The error of the solution is the sum over captures of ``V g``, where V is its covariance and ``g`` a capture's
-    gradient, of covariance S: its information. At the solution, of which it is part, g only has ``S - S V S``.
-
-    Returns:
-        Contributions (C, S, 6), and by which share of their sum (S, 6) scatter at the solution is too small.
+    Captures have gradients at the whole solution that sum up to that of the priors, and of which two have the
+    covariance ``S_i [i = j] - S_i V S_j`` if V holds, with ``S`` (C, G, G) their information. A draw moves by
+    ``-H⁻¹ Σ (often - 1) gradient``, where H is its own information. So draws that happen to lack what fixes a
+    sensor may move it far, and those of few captures are not expected to scatter as much as their errors.
     """
-    bundle, solved = adjusted.bundle, adjusted.solved
-    J = pose_jacobian(bundle, solved.state).reshape(len(bundle.names), 6, bundle.size)
-    V = reduced_covariance(solved.system)
-    information = board_shares(bundle, solved.system)
-    captures, capture = np.unique(adjusted.captures, return_inverse=True)
-    S = np.zeros((len(captures), bundle.size, bundle.size))
-    np.add.at(S, capture, information)
-    by_gradient = turns @ J @ V
-    shares = np.einsum("sig,cgh,sih->csi", by_gradient, S, by_gradient, optimize=True)
-    lost = np.einsum("sig,gh,sih->si", by_gradient, np.sum(S @ V @ S, axis=0), by_gradient, optimize=True)
-    total = shares.sum(axis=0)
-    return shares, lost / np.where(total > 0, total, 1)
+    more = np.tensordot(often - 1.0, shares, axes=1)
+    inverse = np.linalg.inv(np.linalg.inv(V) + more)
+    return np.asarray(inverse @ (np.tensordot((often - 1.0) ** 2, shares, axes=1) - more @ V @ more) @ inverse)
 
 
-def _interval(shares: Array, rounds: int) -> tuple[Array, Array]:
-    """Factors (S, 6) from a ratio of standard deviations to the ends of its interval.
+def _variances(axes: Array, V: Array) -> Array:
+    """(S, 6) along axes (S, 6, G)."""
+    return np.asarray(np.einsum("sig,gh,sih->si", axes, V, axes, optimize=True))
 
-    A variance estimated from unequal contributions is nearly chi-squared, with as many degrees of freedom as
-    there are contributions that matter (Satterthwaite, "An approximate distribution of estimates of variance
+
+def _interval(by_gradient: Array, shares: Array, rounds: int) -> tuple[Array, Array]:
+    """Factors (S, 6) from ratios of standard deviations to the ends of their intervals.
+
+    A variance that is estimated from unequal contributions is nearly chi-squared, with as many degrees of freedom
+    as there are contributions that matter (Satterthwaite, "An approximate distribution of estimates of variance
     components", 1946).
     """
-    uneven = np.sum(shares**2, axis=0) / np.sum(shares, axis=0) ** 2
-    freedom = 1 / (uneven + 1 / (_WIDTH_EFFICIENCY * rounds))
+    each = np.einsum("sig,cgh,sih->csi", by_gradient, shares, by_gradient, optimize=True)
+    freedom = 1 / (np.sum(each**2, axis=0) / np.sum(each, axis=0) ** 2 + 1 / rounds)
     tail = (1 - CONFIDENCE) / freedom.size / 2
     return np.sqrt(freedom / chdtri(freedom, tail)), np.sqrt(freedom / chdtri(freedom, 1 - tail))
