@@ -3,7 +3,7 @@
 from calgraph.graph.adjustment import translations
 from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.network import average_network, covariances, network_graph, trust
+from calgraph.graph.network import average_network, covariances, joint_covariance, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
 from calgraph.graph.tree import SpanningTree, grown, spanning_tree
@@ -25,6 +25,7 @@ __all__ = [
     "cycle_basis",
     "grown",
     "irls_l1",
+    "joint_covariance",
     "l1mc",
     "network_graph",
     "pose_graph",

@@ -99,7 +99,14 @@ def _connected(root: str, pairs: Sequence[TrackPair]) -> tuple[str, ...]:
 
 
 def covariances(graph: PoseGraph, T_root_node: Array) -> Array:
-    """Covariances (N, 3, 3) of node poses in the root's fixed axes, from edges in the plane that are all right.
+    """Covariances (N, 3, 3) of node poses: the blocks on the diagonal of :func:`joint_covariance`."""
+    own = np.arange(graph.count)
+    joint = joint_covariance(graph, T_root_node).reshape(graph.count, 3, graph.count, 3)
+    return np.asarray(joint[own, :, own])
+
+
+def joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
+    """Covariance (3N, 3N) of node poses in the root's fixed axes, from edges in the plane that are all right.
 
     Zero for the root. Directions that no edge fixes get a standard deviation of a kilometre or a thousand radians.
     """
@@ -120,5 +127,4 @@ def covariances(graph: PoseGraph, T_root_node: Array) -> Array:
     free = np.repeat(np.arange(graph.count) != graph.root, 3)
     covariance = np.zeros_like(flat)
     covariance[np.ix_(free, free)] = np.linalg.inv(flat[np.ix_(free, free)])
-    own = np.arange(graph.count)
-    return np.asarray(covariance.reshape(graph.count, 3, graph.count, 3)[own, :, own])
+    return covariance

@@ -71,22 +71,17 @@ class JointNetwork:
     """How far bodies stray from ellipses on smooth paths from scan to scan, standard deviation, m."""
 
     @property
-    def pose_covariances(self) -> Array:
-        """(S, 3, 3) in the root's fixed axes; zero for the root."""
-        return self._own[:, :3, :3]
+    def pose_covariance(self) -> Array:
+        """(3S, 3S) of the poses alone, in the root's fixed axes; zero for the root."""
+        poses = np.arange(len(self.covariance)) % 4 < 3
+        return self.covariance[np.ix_(poses, poses)]
 
     @property
     def clocks(self) -> Array:
         """(S, 2) offsets and their standard deviations, s; NaN where they were not estimated, and for the root."""
-        clocks = np.column_stack([self.offset, np.sqrt(self._own[:, 3, 3])])
+        clocks = np.column_stack([self.offset, np.sqrt(np.diagonal(self.covariance)[3::4])])
         clocks[slice(0, 1) if self.clocks_free else slice(None)] = np.nan
         return clocks
-
-    @property
-    def _own(self) -> Array:
-        count = len(self.offset)
-        blocks: Array = self.covariance.reshape(count, 4, count, 4)[np.arange(count), :, np.arange(count)]
-        return blocks
 
 
 def solve_network(

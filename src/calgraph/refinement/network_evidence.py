@@ -6,7 +6,7 @@ import numpy as np
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, covariances
+from calgraph.graph import Averaged, PoseGraph, joint_covariance
 from calgraph.pairwise import Hypothesis, TrackPair
 from calgraph.pairwise.samples import sample
 from calgraph.refinement.joint_network import JointNetwork
@@ -51,7 +51,8 @@ def assemble_network(
     planar = dict(zip(names, T_root_scanner, strict=True))
     meeting = met(samples, planar)
     right = graph.where(averaged.inliers)
-    spread = _in_space(covariances(right, averaged.T_root_node) if joint is None else joint.pose_covariances)
+    together = _in_space(joint_covariance(right, averaged.T_root_node) if joint is None else joint.pose_covariance)
+    spread = together.reshape(len(names), 6, len(names), 6)[np.arange(len(names)), :, np.arange(len(names))]
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _parents(right, names)
     T_root_sensor = se2.to_se3(T_root_scanner)
@@ -78,6 +79,7 @@ def assemble_network(
         residuals={"positions": meeting.residuals.ravel()} if len(meeting.residuals) else {},
         estimator="averaging" if joint is None else "joint",
         floor=floor_views(tracked, samples, planar),
+        joint_covariance=together,
     )
 
 
@@ -86,10 +88,11 @@ def _estimated(value: float) -> float | None:
 
 
 def _in_space(planar: Array) -> Array:
-    """Covariances (N, 6, 6) of poses in a common plane, which is taken as exact, from those in it (N, 3, 3)."""
-    spread = np.zeros((len(planar), 6, 6))
-    in_plane = np.array([0, 1, 5])
-    spread[:, in_plane[:, None], in_plane] = planar
+    """Covariance (6N, 6N) of poses in a common plane, which is taken as exact, from that in it (3N, 3N)."""
+    count = len(planar) // 3
+    spread = np.zeros((6 * count, 6 * count))
+    in_plane = (6 * np.arange(count)[:, None] + np.array([0, 1, 5])).ravel()
+    spread[np.ix_(in_plane, in_plane)] = planar
     return spread
 
 
