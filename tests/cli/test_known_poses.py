@@ -1,0 +1,253 @@
+"""Known poses on the command line: solve (and so calibrate) takes priors and rigid groups, check audits poses."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import Result
+
+from calgraph.calibrate import Options, prepare
+from calgraph.detection import Rejected
+from calgraph.geometry import Array, se3, so3
+from calgraph.graph import spanning_tree
+from calgraph.pairwise import estimated
+from calgraph.refinement import PriorFile, RigidFile, knowing, load_problem, save_problem
+from calgraph.result import export, load_calibration, read_poses
+from calgraph.rig import save_yaml
+from calgraph.simulation import DetectionKnobs, RigScenario, set_stage, simulate_detections
+
+Run = Callable[..., Result]
+
+_SCENARIO = {
+    "samples": 6, "bearings": (-30.0, 30.0), "radii": (1.8,),
+    "laser": {"count": 2, "range_noise": 0.001}, "spinning": {"count": 0},
+    "multibeam": {"count": 1, "range_noise": 0.001},
+}  # fmt: skip
+"""Camera, LiDAR and two scanners, before twelve boards: with so little noise all axes are certain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A folder with rig.yaml, and dump.npz of what its sensors saw; not to be changed."""
+
+    folder: Path
+    T_root_sensor: Mapping[str, Array]
+    """As they truly are."""
+
+    @property
+    def dump(self) -> Path:
+        return self.folder / "dump.npz"
+
+    def poses(self, path: Path, moved: str = "", by: tuple[float, ...] = (0, 0, 0, 0, 0, 0)) -> Path:
+        """A file of true poses, with one sensor moved."""
+        T = dict(self.T_root_sensor)
+        if moved:
+            T[moved] = T[moved] @ se3.retract(np.eye(4), np.array(by))
+        transforms = [
+            {"parent": "lidar", "child": n, "translation": t[:3, 3].tolist(), "rotation": quaternion(t)}
+            for n, t in T.items()
+            if n != "lidar"
+        ]
+        save_yaml(path, {"transforms": transforms})
+        return path
+
+
+def quaternion(T: Array) -> list[float]:
+    return [float(q) for q in so3.quaternion(T[:3, :3])]
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
+    folder = tmp_path_factory.mktemp("known")
+    stage = set_stage(RigScenario.model_validate(_SCENARIO), 1)
+    rig, captured, truth = simulate_detections(stage, 1, DetectionKnobs(pixel=0.05))
+    save_yaml(folder / "rig.yaml", rig.settings())
+    save_problem(prepare(rig, captured, Options(), np.random.default_rng(0)), folder / "dump.npz")
+    return Known(folder, truth.T_root_sensor)
+
+
+@pytest.fixture(scope="module")
+def unknowing(known: Known, tmp_path_factory: pytest.TempPathFactory, run: Run) -> Path:
+    """The calibration.yaml that the captures give alone."""
+    out = tmp_path_factory.mktemp("unknowing") / "out"
+    assert run("solve", known.dump, "-o", out).exit_code == 0
+    return out / "calibration.yaml"
+
+
+# check
+
+
+def test_true_poses_pass(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml")
+    result = run("check", known.folder / "rig.yaml", known.dump, "--against", poses)
+    assert result.exit_code == 0, result.output
+    assert [line for line in result.stdout.splitlines() if line.endswith(": pass")] == [
+        "✓ camera: pass", "✓ laser_front: pass", "✓ laser_left: pass",
+    ]  # fmt: skip
+
+
+def test_the_sensor_that_moved_fails(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml", "laser_left", (0.03, 0, 0, 0, 0, 0))
+    result = run("check", known.folder / "rig.yaml", known.dump, "--against", poses)
+    assert result.exit_code == 1
+    (failed,) = [line for line in result.stdout.splitlines() if ": fail: " in line]
+    assert failed.startswith("✕ laser_left: fail: forward (x) +")
+
+
+def test_the_table_fits_a_terminal(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml", "camera", (0.9, -0.9, 0.9, 0.9, -0.9, 0.9))
+    result = run("check", known.folder / "rig.yaml", known.dump, "--against", poses)
+    table = result.stdout.splitlines()[1:6]
+    assert table[0].startswith("sensor")
+    assert max(map(len, table)) <= 80
+
+
+def test_out_has_the_audit_and_the_calibration(known: Known, tmp_path: Path, run: Run) -> None:
+    poses, out = known.poses(tmp_path / "poses.yaml", "camera", (0, 0, 0, 0, 0.02, 0)), tmp_path / "out"
+    result = run("check", known.folder / "rig.yaml", known.dump, "--against", poses, "-o", out, "--json")
+    assert result.exit_code == 1
+    audit = json.loads((out / "check.json").read_text(encoding="utf-8"))
+    assert json.loads(result.stdout) == audit
+    camera = next(sensor for sensor in audit["sensors"] if sensor["sensor"] == "camera")
+    assert (audit["outcome"], camera["outcome"]) == ("fail", "fail")
+    assert camera["axes"][4]["offset"] == pytest.approx(0.02, abs=0.002)
+    assert camera["misfit"]["given"] > 3 * camera["misfit"]["found"]
+    assert load_calibration(out / "calibration.yaml").root == "lidar"
+
+
+@pytest.mark.parametrize("format", ["tf", "urdf"])
+def test_what_calgraph_exported_passes(
+    known: Known, unknowing: Path, tmp_path: Path, run: Run, format: str
+) -> None:
+    text = export(load_calibration(unknowing), format)
+    (tmp_path / "exported").write_text(text, encoding="utf-8")
+    result = run("check", known.folder / "rig.yaml", known.dump, "--against", tmp_path / "exported")
+    assert result.exit_code == 0, result.output
+
+
+def test_a_recording_is_checked_as_a_dump_is(simulated: Path, calibrated: tuple[Path, Result], run: Run) -> None:
+    found = calibrated[0] / "calibration.yaml"
+    result = run("check", simulated / "rig.yaml", simulated / "recording", "--against", found)
+    assert result.exit_code == 0, result.output
+    assert "fail" not in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--tolerance", "0", "1"], "--tolerance: must be two numbers above 0, m and degrees, got 0 1"),
+        (["--against", "missing.yaml"], "missing.yaml: cannot be read (No such file or directory)"),
+    ],
+)
+def test_bad_usage_of_check_is_refused(known: Known, run: Run, options: list[str], message: str) -> None:
+    poses = known.poses(known.folder / "poses.yaml")
+    result = run("check", known.folder / "rig.yaml", known.dump, "--against", poses, *options)
+    assert (result.exit_code, result.stderr) == (2, f"calgraph: {message}\n")
+
+
+# priors and groups
+
+
+def test_exact_priors_are_kept(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml")
+    run("solve", known.dump, "-o", tmp_path / "out", "--prior", poses, "--prior-stddev", "0", "0")
+    found = load_calibration(tmp_path / "out/calibration.yaml")
+    for name, T in known.T_root_sensor.items():
+        np.testing.assert_allclose(found.transform("lidar", name), T, atol=1e-12)
+        assert not found[name].covariance.any()
+
+
+def test_soft_priors_make_poses_more_certain(known: Known, unknowing: Path, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml")
+    run("solve", known.dump, "-o", tmp_path / "with", "--prior", poses, "--prior-stddev", "0.001", "0.05")
+    without, informed = (load_calibration(file) for file in (unknowing, tmp_path / "with/calibration.yaml"))
+    for name in ("camera", "laser_front", "laser_left"):
+        gained = without[name].covariance - informed[name].covariance
+        assert np.diag(gained).min() > 0
+        assert np.linalg.eigvalsh(informed[name].covariance[:3, :3]).max() < 0.001**2
+
+
+def test_a_calibration_is_a_prior_with_its_own_covariances(
+    known: Known, unknowing: Path, tmp_path: Path, run: Run
+) -> None:
+    run("solve", known.dump, "-o", tmp_path / "second", "--prior", unknowing)
+    first, second = load_calibration(unknowing), load_calibration(tmp_path / "second/calibration.yaml")
+    # The same captures again: twice the information.
+    ratio = np.diag(first["camera"].covariance) / np.diag(second["camera"].covariance)
+    np.testing.assert_allclose(ratio, 2.0, rtol=0.3)
+
+
+def test_rigid_sensors_stay_as_they_were_said_to_be(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml")
+    run("solve", known.dump, "-o", tmp_path / "out", "--rigid", f"{poses}:laser_front,laser_left")
+    found = load_calibration(tmp_path / "out/calibration.yaml").transform("laser_front", "laser_left")
+    front, left = (known.T_root_sensor[name] for name in ("laser_front", "laser_left"))
+    np.testing.assert_allclose(found, se3.inverse(front) @ left, atol=1e-12)
+
+
+def test_a_wrong_prior_is_called_out(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml", "camera", (0, 0, 0.05, 0, 0, 0))
+    result = run("solve", known.dump, "-o", tmp_path / "out", "--prior", poses, "--prior-stddev", "0.005", "0.5")
+    assert result.exit_code == 0
+    assert "camera is weak: the prior of camera disagrees with the captures by" in result.stdout
+
+
+def test_known_poses_are_kept_in_a_dump(known: Known, tmp_path: Path, run: Run) -> None:
+    poses = known.poses(tmp_path / "poses.yaml")
+    problem = knowing(
+        load_problem(known.dump),
+        PriorFile(read_poses(poses), (0.01, float(np.radians(0.5)))),
+        [RigidFile(read_poses(poses), ("laser_front", "laser_left"))],
+    )
+    save_problem(problem, tmp_path / "dump.npz")
+    options = ("--prior", poses, "--prior-stddev", "0.01", "0.5", "--rigid", f"{poses}:laser_front,laser_left")
+    run("solve", tmp_path / "dump.npz", "-o", tmp_path / "kept")
+    run("solve", known.dump, "-o", tmp_path / "given", *options)
+    kept, given = ((tmp_path / name / "calibration.yaml").read_bytes() for name in ("kept", "given"))
+    assert kept == given
+
+
+def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_path: Path, run: Run) -> None:
+    problem = load_problem(known.dump)
+    pairs = {
+        names: Rejected("saw no common board") if "laser_left" in names else pair
+        for names, pair in problem.pairs.items()
+    }
+    tree = spanning_tree("lidar", estimated(pairs))
+    save_problem(replace(problem, pairs=pairs, tree=tree), tmp_path / "alone.npz")
+    assert run("solve", tmp_path / "alone.npz", "-o", tmp_path / "a").exit_code == 1
+    poses = known.poses(tmp_path / "poses.yaml")
+    options = ("--prior", poses, "--prior-stddev", "0.01", "0.5")
+    result = run("solve", tmp_path / "alone.npz", "-o", tmp_path / "b", *options)
+    assert result.exit_code == 0
+    assert "laser_left is weak: no capture ties laser_left to another sensor" in result.stdout
+    left = load_calibration(tmp_path / "b/calibration.yaml")["laser_left"]
+    np.testing.assert_allclose(left.T_root_sensor, known.T_root_sensor["laser_left"], atol=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.diag(left.covariance)[:3]), 0.01, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--prior-stddev", "1", "1"], "--prior-stddev: goes with --prior"),
+        (["--prior", "POSES"], "does not say how sure it is of camera: give standard deviations"),
+        (["--prior", "POSES", "--prior-stddev", "0", "1"], "--prior-stddev: must be two numbers above 0"),
+        (["--rigid", "POSES"], "--rigid: must be a file and sensors, as in robot.urdf:camera,laser, got"),
+        (["--rigid", "POSES:camera,sonar"], "there is no sensor sonar to be in a rigid group"),
+        (
+            ["--prior", "POSES", "--prior-stddev", "1", "1", "--estimator", "hypergraph"],
+            "--prior and --rigid: go with --estimator bundle, got hypergraph",
+        ),
+    ],
+)
+def test_bad_usage_of_known_poses_is_refused(
+    known: Known, tmp_path: Path, run: Run, options: list[str], message: str
+) -> None:
+    poses = str(known.poses(tmp_path / "poses.yaml"))
+    result = run("solve", known.dump, "-o", tmp_path / "out", *(o.replace("POSES", poses) for o in options))
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert not (tmp_path / "out").exists()
