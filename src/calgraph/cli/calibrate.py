@@ -105,6 +105,9 @@ def calibrate(
     keep: Annotated[
         FilterChoice, typer.Option("--filter", help="Use the matches that agree, or all (the paper compares).")
     ] = FilterChoice.ransac,
+    folds: Annotated[
+        int, typer.Option(min=0, help="Board: parts in which captures are left out for cross-validation; 0: none.")
+    ] = 5,
     start: Annotated[
         StartChoice,
         typer.Option(
@@ -160,6 +163,7 @@ def calibrate(
             prior=known,
             rigid=groups,
             keep=keep.value,
+            folds=folds,
             start=start.value,
             tags=tags.value,
             feature=feature.value,

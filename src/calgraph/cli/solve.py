@@ -25,6 +25,10 @@ def solve(
         typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
     ] = None,
     estimate: EstimateOption = None,
+    folds: Annotated[
+        int | None,
+        typer.Option(min=0, help="Parts in which captures are left out for cross-validation; as calibrate did."),
+    ] = None,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
@@ -43,7 +47,8 @@ def solve(
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}
     chosen = {name: choice.value for name, choice in given.items() if choice is not None}
-    besides = {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
+    besides: dict[str, object] = {} if folds is None else {"folds": folds}
+    besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
     problem = replace(problem, solver=problem.solver.model_copy(update=chosen | besides))
     problem = replayable(knowing(problem, known, groups))
     with replacing_folder(out) as folder:

@@ -38,12 +38,28 @@ def print_calibration(calibration: Calibration) -> None:
     paper.print(table)
     if calibration.estimated:
         _print_estimated(paper, calibration)
+    if calibration.left_out:
+        _print_left_out(paper, calibration)
     for sensor in calibration.sensors:
         if sensor.verdict.grade != "good":
             reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
             paper.print(
                 f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
             )
+    if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
+        for number, suggestion in enumerate(calibration.suggestions, start=1):
+            paper.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
+
+
+def _print_left_out(paper: Console, calibration: Calibration) -> None:
+    """Prints how far captures that were left out are from their prediction."""
+    paper.print("[bold]Captures left out, against what the other sensors predict[/] (ratio: to what is expected)")
+    table = _table()
+    for head in ("captures", "RMS", "median", "along beam", "tilt", "ratio"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, one in calibration.left_out.items():
+        table.add_row(escape(name), str(one.views), *one.shown, f"{one.ratio:.2f}")
+    paper.print(table)
 
 
 def _print_estimated(paper: Console, calibration: Calibration) -> None:

@@ -9,6 +9,7 @@ from plotly.offline import get_plotlyjs
 from calgraph.report.capture_view import captures
 from calgraph.report.floor_view import floor_plan
 from calgraph.report.graph_view import edge_table, graph
+from calgraph.report.outlook_view import left_out_table, suggestion_list
 from calgraph.report.pose_table import estimated_table, pose_table
 from calgraph.report.residual_view import histograms
 from calgraph.report.rig_view import rig_view
@@ -41,13 +42,13 @@ def report_html(calibration: Calibration, rig: Rig) -> str:
         title=escaped(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
         headline=escaped(headline(calibration)),
         facts=_facts(calibration, words),
-        cards=cards(calibration, words),
+        cards=cards(calibration, words) + suggestion_list(calibration),
         about_graph=words.graph,
         graph=graph(calibration, words),
         edges=edge_table(calibration, words),
         poses=pose_table(calibration) + estimated_table(calibration),
         about_residuals=words.residuals,
-        residuals=histograms(calibration),
+        residuals=histograms(calibration) + left_out_table(calibration),
         view_title=words.view,
         about_view=words.about_view,
         view=floor_plan(calibration) if words is NETWORK else rig_view(calibration, rig),

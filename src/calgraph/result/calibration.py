@@ -105,6 +105,14 @@ class LeftOut:
     tilt: float | None = None
     """RMS angle between the board's normal as predicted and as seen, rad; None where no view knows it."""
 
+    @property
+    def shown(self) -> tuple[str, str, str, str]:
+        """RMS, median, RMS along the beam and tilt as a person reads them; empty where there is none."""
+        size = "{:.2f} px".format if self.unit == "px" else _millimetres
+        along = "" if self.along is None else _millimetres(self.along)
+        tilt = "" if self.tilt is None else f"{np.degrees(self.tilt):.2f}°"
+        return size(self.rms), size(self.median), along, tilt
+
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
@@ -232,6 +240,10 @@ class Calibration:
         names = [sensor.name for sensor in self.sensors]
         both = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
         return se3.relative_covariance(T_root_a, T_root_b, self.joint_covariance[np.ix_(both, both)])
+
+
+def _millimetres(metres: float) -> str:
+    return f"{1000 * metres:.1f} mm"
 
 
 def _plus_minus(stddev: float, unit: Literal["m", "rad"]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.geometry import Array, so3
-from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
+from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion
 from calgraph.result.estimated import Estimated
 from calgraph.rig import replacing, save_yaml
 from calgraph.rig.writing import on_one_line
@@ -97,8 +97,30 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
         "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
         "unconnected": dict(calibration.unconnected),
         "residual_rms": {kind: _digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
+        "cross_validation": {name: _left_out(one) for name, one in calibration.left_out.items()},
+        "suggestions": [_suggestion(one) for one in calibration.suggestions],
         "edges": [_edge(edge) for edge in calibration.edges],
         "captures": _captures(calibration.captures),
+    }
+
+
+def _left_out(one: LeftOut) -> dict[str, Any]:
+    numbers = {"rms": one.rms, "median": one.median, "along": one.along, "tilt": one.tilt, "ratio": one.ratio}
+    known = {key: _digits([value], 4)[0] for key, value in numbers.items() if value is not None}
+    return {"captures": one.views, "unit": one.unit, **known}
+
+
+def _suggestion(one: Suggestion) -> dict[str, Any]:
+    stddev, expected = _digits([one.stddev, one.expected], 4)
+    return {
+        "hold": one.hold,
+        "sensor": one.sensor,
+        "axis": one.axis,
+        "unit": one.unit,
+        "stddev": stddev,
+        "expected": expected,
+        "translation": on_one_line(_digits(one.T_root_board[:3, 3], 6)),
+        "rotation": on_one_line(_digits(so3.quaternion(one.T_root_board[:3, :3]), 6)),
     }
 
 

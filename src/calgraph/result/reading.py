@@ -9,7 +9,7 @@ from pydantic import Field, Strict, model_validator
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
-from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose, Verdict
+from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion, Verdict
 from calgraph.result.estimated import Estimated
 from calgraph.result.file import FORMAT
 from calgraph.rig.model import StrictModel, wrong
@@ -86,6 +86,29 @@ class _Captures(StrictModel):
     """What became of the captures, by sensor."""
 
 
+class _LeftOut(StrictModel):
+    captures: Count
+    unit: Literal["px", "m"]
+    rms: Positive
+    median: Positive
+    ratio: Positive
+    along: Positive | None = None
+    tilt: Positive | None = None
+
+
+class _Suggestion(StrictModel):
+    hold: str
+    sensor: str
+    axis: str
+    unit: Literal["m", "rad"]
+    stddev: Positive
+    expected: Positive
+    translation: Vector3
+    """The board's centre in the root frame, m."""
+    rotation: Vector4
+    """Of the board, a quaternion x, y, z, w."""
+
+
 class _Quality(StrictModel):
     estimator: str
     """The name of the joint estimator."""
@@ -93,6 +116,10 @@ class _Quality(StrictModel):
     """How far each sensor's pose can be relied on."""
     unconnected: dict[str, str] = Field(default_factory=dict)
     residual_rms: dict[str, Positive] = Field(default_factory=dict)
+    cross_validation: dict[str, _LeftOut] = Field(default_factory=dict)
+    """Errors in captures that were left out, by sensor."""
+    suggestions: tuple[_Suggestion, ...] = ()
+    """Further captures that would help most."""
     edges: tuple[_Edge, ...] = ()
     captures: _Captures = _Captures(windows={}, sensors={})
 
@@ -205,6 +232,8 @@ def load_calibration(path: Path) -> Calibration:
         captures=_rows(file.quality.captures),
         unconnected=file.quality.unconnected,
         estimator=file.quality.estimator,
+        left_out={name: _left_out(one) for name, one in file.quality.cross_validation.items()},
+        suggestions=tuple(_suggestion(one) for one in file.quality.suggestions),
         residual_rms=file.quality.residual_rms,
         estimated=tuple(Estimated(**vars(one)) for one in file.estimated),
         joint_covariance=_joint_covariance(file.joint_covariance, names),
@@ -230,6 +259,15 @@ def _joint_covariance(entry: _JointCovariance | None, names: Sequence[str]) -> A
         return None
     order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
     return np.asarray(np.array(entry.matrix)[np.ix_(order, order)])
+
+
+def _left_out(entry: _LeftOut) -> LeftOut:
+    return LeftOut(entry.captures, entry.unit, entry.rms, entry.median, entry.ratio, entry.along, entry.tilt)
+
+
+def _suggestion(entry: _Suggestion) -> Suggestion:
+    T_root_board = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
+    return Suggestion(entry.hold, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, T_root_board)
 
 
 def _edge(entry: _Edge) -> Edge:

@@ -24,6 +24,10 @@ def to_json(calibration: Calibration) -> str:
         "estimated": [asdict(one) for one in calibration.estimated],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(calibration.unconnected),
+        "cross_validation": {name: asdict(one) for name, one in calibration.left_out.items()},
+        "suggestions": [
+            {**vars(one), "T_root_board": _plain(one.T_root_board)} for one in calibration.suggestions
+        ],
         "edges": [_edge(edge) for edge in calibration.edges],
         "residual_rms": _plain(dict(calibration.residual_rms)),
         "residuals": {kind: _plain(_rounded(values)) for kind, values in calibration.residuals.items()},
