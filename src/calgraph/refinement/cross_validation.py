@@ -226,5 +226,6 @@ def _times(A: Array, x: Array) -> Array:
 
 
 def _inverse(H_board: Array) -> Array:
-    """Covariances of boards (V, 6, 6), wide where nothing places them."""
-    return np.asarray(np.linalg.inv(H_board + FAINT * np.eye(6)))
+    """Covariances of boards (V, 6, 6), wide where nothing places them; a general inverse would spoil the rest."""
+    values, vectors = np.linalg.eigh(H_board)
+    return np.asarray((vectors / np.maximum(values, FAINT)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
