@@ -140,6 +140,8 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
 
 def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
+    if isinstance(rig.target, People | Cylinder):
+        raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
     _check_estimator(_rig_estimator(options), bool(options.prior or options.rigid), options.estimate)
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)

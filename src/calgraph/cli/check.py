@@ -52,9 +52,9 @@ def check(
 ) -> None:
     """Check given extrinsics of a rig by a recording: pass, warn or fail, by sensor and axis, and why.
 
-    The recording is calibrated as if nothing were known, and the poses are compared. A sensor fails along an axis
-    where FILE is off by more than the tolerance and by more than chance explains; what is significant but
-    harmless, and what the recording cannot tell, are warnings.
+    A sensor fails along an axis where FILE is off by more than the tolerance
+    and than chance explains. Warnings: significant, but within the tolerance;
+    or the recording is too weak to tell.
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
     """
