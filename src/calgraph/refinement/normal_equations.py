@@ -1,7 +1,7 @@
 """From measurements to the normal equations of views: outliers held off, common errors allowed for."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -31,10 +31,10 @@ class ViewSums:
     """(V, q) gradient by them."""
     basis: Array
     """(V, q, p): how they move with the pose and the sensor's own unknowns."""
-    cost: Array
-    """(V,) robust cost."""
     square: Array
     """(V,) weighted sum of squared residuals."""
+    held: Array
+    """(V,) what it costs to hold outliers off, in half squares: the robust cost is this and half of ``square``."""
     count: NDArray[np.intp]
     """(V,) how many numbers were measured."""
 
@@ -72,38 +72,48 @@ def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewS
         start: (V,).
         fitted: (V, q) from sums, where the views are to be judged.
     """
-    unit = np.broadcast_to(1.0, len(rows.residual))
-    sums = _weighted_sums(rows, start, unit, rows.residual)
+    view = np.repeat(np.arange(len(start)), np.diff(start, append=len(rows.residual)))
+    plain = sums = _plain_sums(rows, start)
     for _ in range(_REWEIGHTINGS):
-        shift = np.repeat(fitted(sums), np.diff(start, append=len(rows.residual)), axis=0)
-        about = rows.residual + (rows.jacobian @ shift[..., None])[..., 0]
-        weight = HUBER / np.maximum(_sizes(about), HUBER)
-        sums = _weighted_sums(rows, start, weight, about)
-        if weight.min(initial=1.0) == 1.0:
+        about = rows.residual + np.einsum("nkq,nq->nk", rows.jacobian, fitted(sums)[view])
+        size = _sizes(about)
+        outlying = np.flatnonzero(size > HUBER)
+        if not len(outlying):
             break
+        sums = _without_excess(plain, rows, outlying, view, size)
     return sums
 
 
-def _weighted_sums(rows: Rows, start: Index, weight: Array, about: Array) -> ViewSums:
-    """Sums with weights (N,), and the robust cost of residuals (N, k) about where views are judged."""
+def _plain_sums(rows: Rows, start: Index) -> ViewSums:
+    """Sums in which all measurements count in full."""
     count, k, q = rows.jacobian.shape
     flat, residual = rows.jacobian.reshape(-1, q), rows.residual.ravel()
-    weighted = (weight[:, None, None] * rows.jacobian).reshape(-1, q)
-    core, slope = np.empty((len(start), q, q)), np.empty((len(start), q))
+    core, slope, square = np.empty((len(start), q, q)), np.empty((len(start), q)), np.empty(len(start))
     for view, (first, last) in enumerate(pairwise(k * np.append(start, count))):
         # View by view: this is what BLAS is best at.
-        core[view] = weighted[first:last].T @ flat[first:last]
-        slope[view] = weighted[first:last].T @ residual[first:last]
-    size = _sizes(about)
-    cost = np.where(size <= HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER))
-    return ViewSums(
-        core,
-        slope,
-        rows.basis,
-        np.add.reduceat(cost, start),
-        np.add.reduceat(weight * _sizes(rows.residual) ** 2, start),
-        np.diff(start, append=count) * k,
-    )
+        J, r = flat[first:last], residual[first:last]
+        core[view], slope[view], square[view] = J.T @ J, J.T @ r, r @ r
+    return ViewSums(core, slope, rows.basis, square, np.zeros(len(start)), np.diff(start, append=count) * k)
+
+
+def _without_excess(sums: ViewSums, rows: Rows, outlying: Index, view: Index, size: Array) -> ViewSums:
+    """The sums with M measurements weighed by ``HUBER / size`` instead of in full.
+
+    Args:
+        sums: in which all count in full.
+        rows: of N measurements.
+        outlying: (M,) which of them.
+        view: (N,) of which view each is.
+        size: (N,) how far off they are where they are judged.
+    """
+    excess, J, r = 1 - HUBER / size[outlying], rows.jacobian[outlying], rows.residual[outlying]
+    Jt = excess[:, None, None] * np.swapaxes(J, -1, -2)
+    core, slope, square, held = sums.core.copy(), sums.slope.copy(), sums.square.copy(), sums.held.copy()
+    np.subtract.at(core, view[outlying], Jt @ J)
+    np.subtract.at(slope, view[outlying], (Jt @ r[..., None])[..., 0])
+    np.subtract.at(square, view[outlying], excess * np.sum(r**2, axis=-1))
+    np.add.at(held, view[outlying], 0.5 * HUBER * (size[outlying] - HUBER))
+    return replace(sums, core=core, slope=slope, square=square, held=held)
 
 
 def _sizes(residual: Array) -> Array:
@@ -137,7 +147,8 @@ def swayed(rows: Rows, start: Index, sway: Array) -> tuple[Array, Array, Array]:
 
     sums = summed(rows, start, displaced)
     A, b = marginal(sums)
-    return (A + np.swapaxes(A, -1, -2)) / 2, b, sums.cost + 0.5 * np.sum(sway * b**2, axis=-1)
+    cost = sums.held + 0.5 * (sums.square - np.sum(sums.gradient * sway * b, axis=-1))
+    return (A + np.swapaxes(A, -1, -2)) / 2, b, cost
 
 
 def misfit(information: Array, spread: Array, gradient: Array) -> tuple[Array, NDArray[np.intp]]:

@@ -201,15 +201,18 @@ class Beams:
         own axes, by which they change with the place (x, y) on the board where the beam meets it.
         """
         cosine, reach, place = self._meet(T_sensor_board)
-        by_plane = np.stack([np.ones_like(reach), place[:, 1], -place[:, 0]], axis=-1) / cosine[:, None]
-        by_bias = np.ones((len(reach), self.unknowns))
-        jacobian = np.concatenate([by_plane, by_bias], axis=-1) / self.sigma[:, None]
+        steepness = 1 / (cosine * self.sigma)
+        jacobian = np.empty((len(reach), 1, 3 + self.unknowns))
+        jacobian[:, 0, 0] = steepness
+        jacobian[:, 0, 1] = place[:, 1] * steepness
+        jacobian[:, 0, 2] = -place[:, 0] * steepness
+        jacobian[:, 0, 3:] = 1 / self.sigma[:, None]
         residual = (reach + own.sum() - self.ranges) / self.sigma
         basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
         basis[:, 0, :3] = T_sensor_board[:, :3, 2]
         basis[:, 1, 3:6], basis[:, 2, 3:6] = T_sensor_board[:, :3, 0], T_sensor_board[:, :3, 1]
         basis[:, 3:, 6:] = np.eye(self.unknowns)
-        return Rows(residual[:, None], jacobian[:, None], basis)
+        return Rows(residual[:, None], jacobian, basis)
 
     def weighed(self, T_sensor_board: Array, scale: float) -> "Beams":
         """See :class:`Views`: an error of the beam's direction counts the more, the flatter it meets the board."""
@@ -233,16 +236,20 @@ class Beams:
     def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array]:
         """Cosines (N,) between beams and normals, ranges (N,) to the planes, and places (N, 2) on the boards."""
         T_board_sensor = se3.inverse(T_sensor_board)
-        counts = np.diff(self.start, append=len(self.ranges))
-        direction = np.empty_like(self.directions)
-        for R, first, count in zip(T_board_sensor[:, :3, :3], self.start, counts, strict=True):
-            # View by view: beams share few rotations, and to repeat them for every beam takes longer.
-            np.matmul(self.directions[first : first + count], R.T, out=direction[first : first + count])
-        origin = np.repeat(T_board_sensor[:, :3, 3], counts, axis=0)
-        cosine = direction[:, 2]
-        cosine = np.where(cosine < 0, -1.0, 1.0) * np.maximum(np.abs(cosine), _GRAZING)
-        reach = -origin[:, 2] / cosine
-        return cosine, reach, origin[:, :2] + reach[:, None] * direction[:, :2]
+        bounds = np.append(self.start, len(self.ranges))
+        cosine, reach, place = (
+            np.empty(len(self.ranges)),
+            np.empty(len(self.ranges)),
+            np.empty((len(self.ranges), 2)),
+        )
+        for T, first, last in zip(T_board_sensor, bounds[:-1], bounds[1:], strict=True):
+            # View by view, for beams share few poses: repeated for every beam, they would fill the memory's lanes.
+            direction = self.directions[first:last] @ T[:3, :3].T
+            z = direction[:, 2]
+            cosine[first:last] = c = np.where(z < 0, -1.0, 1.0) * np.maximum(np.abs(z), _GRAZING)
+            reach[first:last] = r = -T[2, 3] / c
+            place[first:last] = T[:2, 3] + r[:, None] * direction[:, :2]
+        return cosine, reach, place
 
 
 def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
