@@ -8,6 +8,7 @@ from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
 from calgraph.geometry import Array, se3, so3
 from calgraph.refinement.bundle import Bundle, State, covariance, solve
 from calgraph.refinement.joint import Adjusted
+from calgraph.refinement.observability import verdict
 from calgraph.refinement.placing_words import placed_in_words
 from calgraph.refinement.suggestions import suggest
 from calgraph.refinement.views import relative
@@ -61,6 +62,15 @@ def test_boards_held_upright_are_to_be_tilted_before_the_scanner_that_they_leave
     # By more than boards are tilted by chance when they are carried.
     up = first.T_root_board[2, 2]
     assert abs(np.degrees(np.arcsin(up))) > 20
+
+
+def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
+    at = adjusted(upright(20))
+    spread = covariance(at.bundle, at.solved.state, at.solved.system)[12:, 12:]
+    found = verdict("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
+    assert found.grade == "unobservable"
+    assert found.reason.startswith("height (z), roll (about x) and pitch (about y) are fixed by nothing seen")
+    assert "tilt and turn the board" in found.reason
 
 
 def test_three_boards_fix_what_upright_ones_leave_open() -> None:
