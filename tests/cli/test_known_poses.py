@@ -23,8 +23,8 @@ Run = Callable[..., Result]
 
 _SCENARIO = {
     "samples": 6, "bearings": (-30.0, 30.0), "radii": (1.8,),
-    "laser": {"count": 2, "range_noise": 0.001}, "spinning": {"count": 0},
-    "multibeam": {"count": 1, "range_noise": 0.001},
+    "laser": {"count": 2, "range_noise": 0.001, "resolution": 0.5}, "spinning": {"count": 0},
+    "multibeam": {"count": 1, "range_noise": 0.001, "resolution": 0.8},
 }  # fmt: skip
 """Camera, LiDAR and two scanners, before twelve boards: with so little noise all axes are certain."""
 
@@ -146,6 +146,19 @@ def test_bad_usage_of_check_is_refused(known: Known, run: Run, options: list[str
     poses = known.poses(known.folder / "poses.yaml")
     result = run("check", known.folder / "rig.yaml", known.dump, "--against", poses, *options)
     assert (result.exit_code, result.stderr) == (2, f"calgraph: {message}\n")
+
+
+def test_a_network_cannot_be_checked(known: Known, simulated: Path, tmp_path: Path, run: Run) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(
+        "root: a\ntarget: {kind: people}\nsensors:\n  a: {kind: lidar2d, topic: /laser_front/scan}\n"
+        "  b: {kind: lidar2d, topic: /lidar/points}\n"
+    )
+    poses = known.poses(tmp_path / "poses.yaml")
+    result = run("check", rig, simulated / "recording", "--against", poses)
+    assert (result.exit_code, result.stderr) == (
+        2, "calgraph: target.kind: must be board for the poses of a rig, got people\n",
+    )  # fmt: skip
 
 
 # priors and groups
