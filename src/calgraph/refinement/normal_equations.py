@@ -75,8 +75,7 @@ def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewS
     view = np.repeat(np.arange(len(start)), np.diff(start, append=len(rows.residual)))
     plain = sums = _plain_sums(rows, start)
     for _ in range(_REWEIGHTINGS):
-        about = rows.residual + np.einsum("nkq,nq->nk", rows.jacobian, fitted(sums)[view])
-        size = _sizes(about)
+        size = _sizes(_shifted(rows, start, fitted(sums)))
         outlying = np.flatnonzero(size > HUBER)
         if not len(outlying):
             break
@@ -94,6 +93,15 @@ def _plain_sums(rows: Rows, start: Index) -> ViewSums:
         J, r = flat[first:last], residual[first:last]
         core[view], slope[view], square[view] = J.T @ J, J.T @ r, r @ r
     return ViewSums(core, slope, rows.basis, square, np.zeros(len(start)), np.diff(start, append=count) * k)
+
+
+def _shifted(rows: Rows, start: Index, shift: Array) -> Array:
+    """Residuals (N, k) after the numbers that each view's measurements depend on have changed by (V, q)."""
+    count, k, q = rows.jacobian.shape
+    flat, shifted = rows.jacobian.reshape(-1, q), rows.residual.flatten()
+    for change, (first, last) in zip(shift, pairwise(k * np.append(start, count)), strict=True):
+        shifted[first:last] += flat[first:last] @ change
+    return shifted.reshape(-1, k)
 
 
 def _without_excess(sums: ViewSums, rows: Rows, outlying: Index, view: Index, size: Array) -> ViewSums:

@@ -200,23 +200,21 @@ class Beams:
         Of the board's pose, ranges know the plane: its offset along the normal, and the tilts about the board's
         own axes, by which they change with the place (x, y) on the board where the beam meets it.
         """
-        cosine, reach, place = self._meet(T_sensor_board)
+        cosine, reach, x, y = self._meet(T_sensor_board)
         steepness = 1 / (cosine * self.sigma)
-        jacobian = np.empty((len(reach), 1, 3 + self.unknowns))
-        jacobian[:, 0, 0] = steepness
-        jacobian[:, 0, 1] = place[:, 1] * steepness
-        jacobian[:, 0, 2] = -place[:, 0] * steepness
-        jacobian[:, 0, 3:] = 1 / self.sigma[:, None]
+        # Column by column, as they are computed.
+        columns = np.empty((3 + self.unknowns, len(reach)))
+        columns[0], columns[1], columns[2], columns[3:] = steepness, y * steepness, -x * steepness, 1 / self.sigma
         residual = (reach + own.sum() - self.ranges) / self.sigma
         basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
         basis[:, 0, :3] = T_sensor_board[:, :3, 2]
         basis[:, 1, 3:6], basis[:, 2, 3:6] = T_sensor_board[:, :3, 0], T_sensor_board[:, :3, 1]
         basis[:, 3:, 6:] = np.eye(self.unknowns)
-        return Rows(residual[:, None], jacobian, basis)
+        return Rows(residual[:, None], columns.T[:, None], basis)
 
     def weighed(self, T_sensor_board: Array, scale: float) -> "Beams":
         """See :class:`Views`: an error of the beam's direction counts the more, the flatter it meets the board."""
-        cosine, _, _ = self._meet(T_sensor_board)
+        cosine, _, _, _ = self._meet(T_sensor_board)
         tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
         sigma = scale * np.hypot(self.noise.range, self.noise.angle * self.ranges * tangent)
         return replace(self, sigma=sigma, scale=scale)
@@ -233,23 +231,18 @@ class Beams:
             sigma=self.sigma[kept],
         )
 
-    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array]:
-        """Cosines (N,) between beams and normals, ranges (N,) to the planes, and places (N, 2) on the boards."""
+    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array, Array]:
+        """Cosines (N,) of beams and normals, ranges (N,) to the planes, and places x, y (N,) on the boards."""
         T_board_sensor = se3.inverse(T_sensor_board)
         bounds = np.append(self.start, len(self.ranges))
-        cosine, reach, place = (
-            np.empty(len(self.ranges)),
-            np.empty(len(self.ranges)),
-            np.empty((len(self.ranges), 2)),
-        )
+        cosine, reach, x, y = np.empty((4, len(self.ranges)))
         for T, first, last in zip(T_board_sensor, bounds[:-1], bounds[1:], strict=True):
-            # View by view, for beams share few poses: repeated for every beam, they would fill the memory's lanes.
-            direction = self.directions[first:last] @ T[:3, :3].T
-            z = direction[:, 2]
-            cosine[first:last] = c = np.where(z < 0, -1.0, 1.0) * np.maximum(np.abs(z), _GRAZING)
-            reach[first:last] = r = -T[2, 3] / c
-            place[first:last] = T[:2, 3] + r[:, None] * direction[:, :2]
-        return cosine, reach, place
+            # View by view: beams share few poses, and what is computed at once stays in the processor's cache.
+            of, (u, v, w) = slice(first, last), T[:3, :3] @ self.directions[first:last].T
+            cosine[of] = np.copysign(np.maximum(np.abs(w), _GRAZING), w)
+            reach[of] = -T[2, 3] / cosine[of]
+            x[of], y[of] = T[0, 3] + reach[of] * u, T[1, 3] + reach[of] * v
+        return cosine, reach, x, y
 
 
 def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
