@@ -1,0 +1,239 @@
+"""Simulated recordings of networks, and the ways to calibrate them that tables compare."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.calibrate import DEPTHS
+from calgraph.geometry import Array, se2
+from calgraph.graph import Averaged, PoseGraph, average_network, covariances, network_graph, trust
+from calgraph.graph.trees import tree_poses
+from calgraph.pairwise import TrackPair, estimate_network_pairs
+from calgraph.pairwise.samples import meetings, sample
+from calgraph.refinement import solve_network
+from calgraph.rig import Cylinder, Lidar2dSpec, People, Rig
+from calgraph.sensors import LaserScan
+from calgraph.simulation import NetworkScenario, Truth, build_network, network_rig, network_truth, scans_of
+from calgraph.tracking import Feature, Tracked, track_scanner
+
+SCENARIOS: Mapping[str, dict[str, Any]] = {
+    "ring": {"layout": "ring", "ring_diameter": 46.0, "duration": 180.0},
+    "ring60": {"layout": "ring", "duration": 180.0},
+    "semicircle": {"layout": "semicircle"},
+    "office": {"layout": "office"},
+    "lab": {"layout": "lab"},
+    "halls": {"layout": "halls"},
+}
+CYLINDER = ("ring", "ring60")
+FEATURES: tuple[Feature, ...] = ("com", "ellipse", "nls")
+USUAL_PEOPLE = 2
+GROSS = (5.0, 0.5)
+"""Degrees and metres."""
+
+Average = Literal["consensus", "l1mc", "triangles", "spectral", "irls", "none"]
+
+
+Condition = Literal["as is", "clocks", "radii", "arms"]
+CONDITIONS: Mapping[str, tuple[Condition, ...]] = {
+    "ring": ("as is", "clocks", "radii"),
+    **dict.fromkeys(("office", "lab", "halls"), get_args(Condition)),
+}
+"""Of Table 5, by scenario: a cylinder has no arms."""
+CLOCKS, ARMS, SIZES = 0.05, 0.15, (1.3, 0.7)
+"""Largest clock offset, s; amplitude of arms, m; true radii over those stated, for even and odd seeds."""
+
+
+class Cell(NamedTuple):
+    """One kind of recording."""
+
+    scenario: str
+    people: int
+    condition: Condition = "as is"
+
+
+class Setup(NamedTuple):
+    """One way to calibrate a recording."""
+
+    feature: Feature
+    icp: bool
+    average: Average
+    weighted: bool
+    joint: bool = False
+
+
+PUBLISHED = Setup("com", True, "l1mc", False)
+AVERAGING = Setup("nls", True, "consensus", True)
+JOINT = AVERAGING._replace(joint=True)
+OURS = {"averaging": AVERAGING, "joint": JOINT}
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What came of one way to calibrate a recording."""
+
+    names: tuple[str, ...]
+    """Scanners that are connected, the root first."""
+    T_root_scanner: Array
+    """(N, 3, 3)."""
+    covariance: Array
+    """(N, 3, 3) of the poses."""
+    offset: Array
+    """(N,) scanner clock minus root clock, s; NaN where it was not estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What came of one recording."""
+
+    errors: Mapping[Setup, Array]
+    """(S, 2) degrees and metres of each scanner but the root; NaN where there is no pose."""
+    nees: Mapping[Setup, Array]
+    """(S,) squared errors over their covariances, per degree of freedom, of what has a pose."""
+    clocks: Array
+    """(S,) errors of the clock offsets that the joint solution has, s."""
+    pairs: Array
+    """(P, 2) of the published pairs: whether right, and the root mean square distance of what both saw, m."""
+
+
+def cells_of(scenario: str, people: Sequence[int]) -> list[Cell]:
+    """The recordings of a scenario: office and lab with any number of people, the usual one in all conditions."""
+    if scenario in CYLINDER:
+        counts: Sequence[int] = (1,)
+    else:
+        counts = people if scenario in ("office", "lab") else (1, USUAL_PEOPLE)
+    cells = [Cell(scenario, count) for count in counts]
+    others = [name for name in CONDITIONS.get(scenario, ()) if name != "as is"]
+    return cells + [cell._replace(condition=name) for cell in cells if usual(cell) for name in others]
+
+
+def usual(cell: Cell) -> bool:
+    """Whether so many people are usual in this scenario."""
+    return cell.people == USUAL_PEOPLE or cell.scenario in CYLINDER
+
+
+def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
+    """Simulates one recording and calibrates it in all these ways, each stage once."""
+    network = build_network(scenario_of(cell), seed)
+    rig, truth = stated(network_rig(network), cell, seed), planar(network_truth(network))
+    scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
+    found: dict[Setup, Solved] = {}
+    judged = np.zeros((0, 2))
+    for feature in {setup.feature for setup in setups}:
+        tracked = follow(rig, scans, feature)
+        for icp in {setup.icp for setup in setups if setup.feature == feature}:
+            rng = np.random.default_rng(seed)
+            estimates = estimate_network_pairs(tracked, rng, icp=icp, depth=DEPTHS[feature])
+            pairs = [pair for pair in estimates.values() if isinstance(pair, TrackPair)]
+            if feature == "com" and icp:
+                judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)
+            for setup in (s for s in setups if (s.feature, s.icp) == (feature, icp)):
+                found[setup] = solved(rig, tracked, pairs, setup, rng)
+    off = {scanner.name: scanner.clock_offset for scanner in network.scanners}
+    joint = found.get(JOINT)
+    return Run(
+        {setup: errors_of(one, truth) for setup, one in found.items()},
+        {setup: nees_of(one, truth) for setup, one in found.items()},
+        joint.offset[1:] - [off[name] for name in joint.names[1:]] if joint else np.zeros(0),
+        judged,
+    )
+
+
+def scenario_of(cell: Cell) -> NetworkScenario:
+    """What is simulated."""
+    knobs: dict[str, Any] = {**SCENARIOS[cell.scenario], "people": {"count": cell.people}}
+    if cell.condition == "clocks":
+        knobs["scanner"] = {"clock_offset": CLOCKS}
+    if cell.condition == "arms":
+        knobs["people"]["swing"] = ARMS
+    return NetworkScenario(**knobs)
+
+
+def stated(rig: Rig, cell: Cell, seed: int) -> Rig:
+    """The rig with the size that is stated of its bodies."""
+    if cell.condition != "radii":
+        return rig
+    target, off = rig.target, SIZES[seed % 2]
+    assert isinstance(target, People | Cylinder)
+    across, along = target.axes if isinstance(target, People) else (target.diameter / 2, target.diameter / 2)
+    return rig.model_copy(update={"target": People(kind="people", axes=(across / off, along / off))})
+
+
+def follow(rig: Rig, scans: Mapping[str, list[LaserScan]], feature: Feature) -> dict[str, Tracked]:
+    """What each scanner followed, of those that followed anything."""
+    assert isinstance(rig.target, People | Cylinder)
+    tracked: dict[str, Tracked] = {}
+    for name, spec in rig.sensors.items():
+        assert isinstance(spec, Lidar2dSpec)
+        found = track_scanner(partial(iter, scans[name]), rig.target, spec.noise, feature=feature)
+        if isinstance(found, Tracked):
+            tracked[name] = found
+    return tracked
+
+
+def planar(truth: Truth) -> dict[str, Array]:
+    """T_root_sensor (3, 3) by sensor."""
+    in_plane = np.ix_((0, 1, 3), (0, 1, 3))
+    return {name: T[in_plane] for name, T in truth.T_root_sensor.items()}
+
+
+def solved(
+    rig: Rig, tracked: Mapping[str, Tracked], pairs: Sequence[TrackPair], setup: Setup, rng: np.random.Generator
+) -> Solved:
+    """Poses of the connected scanners; the published way has one estimate a pair."""
+    if setup.average != "consensus":
+        pairs = [replace(pair, hypotheses=pair.hypotheses[:1]) for pair in pairs]
+    graph, names = network_graph(rig.root, pairs)
+    if setup.average == "none":
+        averaged = chained(graph, pairs, names)
+    else:
+        averaged, graph = average_network(
+            graph, rng, setup.average, trust(names, pairs) if setup.weighted else None
+        )
+    if not setup.joint:
+        spread = covariances(graph.where(averaged.inliers), averaged.T_root_node)
+        return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))
+    assert isinstance(rig.target, People | Cylinder)
+    joint = solve_network(rig.target, [tracked[name] for name in names], averaged, graph)
+    spread = joint.pose_covariance.reshape(len(names), 3, len(names), 3)
+    own = np.arange(len(names))
+    return Solved(names, joint.T_root_scanner, spread[own, :, own], joint.offset)
+
+
+def chained(graph: PoseGraph, pairs: Sequence[TrackPair], names: Sequence[str]) -> Averaged:
+    """The pair with the root where there is one, otherwise the fewest and best pairs."""
+    costs = np.array([1 + pair.hypotheses[0].cost for pair in pairs if pair.sensor_a in names])
+    return Averaged(tree_poses(graph, costs[None])[0], np.ones(len(costs), dtype=np.bool_))
+
+
+def errors_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
+    """(S, 2) degrees and metres of all scanners but the root, NaN without a pose."""
+    found = dict(zip(solved.names, solved.T_root_scanner, strict=True))
+    nowhere = np.full((3, 3), np.nan)
+    others = [name for name in truth if name != solved.names[0]]
+    off = np.array([se2.difference(found.get(name, nowhere), truth[name]) for name in others])
+    return np.column_stack([np.degrees(np.abs(off[:, 2])), np.hypot(off[:, 0], off[:, 1])])
+
+
+def nees_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
+    """(S,) normalised estimation errors squared per degree of freedom of all scanners found but the root."""
+    off = se2.difference(solved.T_root_scanner, np.array([truth[name] for name in solved.names]))
+    return np.array([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off[1:], solved.covariance[1:], strict=True)])
+
+
+def judge(pair: TrackPair, tracked: Mapping[str, Tracked], truth: Mapping[str, Array]) -> tuple[bool, float]:
+    """Whether a pair is right, and the root mean square distance of all that a saw from what b did, m."""
+    true = se2.inverse(truth[pair.sensor_a]) @ truth[pair.sensor_b]
+    off = se2.difference(pair.T_a_b, true)
+    right = np.degrees(abs(off[2])) < GROSS[0] and np.hypot(off[0], off[1]) < GROSS[1]
+    met = meetings(sample(tracked[pair.sensor_a]), sample(tracked[pair.sensor_b]))
+    squared = np.sum((se2.apply(pair.T_a_b, met.x_b) - met.x_a) ** 2, axis=1)
+    return bool(right), float(np.sqrt(np.mean(np.minimum.reduceat(squared, met.starts_a))))
+
+
+def gross(errors: Array) -> NDArray[np.bool_]:
+    """(S,) whether errors (S, 2) are grossly wrong or missing."""
+    return np.asarray(~(errors < np.array(GROSS)).all(axis=1))
