@@ -69,7 +69,9 @@ def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
     spread = covariance(at.bundle, at.solved.state, at.solved.system)[12:, 12:]
     found = verdict("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
     assert found.grade == "unobservable"
-    assert found.reason.startswith("height (z), roll (about x) and pitch (about y) are fixed by nothing seen")
+    assert found.reason.startswith(
+        "height (z), roll (about x) and pitch (about y) of laser are fixed by no capture"
+    )
     assert "tilt and turn the board" in found.reason
 
 

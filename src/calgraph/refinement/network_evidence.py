@@ -67,7 +67,7 @@ def assemble_network(
                 kind="lidar2d",
                 T_root_sensor=T_root_sensor[k],
                 covariance=spread[k],
-                verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k], advice=_ADVICE),
+                verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k], evidence="walk", advice=_ADVICE),
                 clock_offset=_estimated(clocks[k, 0]),
                 clock_offset_stddev=_estimated(clocks[k, 1]),
             )

@@ -37,6 +37,7 @@ def verdict(
     doubt: str = "",
     rival: float = 0.0,
     *,
+    evidence: str = "capture",
     advice: str = "tilt and turn the board more, in different places, while {name} and others see it",
 ) -> Verdict:
     """Grades a pose and names its weak directions along the sensor's own axes.
@@ -48,6 +49,7 @@ def verdict(
         covariance: (6, 6) in the root's fixed axes.
         doubt: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
         rival: angle to another pose that the captures allow as well, rad; 0 where there is none.
+        evidence: what directions are fixed by, in the singular.
         advice: what makes a weak direction better, with the sensor's name in it as ``{name}``.
 
     Returns:
@@ -66,7 +68,7 @@ def verdict(
     ]
     advice = advice.format(name=name)
     if open_axes or rival:
-        fixed = [f"{_listed(open_axes)} fixed by nothing seen"] if open_axes else []
+        fixed = [f"{_listed(open_axes, name)} fixed by no {evidence}"] if open_axes else []
         if rival:
             fixed.append(f"a pose turned by {np.degrees(rival):.0f}° fits as well")
         if weak_axes:
@@ -127,7 +129,7 @@ def _size(stddev: float, axis: int) -> str:
     return f"{stddev * 1000:.0f} mm" if axis < 3 else f"{np.degrees(stddev):.1f}°"
 
 
-def _listed(names: list[str]) -> str:
-    if len(names) == 1:
-        return f"{names[0]} is"
-    return f"{', '.join(names[:-1])} and {names[-1]} are"
+def _listed(axes: list[str], name: str) -> str:
+    if len(axes) == 1:
+        return f"{axes[0]} of {name} is"
+    return f"{', '.join(axes[:-1])} and {axes[-1]} of {name} are"
