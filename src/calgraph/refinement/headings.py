@@ -11,8 +11,7 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.refinement.outlines import cast
-from calgraph.refinement.splines import evaluate
-from calgraph.refinement.trajectories import Body, Glimpses, Motion, Network, State, facing, view_of
+from calgraph.refinement.trajectories import Body, Glimpses, Motion, Network, State, along, facing, view_of
 from calgraph.refinement.views import Index
 
 # Headings tried, and the noise at which they are: the path is still off by about this, m.
@@ -50,20 +49,20 @@ def _turned(network: Network, state: State, body: Body, motion: Motion) -> Motio
 
 
 def _misfits(network: Network, state: State, body: Body, motion: Motion, seen: Glimpses) -> tuple[Index, Array]:
-    """Of each used beam the control point it is nearest to (N,), and its misfit (N, G) to all headings."""
-    first, weights, slopes = body.knots.at(seen.times - state.offset[seen.scanner])
-    pose, rate = evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
-    view = view_of(seen)[seen.used]
+    """Of each beam that counts the control point it is nearest to (N,), and its misfit (N, G) to all headings."""
+    first, weights, pose, rate = along(state, body, motion, seen)
+    counts = seen.weight > 0
+    view = view_of(seen)[counts]
     nearest = first + 1 + (weights[:, 2] > weights[:, 1])
-    centre = pose[view, :2] + seen.lag[seen.used, None] * rate[view, :2]
+    centre = pose[view, :2] + seen.lag[counts, None] * rate[view, :2]
     T = state.T_root_scanner[seen.scanner]
-    direction = seen.direction[seen.used] @ T[:2, :2].T
+    direction = seen.direction[counts] @ T[:2, :2].T
     origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], motion.radii))
     sigma = np.hypot(network.sigma[seen.scanner], _ROUGH)
     misfit = np.empty((len(view), len(_GRID)))
     for k, heading in enumerate(_GRID):
         hits = cast(origin, direction, centre, np.full(len(view), heading), radii)
-        off = 0.5 * ((hits.ranges - seen.ranges[seen.used]) / sigma) ** 2
+        off = 0.5 * ((hits.ranges - seen.ranges[counts]) / sigma) ** 2
         misfit[:, k] = _SHARE * np.fmin(off, _MOST)
     return nearest[view], misfit
 

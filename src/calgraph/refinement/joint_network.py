@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -15,19 +14,21 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph
 from calgraph.pairwise import icp
 from calgraph.refinement.headings import with_best_headings
-from calgraph.refinement.outlines import cast, seen
-from calgraph.refinement.splines import Knots, evaluate
+from calgraph.refinement.scans import robust_weights
+from calgraph.refinement.splines import Knots
+from calgraph.refinement.sway import contradiction
 from calgraph.refinement.trajectories import (
     Body,
     Glimpses,
     Motion,
     Network,
     State,
-    System,
     Wall,
+    along,
     covariance,
+    outlines,
+    residuals,
     solve,
-    view_of,
 )
 from calgraph.refinement.walkers import Walker, scanners_of, walkers
 from calgraph.rig import Cylinder, People
@@ -124,12 +125,12 @@ def solve_network(
         clock_sigma=_CLOCKS if clocks else 0.0,
     )
     network = _with_beams(replace(network, walls=_bridging(network, (), edges)), state)
-    state, system = solve(network, state)
+    state, _ = solve(network, state)
     state = with_best_headings(network, state)
-    state, system = solve(_with_beams(network, state), state)
+    state, _ = solve(_with_beams(network, state), state)
     for _ in range(_ROUNDS):
         before = network.sway[0]
-        network = _with_sway(_with_beams(network, state), system)
+        network = _with_sway(_with_beams(network, state), state)
         walls = _walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
         state, system = solve(network, state, iterations=_STEPS)
@@ -180,7 +181,7 @@ def _glimpses(scanner: int, tracks: Sequence[Track]) -> Glimpses:
         hit[beams] / ranges[:, None],
         ranges,
         when[beams] - at[order][view],
-        np.ones(len(beams), dtype=np.bool_),
+        np.ones(len(beams)),
     )
 
 
@@ -212,37 +213,28 @@ def _first_motion(walker: Walker, target: People | Cylinder, T_root_scanner: Arr
 
 
 def _with_beams(network: Network, state: State) -> Network:
-    """The network with the beams that meet their body well enough."""
+    """The network with weights of beams: none where they do not meet their body well, less for outliers."""
     bodies = []
     for body, motion in zip(network.bodies, state.motions, strict=True):
-        glimpses = tuple(replace(one, used=_usable(network, state, body, motion, one)) for one in body.glimpses)
+        glimpses = tuple(replace(one, weight=_weight(network, state, body, motion, one)) for one in body.glimpses)
         bodies.append(replace(body, glimpses=glimpses))
     return replace(network, bodies=tuple(bodies))
 
 
-def _usable(network: Network, state: State, body: Body, motion: Motion, one: Glimpses) -> NDArray[np.bool_]:
-    first, weights, slopes = body.knots.at(one.times - state.offset[one.scanner])
-    pose, rate = evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
-    view = view_of(one)
-    at = pose[view] + one.lag[:, None] * rate[view]
-    T = state.T_root_scanner[one.scanner]
-    direction = one.direction @ T[:2, :2].T
-    origin = np.broadcast_to(T[:2, 2], direction.shape)
-    hits = cast(origin, direction, at[:, :2], at[:, 2], np.broadcast_to(motion.radii, direction.shape))
+def _weight(network: Network, state: State, body: Body, motion: Motion, one: Glimpses) -> Array:
+    """(N,)."""
+    _, _, pose, rate = along(state, body, motion, one)
+    hits = outlines(state, motion, one, pose, rate)
     spread = np.hypot(network.sigma[one.scanner], 2 * np.sqrt(network.sway[0]))
-    with np.errstate(invalid="ignore"):
-        near = np.abs(hits.ranges - one.ranges) < _FAR * spread
-    return np.asarray(seen(hits, _GRAZING) & near, dtype=np.bool_)
+    near = np.abs(hits.ranges - one.ranges) < _FAR * spread
+    used = near & (hits.incidence > _GRAZING)
+    return robust_weights(*residuals(network, one, hits), used, one.start, network.sway[[0, 0, 1]])
 
 
-def _with_sway(network: Network, system: System) -> Network:
-    """The network with the sway that makes the scans' scatter about their paths what it should be on average."""
-    paths = sum(body.knots.count for body in network.bodies)
-    scans = sum(len(one.times) for body in network.bodies for one in body.glimpses)
-    left = max(1 - paths / max(scans, 1), 0.1)
-    ratio = system.misfit / max(left * system.expected, 1e-300)
-    place = max(network.sway[0] * np.clip(ratio, 0.1, 10), _LEAST_SWAY**2)
-    return replace(network, sway=np.array([place, network.sway[1]]))
+def _with_sway(network: Network, state: State) -> Network:
+    """The network with the sway that explains how scanners contradict each other about bodies."""
+    place = network.sway[0] * np.clip(contradiction(network, state), 0.1, 10)
+    return replace(network, sway=np.array([max(place, _LEAST_SWAY**2), network.sway[1]]))
 
 
 def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[Wall, ...]:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 
@@ -51,12 +50,6 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
         jacobian = moved / slope[:, None]
         incidence = -slope / np.linalg.norm(normal, axis=-1)
     return Outlines(ranges, incidence, jacobian)
-
-
-def seen(outlines: Outlines, grazing: float) -> NDArray[np.bool_]:
-    """(N,) which beams meet their ellipse, and not flatter than ``grazing``, a cosine."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(outlines.incidence > grazing, dtype=np.bool_)
 
 
 def _into(axes: Array, vectors: Array) -> Array:

@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from calgraph.geometry import Array, se2
-from calgraph.refinement.normal_equations import swayed
-from calgraph.refinement.outlines import cast
+from calgraph.refinement.outlines import Outlines, cast
+from calgraph.refinement.scans import Scans, summed
 from calgraph.refinement.splines import Knots, evaluate
-from calgraph.refinement.views import Index, Rows
+from calgraph.refinement.views import Index
 
 # Spectral densities of a walker's acceleration, m²/s³, and of its turning, rad²/s: about within a second.
 _AGILITY, _TURNING = 0.5, 5.0
@@ -25,8 +24,11 @@ _FACING = 0.3
 _STROLL = 0.5
 # A beam that misses the ellipse counts as this many standard deviations, whichever way it moves.
 _MISSED = 4.0
-# Steps that change the cost by less than this share of it, or need more damping than this, are the last.
-_SETTLED, _STUCK = 1e-7, 1e3
+# Beams flatter than this on the outline, a cosine, tell nothing: where they end is not linear in anything.
+_FLAT = 0.05
+# Steps that change the cost by less than this, half squared standard deviations, or need more damping than this,
+# are the last.
+_SETTLED, _STUCK = 0.003, 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +46,8 @@ class Glimpses:
     """(N,) m."""
     lag: Array
     """(N,) how much later than its scan's mean each beam was measured, s."""
-    used: NDArray[np.bool_]
-    """(N,) whether a beam counts."""
+    weight: Array
+    """(N,) how much a beam counts, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,20 +142,17 @@ class System:
     """(4S, 4S) of what walls and clocks say without the bodies; poses and clock of each scanner in turn."""
     g: Array
     """(4S,)."""
-    misfit: float
-    """Sum over scans of the squared sway that each shows, and what is expected of it: see :func:`sway_ratio`."""
-    expected: float
 
 
 def linearize(network: Network, state: State) -> System:
     """The normal equations at a state."""
     H, g = np.zeros((4 * network.count, 4 * network.count)), np.zeros(4 * network.count)
-    cost, misfit, expected = 0.0, 0.0, 0.0
+    cost = 0.0
     equations = []
     for body, motion in zip(network.bodies, state.motions, strict=True):
-        found, own_cost, shown, allowed = _body_equations(network, state, body, motion)
+        found, own_cost = _body_equations(network, state, body, motion)
         equations.append(found)
-        cost, misfit, expected = cost + own_cost, misfit + shown, expected + allowed
+        cost += own_cost
     for wall in network.walls:
         cost += _add_wall(state, wall, H, g)
     if network.clock_sigma > 0:
@@ -161,7 +160,7 @@ def linearize(network: Network, state: State) -> System:
         H[clocks, clocks] += network.clock_sigma**-2
         g[clocks] += state.offset / network.clock_sigma**2
         cost += 0.5 * float(np.sum(state.offset**2)) / network.clock_sigma**2
-    return System(cost, tuple(equations), H, g, misfit, expected)
+    return System(cost, tuple(equations), H, g)
 
 
 def eliminated(equations: BodyEquations, damping: float) -> tuple[Array, Array, Array]:
@@ -222,7 +221,7 @@ def solve(network: Network, state: State, *, iterations: int = 10) -> tuple[Stat
             damping, growth = max(damping / 3, 1e-9), 2.0
         else:
             damping, growth = damping * growth * 10, growth * 2
-        if abs(gained) < _SETTLED * system.cost or damping > _STUCK:
+        if abs(gained) < _SETTLED or damping > _STUCK:
             break
     return state, system
 
@@ -247,10 +246,8 @@ def covariance(network: Network, system: System) -> Array:
     return found
 
 
-def _body_equations(
-    network: Network, state: State, body: Body, motion: Motion
-) -> tuple[BodyEquations, float, float, float]:
-    """One body's equations, its cost, and the sway its scans show and should show."""
+def _body_equations(network: Network, state: State, body: Body, motion: Motion) -> tuple[BodyEquations, float]:
+    """One body's equations and its cost."""
     count, scanners = body.knots.count, len(body.glimpses)
     band, gradient, cost = _prior(body, motion)
     border = np.zeros((count, 3, 2 + 4 * scanners))
@@ -259,15 +256,11 @@ def _body_equations(
     corner[[0, 1], [0, 1]] += known
     slope[:2] += known * (motion.radii - body.radii)
     cost += 0.5 * float(known @ (motion.radii - body.radii) ** 2)
-    shown = allowed = 0.0
     for k, seen in enumerate(body.glimpses):
-        first, weights, slopes = body.knots.at(seen.times - state.offset[seen.scanner])
-        pose, rate = evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
-        rows = glimpsed(network, state, motion, seen, pose, rate)
-        A, b, costs = swayed(rows, seen.start, np.array([*network.sway[[0, 0, 1]], 0.0, 0.0]))
-        cost += float(costs.sum())
-        shown += float(np.sum(b[:, :2] ** 2))
-        allowed += float(np.sum(A[:, 0, 0] + A[:, 1, 1]))
+        first, weights, pose, rate = along(state, body, motion, seen)
+        scans = says(network, state, motion, seen, pose, rate).swayed(network.sway[[0, 0, 1]])
+        A, b = scans.information, scans.gradient
+        cost += float(scans.cost.sum())
         G = _by_scanner(state.T_root_scanner[seen.scanner], pose, rate)
         own = np.arange(2 + 4 * k, 6 + 4 * k)
         AG = A @ G
@@ -289,23 +282,37 @@ def _body_equations(
                 both = (w * weights[:, j])[:, None, None] * A[:, :3, :3]
                 band[at + i, j - i] += np.add.reduceat(both, group)
     columns = np.concatenate([4 * seen.scanner + np.arange(4) for seen in body.glimpses])
-    return BodyEquations(band, gradient, border, corner, slope, columns), cost, shown, allowed
+    return BodyEquations(band, gradient, border, corner, slope, columns), cost
 
 
-def glimpsed(network: Network, state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array) -> Rows:
-    """Whitened residuals (N, 1) of beams on a body, whose pose and rate (V, 3) at the scans' times are given."""
+def along(state: State, body: Body, motion: Motion, seen: Glimpses) -> tuple[Index, Array, Array, Array]:
+    """Of a body at V scans: first control points and weights as :meth:`Knots.at`, pose and rate (V, 3)."""
+    first, weights, slopes = body.knots.at(seen.times - state.offset[seen.scanner])
+    return first, weights, evaluate(motion.control, first, weights), evaluate(motion.control, first, slopes)
+
+
+def outlines(state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array) -> Outlines:
+    """Where beams meet a body, whose pose and rate (V, 3) at the scans' times are given."""
     view = view_of(seen)
     at = pose[view] + seen.lag[:, None] * rate[view]
     T = state.T_root_scanner[seen.scanner]
     direction = seen.direction @ T[:2, :2].T
-    origin = np.broadcast_to(T[:2, 2], direction.shape)
-    hits = cast(origin, direction, at[:, :2], at[:, 2], np.broadcast_to(motion.radii, direction.shape))
+    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], motion.radii))
+    return cast(origin, direction, at[:, :2], at[:, 2], radii)
+
+
+def residuals(network: Network, seen: Glimpses, hits: Outlines) -> tuple[Array, Array]:
+    """Whitened residuals (N,) of beams, and their derivatives (N, 5) by the body's pose and radii."""
     sigma = network.sigma[seen.scanner]
-    met = np.isfinite(hits.ranges) & (hits.incidence > 0.05)
-    residual = np.where(met, (hits.ranges - seen.ranges) / sigma, _MISSED) * seen.used
-    jacobian = np.where((met & seen.used)[:, None], hits.jacobian, 0.0) / sigma
-    basis = np.broadcast_to(np.eye(5), (len(seen.start), 5, 5))
-    return Rows(residual[:, None], jacobian[:, None], basis)
+    met = hits.incidence > _FLAT
+    residual = np.where(met, (hits.ranges - seen.ranges) / sigma, _MISSED)
+    return residual, np.where(met[:, None], hits.jacobian / sigma, 0.0)
+
+
+def says(network: Network, state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array) -> Scans:
+    """What the scans say of a body, whose pose and rate (V, 3) at their times are given."""
+    residual, jacobian = residuals(network, seen, outlines(state, motion, seen, pose, rate))
+    return summed(residual, jacobian, seen.weight, seen.start)
 
 
 def _by_scanner(T_root_scanner: Array, pose: Array, rate: Array) -> Array:
