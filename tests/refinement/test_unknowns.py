@@ -1,84 +1,20 @@
 """Range biases, intrinsics and tags' places: recovered from simulated detections; poses are right with them."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from calgraph.captures import Captured
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import InputError
-from calgraph.geometry import Array, se3
-from calgraph.pairwise import PairwiseEstimate
-from calgraph.refinement import Estimable, Joint, solve_bundle
+from calgraph.refinement import Estimable, Joint
 from calgraph.result import Estimated
-from calgraph.rig import Board, Checkerboard, Rig
-from calgraph.simulation import (
-    CameraKnobs,
-    LaserKnobs,
-    MultibeamKnobs,
-    RigScenario,
-    SpinningKnobs,
-    set_stage,
-    simulate_detections,
-)
+from calgraph.rig import Board, Checkerboard
+from calgraph.simulation import CameraKnobs
+from seen_rigs import QUICK, Seen, seen
 
-QUICK = RigScenario(
-    camera=CameraKnobs(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
-    laser=LaserKnobs(count=1, resolution=1.0),
-    spinning=SpinningKnobs(count=0),
-    multibeam=MultibeamKnobs(count=1, resolution=2.0),
-    bearings=(-30, -20, -10, 0, 10, 20, 30),
-    radii=(1.5, 2.2, 3.0),
-    background=1.0,
-)
 # How far the board's first tag is printed off its stated place, m.
 SHIFT = np.array([0.003, 0.0, 0.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    rig: Rig
-    captured: Captured
-    T_root_sensor: dict[str, Array]
-
-    def changed(self, change: Callable[[str, Detection], Detection]) -> "Seen":
-        detections = {
-            name: {capture: tuple(change(name, d) for d in found) for capture, found in by.items()}
-            for name, by in self.captured.detections.items()
-        }
-        return replace(self, captured=replace(self.captured, detections=detections))
-
-    def solved(self, *estimate: Estimable) -> Joint:
-        """From the true poses, and with matches all of which are believed."""
-        return solve_bundle(self.rig, self.captured, self.agreeing(), self.T_root_sensor, estimate=estimate)
-
-    def agreeing(self) -> Sequence[PairwiseEstimate]:
-        return [self._pair(a, b) for a, b in combinations(self.T_root_sensor, 2)]
-
-    def _pair(self, a: str, b: str) -> PairwiseEstimate:
-        common = sorted(set(self.captured.detections[a]) & set(self.captured.detections[b]))
-        matches = np.array([(capture, 0, 0) for capture in common], dtype=np.intp).reshape(-1, 3)
-        T_a_b = se3.inverse(self.T_root_sensor[a]) @ self.T_root_sensor[b]
-        believed, residuals = np.ones(len(common), dtype=bool), np.zeros(len(common))
-        return PairwiseEstimate(a, b, T_a_b, np.eye(6), matches, believed, residuals)
-
-    def mahalanobis(self, joint: Joint, name: str) -> float:
-        """Squared distance of a sensor's pose from the truth, over its degrees of freedom."""
-        error = se3.difference(joint.T_root_sensor[name], self.T_root_sensor[name])
-        return float(error @ np.linalg.solve(joint.covariance[name], error)) / 6
-
-    def error(self, joint: Joint, name: str) -> float:
-        """m."""
-        return float(np.linalg.norm((joint.T_root_sensor[name] - self.T_root_sensor[name])[:3, 3]))
-
-
-def seen(scenario: RigScenario = QUICK, seed: int = 0) -> Seen:
-    rig, captured, truth = simulate_detections(set_stage(scenario, 1), seed)
-    others = {name: T for name, T in truth.T_root_sensor.items() if name != rig.root}
-    return Seen(rig, captured, {rig.root: np.eye(4), **others})
 
 
 @pytest.fixture(scope="module")
