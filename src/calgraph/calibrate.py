@@ -40,10 +40,13 @@ from calgraph.refinement import (
     Scatter,
     Solver,
     Tolerance,
+    agreed_prior,
     assemble,
     assemble_network,
     attached,
     audit,
+    earlier_poses,
+    extended,
     knowing,
     replayable,
     resample,
@@ -52,6 +55,7 @@ from calgraph.refinement import (
     solve_hypergraph,
     solve_network,
     with_outlook,
+    without,
 )
 from calgraph.result import Calibration, KnownPoses
 from calgraph.rig import CameraSpec, Cylinder, Lidar2dSpec, People, Rig
@@ -101,6 +105,10 @@ class Options:
     """Trust in a network's pairs: by the evidence for each, or uniform."""
     icp: bool = True
     """Whether a network's walls are matched, too."""
+    extend: Calibration | None = None
+    """An earlier calibration of a network, to which recordings or scanners are added."""
+    moved: tuple[str, ...] = ()
+    """Scanners that have moved since, and are found anew."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
     dump: Path | None = None
@@ -142,6 +150,8 @@ def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Pro
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
     if isinstance(rig.target, People | Cylinder):
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
+    if options.extend or options.moved:
+        raise InputError("--extend and --moved: are for networks; a rig's earlier calibration is a --prior")
     _check_estimator(_rig_estimator(options), bool(options.prior or options.rigid), options.estimate)
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
@@ -274,6 +284,7 @@ def calibrate_network(
     if options.prior or options.rigid:
         raise InputError("--prior and --rigid: are for rigs with a board, not for networks")
     estimator = _chosen(options.estimator, get_args(NetworkEstimator), "a network")
+    old = _earlier(rig, options, estimator)
     rng = np.random.default_rng(options.seed)
     followed, frames = follow_people(rig, recording, options, progress)
     tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
@@ -285,12 +296,29 @@ def calibrate_network(
     graph, names = network_graph(rig.root, known)
     weights = trust(names, known) if options.weights == "weighted" else None
     averaged, graph = average_network(graph, rng, options.average, weights)
-    joint = None
+    joint = prior = None
     if estimator == "joint":
         progress("solving", 0.0)
-        joint = solve_network(_walking(rig), [tracked[name] for name in names], averaged, graph)
+        solution = partial(solve_network, _walking(rig), [tracked[name] for name in names], averaged, graph)
+        joint = solution()
+        if old:
+            prior = agreed_prior(earlier_poses(old, rig.root), names, joint)
+            joint = solution(prior=prior)
         progress("solving", 1.0)
-    return assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start, joint)
+    found = assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start, joint)
+    return extended(found, old, prior) if old and prior else found
+
+
+def _earlier(rig: Rig, options: Options, estimator: NetworkEstimator) -> Calibration | None:
+    """What is to be extended, without what has moved since."""
+    if options.extend is None:
+        if options.moved:
+            raise InputError("--moved: goes with --extend")
+        return None
+    if estimator != "joint":
+        raise InputError(f"--extend: goes with --estimator joint, got {estimator}")
+    earlier_poses(options.extend, rig.root)
+    return without(options.extend, options.moved)
 
 
 def _chosen(estimator: str | None, known: Sequence[str], what: str) -> Any:

@@ -11,7 +11,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_calibration, print_place
 from calgraph.errors import CalibrationError
 from calgraph.recording import open_recordings, with_intrinsics
-from calgraph.result import Calibration, save_calibration, save_captures, to_json
+from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, to_json
 from calgraph.rig import Rig, check_place, load_rig, replacing_folder, save_yaml
 
 
@@ -137,6 +137,16 @@ def calibrate(
         typer.Option("--weights", help="People: trust pairs by their evidence, or all alike."),
     ] = WeightsChoice.weighted,
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
+    extend: Annotated[
+        Path | None,
+        typer.Option(
+            "--extend", metavar="OLD", help="People: add to this calibration.yaml instead of starting over."
+        ),
+    ] = None,
+    moved: Annotated[
+        list[str] | None,
+        typer.Option("--moved", metavar="NAME", help="People: has moved since OLD: find it anew; repeatable."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     dump: Annotated[
         Path | None,
@@ -170,6 +180,8 @@ def calibrate(
             average=average.value,
             weights=weights.value,
             icp=icp,
+            extend=load_calibration(extend) if extend else None,
+            moved=tuple(moved or ()),
             seed=seed,
             dump=folder / dump.name if dump and _is_in(dump, out) else dump,
         )

@@ -3,6 +3,7 @@
 from calgraph.refinement.audit import Audit, AxisAudit, Misfit, SensorAudit, Tolerance, audit
 from calgraph.refinement.bundle_adjustment import cramer_rao, solve_bundle
 from calgraph.refinement.evidence import assemble
+from calgraph.refinement.extension import agreed_prior, earlier_poses, extended, without
 from calgraph.refinement.hypergraph import Filter, solve_hypergraph
 from calgraph.refinement.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.joint_network import JointNetwork, solve_network
@@ -16,10 +17,44 @@ from calgraph.refinement.resampling import CONFIDENCE, Scatter, resample
 from calgraph.refinement.unknowns import Estimable
 
 __all__ = [
-    "CONFIDENCE", "Adjusted", "Audit", "AxisAudit", "Estimable", "Estimator", "Filter", "Joint",
-    "JointNetwork", "MeasuredNoise", "Misfit", "PosePrior", "PriorFile", "Problem", "RigidFile",
-    "RigidGroup", "Scatter", "SensorAudit", "Solver", "Tolerance", "assemble", "assemble_network",
-    "attached", "audit", "axis_names", "check_problem", "cramer_rao", "knowing", "load_problem",
-    "replayable", "resample", "save_problem", "solve_bundle", "solve_hypergraph", "solve_network",
+    "CONFIDENCE",
+    "Adjusted",
+    "Audit",
+    "AxisAudit",
+    "Estimable",
+    "Estimator",
+    "Filter",
+    "Joint",
+    "JointNetwork",
+    "MeasuredNoise",
+    "Misfit",
+    "PosePrior",
+    "PriorFile",
+    "Problem",
+    "RigidFile",
+    "RigidGroup",
+    "Scatter",
+    "SensorAudit",
+    "Solver",
+    "Tolerance",
+    "agreed_prior",
+    "assemble",
+    "assemble_network",
+    "attached",
+    "audit",
+    "axis_names",
+    "check_problem",
+    "cramer_rao",
+    "earlier_poses",
+    "extended",
+    "knowing",
+    "load_problem",
+    "replayable",
+    "resample",
+    "save_problem",
+    "solve_bundle",
+    "solve_hypergraph",
+    "solve_network",
     "with_outlook",
+    "without",
 ]  # fmt: skip

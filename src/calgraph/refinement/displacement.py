@@ -1,6 +1,7 @@
 """Which scanners have moved: the fewest whose displacement explains why two sets of poses differ."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from math import comb
 
@@ -8,10 +9,53 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se2
+from calgraph.refinement.planar_poses import PlanarPoses
 
 # Sets of scanners of one size that are all tried; beyond it, the best smaller set grows by one.
 _MOST = 3000
+# Nobody states poses more precisely than this, m and rad.
+_ROUNDING = (1e-4, 1e-4, 1e-5)
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How far a scanner has moved, against one that has not."""
+
+    name: str
+    distance: float
+    """m."""
+    turn: float
+    """rad, counter-clockwise."""
+
+    def __str__(self) -> str:
+        """The displacement in words."""
+        return f"{1000 * self.distance:.1f} mm and {np.degrees(self.turn):+.2f}°"
+
+
+def displacements(before: PlanarPoses, after: PlanarPoses, chance: float) -> tuple[str, tuple[Displacement, ...]]:
+    """Which scanners have moved from one set of poses to another, and by how much.
+
+    Args:
+        before: poses of the same scanners, in the frame of the same root.
+        after: found independently.
+        chance: as for :func:`displaced`.
+
+    Returns:
+        A scanner that has not moved, the root if it has not; and the displacements as it sees them.
+    """
+    after = after.of(before.names)
+    difference = se2.difference(after.T_root_scanner, before.T_root_scanner)
+    spread = before.covariance + after.covariance + np.diag(np.tile(np.square(_ROUNDING), len(before.names)))
+    nodes = displaced(before.T_root_scanner, difference, spread, chance)
+    still = next(name for k, name in enumerate(before.names) if k not in nodes)
+    then, now = before.seen_from(still), after.seen_from(still)
+    chosen = [still, *(before.names[k] for k in nodes)]
+    off = se2.difference(now.of(chosen).T_root_scanner, then.of(chosen).T_root_scanner)
+    return still, tuple(
+        Displacement(name, float(np.hypot(*step[:2])), float(step[2]))
+        for name, step in zip(chosen[1:], off[1:], strict=True)
+    )
 
 
 def displaced(T_root_node: Array, difference: Array, covariance: Array, chance: float) -> tuple[int, ...]:
@@ -34,6 +78,8 @@ def displaced(T_root_node: Array, difference: Array, covariance: Array, chance: 
         Nodes, ascending; all but the root if no smaller set explains it.
     """
     count = len(T_root_node)
+    if count < 2:
+        return ()
     root = np.linalg.cholesky(covariance[3:, 3:])
     misfit = solve_triangular(root, difference[1:].ravel(), lower=True)
     moving = solve_triangular(root, _moving(T_root_node)[3:], lower=True).reshape(-1, count, 3)

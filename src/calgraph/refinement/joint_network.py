@@ -14,6 +14,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph
 from calgraph.pairwise import icp
 from calgraph.refinement.headings import with_best_headings
+from calgraph.refinement.network_prior import ScannerPrior
 from calgraph.refinement.scans import robust_weights
 from calgraph.refinement.splines import Knots
 from calgraph.refinement.sway import contradiction
@@ -40,9 +41,10 @@ _KNOTS = 0.2
 _BODIES, _CYLINDER = 0.3, 1e-4
 # Clocks that nobody set are off by about this, s.
 _CLOCKS = 0.1
-# Beams flatter than this on the outline, a cosine, or farther off than so many standard deviations do not count.
+# Beams flatter than this on the outline, a cosine, do not count.
 _GRAZING = 0.35
-_FAR = 6.0
+# By how much paths and sizes are off in the beginning, round after round, m.
+_ROUGH = (0.05, 0.02)
 # A body's place strays from its smooth path by so much to begin with, m; and its heading, rad.
 _SWAY, _TWIST = 0.01, 0.05
 # Nobody is an ellipse to better than this, m.
@@ -92,6 +94,7 @@ def solve_network(
     graph: PoseGraph,
     *,
     clocks: bool = True,
+    prior: ScannerPrior | None = None,
 ) -> JointNetwork:
     """Solves for scanners, clocks, paths and sizes at once.
 
@@ -101,6 +104,7 @@ def solve_network(
         averaged: start poses, and the pairs that agree with them.
         graph: of these pairs.
         clocks: whether the scanners' clocks may differ.
+        prior: what an earlier calibration says.
     """
     T_root_scanner = averaged.T_root_node
     edges = [
@@ -123,11 +127,13 @@ def solve_network(
         sigma=np.array([known.sigma for known in tracked]),
         sway=np.array([_SWAY, _TWIST]) ** 2,
         clock_sigma=_CLOCKS if clocks else 0.0,
+        prior=prior,
     )
-    network = _with_beams(replace(network, walls=_bridging(network, (), edges)), state)
-    state, _ = solve(network, state)
-    state = with_best_headings(network, state)
-    state, _ = solve(_with_beams(network, state), state)
+    network = replace(network, walls=_bridging(network, (), edges))
+    for rough in _ROUGH:
+        blurred = _with_beams(replace(network, sigma=np.hypot(network.sigma, rough)), state)
+        state, _ = solve(blurred, state, iterations=_STEPS)
+        state = with_best_headings(blurred, state)
     for _ in range(_ROUNDS):
         before = network.sway[0]
         network = _with_sway(_with_beams(network, state), state)
@@ -213,7 +219,7 @@ def _first_motion(walker: Walker, target: People | Cylinder, T_root_scanner: Arr
 
 
 def _with_beams(network: Network, state: State) -> Network:
-    """The network with weights of beams: none where they do not meet their body well, less for outliers."""
+    """The network with weights of beams: none where they do not meet their body well, or are not of it."""
     bodies = []
     for body, motion in zip(network.bodies, state.motions, strict=True):
         glimpses = tuple(replace(one, weight=_weight(network, state, body, motion, one)) for one in body.glimpses)
@@ -225,9 +231,7 @@ def _weight(network: Network, state: State, body: Body, motion: Motion, one: Gli
     """(N,)."""
     _, _, pose, rate = along(state, body, motion, one)
     hits = outlines(state, motion, one, pose, rate)
-    spread = np.hypot(network.sigma[one.scanner], 2 * np.sqrt(network.sway[0]))
-    near = np.abs(hits.ranges - one.ranges) < _FAR * spread
-    used = near & (hits.incidence > _GRAZING)
+    used = hits.incidence > _GRAZING
     return robust_weights(*residuals(network, one, hits), used, one.start, network.sway[[0, 0, 1]])
 
 

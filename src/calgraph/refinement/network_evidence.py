@@ -12,6 +12,7 @@ from calgraph.pairwise.samples import sample
 from calgraph.refinement.joint_network import JointNetwork
 from calgraph.refinement.network_walks import floor_views, met, walk_rows
 from calgraph.refinement.observability import verdict
+from calgraph.refinement.planar_poses import in_space
 from calgraph.result import Calibration, Edge, SensorPose
 from calgraph.rig import Rig
 from calgraph.tracking import Tracked, Untracked
@@ -51,7 +52,7 @@ def assemble_network(
     planar = dict(zip(names, T_root_scanner, strict=True))
     meeting = met(samples, planar)
     right = graph.where(averaged.inliers)
-    together = _in_space(joint_covariance(right, averaged.T_root_node) if joint is None else joint.pose_covariance)
+    together = in_space(joint_covariance(right, averaged.T_root_node) if joint is None else joint.pose_covariance)
     spread = together.reshape(len(names), 6, len(names), 6)[np.arange(len(names)), :, np.arange(len(names))]
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _parents(right, names)
@@ -85,15 +86,6 @@ def assemble_network(
 
 def _estimated(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _in_space(planar: Array) -> Array:
-    """Covariance (6N, 6N) of poses in a common plane, which is taken as exact, from that in it (3N, 3N)."""
-    count = len(planar) // 3
-    spread = np.zeros((6 * count, 6 * count))
-    in_plane = (6 * np.arange(count)[:, None] + np.array([0, 1, 5])).ravel()
-    spread[np.ix_(in_plane, in_plane)] = planar
-    return spread
 
 
 def _parents(right: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from calgraph.geometry import Array, se2
+from calgraph.refinement.network_prior import ScannerPrior
 from calgraph.refinement.outlines import Outlines, cast
 from calgraph.refinement.scans import Scans, summed
 from calgraph.refinement.splines import Knots, evaluate
@@ -29,6 +30,8 @@ _FLAT = 0.05
 # Steps that change the cost by less than this, half squared standard deviations, or need more damping than this,
 # are the last.
 _SETTLED, _STUCK = 0.003, 1e3
+# Damping after the first step that led astray.
+_DAMPED = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,8 @@ class Network:
     """(2,) variances of the place (m²) and heading (rad²) at which a scan sees a body, beyond its path."""
     clock_sigma: float
     """What is believed of clock offsets beforehand, s; 0 where they are known to be none."""
+    prior: ScannerPrior | None = None
+    """What is known of scanners' poses beforehand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +160,8 @@ def linearize(network: Network, state: State) -> System:
         cost += own_cost
     for wall in network.walls:
         cost += _add_wall(state, wall, H, g)
+    if network.prior:
+        cost += network.prior.add(state.T_root_scanner, H, g)
     if network.clock_sigma > 0:
         clocks = 4 * np.arange(network.count) + 3
         H[clocks, clocks] += network.clock_sigma**-2
@@ -208,7 +215,7 @@ def reduced(network: Network, system: System, damping: float = 0.0) -> tuple[Arr
 def solve(network: Network, state: State, *, iterations: int = 10) -> tuple[State, System]:
     """Levenberg–Marquardt over all unknowns; see :func:`calgraph.refinement.bundle.solve`."""
     system = linearize(network, state)
-    damping, growth = 1e-6, 2.0
+    damping = 1e-6
     for _ in range(iterations):
         H, g, follow = reduced(network, system, damping)
         step = np.zeros(4 * network.count)
@@ -218,9 +225,9 @@ def solve(network: Network, state: State, *, iterations: int = 10) -> tuple[Stat
         gained = system.cost - ahead.cost
         if gained >= 0:
             state, system = trial, ahead
-            damping, growth = max(damping / 3, 1e-9), 2.0
+            damping = max(damping / 10, 1e-9)
         else:
-            damping, growth = damping * growth * 10, growth * 2
+            damping = max(10 * damping, _DAMPED)
         if abs(gained) < _SETTLED or damping > _STUCK:
             break
     return state, system
