@@ -208,7 +208,7 @@ def solution(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Map
     """``T_root_sensor`` by sensor, and covariances (6, 6) where the estimator states them."""
     if estimator == "pairwise":
         return problem.tree.T_root_sensor, {}
-    solver = Solver.model_validate({**problem.solver.model_dump(), "estimator": estimator})
+    solver = Solver.model_validate({**problem.solver.model_dump(), "estimator": estimator, "folds": 0})
     calibration = solve_problem(replace(problem, solver=solver))
     return poses_of(calibration), {sensor.name: sensor.covariance for sensor in calibration.sensors}
 
