@@ -45,6 +45,7 @@ from calgraph.refinement import (
     assemble_network,
     attached,
     audit,
+    audit_network,
     earlier_poses,
     extended,
     knowing,
@@ -241,6 +242,19 @@ def audit_problem(
     joint, tree = _solved(problem)
     calibration = assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
     return calibration, audit(calibration, joint.adjusted, given, tolerance)
+
+
+def check_network(
+    rig: Rig,
+    recording: Recording,
+    given: KnownPoses,
+    options: Options,
+    tolerance: Tolerance | None = None,
+    progress: Progress = silent,
+) -> tuple[Calibration, Audit]:
+    """What a recording says of the given poses of a network, as :func:`audit_problem` does of a rig's."""
+    calibration = calibrate_network(rig, recording, options, progress)
+    return calibration, audit_network(calibration, given, tolerance)
 
 
 def _solved(problem: Problem) -> tuple[Joint, SpanningTree]:

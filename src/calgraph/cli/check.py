@@ -16,8 +16,8 @@ from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import InputError
 from calgraph.recording import open_recordings, with_intrinsics
-from calgraph.result import read_poses
-from calgraph.rig import Rig, load_rig, replacing_folder, write_text
+from calgraph.result import Calibration, KnownPoses, read_poses
+from calgraph.rig import Cylinder, People, Rig, load_rig, replacing_folder, write_text
 
 if TYPE_CHECKING:
     from calgraph.refinement import Audit, Misfit, Problem, Tolerance
@@ -50,16 +50,16 @@ def check(
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
-    """Check given extrinsics of a rig by a recording: pass, warn or fail, by sensor and axis, and why.
+    """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
 
     A sensor fails along an axis where FILE is off by more than the tolerance
     and than chance explains. Warnings: significant, but within the tolerance;
-    or the recording is too weak to tell.
+    or the recording is too weak to tell. Of a network, the fewest scanners that
+    explain what is off are named as moved: a minute of ordinary traffic does.
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
     """
-    from calgraph.calibrate import audit_problem  # takes seconds, which --help should not
-    from calgraph.refinement import Tolerance
+    from calgraph.refinement import Tolerance  # takes seconds, which --help should not
 
     if not (min(tolerance) > 0 and np.isfinite(tolerance).all()):
         raise InputError(
@@ -68,11 +68,10 @@ def check(
     allowed = Tolerance(tolerance[0], float(np.radians(tolerance[1])))
     rig, given = load_rig(rig_file), read_poses(against)
     with replacing_folder(out) if out else nullcontext() as folder:
-        problem = _problem(rig, recordings, seed)
-        calibration, audit = audit_problem(problem, given, allowed)
+        calibration, audit, rig = _audited(rig, recordings, given, allowed, seed)
         content = _content(audit, against, allowed)
         if folder:
-            write_results(calibration, problem.rig, folder)
+            write_results(calibration, rig, folder)
             write_text(folder / "check.json", content + "\n")
     if json:
         typer.echo(content)
@@ -80,6 +79,20 @@ def check(
         _print(audit, against, rig.root)
     if audit.outcome == "fail":
         raise typer.Exit(1)
+
+
+def _audited(
+    rig: Rig, recordings: list[Path], given: KnownPoses, allowed: "Tolerance", seed: int
+) -> tuple[Calibration, "Audit", Rig]:
+    """What the recording gives, what it says of the given poses, and the rig as resolved."""
+    from calgraph import calibrate as story
+
+    if isinstance(rig.target, People | Cylinder):
+        options = story.Options(seed=seed)
+        with open_recordings(recordings) as recording, progress_bars() as progress:
+            return *story.check_network(rig, recording, given, options, allowed, progress), rig
+    problem = _problem(rig, recordings, seed)
+    return *story.audit_problem(problem, given, allowed), problem.rig
 
 
 def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":

@@ -8,6 +8,7 @@ from calgraph.refinement.hypergraph import Filter, solve_hypergraph
 from calgraph.refinement.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.joint_network import JointNetwork, solve_network
 from calgraph.refinement.known import PosePrior, PriorFile, RigidFile, RigidGroup, attached
+from calgraph.refinement.network_audit import audit_network
 from calgraph.refinement.network_evidence import assemble_network
 from calgraph.refinement.observability import axis_names
 from calgraph.refinement.outlook import with_outlook
@@ -42,6 +43,7 @@ __all__ = [
     "assemble_network",
     "attached",
     "audit",
+    "audit_network",
     "axis_names",
     "check_problem",
     "cramer_rao",

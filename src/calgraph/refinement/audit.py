@@ -119,14 +119,14 @@ def audit(
     given.frame(found.root, frame_ids)
     frames = given.frames_of(frame_ids)
     misfits = _misfits(adjusted, _poses(given, frames, found.root)) if adjusted else {}
-    audits = [_seen_from(reference, found, given, frames, tolerance, misfits) for reference in frames]
+    audits = [seen_from(reference, found, given, frames, tolerance, misfits) for reference in frames]
     from_root = next(a for a in audits if a.reference == found.root)
     # One sensor that moved in the frame of another: either did. The root is where people look from.
     best = min(audits, key=lambda a: len(a.failed)) if len(from_root.failed) > 1 else from_root
     return best if len(best.failed) < len(from_root.failed) else from_root
 
 
-def _seen_from(
+def seen_from(
     reference: str,
     found: Calibration,
     given: KnownPoses,
@@ -134,6 +134,7 @@ def _seen_from(
     tolerance: Tolerance,
     misfits: Mapping[str, Misfit],
 ) -> Audit:
+    """The given poses of all sensors in the frame of one, against those found there."""
     sensors = []
     for sensor in found.sensors:
         if sensor.name == reference:
