@@ -19,8 +19,9 @@ setup: $(READY)  ## make .venv with calgraph and all tools in it
 demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in demo/
 	$(BIN)/calgraph demo --out demo
 
+# Every core runs tests of its own, so NumPy needs no more threads.
 test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
-	$(BIN)/python -m pytest $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
 check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/ruff check .
