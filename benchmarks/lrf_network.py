@@ -31,6 +31,7 @@ from typing import get_args
 import numpy as np
 
 from calgraph.geometry import Array
+from network_moved import print_moved
 from network_runs import (
     AVERAGING,
     CONDITIONS,
@@ -51,7 +52,7 @@ from network_runs import (
 )  # fmt: skip
 from network_times import print_times
 
-TABLES = ("1", "2", "3", "4", "5", "summary", "time")
+TABLES = ("1", "2", "3", "4", "5", "summary", "time", "moved")
 DISCARDED = 0.2
 """Root mean square distance above which a plain threshold discards a pair, m."""
 COMPARED: tuple[Average, ...] = ("l1mc", "spectral", "consensus")
@@ -69,12 +70,14 @@ def main() -> None:
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
     if "time" in arguments.tables:
         print_times()
+    if "moved" in arguments.tables:
+        print_moved(seeds, arguments.jobs)
     cells = [cell for name in arguments.scenarios for cell in cells_of(name, arguments.people)]
     setups = {cell: setups_of(cell, arguments.tables) for cell in cells}
     cells = [cell for cell in cells if setups[cell]]
-    seeds = range(arguments.first, arguments.first + arguments.seeds)
     runs: dict[Cell, list[Run]] = {cell: [] for cell in cells}
     with ProcessPoolExecutor(arguments.jobs) as pool:
         jobs = [(cell, pool.submit(run, cell, seed, setups[cell])) for seed, cell in product(seeds, cells)]
@@ -83,7 +86,7 @@ def main() -> None:
             print(f"\r{done} of {len(jobs)} recordings", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     as_is = {cell: found for cell, found in runs.items() if cell.condition == "as is"}
-    for name in (name for name in arguments.tables if name != "time"):
+    for name in (name for name in arguments.tables if name in PRINTED):
         PRINTED[name](runs if name == "5" else as_is)
 
 
@@ -166,10 +169,7 @@ def table_5(runs: Runs) -> None:
     for cell, found in runs.items():
         if not usual(cell) or cell.scenario not in CONDITIONS:
             continue
-        means = {
-            s: np.nanmean(np.concatenate([one.errors[s] for one in found]), axis=0)
-            for s in (PUBLISHED, *OURS.values())
-        }
+        means = {s: mean(np.concatenate([one.errors[s] for one in found])) for s in (PUBLISHED, *OURS.values())}
         shown = "".join(f"{degrees:8.3f}{1000 * metres:8.1f}" for degrees, metres in means.values())
         ratio = means[PUBLISHED] / means[JOINT]
         worse = sum(is_worse(one.errors[JOINT], one.errors[PUBLISHED]) for one in found)
@@ -178,6 +178,12 @@ def table_5(runs: Runs) -> None:
         clocks = 1000 * np.sqrt(np.mean(np.concatenate([one.clocks for one in found]) ** 2))
         row = f"{cell.scenario:10}{cell.condition:8}{shown}{ratio[0]:8.1f}{ratio[1]:8.1f}"
         print(f"{row}{f'{worse} of {len(found)}':>10}{nees:8.2f}{lost:7d}{clocks:7.2f}")
+
+
+def mean(errors: Array) -> Array:
+    """(2,) of errors (S, 2) of scanners that have a pose; NaN where none has."""
+    placed = errors[np.isfinite(errors).all(axis=1)]
+    return np.asarray(placed.mean(axis=0) if len(placed) else np.full(2, np.nan))
 
 
 def is_worse(errors: Array, others: Array) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.calibrate import DEPTHS
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, average_network, covariances, network_graph, trust
+from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, trust
 from calgraph.graph.trees import tree_poses
 from calgraph.pairwise import TrackPair, estimate_network_pairs
 from calgraph.pairwise.samples import meetings, sample
@@ -80,7 +80,7 @@ class Solved:
     T_root_scanner: Array
     """(N, 3, 3)."""
     covariance: Array
-    """(N, 3, 3) of the poses."""
+    """(3N, 3N) of the poses."""
     offset: Array
     """(N,) scanner clock minus root clock, s; NaN where it was not estimated."""
 
@@ -194,13 +194,11 @@ def solved(
             graph, rng, setup.average, trust(names, pairs) if setup.weighted else None
         )
     if not setup.joint:
-        spread = covariances(graph.where(averaged.inliers), averaged.T_root_node)
+        spread = joint_covariance(graph.where(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))
     assert isinstance(rig.target, People | Cylinder)
     joint = solve_network(rig.target, [tracked[name] for name in names], averaged, graph)
-    spread = joint.pose_covariance.reshape(len(names), 3, len(names), 3)
-    own = np.arange(len(names))
-    return Solved(names, joint.T_root_scanner, spread[own, :, own], joint.offset)
+    return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.offset)
 
 
 def chained(graph: PoseGraph, pairs: Sequence[TrackPair], names: Sequence[str]) -> Averaged:
@@ -221,7 +219,8 @@ def errors_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
 def nees_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
     """(S,) normalised estimation errors squared per degree of freedom of all scanners found but the root."""
     off = se2.difference(solved.T_root_scanner, np.array([truth[name] for name in solved.names]))
-    return np.array([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off[1:], solved.covariance[1:], strict=True)])
+    own = [solved.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(off))]
+    return np.array([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off[1:], own[1:], strict=True)])
 
 
 def judge(pair: TrackPair, tracked: Mapping[str, Tracked], truth: Mapping[str, Array]) -> tuple[bool, float]:

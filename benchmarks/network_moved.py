@@ -1,0 +1,90 @@
+"""Whether a scanner that was moved is named, and none in a network that stayed.
+
+An office is calibrated from one minute of two people, and checked by the next minute: as it is, and with one
+scanner, any of them, the root included, moved by 3 cm (even seeds) or turned by half a degree.
+
+    python benchmarks/lrf_network.py --seeds 20 --jobs 2 --tables moved
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calgraph.calibrate import DEPTHS
+from calgraph.geometry import se2
+from calgraph.pairwise import TrackPair, estimate_network_pairs
+from calgraph.refinement.audit import CHANCE
+from calgraph.refinement.displacement import displacements
+from calgraph.refinement.planar_poses import PlanarPoses
+from calgraph.rig import Rig
+from calgraph.sensors import LaserScan
+from calgraph.simulation import NetworkScenario, build_network, network_rig, scans_of
+from network_runs import JOINT, USUAL_PEOPLE, follow, solved
+
+MINUTE = 60.0
+STEP = (0.03, np.radians(0.5))
+"""m and rad."""
+
+
+class Outcome(NamedTuple):
+    """What two checks of one network said."""
+
+    moved: str
+    """The scanner that was."""
+    named: tuple[str, ...]
+    """As moved, when it was."""
+    off: tuple[float, ...]
+    """How far it is said to have moved, m and rad."""
+    alarms: tuple[str, ...]
+    """Named as moved when none was."""
+
+
+def print_moved(seeds: Sequence[int], jobs: int) -> None:
+    """Prints the table."""
+    with ProcessPoolExecutor(jobs) as pool:
+        outcomes = list(pool.map(check, seeds))
+    print("\nMoved: office, 2 people, a minute; even seeds: by 3 cm, odd seeds: by 0.5 degrees")
+    print(f"{'seed':>6} {'moved':12}{'named':24}{'mm':>8}{'deg':>8} {'named where none was'}")
+    for seed, one in zip(seeds, outcomes, strict=True):
+        metres, turn = one.off or (np.nan, np.nan)
+        size = f"{1000 * metres:8.1f}{np.degrees(turn):8.2f}"
+        print(f"{seed:6d} {one.moved:12}{' '.join(one.named):24}{size} {' '.join(one.alarms)}")
+    right = sum(one.named == (one.moved,) for one in outcomes)
+    quiet = sum(not one.alarms for one in outcomes)
+    print(f"{right} of {len(outcomes)} named, and no other; {quiet} of {len(outcomes)} without any when none was")
+
+
+def check(seed: int) -> Outcome:
+    """Calibrates a network, and checks it by further recordings."""
+    scenario = NetworkScenario(duration=2 * MINUTE, people={"count": USUAL_PEOPLE})  # type: ignore[arg-type]
+    network = build_network(scenario, seed)
+    rig, middle = network_rig(network), scenario.start_time + MINUTE
+    rng = np.random.default_rng(seed)
+    k, direction = int(rng.integers(len(network.scanners))), rng.uniform(0, 2 * np.pi)
+    step = (
+        np.array([STEP[0] * np.cos(direction), STEP[0] * np.sin(direction), 0])
+        if seed % 2 == 0
+        else np.array([0, 0, STEP[1] * np.sign(np.pi - direction)])
+    )
+    pushed = replace(network.scanners[k], T_world_scanner=se2.retract(network.scanners[k].T_world_scanner, step))
+    shifted = replace(network, scanners=(*network.scanners[:k], pushed, *network.scanners[k + 1 :]))
+    scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
+    before = found(rig, {name: [scan for scan in own if scan.stamp < middle] for name, own in scans.items()})
+    later = {name: [scan for scan in own if scan.stamp >= middle] for name, own in scans.items()}
+    _, alarms = displacements(before, found(rig, later), CHANCE)
+    own = [scan for scan in scans_of(shifted, pushed) if scan.stamp >= middle]
+    _, named = displacements(before, found(rig, {**later, pushed.name: own}), CHANCE)
+    off = next(((one.distance, one.turn) for one in named if one.name == pushed.name), ())
+    return Outcome(pushed.name, tuple(one.name for one in named), off, tuple(one.name for one in alarms))
+
+
+def found(rig: Rig, scans: Mapping[str, list[LaserScan]]) -> PlanarPoses:
+    """The joint solution of a recording."""
+    tracked, rng = follow(rig, scans, "nls"), np.random.default_rng(0)
+    estimates = estimate_network_pairs(tracked, rng, depth=DEPTHS["nls"])
+    pairs = [pair for pair in estimates.values() if isinstance(pair, TrackPair)]
+    one = solved(rig, tracked, pairs, JOINT, rng)
+    return PlanarPoses(one.names, one.T_root_scanner, one.covariance)
