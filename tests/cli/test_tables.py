@@ -8,6 +8,7 @@ import subprocess
 import sys
 import termios
 from collections.abc import Callable
+from dataclasses import replace
 from fcntl import ioctl
 from pathlib import Path
 
@@ -131,3 +132,21 @@ def test_errors_stand_beside_their_deviations(
     truth["camera"][:3, 3] += (0.003, 0.0, 0.004)
     lines = printed(lambda: print_errors(calibration, truth), capsys)
     assert lines[2].split() == ["camera", "5.0", "2.0", "0.000", "0.172"]
+
+
+def test_clock_offsets_have_a_column_where_they_were_estimated(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = replace(calibration.sensors[1], clock_offset=-0.0123, clock_offset_stddev=0.0004)
+    print_calibration(replace(calibration, sensors=(calibration.sensors[0], late)))
+    assert "-12.3 ±0.4" in capsys.readouterr().out
+    print_calibration(calibration)
+    assert "clock" not in capsys.readouterr().out
+
+
+def test_a_pose_that_is_from_an_earlier_calibration_says_so(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = replace(calibration.sensors[1], verdict=Verdict("good", "its pose is that of the earlier calibration"))
+    print_calibration(replace(calibration, sensors=(calibration.sensors[0], kept)))
+    assert "camera is good: its pose is that of the earlier calibration" in capsys.readouterr().out

@@ -24,7 +24,9 @@ def print_calibration(calibration: Calibration) -> None:
     table = _table()
     axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
     heads = " ".join(("x", "y", "z")[axes]), " ".join(("roll", "pitch", "yaw")[turns])
-    for head in (f"{heads[0]}, m", f"{heads[1]}, °", "± mm", "± °", ""):
+    timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
+    clock = ("clock, ms",) if timed else ()
+    for head in (f"{heads[0]}, m", f"{heads[1]}, °", "± mm", "± °", *clock, ""):
         table.add_column(head, justify="right", no_wrap=True)
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
@@ -33,6 +35,7 @@ def print_calibration(calibration: Calibration) -> None:
             " ".join(f"{_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
             " ".join(f"{_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
             *_deviations(sensor),
+            *([_clock(sensor)] if timed else []),
             _GRADES[sensor.verdict.grade],
         )
     paper.print(table)
@@ -41,7 +44,7 @@ def print_calibration(calibration: Calibration) -> None:
     if calibration.left_out:
         _print_left_out(paper, calibration)
     for sensor in calibration.sensors:
-        if sensor.verdict.grade != "good":
+        if sensor.verdict.grade != "good" or sensor.verdict.reason:
             reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
             paper.print(
                 f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
@@ -118,6 +121,16 @@ def _deviations(sensor: SensorPose) -> tuple[str, str]:
 
     position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
     return _fixed(1000 * worst_deviation(position), 1), _fixed(np.degrees(worst_deviation(rotation)), 3)
+
+
+def _clock(sensor: SensorPose) -> str:
+    """Clock offset and its standard deviation, ms; nothing where it was not estimated."""
+    if sensor.clock_offset is None:
+        return ""
+    deviation = sensor.clock_offset_stddev
+    return (
+        f"{_fixed(1e3 * sensor.clock_offset, 1)}{'' if deviation is None else f' ±{_fixed(1e3 * deviation, 1)}'}"
+    )
 
 
 def _fixed(value: float, digits: int) -> str:

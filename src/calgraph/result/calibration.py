@@ -23,7 +23,8 @@ class Verdict:
 
     grade: Grade
     reason: str = ""
-    """Which directions are weak, in words, and what would fix them; empty for a good pose."""
+    """Which directions are weak, in words, and what would fix them; of a good pose, where it is from if not from
+    this recording."""
 
 
 @dataclass(frozen=True, eq=False)
