@@ -43,17 +43,19 @@ _BODIES, _CYLINDER = 0.3, 1e-4
 _CLOCKS = 0.1
 # Beams flatter than this on the outline, a cosine, do not count.
 _GRAZING = 0.35
+# Standard deviations of Gaussian noise in one median of absolute values.
+_NORMAL = 1.4826
 # By how much paths and sizes are off in the beginning, round after round, m.
 _ROUGH = (0.05, 0.02)
 # A body's place strays from its smooth path by so much to begin with, m; and its heading, rad.
-_SWAY, _TWIST = 0.01, 0.05
+_SWAY, _TWIST = 0.005, 0.05
 # Nobody is an ellipse to better than this, m.
 _LEAST_SWAY = 0.0005
 # Rounds of choosing beams, matching walls anew, measuring the sway and solving, until the sway changes by less
 # than a share of itself; and steps in each.
 _ROUNDS = 5
 _SETTLED = 0.3
-_STEPS = 3
+_STEPS = 4
 # First guess of a path: spectral density of a walker's acceleration, m²/s³, and noise of tracked places, m.
 _AGILITY, _NOISE = 0.5, 0.03
 
@@ -129,6 +131,7 @@ def solve_network(
         clock_sigma=_CLOCKS if clocks else 0.0,
         prior=prior,
     )
+    scanners = network.sigma
     network = replace(network, walls=_bridging(network, (), edges))
     for rough in _ROUGH:
         blurred = _with_beams(replace(network, sigma=np.hypot(network.sigma, rough)), state)
@@ -136,7 +139,8 @@ def solve_network(
         state = with_best_headings(blurred, state)
     for _ in range(_ROUNDS):
         before = network.sway[0]
-        network = _with_sway(_with_beams(network, state), state)
+        network = _with_beams(_with_noise(network, state, scanners), state)
+        network = _with_sway(network, state)
         walls = _walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
         state, system = solve(network, state, iterations=_STEPS)
@@ -233,6 +237,18 @@ def _weight(network: Network, state: State, body: Body, motion: Motion, one: Gli
     hits = outlines(state, motion, one, pose, rate)
     used = hits.incidence > _GRAZING
     return robust_weights(*residuals(network, one, hits), used, one.start, network.sway[[0, 0, 1]])
+
+
+def _with_noise(network: Network, state: State, sigma: Array) -> Network:
+    """The network with ranges as noisy as they scatter about bodies, and at least as scanners are, (S,) m."""
+    off: list[list[Array]] = [[] for _ in sigma]
+    for body, motion in zip(network.bodies, state.motions, strict=True):
+        for one in body.glimpses:
+            _, _, pose, rate = along(state, body, motion, one)
+            hits = outlines(state, motion, one, pose, rate)
+            off[one.scanner].append(np.abs(hits.ranges - one.ranges)[hits.incidence > _GRAZING])
+    scatter = [_NORMAL * np.median(np.concatenate([*own, [0.0]])) for own in off]
+    return replace(network, sigma=np.maximum(sigma, scatter))
 
 
 def _with_sway(network: Network, state: State) -> Network:

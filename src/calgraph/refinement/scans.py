@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.refinement.normal_equations import HUBER
 from calgraph.refinement.views import Index
 
 # Times that outlying beams are judged anew about where their scan then has the body.
 _REWEIGHTINGS = 2
+# Beams farther off than so many standard deviations are of arms, or of somebody else (Beaton and Tukey, 1974). The
+# textbook's 4.685 would lose less of Gaussian noise, but takes arms that swing by for the torso.
+_TUKEY = 2.5
 # Numbers that a beam's range depends on: the body's pose and its radii.
 _ROWS, _COLUMNS = np.triu_indices(6)
 
@@ -61,15 +63,22 @@ def summed(residual: Array, jacobian: Array, weight: Array, start: Index) -> Sca
 
 
 def robust_weights(residual: Array, jacobian: Array, used: Array, start: Index, sway: Array) -> Array:
-    """(N,) how much each beam counts: outliers less (Huber), those not used nothing.
+    """(N,) how much each beam counts: the less, the farther off, and nothing beyond what noise explains (Tukey).
 
     Where a scan sees its body displaced as a whole, all of its beams are off, and none of them is wrong: beams are
     judged about where their own scan has the body.
+
+    Args:
+        residual: (N,) whitened.
+        jacobian: (N, 5).
+        used: (N,) whether a beam counts at all.
+        start: (V,) where scans begin.
+        sway: (3,) variances of the displacement.
     """
     weight = used.astype(np.float64)
     view = np.repeat(np.arange(len(start)), np.diff(start, append=len(residual)))
     for _ in range(_REWEIGHTINGS):
         shift = summed(residual, jacobian, weight, start).shift(sway)
         about = residual - np.einsum("nk,nk->n", jacobian[:, :3], shift[view])
-        weight = used * HUBER / np.maximum(np.abs(about), HUBER)
+        weight = used * np.maximum(1 - (about / _TUKEY) ** 2, 0) ** 2
     return weight
