@@ -148,19 +148,6 @@ def test_bad_usage_of_check_is_refused(known: Known, run: Run, options: list[str
     assert (result.exit_code, result.stderr) == (2, f"calgraph: {message}\n")
 
 
-def test_a_network_cannot_be_checked(known: Known, simulated: Path, tmp_path: Path, run: Run) -> None:
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(
-        "root: a\ntarget: {kind: people}\nsensors:\n  a: {kind: lidar2d, topic: /laser_front/scan}\n"
-        "  b: {kind: lidar2d, topic: /lidar/points}\n"
-    )
-    poses = known.poses(tmp_path / "poses.yaml")
-    result = run("check", rig, simulated / "recording", "--against", poses)
-    assert (result.exit_code, result.stderr) == (
-        2, "calgraph: target.kind: must be board for the poses of a rig, got people\n",
-    )  # fmt: skip
-
-
 # priors and groups
 
 
