@@ -311,7 +311,8 @@ def calibrate_network(
     weights = trust(names, known) if options.weights == "weighted" else None
     averaged, graph = average_network(graph, rng, options.average, weights)
     joint = prior = None
-    if estimator == "joint":
+    # A root that nothing is connected to may not even have been followed.
+    if estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
         solution = partial(solve_network, _walking(rig), [tracked[name] for name in names], averaged, graph)
         joint = solution()
@@ -320,7 +321,12 @@ def calibrate_network(
             joint = solution(prior=prior)
         progress("solving", 1.0)
     found = assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start, joint)
-    return extended(found, old, prior) if old and prior else found
+    if old is None:
+        return found
+    if prior is None:
+        why = "; ".join(f"{name}: {reason}" for name, reason in found.unconnected.items())
+        raise CalibrationError(f"nothing to extend with: no scanner is connected to the root {rig.root} ({why})")
+    return extended(found, old, prior)
 
 
 def _earlier(rig: Rig, options: Options, estimator: NetworkEstimator) -> Calibration | None:
