@@ -8,6 +8,7 @@ displaced by an unknown of its own, which is marginalised.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 from calgraph.refinement.views import Index
@@ -62,7 +63,7 @@ def summed(residual: Array, jacobian: Array, weight: Array, start: Index) -> Sca
     return Scans(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
 
 
-def robust_weights(residual: Array, jacobian: Array, used: Array, start: Index, sway: Array) -> Array:
+def robust_weights(residual: Array, jacobian: Array, used: NDArray[np.bool_], start: Index, sway: Array) -> Array:
     """(N,) how much each beam counts: the less, the farther off, and nothing beyond what noise explains (Tukey).
 
     Where a scan sees its body displaced as a whole, all of its beams are off, and none of them is wrong: beams are
