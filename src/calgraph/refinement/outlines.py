@@ -33,15 +33,15 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
         radii: (N, 2) across and along the heading, m.
     """
     c, s = np.cos(heading), np.sin(heading)
-    axes = np.stack([np.stack([-s, c], axis=-1), np.stack([c, s], axis=-1)], axis=-2)
-    start = _into(axes, origin - centre) / radii
-    ahead = _into(axes, direction) / radii
+    start = _into(c, s, origin - centre) / radii
+    ahead = _into(c, s, direction) / radii
     square, half = np.sum(ahead**2, axis=-1), np.sum(start * ahead, axis=-1)
     discriminant = half**2 - square * (np.sum(start**2, axis=-1) - 1)
     with np.errstate(invalid="ignore"):
         ranges = (-half - np.sqrt(discriminant)) / square
     hit = start + ranges[:, None] * ahead
-    normal = np.einsum("nij,ni->nj", axes, hit / radii)
+    across, along = (hit / radii).T
+    normal = np.stack([c * along - s * across, s * along + c * across], axis=-1)
     slope = np.sum(normal * direction, axis=-1)
     arm = origin + ranges[:, None] * direction - centre
     turn = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
@@ -52,5 +52,7 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
     return Outlines(ranges, incidence, jacobian)
 
 
-def _into(axes: Array, vectors: Array) -> Array:
-    return np.asarray(np.einsum("nij,nj->ni", axes, vectors))
+def _into(c: Array, s: Array, vectors: Array) -> Array:
+    """(N, 2) across and along a heading, of which cosines and sines (N,) are given."""
+    x, y = vectors.T
+    return np.stack([c * y - s * x, c * x + s * y], axis=-1)

@@ -19,9 +19,8 @@ def contradiction(network: Network, state: State) -> float:
 
     Where no two scanners see a body within one stride, there is nothing to compare, and it is 1.
     """
-    shown, explained = np.sum(
-        [_of_body(network, state, *each) for each in zip(network.bodies, state.motions, strict=True)], axis=0
-    ).reshape(2)
+    each = [_of_body(network, state, *own) for own in zip(network.bodies, state.motions, strict=True)]
+    shown, explained = np.sum([np.zeros(2), *each], axis=0)
     return float(shown / explained) if explained > 0 else 1.0
 
 
