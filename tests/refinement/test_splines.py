@@ -48,7 +48,7 @@ def test_slopes_do_not_jump_at_knots(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize("slope", [False, True])
 def test_a_cubic_is_reproduced(slope: bool) -> None:
     # Control points of a cubic p on knots h apart are p - h² p'' / 6 (Marsden's identity).
-    centres = KNOTS.start + KNOTS.step * (np.arange(KNOTS.count) - 1.0)
+    centres = KNOTS.centres()
     bend = (1 + 1.8 * (centres - 5.0))[:, None]
     control = cubic(centres)[0] - 0.2**2 * bend / 6
     first, weights, slopes = KNOTS.at(TIMES)

@@ -36,6 +36,10 @@ class Knots:
         powers = np.stack([np.ones_like(u), u, u * u, u**3], axis=-1)
         return first, np.asarray(powers @ _PIECES.T), np.asarray(powers[:, :3] @ _SLOPES.T / self.step)
 
+    def centres(self) -> Array:
+        """(count,) the times at which the control points act most, s."""
+        return np.asarray(self.start + self.step * (np.arange(self.count) - 1.0), dtype=np.float64)
+
 
 def evaluate(control: Array, first: NDArray[np.intp], weights: Array) -> Array:
     """Values (N, d) of a curve with control points (K, d), for weights as :meth:`Knots.at` gives them."""
