@@ -1,6 +1,7 @@
 """From averaged poses of a network to a Calibration: lifted to space, with the evidence of every pair."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -47,7 +48,8 @@ def assemble_network(
         joint: the joint solution, if there is one; its poses count then.
     """
     tracked = {name: own for name, own in followed.items() if isinstance(own, Tracked)}
-    samples = {name: sample(own) for name, own in tracked.items()}
+    late = {} if joint is None else dict(zip(names, joint.offset.tolist(), strict=True))
+    samples = {name: sample(_on_time(own, late.get(name, 0.0))) for name, own in tracked.items()}
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
     meeting = met(samples, planar)
@@ -82,6 +84,12 @@ def assemble_network(
         floor=floor_views(tracked, samples, planar),
         joint_covariance=together,
     )
+
+
+def _on_time(tracked: Tracked, late: float) -> Tracked:
+    """The same tracks by the root's clock; the scanner's own is so much ahead of it, s."""
+    tracks = tuple(replace(track, times=track.times - late) for track in tracked.tracks)
+    return replace(tracked, tracks=tracks)
 
 
 def _estimated(value: float) -> float | None:
