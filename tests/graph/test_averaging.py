@@ -82,9 +82,9 @@ def test_where_nothing_else_reaches_an_open_pair_is_a_branch(method: Method, rng
 
 
 def test_a_wrong_branch_misleads_the_tree_but_not_the_consensus() -> None:
-    """In each of 30 rigs of noisy pairs (3 mm, 3 mrad), one pair of the tree is wrong by 0.5 m and 0.5 rad."""
+    """In each of eight rigs of noisy pairs (3 mm, 3 mrad), one pair of the tree is wrong by 0.5 m and 0.5 rad."""
     off: dict[Start, list[float]] = {"tree": [], "consensus": []}
-    for seed in range(30):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         noisy = {e: pair(*e, rng.normal(0, 0.003, 6)) for e in itertools.combinations(NAMES, 2)}
         child, parent = list(start_poses("lidar", list(noisy.values()), "tree", rng).parents.items())[
