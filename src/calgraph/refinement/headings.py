@@ -11,7 +11,17 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.refinement.outlines import cast
-from calgraph.refinement.trajectories import Body, Glimpses, Motion, Network, State, along, facing, view_of
+from calgraph.refinement.trajectories import (
+    TURNING,
+    Body,
+    Glimpses,
+    Motion,
+    Network,
+    State,
+    along,
+    facing,
+    view_of,
+)
 from calgraph.refinement.views import Index
 
 # Headings tried, and the noise at which they are: the path is still off by about this, m.
@@ -21,8 +31,6 @@ _ROUGH = 0.01
 _MOST = 4.5
 # Beams of one scan err together: they count by this share.
 _SHARE = 0.2
-# Spectral density of turning, rad²/s.
-_TURNING = 5.0
 
 
 def with_best_headings(network: Network, state: State) -> State:
@@ -70,7 +78,7 @@ def _misfits(network: Network, state: State, body: Body, motion: Motion, seen: G
 def _cheapest(cost: Array, step: float) -> Index:
     """(K,) the choices of least total cost (K, G) and turning (Viterbi, 1967)."""
     turn = (_GRID[:, None] - _GRID + np.pi / 2) % np.pi - np.pi / 2
-    turning = turn**2 / (2 * step * _TURNING)
+    turning = turn**2 / (2 * step * TURNING)
     total, before = cost[0], np.zeros(cost.shape, dtype=np.intp)
     for k in range(1, len(cost)):
         reached = total[:, None] + turning

@@ -19,6 +19,7 @@ from calgraph.refinement.scans import robust_weights
 from calgraph.refinement.splines import Knots
 from calgraph.refinement.sway import contradiction
 from calgraph.refinement.trajectories import (
+    AGILITY,
     Body,
     Glimpses,
     Motion,
@@ -56,8 +57,8 @@ _LEAST_SWAY = 0.0005
 _ROUNDS = 5
 _SETTLED = 0.3
 _STEPS = 4
-# First guess of a path: spectral density of a walker's acceleration, m²/s³, and noise of tracked places, m.
-_AGILITY, _NOISE = 0.5, 0.03
+# First guess of a path: noise of tracked places, m.
+_NOISE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +208,7 @@ def _first_motion(walker: Walker, target: People | Cylinder, T_root_scanner: Arr
         np.add.at(right, first + i, weights[:, i, None] * places / _NOISE**2)
         for j in range(i, 4):
             np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / _NOISE**2)
-    bend, straight = np.array([1.0, -2.0, 1.0]), 1 / (_KNOTS**3 * _AGILITY)
+    bend, straight = np.array([1.0, -2.0, 1.0]), 1 / (_KNOTS**3 * AGILITY)
     for i in range(3):
         for j in range(i, 3):
             band[j - i, i : knots.count - 2 + i] += straight * bend[i] * bend[j]

@@ -23,7 +23,7 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
     """Casts a beam each to an ellipse each; all in one frame.
 
     Where ``h`` is the hit in the ellipse's own axes over its radii, ``|h| = 1`` holds: differentiated, it says how
-    far along the beam the hit moves with the ellipse (joint estimators of DESIGN: range along the beam).
+    far along the beam the hit moves with the ellipse.
 
     Args:
         origin: (N, 2) of the beams, m.

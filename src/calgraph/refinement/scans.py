@@ -39,18 +39,21 @@ class Scans:
         Marginalising it leaves ``A - A (Q⁻¹ + A)⁻¹ A``, and ``b - A (Q⁻¹ + A)⁻¹ b``.
         """
         A, b = self.information, self.gradient
-        gain = A[:, :, :3] @ np.linalg.inv(A[:, :3, :3] + np.diag(1 / sway))
-        shift = gain @ b[:, :3, None]
+        inverse = self._displaced(sway)
+        gain, shift = A[:, :, :3] @ inverse, inverse @ b[:, :3, None]
         return Scans(
             A - gain @ A[:, :3],
-            b - shift[..., 0],
-            self.cost - 0.5 * np.sum(b[:, :3] * self.shift(sway), axis=-1),
+            b - (A[:, :, :3] @ shift)[..., 0],
+            self.cost - 0.5 * np.sum(b[:, :3] * shift[..., 0], axis=-1),
         )
 
     def shift(self, sway: Array) -> Array:
         """(V, 3) minus the likeliest displacement of the body's pose."""
-        inverse = np.linalg.inv(self.information[:, :3, :3] + np.diag(1 / sway))
-        return np.asarray((inverse @ self.gradient[:, :3, None])[..., 0])
+        return np.asarray((self._displaced(sway) @ self.gradient[:, :3, None])[..., 0])
+
+    def _displaced(self, sway: Array) -> Array:
+        """(V, 3, 3) covariance of the displacement, the path being as it is."""
+        return np.asarray(np.linalg.inv(self.information[:, :3, :3] + np.diag(1 / sway)))
 
 
 def summed(residual: Array, jacobian: Array, weight: Array, start: Index) -> Scans:

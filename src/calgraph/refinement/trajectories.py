@@ -19,7 +19,7 @@ from calgraph.refinement.splines import Knots, evaluate
 from calgraph.refinement.views import Index
 
 # Spectral densities of a walker's acceleration, m²/s³, and of its turning, rad²/s: about within a second.
-_AGILITY, _TURNING = 0.5, 5.0
+AGILITY, TURNING = 0.5, 5.0
 # People face where they walk, give or take so much, rad, if they walk at least so fast, m/s.
 _FACING = 0.3
 _STROLL = 0.5
@@ -336,7 +336,7 @@ def _prior(body: Body, motion: Motion) -> tuple[Array, Array, float]:
     """Smoothness of the path, and facing where one walks: band, gradient and cost."""
     control, h = motion.control, body.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
-    straight, steady = 1 / (h**3 * _AGILITY), 1 / (h * _TURNING)
+    straight, steady = 1 / (h**3 * AGILITY), 1 / (h * TURNING)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
     difference = np.array([1.0, -2.0, 1.0])
     for i in range(3):
