@@ -7,17 +7,16 @@ import pytest
 from scipy.optimize import least_squares
 
 from calgraph.geometry import Array, se2
+from calgraph.refinement.elimination import BodyEquations, eliminated
 from calgraph.refinement.outlines import cast
 from calgraph.refinement.splines import Knots, evaluate
 from calgraph.refinement.trajectories import (
     Body,
-    BodyEquations,
     Motion,
     Network,
     State,
     Wall,
     covariance,
-    eliminated,
     free,
     linearize,
     reduced,
