@@ -3,6 +3,7 @@
 from calgraph.sensors.camera import CameraModel
 from calgraph.sensors.flat import scan_of_cloud
 from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
+from calgraph.sensors.painting import painted
 from calgraph.sensors.scan_background import ScanBackground, nearest_beam
 
 __all__ = [
@@ -16,5 +17,6 @@ __all__ = [
     "ScanBackground",
     "Trigger",
     "nearest_beam",
+    "painted",
     "scan_of_cloud",
 ]
