@@ -29,9 +29,9 @@ from calgraph.captures import Captured
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, se3
 from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
-from calgraph.refinement.boards import Sighting
-from calgraph.refinement.bundle import linearize
-from calgraph.refinement.bundle_adjustment import build
+from calgraph.refinement.rig.boards import Sighting
+from calgraph.refinement.rig.bundle import linearize
+from calgraph.refinement.rig.bundle_adjustment import build
 from calgraph.rig import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded

@@ -17,8 +17,8 @@ from calgraph.calibrate import DEPTHS
 from calgraph.geometry import se2
 from calgraph.pairwise import TrackPair, estimate_network_pairs
 from calgraph.refinement.audit import CHANCE
-from calgraph.refinement.displacement import displacements
-from calgraph.refinement.planar_poses import PlanarPoses
+from calgraph.refinement.network.displacement import displacements
+from calgraph.refinement.network.planar_poses import PlanarPoses
 from calgraph.rig import Rig
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, build_network, network_rig, scans_of

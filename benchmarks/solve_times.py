@@ -27,10 +27,10 @@ from calgraph.captures import Captured
 from calgraph.detection import BoardCorners
 from calgraph.pairwise import estimated
 from calgraph.refinement import Joint, Problem, solve_bundle
-from calgraph.refinement.boards import sightings
-from calgraph.refinement.bundle import solve
-from calgraph.refinement.bundle_adjustment import build
-from calgraph.refinement.hypergraph import believed
+from calgraph.refinement.rig.boards import sightings
+from calgraph.refinement.rig.bundle import solve
+from calgraph.refinement.rig.bundle_adjustment import build
+from calgraph.refinement.rig.hypergraph import believed
 from calgraph.simulation import (
     CameraKnobs,
     LaserKnobs,

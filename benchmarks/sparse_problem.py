@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from calgraph.geometry import Array, so3
-from calgraph.refinement.bundle import Bundle, State, moved
-from calgraph.refinement.edges import relative_pose_jacobians
-from calgraph.refinement.normal_equations import HUBER
-from calgraph.refinement.views import Index, relative
+from calgraph.geometry import Array, Index, so3
+from calgraph.refinement.rig.bundle import Bundle, State, moved
+from calgraph.refinement.rig.edges import relative_pose_jacobians
+from calgraph.refinement.rig.normal_equations import HUBER
+from calgraph.refinement.rig.views import relative
 
 
 @dataclass(frozen=True, eq=False)

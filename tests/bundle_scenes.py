@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.refinement.bundle import Bundle, State
-from calgraph.refinement.views import Beams, Corners, Views, relative
+from calgraph.refinement.rig.bundle import Bundle, State
+from calgraph.refinement.rig.views import Beams, Corners, Views, relative
 from calgraph.rig import PixelNoise, RangeNoise
 from calgraph.sensors import CameraModel
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.refinement.outlines import cast
-from calgraph.refinement.splines import Knots, evaluate
-from calgraph.refinement.trajectories import Glimpses, Motion
+from calgraph.refinement.network.outlines import cast
+from calgraph.refinement.network.splines import Knots, evaluate
+from calgraph.refinement.network.trajectories import Glimpses, Motion
 
 SIGMA = 0.01
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([6.0, 1.0])), se2.pose(-1.5, np.array([3.0, 5.0]))])

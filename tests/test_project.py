@@ -25,7 +25,9 @@ def requirements() -> list[tuple[str, Requirement]]:
     """Every requirement of pyproject.toml, with the files that must pin it."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     of_users = [(file, Requirement(line)) for line in project["dependencies"] for file in PINNED]
-    of_developers = [(PINNED[0], Requirement(line)) for line in project["optional-dependencies"]["dev"]]
+    extras = [Requirement(line) for lines in project["optional-dependencies"].values() for line in lines]
+    # Developers have all extras of calgraph itself.
+    of_developers = [(PINNED[0], needed) for needed in extras if needed.name != project["name"]]
     return of_users + of_developers
 
 

@@ -6,7 +6,7 @@ Every function broadcasts over leading axes; points come in groups (..., N, 2) w
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry.so3 import Array
+from calgraph.geometry.arrays import Array
 
 
 def points(ellipses: Array, phases: Array) -> Array:

@@ -5,7 +5,7 @@ Observed planes are oriented so that ``d >= 0``: the normal points at the sensor
 
 import numpy as np
 
-from calgraph.geometry.so3 import Array
+from calgraph.geometry.arrays import Array
 
 
 def towards_origin(planes: Array) -> Array:

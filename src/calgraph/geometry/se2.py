@@ -6,7 +6,7 @@ vectors are ``(x, y, theta)`` in metres and radians.
 
 import numpy as np
 
-from calgraph.geometry.so3 import Array
+from calgraph.geometry.arrays import Array
 
 
 def pose(theta: Array | float, t: Array) -> Array:

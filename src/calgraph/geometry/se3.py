@@ -7,7 +7,7 @@
 import numpy as np
 
 from calgraph.geometry import so3
-from calgraph.geometry.so3 import Array
+from calgraph.geometry.arrays import Array
 
 
 def pose(R: Array, t: Array) -> Array:

@@ -4,9 +4,8 @@ Source: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in rob
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calgraph.geometry.arrays import Array
 
 # Below this angle (rad) the closed forms lose digits and their Taylor series are exact to rounding.
 _SMALL = 1e-4

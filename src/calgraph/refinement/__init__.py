@@ -1,21 +1,22 @@
 """Joint estimators over all sensors, and what they say for themselves."""
 
-from calgraph.refinement.audit import Audit, AxisAudit, Misfit, SensorAudit, Tolerance, audit
-from calgraph.refinement.bundle_adjustment import cramer_rao, solve_bundle
-from calgraph.refinement.evidence import assemble
-from calgraph.refinement.extension import agreed_prior, earlier_poses, extended, without
-from calgraph.refinement.hypergraph import Filter, solve_hypergraph
-from calgraph.refinement.joint import Adjusted, Joint, MeasuredNoise
-from calgraph.refinement.joint_network import JointNetwork, solve_network
-from calgraph.refinement.known import PosePrior, PriorFile, RigidFile, RigidGroup, attached
-from calgraph.refinement.network_audit import audit_network
-from calgraph.refinement.network_evidence import assemble_network
+from calgraph.refinement.audit import Audit, AxisAudit, Misfit, SensorAudit, Tolerance
+from calgraph.refinement.network.audit import audit_network
+from calgraph.refinement.network.evidence import assemble_network
+from calgraph.refinement.network.extension import agreed_prior, earlier_poses, extended, without
+from calgraph.refinement.network.joint_network import JointNetwork, solve_network
 from calgraph.refinement.observability import axis_names
-from calgraph.refinement.outlook import with_outlook
-from calgraph.refinement.problem import Estimator, Problem, Solver, check_problem, knowing
-from calgraph.refinement.replay import load_problem, replayable, save_problem
-from calgraph.refinement.resampling import CONFIDENCE, Scatter, resample
-from calgraph.refinement.unknowns import Estimable
+from calgraph.refinement.rig.audit import audit
+from calgraph.refinement.rig.bundle_adjustment import cramer_rao, solve_bundle
+from calgraph.refinement.rig.evidence import assemble
+from calgraph.refinement.rig.hypergraph import Filter, solve_hypergraph
+from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
+from calgraph.refinement.rig.known import PosePrior, PriorFile, RigidFile, RigidGroup, attached
+from calgraph.refinement.rig.outlook import with_outlook
+from calgraph.refinement.rig.problem import Estimator, Problem, Solver, check_problem, knowing
+from calgraph.refinement.rig.replay import load_problem, replayable, save_problem
+from calgraph.refinement.rig.resampling import CONFIDENCE, Scatter, resample
+from calgraph.refinement.rig.unknowns import Estimable
 
 __all__ = [
     "CONFIDENCE",

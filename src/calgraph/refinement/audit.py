@@ -1,4 +1,4 @@
-"""Whether given extrinsics agree with what a recording says of them, by sensor and axis."""
+"""How far given poses are from those that a recording gives, by sensor and axis, in numbers and in words."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,12 +8,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import chdtri, ndtri
 
-from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3
-from calgraph.refinement.bundle import Bundle, State, solve
-from calgraph.refinement.joint import Adjusted
 from calgraph.refinement.observability import axis_names
-from calgraph.refinement.views import Beams, Corners, relative
 from calgraph.result import Calibration, KnownPoses
 
 Outcome = Literal["pass", "warn", "fail"]
@@ -93,37 +89,6 @@ class Audit:
     def failed(self) -> tuple[str, ...]:
         """Sensors that fail."""
         return tuple(sensor.sensor for sensor in self.sensors if sensor.outcome == "fail")
-
-
-def audit(
-    found: Calibration, adjusted: Adjusted | None, given: KnownPoses, tolerance: Tolerance | None = None
-) -> Audit:
-    """Compares given extrinsics with those found.
-
-    A sensor fails along an axis if it is off by more than the tolerance, and by more than chance explains (1 in
-    1000, tested over all six axes and along the one). What is significant but within the tolerance is a warning,
-    and so is what the recording is too weak to tell. Where more than one sensor fails in the root's frame, the
-    frame in which the fewest do is taken: if the root has moved, all others seem to.
-
-    Args:
-        found: the calibration that the recording gives.
-        adjusted: its solution, for the residuals; None where there is none.
-        given: the extrinsics to be judged.
-        tolerance: what may be off without harm.
-
-    Raises:
-        InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
-    """
-    tolerance = tolerance or Tolerance()
-    frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
-    given.frame(found.root, frame_ids)
-    frames = given.frames_of(frame_ids)
-    misfits = _misfits(adjusted, _poses(given, frames, found.root)) if adjusted else {}
-    audits = [seen_from(reference, found, given, frames, tolerance, misfits) for reference in frames]
-    from_root = next(a for a in audits if a.reference == found.root)
-    # One sensor that moved in the frame of another: either did. The root is where people look from.
-    best = min(audits, key=lambda a: len(a.failed)) if len(from_root.failed) > 1 else from_root
-    return best if len(best.failed) < len(from_root.failed) else from_root
 
 
 def seen_from(
@@ -215,48 +180,6 @@ def size(value: float, axis: int, *, sign: bool = False) -> str:
     """A displacement along (mm) or about (degrees) one of six axes, in words."""
     shown, unit, digits = (1000 * value, " mm", 1) if axis < 3 else (float(np.degrees(value)), "°", 2)
     return f"{shown:{'+' if sign else ''}.{digits}f}{unit}"
-
-
-def _poses(given: KnownPoses, frames: Mapping[str, str], root: str) -> dict[str, Array]:
-    """``T_root_sensor`` (4, 4) as given."""
-    return {name: given.transform(frames[root], frame) for name, frame in frames.items()}
-
-
-def _misfits(adjusted: Adjusted, T_root_sensor: Mapping[str, Array]) -> dict[str, Misfit]:
-    """By sensor, its residuals under given poses and under those found, boards placed anew for both."""
-    bundle, state = adjusted.bundle, adjusted.solved.state
-    views = tuple(
-        own.where(np.full(len(own.board), name in T_root_sensor))
-        for name, own in zip(bundle.names, bundle.views, strict=True)
-    )
-    held = replace(bundle, views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
-    poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.names, state.T_root_sensor, strict=True)]
-    given = _residuals(held, replace(state, T_root_sensor=np.array(poses)))
-    found = _residuals(held, state)
-    return {
-        name: Misfit("px" if isinstance(own, Corners) else "m", given[s], found[s])
-        for s, (name, own) in enumerate(zip(bundle.names, views, strict=True))
-        if len(own.board)
-    }
-
-
-def _residuals(held: Bundle, state: State) -> list[float]:
-    """By sensor, the root mean square of what separates its measurements from the boards, px or m."""
-    try:
-        placed = solve(held, state).state
-    except CalibrationError:
-        # So far off that boards are behind a camera.
-        return [float("inf")] * len(held.views)
-    sizes = []
-    for s, views in enumerate(held.views):
-        T_sensor_board = relative(placed.T_root_sensor[s], placed.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, placed.own[held.own(s)]).residual
-        if isinstance(views, Beams):
-            residual = residual * views.sigma[:, None]
-        elif isinstance(views, Corners):
-            residual = residual * views.scale * views.noise.pixel
-        sizes.append(float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0)
-    return sizes
 
 
 def _worst(outcomes: Sequence[Outcome]) -> Outcome:

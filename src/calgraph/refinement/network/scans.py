@@ -1,0 +1,87 @@
+"""From beams to what each scan of a body says: weighed, summed, and allowed to see the body a little off its path.
+
+Bodies are no ellipses on smooth curves: arms swing, shoulders turn. The beams of one scan then err together, and
+however many there are, they say no more of the path than the body keeps to it. So each scan may see its body
+displaced by an unknown of its own, which is marginalised.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, Index
+
+# Times that outlying beams are judged anew about where their scan then has the body.
+_REWEIGHTINGS = 2
+# Beams farther off than so many standard deviations are of arms, or of somebody else (Beaton and Tukey, 1974). The
+# textbook's 4.685 would lose less of Gaussian noise, but takes arms that swing by for the torso.
+_TUKEY = 2.5
+# Numbers that a beam's range depends on: the body's pose and its radii.
+_ROWS, _COLUMNS = np.triu_indices(6)
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """What V scans say of a body's pose and radii."""
+
+    information: Array
+    """(V, 5, 5)."""
+    gradient: Array
+    """(V, 5)."""
+    cost: Array
+    """(V,) half squared standard deviations."""
+
+    def swayed(self, sway: Array) -> "Scans":
+        """The same if each scan saw the body's pose displaced by an unknown of its own, with variances (3,) Q.
+
+        Marginalising it leaves ``A - A (Q⁻¹ + A)⁻¹ A``, and ``b - A (Q⁻¹ + A)⁻¹ b``.
+        """
+        A, b = self.information, self.gradient
+        inverse = self._displaced(sway)
+        gain, shift = A[:, :, :3] @ inverse, inverse @ b[:, :3, None]
+        return Scans(
+            A - gain @ A[:, :3],
+            b - (A[:, :, :3] @ shift)[..., 0],
+            self.cost - 0.5 * np.sum(b[:, :3] * shift[..., 0], axis=-1),
+        )
+
+    def shift(self, sway: Array) -> Array:
+        """(V, 3) minus the likeliest displacement of the body's pose."""
+        return np.asarray((self._displaced(sway) @ self.gradient[:, :3, None])[..., 0])
+
+    def _displaced(self, sway: Array) -> Array:
+        """(V, 3, 3) covariance of the displacement, the path being as it is."""
+        return np.asarray(np.linalg.inv(self.information[:, :3, :3] + np.diag(1 / sway)))
+
+
+def summed(residual: Array, jacobian: Array, weight: Array, start: Index) -> Scans:
+    """Sums whitened residuals (N,), jacobians (N, 5) and weights (N,) over scans that begin at ``start`` (V,)."""
+    rows = np.concatenate([jacobian, residual[:, None]], axis=1).T
+    # One product of numbers after the other, all beams at once: scans are short, and there are many.
+    products = np.add.reduceat((weight * rows)[_ROWS] * rows[_COLUMNS], start, axis=1)
+    total = np.empty((len(start), 6, 6))
+    total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = products.T
+    return Scans(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
+
+
+def robust_weights(residual: Array, jacobian: Array, used: NDArray[np.bool_], start: Index, sway: Array) -> Array:
+    """(N,) how much each beam counts: the less, the farther off, and nothing beyond what noise explains (Tukey).
+
+    Where a scan sees its body displaced as a whole, all of its beams are off, and none of them is wrong: beams are
+    judged about where their own scan has the body.
+
+    Args:
+        residual: (N,) whitened.
+        jacobian: (N, 5).
+        used: (N,) whether a beam counts at all.
+        start: (V,) where scans begin.
+        sway: (3,) variances of the displacement.
+    """
+    weight = used.astype(np.float64)
+    view = np.repeat(np.arange(len(start)), np.diff(start, append=len(residual)))
+    for _ in range(_REWEIGHTINGS):
+        shift = summed(residual, jacobian, weight, start).shift(sway)
+        about = residual - np.einsum("nk,nk->n", jacobian[:, :3], shift[view])
+        weight = used * np.maximum(1 - (about / _TUKEY) ** 2, 0) ** 2
+    return weight

@@ -1,0 +1,1 @@
+"""The joint estimators of a rig with a board, and what they say for themselves."""

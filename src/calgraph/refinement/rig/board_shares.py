@@ -1,0 +1,20 @@
+"""What each board says of the sensors: the terms that a bundle's reduced problem is the sum of."""
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.refinement.rig.bundle import FAINT, Bundle, System
+
+
+def board_shares(bundle: Bundle, system: System) -> Array:
+    """(C, G, G) information of each board's views on the sensors, the board's own pose eliminated.
+
+    Their sum, and that of the priors, is what the reduced problem is made of.
+    """
+    H = np.zeros((len(system.H_board), bundle.size, bundle.size))
+    for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
+        columns = bundle.columns(s)
+        G, columns = at.by_sensor[..., columns >= 0], columns[columns >= 0]
+        H[np.ix_(views.board, columns, columns)] += np.swapaxes(G, -1, -2) @ at.information @ G
+    K = np.linalg.solve(system.H_board + FAINT * np.eye(6), system.coupling)
+    return np.asarray(H - np.swapaxes(system.coupling, -1, -2) @ K)

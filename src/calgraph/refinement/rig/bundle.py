@@ -1,0 +1,350 @@
+"""The joint estimator at the statistical limit: sensor poses, and one pose for each board that was held.
+
+Residuals are in the units that sensors measure. Boards do not know each other, so they are eliminated one by one
+(Schur complement), and what is left is a small dense problem over sensors, however many captures there are.
+
+Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6; Levenberg–Marquardt after Madsen,
+Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algorithm 3.16.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.errors import CalibrationError
+from calgraph.geometry import Array, Index, se3, so3
+from calgraph.refinement.rig.edges import relative_pose_jacobians
+from calgraph.refinement.rig.normal_equations import swayed
+from calgraph.refinement.rig.views import Views, relative
+
+# What is believed of a board without any data (m⁻², rad⁻²): it keeps what no view sees from being singular.
+FAINT = 1e-4
+# What is believed of a sensor without any data: m and rad.
+_BELIEF = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
+# A step that gains less than this (half squared standard deviations) moves nothing by a thousandth of its own.
+_SETTLED = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of a sensor's pose beforehand."""
+
+    sensor: int
+    T_root_sensor: Array
+    """(4, 4)."""
+    information: Array
+    """(6, 6) inverse covariance of its error in the root's fixed axes."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number that is estimated along with the poses."""
+
+    of: str
+    """Whose: a sensor, or a tag."""
+    quantity: str
+    unit: str
+    """``m``, ``px``, ``rad``, or nothing."""
+    start: float
+    """What it is beforehand taken to be."""
+    belief: float
+    """Standard deviation of that: wide, so that it decides only what nothing measures."""
+    sensors: tuple[int, ...]
+    """Those whose measurements depend on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Who measured which boards."""
+
+    names: tuple[str, ...]
+    """Sensors, the root first."""
+    views: tuple[Views, ...]
+    """Of each sensor."""
+    body: Index
+    """(S,) which rigid body each sensor is on, counted from 0, the root's: sensors of one body move as one."""
+    sway: Array
+    """(S,) variance of the displacement with which a sensor sees a board in each view of its own, m²."""
+    lever: float
+    """A displacement by one metre comes with a rotation of one metre over this, m: half the size of a board."""
+    priors: tuple[Prior, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    """Besides poses. Views of a sensor take theirs in this order."""
+
+    def own(self, sensor: int) -> Index:
+        """(e,) which unknowns a sensor's measurements depend on."""
+        return np.array([i for i, one in enumerate(self.unknowns) if sensor in one.sensors], dtype=np.intp)
+
+    def columns(self, sensor: int) -> Index:
+        """(6 + e,) columns of a sensor's body and own unknowns in the reduced problem; -1 where it is fixed."""
+        body = 6 * (self.body[sensor] - 1) + np.arange(6)
+        return np.concatenate([np.maximum(body, -1), self.own(sensor) + 6 * self.bodies])
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies that move."""
+        return int(self.body.max())
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns of the reduced problem."""
+        return 6 * self.bodies + len(self.unknowns)
+
+    @property
+    def beliefs(self) -> Array:
+        """(G,) standard deviations of the reduced problem's unknowns without any data."""
+        return np.concatenate([np.tile(_BELIEF, self.bodies), [one.belief for one in self.unknowns]])
+
+    def swaying(self, sensor: int) -> Array:
+        """(6 + e,) variances of the displacement of one view, along the sensor's axes."""
+        shape = np.array([1, 1, 1, *[self.lever**-2] * 3, *[0.0] * self.views[sensor].unknowns])
+        return np.asarray(self.sway[sensor] * shape)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Values of all unknowns."""
+
+    T_root_sensor: Array
+    """(S, 4, 4)."""
+    T_root_board: Array
+    """(C, 4, 4)."""
+    own: Array
+    """(E,) of the unknowns besides poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewEquations:
+    """One sensor's views at a state."""
+
+    information: Array
+    """(V, p, p) on the pose of the board before the sensor, and the sensor's own unknowns."""
+    gradient: Array
+    """(V, p)."""
+    by_sensor: Array
+    """(V, p, 6 + e) how they move with the sensor's body and own unknowns."""
+    by_board: Array
+    """(V, p, 6) and with the board."""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Normal equations of all views at a state."""
+
+    cost: float
+    views: tuple[ViewEquations, ...]
+    H: Array
+    """(G, G) of the sensors."""
+    g: Array
+    """(G,)."""
+    H_board: Array
+    """(C, 6, 6) of the boards."""
+    g_board: Array
+    """(C, 6)."""
+    coupling: Array
+    """(C, 6, G) between a board and the sensors."""
+
+    def reduced(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
+        """The problem without boards: its matrix (G, G) and gradient (G,), and ``K`` (C, 6, G + 1).
+
+        Boards follow the sensors' step: their own is ``-(K[..., :-1] @ step + K[..., -1])``.
+        """
+        right = np.concatenate([self.coupling, self.g_board[..., None]], axis=-1)
+        K = np.linalg.solve(_damped(self.H_board, damping) + FAINT * np.eye(6), right)
+        rows, size = K.shape[0] * K.shape[1], len(self.g)
+        both = self.coupling.reshape(rows, size).T @ K.reshape(rows, size + 1)
+        return _damped(self.H, damping) - both[:, :-1], self.g - both[:, -1], K
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Where the solver stopped."""
+
+    state: State
+    system: System
+    iterations: int
+    converged: bool
+
+
+def linearize(bundle: Bundle, state: State) -> System:
+    """The normal equations at a state."""
+    size, boards = bundle.size, len(state.T_root_board)
+    cost, H, g = _believed(bundle, state)
+    H_board, g_board, coupling = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
+    equations = []
+    for s, views in enumerate(bundle.views):
+        T_root_sensor, T_root_board = state.T_root_sensor[s], state.T_root_board[views.board]
+        rows = views.linearize(relative(T_root_sensor, T_root_board), state.own[bundle.own(s)])
+        A, b, costs = swayed(rows, views.start, bundle.swaying(s))
+        by_sensor, by_board = _chain(bundle, state, s, T_root_board, views.unknowns)
+        equations.append(ViewEquations(A, b, by_sensor, by_board))
+        cost += float(costs.sum())
+        columns = bundle.columns(s)
+        G, columns = by_sensor[..., columns >= 0], columns[columns >= 0]
+        Gt, Bt = np.swapaxes(G, -1, -2), np.swapaxes(by_board, -1, -2)
+        H[np.ix_(columns, columns)] += np.sum(Gt @ A @ G, axis=0)
+        g[columns] += np.sum(Gt @ b[..., None], axis=0)[:, 0]
+        H_board[views.board] += Bt @ A @ by_board
+        g_board[views.board] += (Bt @ b[..., None])[..., 0]
+        coupling[np.ix_(views.board, np.arange(6), columns)] += Bt @ A @ G
+    for prior in bundle.priors:
+        cost += _add_prior(bundle, state, prior, H, g)
+    return System(cost, tuple(equations), H, g, H_board, g_board, coupling)
+
+
+def solve(bundle: Bundle, state: State, *, iterations: int = 50) -> Solved:
+    """Minimises the robust cost of all views and priors.
+
+    Args:
+        bundle: the measurements.
+        state: start values.
+        iterations: steps at most, rejected ones included.
+
+    Raises:
+        CalibrationError: the residuals are not finite at the start.
+    """
+    system = linearize(bundle, state)
+    if not np.isfinite(system.cost):
+        raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
+    damping, growth = 1e-5, 2.0
+    for iteration in range(1, iterations + 1):
+        H, g, K = system.reduced(damping)
+        step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
+        boards = -(K[..., :-1] @ step + K[..., -1])
+        trial = moved(bundle, state, step, boards)
+        ahead = linearize(bundle, trial)
+        predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
+        gained = system.cost - ahead.cost
+        done = max(predicted, gained) <= _SETTLED + 1e-12 * system.cost
+        if gained >= 0:  # False where the trial's residuals are not finite
+            gain = min(gained / max(predicted, 1e-300), 1.0)
+            state, system = trial, ahead
+            damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
+        else:
+            damping, growth = damping * growth, growth * 2
+        if done:
+            return Solved(state, system, iteration, converged=True)
+    return Solved(state, system, iterations, converged=False)
+
+
+def moved(bundle: Bundle, state: State, step: Array, boards: Array) -> State:
+    """The state after steps (G,) of the sensors and (C, 6) of the boards, along the root's fixed axes."""
+    T = state.T_root_sensor.copy()
+    for s in np.flatnonzero(bundle.body > 0):
+        lever = _on_body(bundle, state, int(s))
+        T[s] = se3.retract(T[s], lever @ step[bundle.columns(int(s))[:6]])
+    own = state.own + step[len(step) - len(state.own) :]
+    return State(_rigid(bundle, state, T), se3.retract(state.T_root_board, boards), own)
+
+
+def covariance(bundle: Bundle, state: State, system: System) -> Array:
+    """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
+    by_unknowns = pose_jacobian(bundle, state)
+    return np.asarray(by_unknowns @ reduced_covariance(system) @ by_unknowns.T)
+
+
+def pose_jacobian(bundle: Bundle, state: State) -> Array:
+    """(S·6, G) how all sensors' poses move with the unknowns of the reduced problem, in the root's fixed axes."""
+    by_unknowns = np.zeros((6 * len(bundle.names), bundle.size))
+    for s in range(len(bundle.names)):
+        columns = bundle.columns(s)[:6]
+        if columns[0] >= 0:
+            by_unknowns[6 * s : 6 * s + 6, columns] = _on_body(bundle, state, s)
+    return by_unknowns
+
+
+def reduced_covariance(system: System) -> Array:
+    """Covariance (G, G) of the sensors' bodies and own unknowns."""
+    H, _, _ = system.reduced()
+    return np.asarray(np.linalg.inv(H))
+
+
+def view_spreads(bundle: Bundle, system: System) -> list[Array]:
+    """By sensor, how far off the solution may have each board before it: factors ``F`` (V, p, G + 6).
+
+    Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
+    board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
+    """
+    H, _, K = system.reduced()
+    inner, of_board = _inverse_root(H), _inverse_root(system.H_board + FAINT * np.eye(6))
+    found = []
+    for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
+        columns = bundle.columns(s)
+        by_unknowns = -at.by_board @ K[views.board, :, :-1]
+        by_unknowns[..., columns[columns >= 0]] += at.by_sensor[..., columns >= 0]
+        found.append(np.concatenate([by_unknowns @ inner, at.by_board @ of_board[views.board]], axis=-1))
+    return found
+
+
+def _chain(bundle: Bundle, state: State, sensor: int, T_root_board: Array, own: int) -> tuple[Array, Array]:
+    """How boards before a sensor, and its own unknowns, move with its body and those, and with the boards.
+
+    Returns:
+        (V, 6 + e, 6 + e) and (V, 6 + e, 6).
+    """
+    count = len(T_root_board)
+    T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (count, 4, 4))
+    by_pose, of_board = relative_pose_jacobians(T_root_sensor, T_root_board)
+    by_sensor = np.zeros((count, 6 + own, 6 + own))
+    by_sensor[:, :6, :6] = by_pose @ _on_body(bundle, state, sensor)
+    by_sensor[:, 6:, 6:] = np.eye(own)
+    return by_sensor, np.concatenate([of_board, np.zeros((count, own, 6))], axis=1)
+
+
+def _on_body(bundle: Bundle, state: State, sensor: int) -> Array:
+    """(6, 6) how a sensor's pose moves with its body, which turns about its first sensor."""
+    first = int(np.flatnonzero(bundle.body == bundle.body[sensor])[0])
+    J = np.eye(6)
+    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3] - state.T_root_sensor[first, :3, 3])
+    return J
+
+
+def _rigid(bundle: Bundle, before: State, T_root_sensor: Array) -> Array:
+    """The poses, with those on one body as far apart as before: a step keeps that to first order only."""
+    T = T_root_sensor.copy()
+    for s, body in enumerate(bundle.body):
+        first = int(np.flatnonzero(bundle.body == body)[0])
+        if body > 0 and first != s:
+            T[s] = T[first] @ se3.inverse(before.T_root_sensor[first]) @ before.T_root_sensor[s]
+    return T
+
+
+def _believed(bundle: Bundle, state: State) -> tuple[float, Array, Array]:
+    """What is known without data: cost, matrix (G, G) and gradient (G,)."""
+    # Poses are not drawn anywhere: only what no data fix stays where it is.
+    off = np.zeros(bundle.size)
+    off[6 * bundle.bodies :] = state.own - [one.start for one in bundle.unknowns]
+    certain = bundle.beliefs**-2
+    return 0.5 * float(certain @ off**2), np.diag(certain), certain * off
+
+
+def _add_prior(bundle: Bundle, state: State, prior: Prior, H: Array, g: Array) -> float:
+    """Adds a prior to the sensors' normal equations, in place; returns its cost."""
+    error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
+    J = np.eye(6)
+    J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
+    J = J @ _on_body(bundle, state, prior.sensor)
+    columns = bundle.columns(prior.sensor)[:6]
+    if columns[0] >= 0:
+        H[np.ix_(columns, columns)] += J.T @ prior.information @ J
+        g[columns] += J.T @ prior.information @ error
+    return 0.5 * float(error @ prior.information @ error)
+
+
+def _inverse_root(A: Array) -> Array:
+    """``R`` (..., n, n) with ``R @ R.T`` the inverse of positive definite A, be it almost singular."""
+    values, vectors = np.linalg.eigh(A)
+    least = np.finfo(float).eps * values[..., -1:]
+    return np.asarray(vectors / np.sqrt(np.maximum(values, least))[..., None, :])
+
+
+def _damped(H: Array, damping: float) -> Array:
+    """Marquardt's scaling of matrices (..., n, n)."""
+    size = H.shape[-1]
+    return H * (1 + damping * np.eye(size))
+
+
+def stacked(parts: Sequence[Array]) -> Array:
+    """Poses (n, 4, 4) of a sequence of them, also of none."""
+    return np.array(parts, dtype=np.float64).reshape(-1, 4, 4)

@@ -1,0 +1,202 @@
+"""The default joint estimator of a rig: all sensors and boards at once, in the units that the sensors measure."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.captures import Captured
+from calgraph.detection import BoardCorners
+from calgraph.geometry import Array, Index
+from calgraph.pairwise import PairwiseEstimate
+from calgraph.refinement.rig.boards import Sighting, placed, seen_in, sightings
+from calgraph.refinement.rig.bundle import Bundle, Solved, State, covariance, linearize, solve, stacked
+from calgraph.refinement.rig.contradictions import doubts_of_known
+from calgraph.refinement.rig.hypergraph import Filter, believed
+from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
+from calgraph.refinement.rig.known import PosePrior, RigidGroup, free, with_groups, with_known
+from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
+from calgraph.refinement.rig.unknowns import Estimable, estimated_values, with_unknowns
+from calgraph.refinement.rig.views import Beams, Corners, Views, relative
+from calgraph.rig import CameraSpec, Rig
+
+# Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
+_SWAY = 0.003
+# Rounds of solving, measuring the noise and leaving out what is wrong, until nothing changes by more than a share.
+_ROUNDS = 12
+_STEPS = 4
+_SETTLED = 0.02
+_CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
+
+
+def solve_bundle(
+    rig: Rig,
+    captured: Captured,
+    estimates: Sequence[PairwiseEstimate],
+    T_root_sensor: Mapping[str, Array],
+    *,
+    keep: Filter = "ransac",
+    estimate: Sequence[Estimable] = (),
+    priors: Sequence[PosePrior] = (),
+    groups: Sequence[RigidGroup] = (),
+) -> Joint:
+    """Solves for all connected sensors and all boards at once.
+
+    The noise of single measurements, and by how much whole views err, are measured on the way; views that
+    contradict all others are left out by name.
+
+    Args:
+        rig: the rig.
+        captured: detections, and the cameras' intrinsics.
+        estimates: pairs with the matches that agree.
+        T_root_sensor: start poses of the connected sensors, the root first.
+        keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
+        estimate: what to estimate besides poses.
+        priors: what is known of sensors' poses.
+        groups: sensors that are fixed to each other.
+    """
+    among = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
+    boards = sightings([(pair, believed(pair, keep)) for pair in among])
+    if len(T_root_sensor) == 1:
+        return Joint("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
+    bundle, state = build(rig, captured, boards, T_root_sensor)
+    bundle = free(bundle)
+    if estimate:
+        bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
+    rejected: set[tuple[int, str]] = set()
+    seen = np.array([len(views.board) for views in bundle.views])
+    solved = solve(bundle, state)
+    for _ in range(_ROUNDS):
+        before = bundle
+        bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
+        bundle, wrong = _without_wrong(bundle, solved, seen)
+        rejected |= wrong
+        if _alike(before, bundle):
+            break
+        solved = solve(bundle, solved.state, iterations=_STEPS)
+    # What was known had no part so far: were it wrong, it would pass for noise.
+    bundle = with_known(bundle, priors, groups)
+    solved = solve(bundle, with_groups(solved.state, bundle.names, groups))
+    names = bundle.names
+    return Joint(
+        estimator="bundle",
+        T_root_sensor=dict(zip(names, solved.state.T_root_sensor, strict=True)),
+        joint_covariance=covariance(bundle, solved.state, solved.system),
+        residuals=dict(_residuals(bundle, solved)),
+        converged=solved.converged,
+        doubts=doubts_of_known(bundle, solved, groups),
+        rejected={(boards[i].capture, name): _CONTRADICTS for i, name in sorted(rejected)},
+        noise={
+            name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
+            for name, views, sway in zip(names, bundle.views, bundle.sway, strict=True)
+        },
+        estimated=estimated_values(bundle, solved.state, solved.system),
+        adjusted=Adjusted(bundle, solved, np.array([board.capture for board in boards])),
+    )
+
+
+def cramer_rao(
+    rig: Rig, captured: Captured, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
+) -> dict[str, Array]:
+    """The least covariance (6, 6) that any unbiased estimate of each sensor's pose can have, in the root's axes.
+
+    Args:
+        rig: the rig, with the true noise of its sensors.
+        captured: detections; of each sensor and capture the first.
+        T_root_sensor: true poses (4, 4), the root first.
+        T_root_board: true poses (4, 4) of the board by capture.
+    """
+    seen = {c: {n: 0 for n in T_root_sensor if c in captured.detections[n]} for c in T_root_board}
+    boards = [Sighting(c, by) for c, by in seen.items() if by]
+    bundle, state = build(rig, captured, boards, T_root_sensor)
+    truth = replace(state, T_root_board=stacked([T_root_board[board.capture] for board in boards]))
+    exact = replace(_weighed(bundle, truth), sway=np.zeros(len(bundle.names)))
+    spread = covariance(exact, truth, linearize(exact, truth))
+    blocks = spread.reshape(len(bundle.names), 6, len(bundle.names), 6)
+    return {name: blocks[i, :, i] for i, name in enumerate(bundle.names)}
+
+
+def build(
+    rig: Rig, captured: Captured, boards: Sequence[Sighting], T_root_sensor: Mapping[str, Array]
+) -> tuple[Bundle, State]:
+    """The bundle of sighted boards, and its start."""
+    names = tuple(T_root_sensor)
+    views = tuple(_views(rig, captured, name, boards) for name in names)
+    bundle = Bundle(
+        names,
+        views,
+        body=np.arange(len(names)),
+        sway=np.full(len(names), _SWAY**2),
+        lever=0.5 * max(rig.board_size),
+    )
+    state = State(
+        stacked([T_root_sensor[name] for name in names]),
+        stacked([placed(board, captured.detections, T_root_sensor) for board in boards]),
+        np.zeros(0),
+    )
+    return _weighed(bundle, state), state
+
+
+def _printed_on(captured: Captured, boards: Sequence[Sighting]) -> Index:
+    """(C,) which of the rig's boards each sighting is of, as cameras saw it; the first where none did."""
+    seen = [[d.board for _, d in seen_in(b, captured.detections) if isinstance(d, BoardCorners)] for b in boards]
+    return np.array([found[0] if found else 0 for found in seen], dtype=np.intp)
+
+
+def _weighed(bundle: Bundle, state: State) -> Bundle:
+    """The bundle with the noise that measurements have if taken at this state."""
+    views = [
+        own.weighed(relative(T, state.T_root_board[own.board]), own.scale)
+        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
+    ]
+    return replace(bundle, views=tuple(views))
+
+
+def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) -> Views:
+    """What one sensor saw of the boards."""
+    spec = rig.sensors[name]
+    seen = [
+        (i, captured.detections[name][board.capture][board.seen[name]])
+        for i, board in enumerate(boards)
+        if name in board.seen
+    ]
+    indices = [i for i, _ in seen]
+    if isinstance(spec, CameraSpec):
+        corners = [d for _, d in seen if isinstance(d, BoardCorners)]
+        return Corners.of(indices, corners, captured.cameras[name], spec.noise)
+    surfaces = [d for _, d in seen if not isinstance(d, BoardCorners)]
+    return Beams.of(indices, surfaces, spec.noise)
+
+
+def _without_wrong(bundle: Bundle, solved: Solved, seen: NDArray[np.intp]) -> tuple[Bundle, set[tuple[int, str]]]:
+    """The bundle without the views that contradict the others; and those, by board and sensor.
+
+    A sensor that would lose more than half of the views (S,) it had keeps them: not they, its model is wrong.
+    """
+    wrong = [
+        bad & (len(bad) - bad.sum() > count / 2)
+        for bad, count in zip(wrong_views(bundle, solved.system), seen, strict=True)
+    ]
+    rejected = {
+        (int(board), name)
+        for name, views, bad in zip(bundle.names, bundle.views, wrong, strict=True)
+        for board in views.board[bad]
+    }
+    left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
+    return replace(bundle, views=left), rejected
+
+
+def _alike(a: Bundle, b: Bundle) -> bool:
+    """Whether two bundles have the same views, and nearly the same noise."""
+    same_views = all(len(p.board) == len(q.board) for p, q in zip(a.views, b.views, strict=True))
+    same_noise = all(abs(p.scale / q.scale - 1) < _SETTLED for p, q in zip(a.views, b.views, strict=True))
+    smallest = np.minimum(a.sway, b.sway)
+    same_sway = bool(np.all(np.abs(a.sway - b.sway) <= 2 * _SETTLED * smallest + 1e-9))
+    return same_views and same_noise and same_sway
+
+
+def _residuals(bundle: Bundle, solved: Solved) -> Iterator[tuple[str, Array]]:
+    for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
+        T_sensor_board = relative(solved.state.T_root_sensor[s], solved.state.T_root_board[views.board])
+        yield name, views.linearize(T_sensor_board, solved.state.own[bundle.own(s)]).residual

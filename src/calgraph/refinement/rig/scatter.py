@@ -1,0 +1,90 @@
+"""How large errors are, told from their scatter: of measurements, of whole views; and which views are wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import chdtri
+
+from calgraph.geometry import Array
+from calgraph.refinement.rig.bundle import Bundle, State, System, view_spreads
+from calgraph.refinement.rig.normal_equations import huber_scatter, misfit, summed
+from calgraph.refinement.rig.views import relative
+
+# How firmly the stated noise is believed, in measured numbers.
+_FIRM = 10
+# By which share of its Fisher information each sway holds on to what it is.
+_INERT = 0.01
+# A view is wrong if it is as far from the others as chance would have it once in so many.
+_CHANCE = 1e-5
+# Views less wrong than this share of the worst wait until that is left out.
+_WAITING = 0.25
+
+
+def with_measured_noise(bundle: Bundle, state: State) -> Bundle:
+    """The bundle with each sensor's noise as its measurements scatter about the board that fits each view best."""
+    views = []
+    for s, own in enumerate(bundle.views):
+        T_sensor_board = relative(state.T_root_sensor[s], state.T_root_board[own.board])
+        rows = own.linearize(T_sensor_board, state.own[bundle.own(s)])
+        squares, freedom = summed(rows, own.start).scatter()
+        squared = squares.sum() / huber_scatter(rows.residual.shape[1]) * own.scale**2
+        scale = float(np.sqrt((squared + _FIRM) / (freedom.sum() + _FIRM)))
+        views.append(own.weighed(T_sensor_board, scale))
+    return replace(bundle, views=tuple(views))
+
+
+def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
+    """The bundle with all sensors' sway one step nearer to what the scatter of their views says.
+
+    Fisher scoring of the restricted likelihood: views' gradients have the covariance ``W = A - A P A`` if noise
+    and sway are right. Views of one board explain each other's scatter, so sensors are scored together; that of
+    different boards goes together only as far as sensors are uncertain, and is left out.
+
+    Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika
+    1971.
+    """
+    sensors = range(len(bundle.names))
+    shapes = [replace(bundle, sway=np.ones(len(sensors))).swaying(s) for s in sensors]
+    A = [at.information for at in system.views]
+    Y = [information @ F for information, F in zip(A, view_spreads(bundle, system), strict=True)]
+    score, fisher = np.zeros(len(sensors)), np.zeros((len(sensors), len(sensors)))
+    for s in sensors:
+        W = A[s] - Y[s] @ np.swapaxes(Y[s], -1, -2)
+        score[s] = shapes[s] @ (system.views[s].gradient ** 2 - np.diagonal(W, axis1=-2, axis2=-1)).sum(axis=0)
+        fisher[s, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[s]
+        for t in sensors[:s]:
+            _, i, j = np.intersect1d(bundle.views[s].board, bundle.views[t].board, return_indices=True)
+            W = Y[s][i] @ np.swapaxes(Y[t][j], -1, -2)
+            fisher[s, t] = fisher[t, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[t]
+    return replace(bundle, sway=_ascended(bundle.sway, score, fisher))
+
+
+def _ascended(variances: Array, score: Array, fisher: Array) -> Array:
+    """Variances one step of Fisher scoring up the likelihood, none of them negative."""
+    # Of two sensors alone only the sum is known: what the scatter does not tell stays.
+    firm = fisher + np.diag(_INERT * np.diag(fisher) + np.finfo(float).tiny)
+    root = np.linalg.cholesky(firm).T
+    best, _ = nnls(root, root @ variances + np.linalg.solve(root.T, score))
+    return np.asarray(best)
+
+
+def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
+    """By sensor, (V,) which views contradict the others: of a board only the worst, for it bends the others.
+
+    Views that are far worse than the rest bend all sensors: those that are less wrong are judged without them.
+    """
+    boards = len(system.H_board)
+    excess, spreads = [], view_spreads(bundle, system)
+    worst: Array = np.zeros(boards)
+    for views, at, F in zip(bundle.views, system.views, spreads, strict=True):
+        squared, freedom = misfit(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
+        over = squared / chdtri(np.maximum(freedom, 1), _CHANCE)
+        excess.append(over)
+        worst[views.board] = np.maximum(worst[views.board], over)
+    limit = max(1.0, _WAITING * worst.max(initial=0.0))
+    return [
+        np.asarray((over > limit) & (over >= worst[views.board]), dtype=np.bool_)
+        for views, over in zip(bundle.views, excess, strict=True)
+    ]

@@ -1,0 +1,264 @@
+"""What one sensor measured of boards, and how it depends on the pose of each board before the sensor.
+
+A *view* is what one sensor measured of one board: corners in pixels, or ranges along beams. Everything it says is
+a function of ``T_sensor_board``, so residuals are differentiated by that pose alone: by perturbations
+(translation, rotation) along the sensor's fixed axes, as :func:`calgraph.geometry.se3.retract` applies them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import Field, dataclass, field, replace
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.detection import BoardCorners, PlanePatch, Segment
+from calgraph.geometry import Array, Index, se3, so3
+from calgraph.rig import PixelNoise, RangeNoise
+from calgraph.sensors import CameraModel
+
+# Flatter than this a beam grazes the board and its range says nothing about it.
+_GRAZING = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Whitened residuals of N measurements, k numbers each, in V views, and their derivatives.
+
+    A view's measurements may depend on fewer than six numbers of the pose: derivatives are by q numbers, of which
+    ``basis`` says how they move with the pose and with the sensor's e own unknowns.
+    """
+
+    residual: Array
+    """(N, k) predicted minus measured, in standard deviations."""
+    jacobian: Array
+    """(N, k, q)."""
+    basis: Array
+    """(V, q, 6 + e)."""
+
+
+class Views(Protocol):
+    """All views of one sensor, a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def board(self) -> Index:
+        """(V,) which board each view is of; no board twice."""
+
+    @property
+    def start(self) -> Index:
+        """(V,) the first measurement of each view."""
+
+    @property
+    def scale(self) -> float:
+        """How many times larger than stated the noise is taken to be."""
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns the sensor has besides its pose, e."""
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
+        """Residuals and derivatives at poses (V, 4, 4) and the sensor's own unknowns (e,)."""
+
+    def weighed(self, T_sensor_board: Array, scale: float) -> Self:
+        """The same views with noise as it is at these poses, ``scale`` times that stated."""
+
+    def where(self, keep: NDArray[np.bool_] | Index) -> Self:
+        """Some of the views: a mask (V,), or their numbers, which may repeat."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Printed corners in a camera's pictures, through its full model: pixels."""
+
+    board: Index
+    start: Index
+    corners_board: Array
+    """(N, 3) m."""
+    pixels: Array
+    """(N, 2)."""
+    camera: CameraModel
+    noise: PixelNoise
+    scale: float = 1.0
+    intrinsics: bool = False
+    """Whether the camera's intrinsics are unknown."""
+    tags: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(M, 2) centres of the tags whose places on the board are unknown, m."""
+    tag: Index | None = None
+    """(N,) on which of ``tags`` each corner is; -1 on none. Needed where there are any."""
+
+    @classmethod
+    def of(
+        cls, board: Sequence[int], found: Sequence[BoardCorners], camera: CameraModel, noise: PixelNoise
+    ) -> "Corners":
+        """The views of detections ``found`` of these boards."""
+        return cls(
+            np.array(board, dtype=np.intp),
+            _starts([len(d.pixels) for d in found]),
+            np.concatenate([np.empty((0, 3)), *(d.corners_board for d in found)]),
+            np.concatenate([np.empty((0, 2)), *(d.pixels for d in found)]),
+            camera,
+            noise,
+        )
+
+    @property
+    def unknowns(self) -> int:
+        """The camera's intrinsics, then (x, y, rotation) of each tag, m and rad; where they are unknown."""
+        return len(self.camera.intrinsics) * self.intrinsics + 3 * len(self.tags)
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
+        """See :class:`Views`: reprojection errors."""
+        view = _view_of(self.start, len(self.pixels))
+        intrinsics, places = np.split(own, [self.unknowns - 3 * len(self.tags)])
+        camera = self.camera.with_intrinsics(intrinsics) if self.intrinsics else self.camera
+        corners_board, by_places = self._placed(places.reshape(-1, 3))
+        R = T_sensor_board[view, :3, :3]
+        turned = (R @ corners_board[..., None])[..., 0]
+        points = turned + T_sensor_board[view, :3, 3]
+        pixels, by_point = camera.project_with_jacobian(points)
+        parts = [by_point, -by_point @ so3.hat(turned)]
+        if self.intrinsics:
+            parts.append(camera.project_by_intrinsics(points))
+        if len(places):
+            parts.append(by_point @ R @ by_places)
+        sigma, size = self.scale * self.noise.pixel, 6 + self.unknowns
+        basis = np.broadcast_to(np.eye(size), (len(self.board), size, size))
+        return Rows((pixels - self.pixels) / sigma, np.concatenate(parts, axis=-1) / sigma, basis)
+
+    def _placed(self, places: Array) -> tuple[Array, Array]:
+        """Corners (N, 3) with their tags moved by ``places`` (M, 3), and derivatives (N, 3, 3 M) by those."""
+        if self.tag is None or not len(places):
+            return self.corners_board, np.zeros((len(self.corners_board), 3, 0))
+        moved, of = self.corners_board.copy(), np.flatnonzero(self.tag >= 0)
+        x, y, angle = places[self.tag[of]].T
+        center, (c, s) = self.tags[self.tag[of]], (np.cos(angle), np.sin(angle))
+        dx, dy = (self.corners_board[of, :2] - center).T
+        arm = np.stack([c * dx - s * dy, s * dx + c * dy], axis=-1)
+        moved[of, :2] = center + arm + np.stack([x, y], axis=-1)
+        J = np.zeros((len(moved), 3, len(places), 3))
+        J[of, 0, self.tag[of], 0] = J[of, 1, self.tag[of], 1] = 1
+        J[of, 0, self.tag[of], 2], J[of, 1, self.tag[of], 2] = -arm[:, 1], arm[:, 0]
+        return moved, J.reshape(len(moved), 3, -1)
+
+    def weighed(self, T_sensor_board: Array, scale: float) -> "Corners":  # noqa: ARG002
+        """See :class:`Views`."""
+        return replace(self, scale=scale)
+
+    def where(self, keep: NDArray[np.bool_] | Index) -> "Corners":
+        """See :class:`Views`."""
+        start, kept = _selected(self.start, len(self.pixels), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            corners_board=self.corners_board[kept],
+            pixels=self.pixels[kept],
+            tag=None if self.tag is None else self.tag[kept],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Ranges along a scanner's beams to the plane of the board: metres."""
+
+    board: Index
+    start: Index
+    directions: Array
+    """(N, 3) unit vectors in the sensor frame."""
+    ranges: Array
+    """(N,) m."""
+    noise: RangeNoise
+    sigma: Array
+    """(N,) standard deviation of each range, m: held while poses move, for it depends on them."""
+    scale: float = 1.0
+    unknowns: int = 0
+    """1 if the scanner's ranges have an unknown bias, m."""
+
+    @classmethod
+    def of(
+        cls, board: Sequence[int], found: Sequence[PlanePatch | Segment], noise: RangeNoise, bias: bool = False
+    ) -> "Beams":
+        """The views of detections ``found`` of these boards."""
+        points = np.concatenate([np.empty((0, 3)), *(d.points for d in found)])
+        ranges = np.linalg.norm(points, axis=1)
+        return cls(
+            np.array(board, dtype=np.intp),
+            _starts([len(d.points) for d in found]),
+            points / ranges[:, None],
+            ranges,
+            noise,
+            np.full(len(ranges), noise.range),
+            unknowns=int(bias),
+        )
+
+    def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
+        """See :class:`Views`: in the board's frame, a beam ends where z = 0.
+
+        Of the board's pose, ranges know the plane: its offset along the normal, and the tilts about the board's
+        own axes, by which they change with the place (x, y) on the board where the beam meets it.
+        """
+        cosine, reach, x, y = self._meet(T_sensor_board)
+        steepness = 1 / (cosine * self.sigma)
+        # Column by column, as they are computed.
+        columns = np.empty((3 + self.unknowns, len(reach)))
+        columns[0], columns[1], columns[2], columns[3:] = steepness, y * steepness, -x * steepness, 1 / self.sigma
+        residual = (reach + own.sum() - self.ranges) / self.sigma
+        basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
+        basis[:, 0, :3] = T_sensor_board[:, :3, 2]
+        basis[:, 1, 3:6], basis[:, 2, 3:6] = T_sensor_board[:, :3, 0], T_sensor_board[:, :3, 1]
+        basis[:, 3:, 6:] = np.eye(self.unknowns)
+        return Rows(residual[:, None], columns.T[:, None], basis)
+
+    def weighed(self, T_sensor_board: Array, scale: float) -> "Beams":
+        """See :class:`Views`: an error of the beam's direction counts the more, the flatter it meets the board."""
+        cosine, _, _, _ = self._meet(T_sensor_board)
+        tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
+        sigma = scale * np.hypot(self.noise.range, self.noise.angle * self.ranges * tangent)
+        return replace(self, sigma=sigma, scale=scale)
+
+    def where(self, keep: NDArray[np.bool_] | Index) -> "Beams":
+        """See :class:`Views`."""
+        start, kept = _selected(self.start, len(self.ranges), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            directions=self.directions[kept],
+            ranges=self.ranges[kept],
+            sigma=self.sigma[kept],
+        )
+
+    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array, Array]:
+        """Cosines (N,) of beams and normals, ranges (N,) to the planes, and places x, y (N,) on the boards."""
+        T_board_sensor = se3.inverse(T_sensor_board)
+        bounds = np.append(self.start, len(self.ranges))
+        cosine, reach, x, y = np.empty((4, len(self.ranges)))
+        for T, first, last in zip(T_board_sensor, bounds[:-1], bounds[1:], strict=True):
+            # View by view: beams share few poses, and what is computed at once stays in the processor's cache.
+            of, (u, v, w) = slice(first, last), T[:3, :3] @ self.directions[first:last].T
+            cosine[of] = np.copysign(np.maximum(np.abs(w), _GRAZING), w)
+            reach[of] = -T[2, 3] / cosine[of]
+            x[of], y[of] = T[0, 3] + reach[of] * u, T[1, 3] + reach[of] * v
+        return cosine, reach, x, y
+
+
+def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
+    """``T_sensor_board`` (V, 4, 4) of boards (V, 4, 4) before one sensor (4, 4)."""
+    return np.asarray(se3.inverse(T_root_sensor) @ T_root_board)
+
+
+def _starts(counts: Sequence[int]) -> Index:
+    return np.cumsum([0, *counts], dtype=np.intp)[:-1]
+
+
+def _view_of(start: Index, count: int) -> Index:
+    """(N,) which view each measurement belongs to."""
+    return np.repeat(np.arange(len(start)), np.diff(start, append=count))
+
+
+def _selected(start: Index, count: int, keep: NDArray[np.bool_] | Index) -> tuple[Index, Index]:
+    """Where the chosen views start after selection, and which measurements are theirs."""
+    counts = np.diff(start, append=count)[keep]
+    after = _starts(counts.tolist())
+    return after, np.repeat(start[keep] - after, counts) + np.arange(counts.sum())

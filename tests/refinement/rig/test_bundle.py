@@ -1,0 +1,249 @@
+"""The bundle's solver against scipy and dense matrices, and on problems whose answers are known by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from bundle_scenes import Scene, scene
+from calgraph.errors import CalibrationError
+from calgraph.geometry import Array, se3, so3
+from calgraph.refinement.rig.bundle import (
+    Bundle,
+    Prior,
+    State,
+    covariance,
+    linearize,
+    moved,
+    solve,
+    view_spreads,
+)
+from calgraph.refinement.rig.views import relative
+
+
+def disturbed(state: State, rng: np.random.Generator, size: float = 0.02) -> State:
+    """A start off the truth, the root excepted."""
+    sensors = size * rng.normal(size=(len(state.T_root_sensor), 6))
+    sensors[0] = 0
+    boards = size * rng.normal(size=(len(state.T_root_board), 6))
+    return State(se3.retract(state.T_root_sensor, sensors), se3.retract(state.T_root_board, boards), state.own)
+
+
+def residuals(bundle: Bundle, state: State) -> Array:
+    parts = [
+        own.linearize(relative(T, state.T_root_board[own.board]), np.zeros(0)).residual.ravel()
+        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
+    ]
+    return np.concatenate(parts)
+
+
+def residuals_after(bundle: Bundle, state: State, step: Array) -> Array:
+    """After a step of all sensors but the root, and of all boards."""
+    split = bundle.size
+    return residuals(bundle, moved(bundle, state, step[:split], step[split:].reshape(-1, 6)))
+
+
+def dense_jacobian(bundle: Bundle, state: State, at: Array | None = None) -> Array:
+    """By all unknowns, after a step from the state."""
+    size = bundle.size + 6 * len(state.T_root_board)
+    at = np.zeros(size) if at is None else at
+    ahead, behind = (
+        np.stack([residuals_after(bundle, state, at + step) for step in steps], axis=-1)
+        for steps in (1e-6 * np.eye(size), -1e-6 * np.eye(size))
+    )
+    return np.asarray((ahead - behind) / 2e-6)
+
+
+def quiet(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:
+    return scene(kinds, boards).without_sway()
+
+
+def test_exact_measurements_give_the_truth_from_a_poor_start(rng: np.random.Generator) -> None:
+    exact = quiet()
+    solved = solve(exact.bundle, disturbed(exact.truth, rng, size=0.1))
+    assert solved.converged
+    error = se3.difference(solved.state.T_root_sensor, exact.truth.T_root_sensor)
+    # Settled means that what is left is a thousandth of a standard deviation.
+    assert np.abs(error).max() < 1e-6
+
+
+def test_least_squares_of_scipy_are_the_same(rng: np.random.Generator) -> None:
+    exact = quiet(boards=5)
+    # So little noise that no residual is held off by the robust loss.
+    bundle, start = exact.measured(rng, noise=0.3), disturbed(exact.truth, rng, size=0.003)
+    solved = solve(bundle, start)
+    oracle = scipy.optimize.least_squares(
+        lambda step: residuals_after(bundle, start, step),
+        np.zeros(bundle.size + 6 * len(start.T_root_board)),
+        jac=lambda step: dense_jacobian(bundle, start, step),
+        x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
+    )  # fmt: skip
+    best = moved(bundle, start, oracle.x[: bundle.size], oracle.x[bundle.size :].reshape(-1, 6))
+    assert solved.system.cost == pytest.approx(oracle.cost, rel=1e-7)
+    assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-6
+
+
+def test_outliers_pull_as_in_scipys_huber(rng: np.random.Generator) -> None:
+    exact = quiet(("lidar", "laser"), boards=6)
+    bundle, start = exact.measured(rng, noise=1.5), disturbed(exact.truth, rng, size=0.003)
+    solved = solve(bundle, start)
+    oracle = scipy.optimize.least_squares(
+        lambda step: residuals_after(bundle, start, step),
+        np.zeros(bundle.size + 6 * len(start.T_root_board)),
+        jac=lambda step: dense_jacobian(bundle, start, step),
+        loss="huber", f_scale=2.5, x_scale="jac", max_nfev=300, xtol=1e-13, ftol=1e-13, gtol=1e-13,
+    )  # fmt: skip
+    best = moved(bundle, start, oracle.x[: bundle.size], oracle.x[bundle.size :].reshape(-1, 6))
+    assert solved.system.cost <= oracle.cost * (1 + 1e-7)
+    # By small parts of the standard deviations, which are millimetres.
+    assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-4
+
+
+def test_covariance_is_the_dense_inverse() -> None:
+    exact = quiet(boards=6)
+    system = linearize(exact.bundle, exact.truth)
+    J = dense_jacobian(exact.bundle, exact.truth)
+    expected = np.linalg.inv(J.T @ J)[:12, :12]
+    found = covariance(exact.bundle, exact.truth, system)[6:, 6:]
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), atol=1e-4)
+
+
+def test_the_root_has_no_covariance() -> None:
+    exact = quiet()
+    spread = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))
+    assert not spread[:6].any()
+
+
+def test_covariance_where_views_measure_is_the_dense_one() -> None:
+    exact = quiet(boards=4)
+    factor = view_spreads(exact.bundle, linearize(exact.bundle, exact.truth))[1][2]
+    J = dense_jacobian(exact.bundle, exact.truth)
+    everything = np.linalg.inv(J.T @ J)
+    T_root_camera, T_root_board = exact.truth.T_root_sensor[1], exact.truth.T_root_board[2]
+
+    def before(step: Array) -> Array:
+        after = moved(exact.bundle, exact.truth, step[:12], step[12:].reshape(-1, 6))
+        T = relative(after.T_root_sensor[1], after.T_root_board[2])
+        return se3.difference(T, relative(T_root_camera, T_root_board))
+
+    steps = 1e-6 * np.eye(len(everything))
+    by_all = np.stack([(before(s) - before(-s)) / 2e-6 for s in steps], axis=-1)
+    expected = by_all @ everything @ by_all.T
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        factor @ factor.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-3
+    )
+
+
+def test_a_prior_pulls_as_a_kalman_update(rng: np.random.Generator) -> None:
+    exact = quiet()
+    bundle = exact.measured(rng, noise=0.3)
+    free = solve(bundle, exact.truth)
+    P = covariance(bundle, free.state, free.system)[6:12, 6:12]
+    sizes = np.array([2, 3, 4, 2, 3, 4]) * 1e-4
+    R = np.diag(sizes**2)
+    known = se3.retract(free.state.T_root_sensor[1], np.array([5, -5, 5, -5, 5, -5]) * 1e-4)
+    pulled = solve(replace(bundle, priors=(Prior(1, known, np.diag(sizes**-2)),)), exact.truth)
+    gain = P @ np.linalg.inv(P + R)
+    moved_by = se3.difference(pulled.state.T_root_sensor[1], free.state.T_root_sensor[1])
+    expected = gain @ se3.difference(known, free.state.T_root_sensor[1])
+    np.testing.assert_allclose(moved_by, expected, atol=0.02 * np.abs(expected).max())
+    spread = covariance(bundle, pulled.state, pulled.system)[6:12, 6:12]
+    np.testing.assert_allclose(spread, P - gain @ P, atol=0.02 * np.abs(P - gain @ P).max())
+
+
+def test_a_prior_alone_decides_where_a_sensor_without_views_is() -> None:
+    exact = quiet()
+    blind = replace(
+        exact.bundle, views=(*exact.bundle.views[:2], exact.bundle.views[2].where(np.zeros(8, dtype=bool)))
+    )
+    known = se3.retract(exact.truth.T_root_sensor[2], np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.3]))
+    solved = solve(replace(blind, priors=(Prior(2, known, 1e6 * np.eye(6)),)), exact.truth)
+    np.testing.assert_allclose(solved.state.T_root_sensor[2], known, atol=1e-8)
+
+
+def test_sensors_on_one_body_stay_as_far_apart_as_they_are(rng: np.random.Generator) -> None:
+    exact = quiet(("lidar", "camera", "laser", "laser2"))
+    bundle = replace(exact.measured(rng), body=np.array([0, 1, 1, 2]))
+    T = exact.truth.T_root_sensor.copy()
+    # The body as a whole is off at the start, far enough for several steps.
+    turn = se3.pose(so3.exp(np.array([0.1, -0.1, 0.1])), np.array([0.1, -0.1, 0.1]))
+    T[1:3] = turn @ T[1:3]
+    solved = solve(bundle, replace(exact.truth, T_root_sensor=T)).state.T_root_sensor
+    np.testing.assert_allclose(se3.inverse(solved[1]) @ solved[2], se3.inverse(T[1]) @ T[2], atol=1e-12)
+    assert np.abs(se3.difference(solved[1], exact.truth.T_root_sensor[1])).max() < 0.01
+
+
+def test_sensors_on_one_body_are_certain_of_each_other() -> None:
+    exact = quiet()
+    bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
+    spread = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:, 6:]
+    apart = se3.relative_covariance(exact.truth.T_root_sensor[1], exact.truth.T_root_sensor[2], spread)
+    assert np.abs(apart).max() < 1e-9 * np.abs(spread).max()
+
+
+def test_a_body_is_as_certain_as_its_sensors_together() -> None:
+    """The laser's views fix the camera, too, and so does the other way round: each adds information."""
+    exact = quiet()
+    alone = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))[6:12, 6:12]
+    bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
+    together = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:12, 6:12]
+    assert np.linalg.eigvalsh(alone - together).min() > 0
+
+
+def test_sensors_on_the_roots_body_do_not_move(rng: np.random.Generator) -> None:
+    exact = quiet()
+    bundle = replace(exact.measured(rng), body=np.array([0, 0, 1]))
+    solved = solve(bundle, exact.truth)
+    np.testing.assert_array_equal(solved.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
+    assert not covariance(bundle, solved.state, solved.system)[:12].any()
+
+
+def test_a_sensor_left_without_views_stays_and_leaves_the_others_alone(rng: np.random.Generator) -> None:
+    exact = quiet()
+    bundle = exact.measured(rng)
+    blind = replace(bundle, views=(*bundle.views[:2], bundle.views[2].where(np.zeros(8, dtype=bool))))
+    with_blind = solve(blind, exact.truth)
+    pair = Bundle(("lidar", "camera"), bundle.views[:2], np.arange(2), np.zeros(2), bundle.lever)
+    without = solve(pair, replace(exact.truth, T_root_sensor=exact.truth.T_root_sensor[:2]))
+    np.testing.assert_allclose(with_blind.state.T_root_sensor[:2], without.state.T_root_sensor, atol=1e-6)
+    np.testing.assert_allclose(with_blind.state.T_root_sensor[2], exact.truth.T_root_sensor[2], atol=1e-12)
+    # Nothing is known of it but that it is somewhere on the robot.
+    assert covariance(blind, with_blind.state, with_blind.system)[12:15, 12:15].max() == pytest.approx(100.0)
+
+
+def test_a_board_that_one_sensor_alone_saw_changes_nothing(rng: np.random.Generator) -> None:
+    exact = quiet()
+    bundle = exact.measured(rng)
+    alone = np.arange(8) != 7
+    one_more = replace(bundle, views=(bundle.views[0].where(alone), bundle.views[1], bundle.views[2].where(alone)))
+    fewer = replace(bundle, views=tuple(views.where(alone) for views in bundle.views))
+    found, expected = solve(one_more, exact.truth), solve(fewer, exact.truth)
+    np.testing.assert_allclose(found.state.T_root_sensor, expected.state.T_root_sensor, atol=1e-6)
+    np.testing.assert_allclose(
+        covariance(one_more, found.state, found.system),
+        covariance(fewer, expected.state, expected.system),
+        rtol=1e-3, atol=1e-12,
+    )  # fmt: skip
+
+
+def test_the_cost_never_rises(rng: np.random.Generator) -> None:
+    exact = scene(boards=8)
+    bundle, start = exact.measured(rng, noise=3.0, sway=0.02), disturbed(exact.truth, rng, size=0.3)
+    costs = [solve(bundle, start, iterations=n).system.cost for n in (1, 2, 3, 5, 8, 20)]
+    assert np.all(np.diff(costs) <= 0)
+
+
+def test_a_solver_that_was_stopped_early_says_so(rng: np.random.Generator) -> None:
+    exact = quiet()
+    assert not solve(exact.bundle, disturbed(exact.truth, rng, size=0.2), iterations=1).converged
+
+
+def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
+    exact = quiet()
+    T = exact.truth.T_root_sensor.copy()
+    T[1] = T[1] @ np.diag([-1.0, 1, -1, 1])
+    with pytest.raises(CalibrationError, match="behind a camera"):
+        solve(exact.bundle, replace(exact.truth, T_root_sensor=T))
