@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.detection.tags import Gray, Marks, no_marks
 from calgraph.geometry import Array
-from calgraph.rig import Charuco, Checkerboard
+from calgraph.rig import Charuco, Checkerboard, dictionary
 
 _ATTEMPTS = ((480, 0), (960, cv2.CALIB_CB_NORMALIZE_IMAGE))
 """Longer side, pixels, to which an image is reduced for a search, and its flags: the search takes 0.05 s and
@@ -54,8 +54,11 @@ class CharucoFinder:
     """Finds the chessboard corners of a ChArUco board whose neighbouring markers are visible."""
 
     def __init__(self, pattern: Charuco) -> None:
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, pattern.dictionary))
-        board = cv2.aruco.CharucoBoard((pattern.columns, pattern.rows), pattern.square, pattern.marker, dictionary)
+        shape = (pattern.columns, pattern.rows)
+        ids = pattern.first_id + np.arange(pattern.columns * pattern.rows // 2)
+        board = cv2.aruco.CharucoBoard(
+            shape, pattern.square, pattern.marker, dictionary(pattern.dictionary), ids.astype(np.int32)
+        )
         self._detector = cv2.aruco.CharucoDetector(board)
 
     def find(self, gray: Gray) -> Marks:

@@ -1,22 +1,16 @@
 """Finding AprilTags in an image: single tags by the AprilTag library, Kalibr's grids by OpenCV."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
+from calgraph.rig import FAMILIES, Family, dictionary
 
 Gray = NDArray[np.uint8]
-Family = Literal["tag36h11", "tag25h9", "tag16h5"]
-
-_DICTIONARIES: dict[Family, int] = {
-    "tag36h11": cv2.aruco.DICT_APRILTAG_36h11,
-    "tag25h9": cv2.aruco.DICT_APRILTAG_25h9,
-    "tag16h5": cv2.aruco.DICT_APRILTAG_16h5,
-}
 
 _MARGINS: dict[Family, tuple[float, ...]] = {
     "tag36h11": (5.0, 15.0),
@@ -108,8 +102,7 @@ class GridFinder:
         self.family = family
         parameters = cv2.aruco.DetectorParameters()
         parameters.markerBorderBits = 2
-        dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[family])
-        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+        self._detector = cv2.aruco.ArucoDetector(dictionary(FAMILIES[family]), parameters)
 
     def find(self, gray: Gray) -> Marks:
         """All tags in an image (height, width), with corners refined as the saddle points they are."""

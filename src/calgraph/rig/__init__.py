@@ -3,6 +3,8 @@
 from calgraph.rig.atomic import check_place, replacing, replacing_folder, write_text
 from calgraph.rig.draft import FoundTopic, Kind, draft_rig
 from calgraph.rig.file import load_rig
+from calgraph.rig.markers import FAMILIES, Family, dictionary, marker_count
+from calgraph.rig.prints import Print, ink, prints
 from calgraph.rig.rig import (
     CameraSpec,
     Capture,
@@ -18,8 +20,8 @@ from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard, Cylinde
 from calgraph.rig.writing import save_yaml, yaml_text
 
 __all__ = [
-    "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "FoundTopic",
-    "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "RangeNoise", "Rig", "SensorSpec",
-    "Tag", "check_place", "draft_rig", "load_rig", "replacing", "replacing_folder", "save_yaml",
-    "write_text", "yaml_text",
+    "FAMILIES", "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Family",
+    "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "Print",
+    "RangeNoise", "Rig", "SensorSpec", "Tag", "check_place", "dictionary", "draft_rig", "ink", "load_rig",
+    "marker_count", "prints", "replacing", "replacing_folder", "save_yaml", "write_text", "yaml_text",
 ]  # fmt: skip

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Discriminator, Field, Strict, field_validator, model_validator
 
+from calgraph.rig.markers import DICTIONARIES, FAMILIES, Family, marker_count
 from calgraph.rig.model import StrictModel, wrong
 
 # Strict: YAML has types, so a quoted number or a `yes` where a number belongs is a slip worth naming.
@@ -16,12 +17,6 @@ AtLeastOne = Annotated[int, Strict(), Field(ge=1)]
 AtLeastTwo = Annotated[int, Strict(), Field(ge=2)]
 Pair = tuple[Coordinate, Coordinate]
 
-_FAMILY_SIZE = {"tag36h11": 587, "tag25h9": 35, "tag16h5": 30}
-_DICTIONARIES = (
-    *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10",
-    "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12",
-)  # fmt: skip
 # Prints reach over an edge by a rounded millimetre in many a rig.yaml; more is a slip in a unit or a sign.
 _TOLERANCE = 1e-3
 
@@ -69,20 +64,29 @@ class Charuco(StrictModel):
     """Edge of a marker, m; smaller than a square."""
     dictionary: str
     """OpenCV's name, e.g. DICT_5X5_100."""
+    first_id: Index = 0
+    """Number of the marker at the top left; the others follow row by row."""
     center: Pair = (0.0, 0.0)
     """Centre of the pattern on the sheet, m."""
 
     @field_validator("dictionary")
     @classmethod
     def _known(cls, value: str) -> str:
-        if value not in _DICTIONARIES:
-            raise wrong("", f"must be one of OpenCV's dictionaries, {', '.join(_DICTIONARIES)}, got {value!r}")
+        if value not in DICTIONARIES:
+            raise wrong("", f"must be one of OpenCV's dictionaries, {', '.join(DICTIONARIES)}, got {value!r}")
         return value
 
     @model_validator(mode="after")
     def _marker_fits(self) -> "Charuco":
         if self.marker >= self.square:
             raise wrong("marker", f"must be smaller than square ({self.square:g} m), got {self.marker:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _markers_exist(self) -> "Charuco":
+        last, count = self.first_id + self.columns * self.rows // 2 - 1, marker_count(self.dictionary)
+        if last >= count:
+            raise wrong("dictionary", f"needs marker {last}, but {self.dictionary} ends at {count - 1}")
         return self
 
     @property
@@ -110,7 +114,7 @@ class AprilGrid(StrictModel):
 
     @model_validator(mode="after")
     def _ids_exist(self) -> "AprilGrid":
-        last, count = self.first_id + self.columns * self.rows - 1, _FAMILY_SIZE["tag36h11"]
+        last, count = self.first_id + self.columns * self.rows - 1, marker_count(FAMILIES["tag36h11"])
         if last >= count:
             raise wrong("first_id", f"the last tag would be {last}, but tag36h11 ends at {count - 1}")
         return self
@@ -134,7 +138,7 @@ class Board(StrictModel):
     kind: Literal["board"] = "board"
     size: tuple[Length, Length]
     """Width (x) and height (y) of the sheet, m."""
-    family: Literal["tag36h11", "tag25h9", "tag16h5"] = "tag36h11"
+    family: Family = "tag36h11"
     """AprilTag family of the tags."""
     tags: tuple[Tag, ...] = ()
     """The AprilTags on the sheet."""
@@ -147,7 +151,7 @@ class Board(StrictModel):
             raise wrong("pattern", "a board has either tags or a pattern, not both")
         if self.pattern:
             _check_on_sheet("pattern", self.size, self.pattern.center, self.pattern.extent)
-        last = _FAMILY_SIZE[self.family] - 1
+        last = marker_count(FAMILIES[self.family]) - 1
         for i, tag in enumerate(self.tags):
             _check_on_sheet(f"tags[{i}]", self.size, tag.center, (tag.size, tag.size))
             if tag.id > last:

@@ -1,0 +1,103 @@
+"""What is printed on a board: the one description that simulated boards and boards on paper are drawn from."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.rig.markers import FAMILIES, marker_bitmap
+from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Print:
+    """A bitmap somewhere on the sheet. Paper does not cover the ink of other prints."""
+
+    bitmap: Array
+    """(rows, columns) as the reader sees it: 0 for ink, 1 for paper."""
+    center: Pair
+    """In the board frame, m."""
+    size: Pair
+    """Width and height, m."""
+    number: int | None = None
+    """Of the tag or marker that it is; None if it is none."""
+
+
+def prints(board: Board) -> tuple[Print, ...]:
+    """All that is printed on a board; parts of it may reach over the sheet's edge."""
+    match board.pattern:
+        case None:
+            return tuple(
+                Print(marker_bitmap(FAMILIES[board.family], tag.id), tag.center, (tag.size, tag.size), tag.id)
+                for tag in board.tags
+            )
+        case Checkerboard() as p:
+            return (_squares(p.columns + 1, p.rows + 1, p.square, p.center),)
+        case Charuco() as p:
+            return tuple(_charuco(p))
+        case AprilGrid() as p:
+            return tuple(_aprilgrid(p, FAMILIES[board.family]))
+
+
+def ink(board: Board) -> Array:
+    """Black rectangles (N, 4) that together are the print: left, bottom, right, top in the board frame, m.
+
+    None of them overlaps another, and none leaves the sheet.
+    """
+    runs = np.concatenate([_runs(one) for one in prints(board)] or [np.zeros((0, 4))])
+    half = np.array([*board.size, *board.size]) / 2
+    runs = np.clip(runs, -half, half)
+    return np.asarray(runs[(runs[:, 0] < runs[:, 2]) & (runs[:, 1] < runs[:, 3])])
+
+
+def _runs(one: Print) -> Array:
+    """The ink of a bitmap as rectangles (N, 4), one for each run of inked modules in a row."""
+    inked = np.pad(one.bitmap < 0.5, ((0, 0), (1, 1))).astype(int)
+    row, start = np.nonzero(np.diff(inked, axis=1) == 1)
+    _, end = np.nonzero(np.diff(inked, axis=1) == -1)
+    rows, columns = one.bitmap.shape
+    width, height = one.size[0] / columns, one.size[1] / rows
+    left, top = one.center[0] - one.size[0] / 2, one.center[1] + one.size[1] / 2
+    return np.column_stack(
+        [left + width * start, top - height * (row + 1), left + width * end, top - height * row]
+    )
+
+
+def _squares(columns: int, rows: int, square: float, center: Pair) -> Print:
+    """A chessboard with a black square at the top left."""
+    chessboard = np.indices((rows, columns)).sum(axis=0) % 2
+    return Print(chessboard.astype(np.float64), center, (square * columns, square * rows))
+
+
+def _charuco(pattern: Charuco) -> Iterator[Print]:
+    """OpenCV's layout: black top-left square, markers numbered row by row through the white squares."""
+    squares = _squares(pattern.columns, pattern.rows, pattern.square, pattern.center)
+    yield squares
+    x0, y0 = pattern.center
+    for i, (row, column) in enumerate(np.argwhere(squares.bitmap == 1)):
+        center = (
+            x0 + (column + 0.5 - pattern.columns / 2) * pattern.square,
+            y0 + (pattern.rows / 2 - row - 0.5) * pattern.square,
+        )
+        number = pattern.first_id + i
+        bitmap = marker_bitmap(pattern.dictionary, number)
+        yield Print(bitmap, center, (pattern.marker, pattern.marker), number)
+
+
+def _aprilgrid(pattern: AprilGrid, family: str) -> Iterator[Print]:
+    """Kalibr's layout: tags upside down, numbered from the bottom left along rows, squares at their corners."""
+    gap = pattern.tag_size * pattern.tag_spacing
+    pitch = pattern.tag_size + gap
+    x0 = pattern.center[0] - pitch * (pattern.columns - 1) / 2
+    y0 = pattern.center[1] - pitch * (pattern.rows - 1) / 2
+    for i in range(pattern.columns * pattern.rows):
+        row, column = divmod(i, pattern.columns)
+        upright = marker_bitmap(family, pattern.first_id + i, border=2)
+        center = (x0 + column * pitch, y0 + row * pitch)
+        yield Print(upright[::-1, ::-1], center, (pattern.tag_size, pattern.tag_size), pattern.first_id + i)
+    for row, column in np.ndindex(pattern.rows + 1, pattern.columns + 1):
+        center = (x0 + (column - 0.5) * pitch, y0 + (row - 0.5) * pitch)
+        yield Print(np.zeros((1, 1)), center, (gap, gap))
