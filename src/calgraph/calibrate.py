@@ -14,6 +14,7 @@ from calgraph.captures import (
     Timeline,
     as_scans,
     check_timeline,
+    details,
     detectors,
     find_holds,
     gather,
@@ -177,7 +178,10 @@ def capture_board(
     def detecting(done: float) -> None:
         progress("detecting", done / (len(holds) * len(rig.sensors)))
 
-    observations = observe(recording.records(rig.topics.values()), holds, rig.topics, detect, progress=detecting)
+    observations = observe(
+        recording.records(rig.topics.values()), holds, rig.topics, detect,
+        keep=details(holds, rig), progress=detecting,
+    )  # fmt: skip
     return gather(rig, timeline, holds, observations, cameras)
 
 

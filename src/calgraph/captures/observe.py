@@ -8,9 +8,11 @@ import numpy as np
 
 from calgraph.captures.holds import Hold
 from calgraph.captures.noise import with_measured_noise
+from calgraph.captures.snapshots import Detail, snapshot
 from calgraph.captures.timeline import Timeline
 from calgraph.detection import Detection, Rejected
 from calgraph.geometry import Array
+from calgraph.result import Snapshot
 from calgraph.rig import Rig
 from calgraph.sensors import CameraModel, Message, Record
 
@@ -28,6 +30,8 @@ class Observation:
     capture: int
     sensor: str
     found: tuple[Detection, ...] | Rejected
+    snapshot: Snapshot | None = None
+    """What it looked like, where that is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,8 @@ class Captured:
     """By capture and sensor, why there is no detection."""
     cameras: Mapping[str, CameraModel]
     """Intrinsics by camera."""
+    snapshots: tuple[Snapshot, ...] = ()
+    """What the captures looked like, for pictures; not part of a dumped problem."""
 
 
 def gather(
@@ -57,7 +63,10 @@ def gather(
     """Sorts observations into detections and misses; weighs cameras by the noise that all their corners show."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}
     misses: dict[tuple[int, str], str] = {}
+    snapshots: list[Snapshot] = []
     for seen in observations:
+        if seen.snapshot:
+            snapshots.append(seen.snapshot)
         if isinstance(seen.found, Rejected):
             misses[seen.capture, seen.sensor] = seen.found.reason
         else:
@@ -65,7 +74,7 @@ def gather(
     for name, spec in rig.cameras().items():
         detections[name] = with_measured_noise(detections[name], spec.noise.pixel)
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
-    return Captured(timeline.start, frames, tuple(holds), detections, misses, cameras)
+    return Captured(timeline.start, frames, tuple(holds), detections, misses, cameras, tuple(snapshots))
 
 
 def observe(
@@ -74,6 +83,7 @@ def observe(
     topics: Mapping[str, str],
     detect: Mapping[str, Detect],
     *,
+    keep: Mapping[int, Detail] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Observation]:
     """Detects the board for every sensor in every hold, with the messages of one hold in memory at a time.
@@ -83,6 +93,7 @@ def observe(
         holds: with the stamps of the messages to use.
         topics: topic by sensor.
         detect: detector by sensor.
+        keep: by capture, how much of its messages is kept for pictures; nothing of captures that are not in it.
         progress: called with the number of observations made.
 
     Yields:
@@ -92,6 +103,12 @@ def observe(
     wanted: dict[tuple[str, float], list[int]] = {}
     waiting: dict[tuple[int, str], int] = {}
     done = 0
+
+    def observed(capture: int, name: str, messages: Sequence[Message]) -> Observation:
+        detail = (keep or {}).get(capture)
+        kept = snapshot(capture, name, messages, detail) if detail else None
+        return Observation(capture, name, detect[name](messages), kept)
+
     for hold in holds:
         for name in topics:
             chosen = hold.stamps[name]
@@ -108,13 +125,13 @@ def observe(
             if waiting[key] == 0:
                 del waiting[key]
                 done += 1
-                yield Observation(capture, name, detect[name](gathered.pop(key)))
+                yield observed(capture, name, gathered.pop(key))
                 if progress:
                     progress(done)
     for capture, name in waiting:
         messages = gathered.get((capture, name))
         nothing = Rejected("no message was measured entirely within the hold")
-        yield Observation(capture, name, detect[name](messages) if messages else nothing)
+        yield observed(capture, name, messages) if messages else Observation(capture, name, nothing)
 
 
 def thinned(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:

@@ -11,7 +11,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_calibration, print_place
 from calgraph.errors import CalibrationError
 from calgraph.recording import open_recordings, with_intrinsics
-from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, to_json
+from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, save_scene, to_json
 from calgraph.rig import Rig, check_place, load_rig, replacing_folder, save_yaml
 
 
@@ -156,7 +156,7 @@ def calibrate(
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
 
-    Writes calibration.yaml, report.html, captures.csv and rig.resolved.yaml into OUT.
+    Writes calibration.yaml, report.html, captures.csv, scene.npz and rig.resolved.yaml into OUT.
 
     Exit code 0: calibrated; 1: a sensor could not be (the others are written all the same); 2: bad input.
     """
@@ -205,6 +205,7 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_captures(calibration, folder / "captures.csv")
     save_yaml(folder / "rig.resolved.yaml", rig.settings())
     write_report(calibration, rig, folder / "report.html")
+    save_scene(calibration, folder / "scene.npz")
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool) -> None:

@@ -16,10 +16,12 @@ from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.file import save_calibration, save_captures
 from calgraph.result.known_poses import KnownPoses, read_poses
 from calgraph.result.reading import load_calibration
+from calgraph.result.scene import load_scene, save_scene
+from calgraph.result.snapshots import Snapshot
 from calgraph.result.tree import TransformTree
 
 __all__ = [
     "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView", "KnownPoses",
-    "LeftOut", "SensorPose", "Suggestion", "TransformTree", "Verdict", "export", "load_calibration", "read_poses",
-    "save_calibration", "save_captures", "to_json",
+    "LeftOut", "SensorPose", "Snapshot", "Suggestion", "TransformTree", "Verdict", "export", "load_calibration",
+    "load_scene", "read_poses", "save_calibration", "save_captures", "save_scene", "to_json",
 ]  # fmt: skip

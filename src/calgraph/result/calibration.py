@@ -9,6 +9,7 @@ import numpy as np
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3
 from calgraph.result.estimated import Estimated
+from calgraph.result.snapshots import Snapshot
 from calgraph.result.tree import TransformTree
 
 Grade = Literal["good", "weak", "unobservable"]
@@ -159,6 +160,8 @@ class FloorView:
     """(M, 2) what stood still, thinned, root frame, m."""
     walks: tuple[Array, ...]
     """(N, 2) each, where somebody walked, root frame, m."""
+    times: tuple[Array, ...] = ()
+    """(N,) each, when they were there by the root's clock, s from the start of the recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +193,8 @@ class Calibration:
 
     estimated: tuple[Estimated, ...] = ()
     """What was estimated besides poses."""
+    snapshots: tuple[Snapshot, ...] = ()
+    """What captures looked like; empty in a result read back."""
 
     def __post_init__(self) -> None:
         if not self.residual_rms:

@@ -1,0 +1,109 @@
+"""scene.npz: what a calibration shows beside its numbers, for viewers; docs/formats.md describes its members."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+from calgraph.result.calibration import BoardOutline, Calibration, FloorView
+from calgraph.result.snapshots import Snapshot
+from calgraph.rig.archive import read_archive, write_archive
+from calgraph.rig.columns import INDEX, NUMBER, Arrays, Column, Table
+
+FORMAT = "calgraph-scene/1"
+_STRUCTURE = "scene.json"
+
+_SNAPSHOTS = Table("snapshots", {
+    "sensor": INDEX, "capture": INDEX, "stamp": NUMBER, "width": INDEX, "height": INDEX,
+    "image": Column((), np.uint8, ragged=True), "points": Column((3,), np.float32, ragged=True),
+    "board": Column((3,), np.float32, ragged=True), "corners": Column((2,), np.float32, ragged=True),
+})  # fmt: skip
+_OUTLINES = Table("outlines", {"capture": INDEX, "corners": Column((4, 3))})
+_FLOOR = Table("floor", {"sensor": INDEX, "background": Column((2,), ragged=True)})
+_WALKS = Table("walks", {
+    "sensor": INDEX, "positions": Column((2,), ragged=True), "times": Column(ragged=True),
+})  # fmt: skip
+
+
+def save_scene(calibration: Calibration, path: Path) -> None:
+    """Writes snapshots, outlines of boards and floor of a calibration in one step.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+    """
+    shown = [*(s.sensor for s in calibration.snapshots), *(view.sensor for view in calibration.floor)]
+    number = {name: i for i, name in enumerate(dict.fromkeys(shown))}
+    arrays = (
+        _SNAPSHOTS.pack([
+            {**vars(s), "sensor": number[s.sensor], "image": np.frombuffer(s.image, dtype=np.uint8)}
+            for s in calibration.snapshots
+        ])
+        | _OUTLINES.pack([vars(outline) for outline in calibration.outlines])
+        | _FLOOR.pack([{**vars(view), "sensor": number[view.sensor]} for view in calibration.floor])
+        | _WALKS.pack([
+            {"sensor": number[view.sensor], "positions": positions, "times": times}
+            for view in calibration.floor
+            for positions, times in zip(view.walks, view.times or map(_unknown, view.walks), strict=True)
+        ])
+    )  # fmt: skip
+    write_archive(path, _STRUCTURE, {"format": FORMAT, "sensors": list(number)}, arrays)
+
+
+def load_scene(path: Path, calibration: Calibration) -> Calibration:
+    """A calibration read back, with what :func:`save_scene` wrote of it.
+
+    Raises:
+        InputError: the file is missing, is something else, or is damaged; the message names it.
+    """
+    content, arrays = read_archive(path, _STRUCTURE, FORMAT)
+    try:
+        names = _names(content)
+        snapshots = tuple(
+            Snapshot(**row | {"image": row["image"].tobytes()}) for row in _rows(_SNAPSHOTS, arrays, names)
+        )
+        outlines = tuple(BoardOutline(**row) for row in _OUTLINES.unpack(arrays))
+        floor = _floor(arrays, names)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return replace(calibration, snapshots=snapshots, outlines=outlines, floor=floor)
+
+
+def _unknown(positions: Array) -> Array:
+    return np.full(len(positions), np.nan)
+
+
+def _names(content: Mapping[str, Any]) -> list[str]:
+    names = content.get("sensors")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"sensors: must be a list of names, got {names!r}")
+    return names
+
+
+def _rows(table: Table, arrays: Arrays, names: Sequence[str]) -> list[dict[str, Any]]:
+    """The records of a table, with names in place of the sensors' numbers."""
+    rows = table.unpack(arrays)
+    for row in rows:
+        if not 0 <= row["sensor"] < len(names):
+            raise InputError(f"{table.name}/sensor: must be below the {len(names)} sensors, got {row['sensor']}")
+        row["sensor"] = names[row["sensor"]]
+    return rows
+
+
+def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:
+    walks: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for walk in _rows(_WALKS, arrays, names):
+        if len(walk["times"]) != len(walk["positions"]):
+            raise InputError("walks/times: each walk must have as many as positions")
+        walks[walk["sensor"]].append(walk)
+    return tuple(
+        FloorView(
+            **row,
+            walks=tuple(walk["positions"] for walk in walks[row["sensor"]]),
+            times=tuple(walk["times"] for walk in walks[row["sensor"]]),
+        )
+        for row in _rows(_FLOOR, arrays, names)
+    )

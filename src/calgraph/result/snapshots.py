@@ -1,0 +1,58 @@
+"""What sensors measured in captures, made small: for pictures, beside the numbers."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+
+
+def _none(columns: int) -> NDArray[np.float32]:
+    return np.empty((0, columns), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One message of one sensor in one capture."""
+
+    capture: int
+    sensor: str
+    stamp: float
+    """Of the message's header, s."""
+    image: bytes = b""
+    """JPEG of a camera's picture, as it was measured but for its size; empty of other sensors."""
+    width: int = 0
+    height: int = 0
+    """Of the picture before it was shrunk, px."""
+    points: NDArray[np.float32] = field(default_factory=lambda: _none(3))
+    """(N, 3) of a scan or cloud, thinned, in the sensor's frame, m; none of a camera."""
+    board: NDArray[np.float32] = field(default_factory=lambda: _none(3))
+    """(M, 3) what a scanner took for the board, thinned, in its frame, m."""
+    corners: NDArray[np.float32] = field(default_factory=lambda: _none(2))
+    """(M, 2) where a camera saw printed corners, px of the picture before it was shrunk."""
+
+    @property
+    def picture(self) -> NDArray[np.uint8]:
+        """(h, w, 3) RGB of a camera's ``image``; (0, 0, 3) where there is none.
+
+        Raises:
+            InputError: ``image`` is damaged.
+        """
+        if not self.image:
+            return np.empty((0, 0, 3), dtype=np.uint8)
+        import cv2
+
+        bgr = cv2.imdecode(np.frombuffer(self.image, dtype=np.uint8), cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise InputError(f"picture of {self.sensor} in capture {self.capture}: is no JPEG; calibrate again")
+        return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
+
+    def shrunk(self, pixels: Array) -> Array:
+        """Pixels (N, 2) of the picture before it was shrunk as pixels of ``picture``.
+
+        Centres of pixels are whole numbers in both, so that the scale is about the corner (-0.5, -0.5).
+        """
+        h, w = self.picture.shape[:2]
+        return np.asarray((pixels + 0.5) * np.array([w / self.width, h / self.height]) - 0.5)

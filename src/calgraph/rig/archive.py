@@ -1,0 +1,96 @@
+"""One JSON object and plain arrays in a ZIP: ``numpy.load`` reads it, and so does any program that knows ZIP."""
+
+import json
+import lzma
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.errors import InputError
+from calgraph.rig import replacing
+
+# What zipfile and NumPy raise where bytes are not those that were written.
+_DAMAGE = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError, OverflowError, RuntimeError,
+    ValueError,
+)  # fmt: skip
+
+
+def write_archive(path: Path, member: str, content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Writes in one step; the same content gives the same bytes.
+
+    Args:
+        path: the file.
+        member: name of the JSON object in it.
+        content: the object; the key ``format`` says what the file is, and its version.
+        arrays: by name; each becomes the member ``<name>.npy``.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+    """
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        _add(archive, member, json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1).encode())
+        for name, array in arrays.items():
+            stream = BytesIO()
+            np.lib.format.write_array(stream, array, allow_pickle=False)
+            _add(archive, f"{name}.npy", stream.getvalue())
+
+
+def read_archive(path: Path, member: str, format: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The JSON object and the arrays of :func:`write_archive`.
+
+    Args:
+        path: the file.
+        member: name of the JSON object in it.
+        format: the one that is read.
+
+    Raises:
+        InputError: the file is missing, is something else, has another format or version, or is damaged.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with _damage_named(path):
+        archive = zipfile.ZipFile(BytesIO(data))
+    if member not in archive.namelist():
+        raise InputError(f"{path}: has no member {member}; it is not a file of the format {format}")
+    with _damage_named(path, member):
+        content = json.loads(archive.read(member))
+    given = content.get("format") if isinstance(content, dict) else None
+    if given != format:
+        shown = "nothing" if given is None else repr(given)
+        raise InputError(f"{path}: format: must be {format}, which this calgraph reads, got {shown}")
+    return content, dict(_arrays(path, archive))
+
+
+def _arrays(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:
+    for name in archive.namelist():
+        if name.endswith(".npy"):
+            with _damage_named(path, name):
+                # Whole, as only then the checksum is compared.
+                stream = BytesIO(archive.read(name))
+                array = np.lib.format.read_array(stream, allow_pickle=False)
+            yield name.removesuffix(".npy"), array
+
+
+def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
+    # Without the time of writing, which ZipInfo leaves at 1980.
+    archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+
+
+@contextmanager
+def _damage_named(path: Path, member: str = "") -> Iterator[None]:
+    try:
+        yield
+    except _DAMAGE as error:
+        what = f"its member {member} is damaged" if member else "is truncated, damaged, or not a ZIP file"
+        raise InputError(f"{path}: {what} ({str(error) or type(error).__name__}); write it again") from error
