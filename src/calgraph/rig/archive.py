@@ -24,7 +24,14 @@ _DAMAGE = (
 )  # fmt: skip
 
 
-def write_archive(path: Path, member: str, content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_archive(
+    path: Path,
+    member: str,
+    content: Mapping[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    compression: int = zipfile.ZIP_DEFLATED,
+) -> None:
     """Writes in one step; the same content gives the same bytes.
 
     Args:
@@ -32,11 +39,12 @@ def write_archive(path: Path, member: str, content: Mapping[str, Any], arrays: M
         member: name of the JSON object in it.
         content: the object; the key ``format`` says what the file is, and its version.
         arrays: by name; each becomes the member ``<name>.npy``.
+        compression: one of zipfile's; ``ZIP_STORED`` where it would take longer than it saves.
 
     Raises:
         InputError: ``path`` cannot be written.
     """
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", compression) as archive:
         _add(archive, member, json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1).encode())
         for name, array in arrays.items():
             stream = BytesIO()
@@ -84,7 +92,7 @@ def _arrays(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray
 
 def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
     # Without the time of writing, which ZipInfo leaves at 1980.
-    archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+    archive.writestr(zipfile.ZipInfo(name), data, archive.compression)
 
 
 @contextmanager

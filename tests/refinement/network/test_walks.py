@@ -118,7 +118,7 @@ def test_scanners_that_saw_nobody_meet_nobody(rng: np.random.Generator) -> None:
 
 def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator) -> None:
     known = {"east": tracked("east", [walk(0, 4, 1.5)], rng), "north": tracked("north", [], rng)}
-    views = floor_views(known, {n: sample(t) for n, t in known.items()}, {"east": T_ROOT["east"]})
+    views = floor_views(known, {n: sample(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0)
     (view,) = views
     (line,) = view.walks
     assert view.sensor == "east"
@@ -130,6 +130,6 @@ def test_the_floor_of_a_long_recording_stays_small(rng: np.random.Generator) -> 
     hour = np.concatenate([walk(0, 3600, 0)])
     hour[:, 1] = 5 + 5 * np.sin(hour[:, 1])
     known = tracked("west", [hour], rng)
-    (view,) = floor_views({"west": known}, {"west": sample(known)}, T_ROOT)
+    (view,) = floor_views({"west": known}, {"west": sample(known)}, T_ROOT, start=0.0)
     assert sum(map(len, view.walks)) <= 30_000
     assert len(view.background) < 400

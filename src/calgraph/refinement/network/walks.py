@@ -130,7 +130,7 @@ def floor_views(
             name,
             se2.apply(T_root_scanner[name], _thinned(tracked[name].background, _POINTS // len(names))),
             tuple(se2.apply(T_root_scanner[name], samples[name].positions[rows]) for rows in lines[name]),
-            tuple(samples[name].tick[rows] * TICK - start for rows in lines[name]),
+            tuple(np.asarray(samples[name].tick[rows] * TICK - start) for rows in lines[name]),
         )
         for name in names
     )

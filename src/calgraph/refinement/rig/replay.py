@@ -14,10 +14,10 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
-from calgraph.refinement.rig.archive import read_archive, write_archive
-from calgraph.refinement.rig.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.refinement.rig.problem import Problem, Solver, check_problem
 from calgraph.rig import Rig
+from calgraph.rig.archive import read_archive, write_archive
+from calgraph.rig.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.rig.model import StrictModel
 from calgraph.rig.reading import validated
 from calgraph.sensors import CameraModel
@@ -118,9 +118,11 @@ def replayable(problem: Problem) -> Problem:
     """The problem as it will come back from a file.
 
     The values are the same; but how an array lies in memory may decide the last bit of what is computed from it.
+    Snapshots, of which nothing is computed, are kept.
     """
     content, arrays = _encoded(problem)
-    return _decoded(_Structure.model_validate(content), arrays)
+    again = _decoded(_Structure.model_validate(content), arrays)
+    return replace(again, captured=replace(again.captured, snapshots=problem.captured.snapshots))
 
 
 def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
