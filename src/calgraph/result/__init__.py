@@ -1,7 +1,7 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
+from calgraph.result.board_views import BoardOutline, BoardView
 from calgraph.result.calibration import (
-    BoardOutline,
     Calibration,
     CaptureRow,
     Edge,
@@ -21,7 +21,7 @@ from calgraph.result.snapshots import Snapshot
 from calgraph.result.tree import TransformTree
 
 __all__ = [
-    "FORMATS", "BoardOutline", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView", "KnownPoses",
-    "LeftOut", "SensorPose", "Snapshot", "Suggestion", "TransformTree", "Verdict", "export", "load_calibration",
-    "load_scene", "read_poses", "save_calibration", "save_captures", "save_scene", "to_json",
+    "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView",
+    "KnownPoses", "LeftOut", "SensorPose", "Snapshot", "Suggestion", "TransformTree", "Verdict", "export",
+    "load_calibration", "load_scene", "read_poses", "save_calibration", "save_captures", "save_scene", "to_json",
 ]  # fmt: skip

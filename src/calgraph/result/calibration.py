@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3
+from calgraph.result.board_views import BoardOutline, BoardView
 from calgraph.result.estimated import Estimated
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.tree import TransformTree
@@ -143,15 +144,6 @@ class Suggestion:
 
 
 @dataclass(frozen=True, eq=False)
-class BoardOutline:
-    """Where the board was in one capture, for pictures."""
-
-    capture: int
-    corners: Array
-    """(4, 3) corners of the sheet or of the patch seen, root frame, m."""
-
-
-@dataclass(frozen=True, eq=False)
 class FloorView:
     """What one scanner of a network saw, for pictures."""
 
@@ -193,6 +185,10 @@ class Calibration:
 
     estimated: tuple[Estimated, ...] = ()
     """What was estimated besides poses."""
+    board_views: tuple[BoardView, ...] = ()
+    """What every sensor saw of the board, thinned; empty in a result read back."""
+    start: Mapping[str, Array] = field(default_factory=dict)
+    """(4, 4) ``T_root_sensor`` where the joint solution of a network started; empty in a result read back."""
     snapshots: tuple[Snapshot, ...] = ()
     """What captures looked like; empty in a result read back."""
 

@@ -1,5 +1,6 @@
 """scene.npz: what a calibration shows beside its numbers, for viewers; docs/formats.md describes its members."""
 
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,8 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.result.calibration import BoardOutline, Calibration, FloorView
+from calgraph.result.board_views import BoardOutline
+from calgraph.result.calibration import Calibration, FloorView
 from calgraph.result.snapshots import Snapshot
 from calgraph.rig.archive import read_archive, write_archive
 from calgraph.rig.columns import INDEX, NUMBER, Arrays, Column, Table
@@ -50,7 +52,9 @@ def save_scene(calibration: Calibration, path: Path) -> None:
             for positions, times in zip(view.walks, view.times or map(_unknown, view.walks), strict=True)
         ])
     )  # fmt: skip
-    write_archive(path, _STRUCTURE, {"format": FORMAT, "sensors": list(number)}, arrays)
+    content = {"format": FORMAT, "sensors": list(number)}
+    # Pictures are compressed already, and measured points hardly can be.
+    write_archive(path, _STRUCTURE, content, arrays, compression=zipfile.ZIP_STORED)
 
 
 def load_scene(path: Path, calibration: Calibration) -> Calibration:

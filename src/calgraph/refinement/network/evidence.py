@@ -83,6 +83,7 @@ def assemble_network(
         estimator="averaging" if joint is None else "joint",
         floor=floor_views(tracked, samples, planar, start),
         joint_covariance=together,
+        start={} if joint is None else dict(zip(names, se2.to_se3(averaged.T_root_node), strict=True)),
     )
 
 

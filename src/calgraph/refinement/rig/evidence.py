@@ -1,21 +1,20 @@
 """From a joint solution to a Calibration: poses with verdicts, and what became of every pair and capture."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from calgraph.captures import Captured, Hold, with_boards
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
-from calgraph.geometry import Array, plane, se3
+from calgraph.detection import Rejected
+from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.observability import doubts, rivals, verdict
 from calgraph.refinement.rig.joint import Joint
 from calgraph.refinement.rig.known import frame_id
-from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose
+from calgraph.refinement.rig.pictures import Used, board_outlines, board_views
+from calgraph.result import Calibration, CaptureRow, Edge, SensorPose
 from calgraph.rig import Rig
-
-Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 
 
 def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joint: Joint) -> Calibration:
@@ -48,7 +47,8 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         captures=tuple(_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors),
         unconnected=_unconnected(rig, captured, pairs, connected),
         residuals=joint.residuals,
-        outlines=tuple(_outlines(rig, captured, used, joint)),
+        outlines=board_outlines(rig, captured, used, joint),
+        board_views=board_views(captured, used, joint),
         estimator=joint.estimator,
         estimated=joint.estimated,
         joint_covariance=_ordered(joint, root_first),
@@ -145,36 +145,3 @@ def _why_alone(name: str, captured: Captured, pairs: Pairs) -> str:
         if name in (a, b) and isinstance(pair, Rejected)
     ]
     return f"found the board in {len(seen)} captures, but " + "; ".join(reasons or ["no other sensor did"])
-
-
-def _outlines(rig: Rig, captured: Captured, used: Used, joint: Joint) -> list[BoardOutline]:
-    """The board of each capture, best from a camera, else from a cloud."""
-    outlines = []
-    for hold in captured.holds:
-        seen: list[tuple[Detection, str]] = [
-            (captured.detections[name][hold.index][k], name)
-            for name in joint.T_root_sensor
-            for k in used.get((hold.index, name), {})
-        ]
-        for kind in (BoardCorners, PlanePatch):
-            found = next(((d, name) for d, name in seen if isinstance(d, kind)), None)
-            if found:
-                corners = _corners(found[0], rig.boards[0].size)
-                outlines.append(BoardOutline(hold.index, se3.apply(joint.T_root_sensor[found[1]], corners)))
-                break
-    return outlines
-
-
-def _corners(detection: Detection, size: tuple[float, float]) -> Array:
-    """(4, 3) corners of the sheet, or of the patch that was seen, in the sensor's frame."""
-    if isinstance(detection, BoardCorners):
-        half = np.array(size) / 2
-        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        return se3.apply(detection.T_camera_board, np.column_stack([signs * half, np.zeros(4)]))
-    assert isinstance(detection, PlanePatch)
-    basis = plane.tangent_basis(detection.plane[:3])
-    _, _, axes = np.linalg.svd((detection.points - detection.center) @ basis, full_matrices=False)
-    along = (detection.points - detection.center) @ basis @ axes.T
-    low, high = np.percentile(along, [1, 99], axis=0)
-    flat = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-    return np.asarray(detection.center + flat @ axes @ basis.T)
