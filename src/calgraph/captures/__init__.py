@@ -4,12 +4,12 @@ from calgraph.captures.checks import check_timeline
 from calgraph.captures.detectors import as_scans, detectors, learn_backgrounds
 from calgraph.captures.holds import Hold, find_holds, is_snapshots
 from calgraph.captures.observe import Captured, Detect, Observation, gather, observe, thinned
-from calgraph.captures.snapshots import Detail, details, with_boards
+from calgraph.captures.snapshots import Detail, details
 from calgraph.captures.stillness import ActivityMeter
 from calgraph.captures.timeline import SensorTimes, Timeline, survey
 
 __all__ = [
     "ActivityMeter", "Captured", "Detail", "Detect", "Hold", "Observation", "SensorTimes", "Timeline", "as_scans",
     "check_timeline", "details", "detectors", "find_holds", "gather", "is_snapshots", "learn_backgrounds",
-    "observe", "survey", "thinned", "with_boards",
+    "observe", "survey", "thinned",
 ]  # fmt: skip

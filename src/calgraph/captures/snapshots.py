@@ -1,13 +1,12 @@
 """What is kept of the messages once the board was looked for in them: enough to be shown, within a budget."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.captures.holds import Hold
-from calgraph.detection import BoardCorners, Detection
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
 from calgraph.rig import Rig
@@ -32,8 +31,6 @@ _BUDGETS = {_LARGE: 14e6, _SMALL: 4e6}
 # Bytes of a JPEG for each pixel (a noisy one), and of a point; beams of a scan.
 _PER_PIXEL, _PER_POINT, _BEAMS = 0.2, 12.0, 2000
 _QUALITY = 80
-# Of what was taken for the board, points at most.
-_ON_BOARD = 300
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
@@ -67,36 +64,6 @@ def snapshot(capture: int, sensor: str, messages: Sequence[Message], detail: Det
         points = message.points[message.valid] if isinstance(message, LaserScan) else message.points
         return replace(taken, points=_thinned(points, detail.points))
     return taken
-
-
-def with_boards(
-    snapshots: Sequence[Snapshot],
-    detections: Mapping[str, Mapping[int, Sequence[Detection]]],
-    used: Mapping[tuple[int, str], Mapping[int, object]],
-) -> tuple[Snapshot, ...]:
-    """The snapshots with what was taken for the board in them.
-
-    Args:
-        snapshots: of all captures and sensors.
-        detections: by sensor and capture, the candidates.
-        used: by capture and sensor, those candidates that are used; where none is, the first one is shown.
-    """
-    return tuple(
-        _with_board(s, [found[k] for k in used.get((s.capture, s.sensor), (0,))])
-        if (found := detections.get(s.sensor, {}).get(s.capture))
-        else s
-        for s in snapshots
-    )
-
-
-def _with_board(taken: Snapshot, found: Sequence[Detection]) -> Snapshot:
-    corners = [d.pixels for d in found if isinstance(d, BoardCorners)]
-    points = [d.points for d in found if not isinstance(d, BoardCorners)]
-    return replace(
-        taken,
-        corners=np.concatenate([taken.corners, *corners], dtype=np.float32),
-        board=_thinned(np.concatenate([taken.board, *points]), _ON_BOARD),
-    )
 
 
 def _jpeg(pixels: NDArray[np.uint8], width: int) -> bytes:

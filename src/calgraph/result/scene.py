@@ -10,7 +10,7 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.result.board_views import BoardOutline
+from calgraph.result.board_views import BoardOutline, BoardView
 from calgraph.result.calibration import Calibration, FloorView
 from calgraph.result.snapshots import Snapshot
 from calgraph.rig.archive import read_archive, write_archive
@@ -22,9 +22,13 @@ _STRUCTURE = "scene.json"
 _SNAPSHOTS = Table("snapshots", {
     "sensor": INDEX, "capture": INDEX, "stamp": NUMBER, "width": INDEX, "height": INDEX,
     "image": Column((), np.uint8, ragged=True), "points": Column((3,), np.float32, ragged=True),
-    "board": Column((3,), np.float32, ragged=True), "corners": Column((2,), np.float32, ragged=True),
 })  # fmt: skip
-_OUTLINES = Table("outlines", {"capture": INDEX, "corners": Column((4, 3))})
+_OUTLINES = Table("outlines", {"capture": INDEX, "corners": Column((4, 3)), "board": INDEX})
+_NO_BOARD = -1
+_VIEW = {"sensor": INDEX, "capture": INDEX, "used": Column(dtype=np.bool_)}
+# What a camera saw of the board, and what a scanner did, each with how far off it is.
+_CORNERS = Table("corners", {**_VIEW, "seen": Column((2,), ragged=True), "off": Column((2,), ragged=True)})
+_BEAMS = Table("beams", {**_VIEW, "seen": Column((3,), ragged=True), "off": Column(ragged=True)})
 _FLOOR = Table("floor", {"sensor": INDEX, "background": Column((2,), ragged=True)})
 _WALKS = Table("walks", {
     "sensor": INDEX, "positions": Column((2,), ragged=True), "times": Column(ragged=True),
@@ -37,19 +41,27 @@ def save_scene(calibration: Calibration, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    shown = [*(s.sensor for s in calibration.snapshots), *(view.sensor for view in calibration.floor)]
-    number = {name: i for i, name in enumerate(dict.fromkeys(shown))}
+    number = {name: i for i, name in enumerate(_shown(calibration))}
+    seen = [
+        {**vars(view), "sensor": number[view.sensor], "off": _unknown(view) if view.off is None else view.off}
+        for view in calibration.board_views
+    ]
     arrays = (
         _SNAPSHOTS.pack([
             {**vars(s), "sensor": number[s.sensor], "image": np.frombuffer(s.image, dtype=np.uint8)}
             for s in calibration.snapshots
         ])
-        | _OUTLINES.pack([vars(outline) for outline in calibration.outlines])
+        | _OUTLINES.pack([
+            {**vars(outline), "board": _NO_BOARD if outline.board is None else outline.board}
+            for outline in calibration.outlines
+        ])
+        | _CORNERS.pack([view for view in seen if view["seen"].shape[1] == 2])
+        | _BEAMS.pack([view for view in seen if view["seen"].shape[1] == 3])
         | _FLOOR.pack([{**vars(view), "sensor": number[view.sensor]} for view in calibration.floor])
         | _WALKS.pack([
             {"sensor": number[view.sensor], "positions": positions, "times": times}
             for view in calibration.floor
-            for positions, times in zip(view.walks, view.times or map(_unknown, view.walks), strict=True)
+            for positions, times in zip(view.walks, view.times or map(_timeless, view.walks), strict=True)
         ])
     )  # fmt: skip
     content = {"format": FORMAT, "sensors": list(number)}
@@ -69,14 +81,30 @@ def load_scene(path: Path, calibration: Calibration) -> Calibration:
         snapshots = tuple(
             Snapshot(**row | {"image": row["image"].tobytes()}) for row in _rows(_SNAPSHOTS, arrays, names)
         )
-        outlines = tuple(BoardOutline(**row) for row in _OUTLINES.unpack(arrays))
+        outlines = tuple(
+            BoardOutline(**row | {"board": None if row["board"] == _NO_BOARD else row["board"]})
+            for row in _OUTLINES.unpack(arrays)
+        )
+        views = _board_views(arrays, names)
         floor = _floor(arrays, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return replace(calibration, snapshots=snapshots, outlines=outlines, floor=floor)
+    return replace(calibration, snapshots=snapshots, outlines=outlines, board_views=views, floor=floor)
 
 
-def _unknown(positions: Array) -> Array:
+def _shown(calibration: Calibration) -> dict[str, None]:
+    """The sensors of which there is something to show, in order."""
+    shown: tuple[Snapshot | BoardView | FloorView, ...]
+    shown = (*calibration.snapshots, *calibration.board_views, *calibration.floor)
+    return dict.fromkeys(view.sensor for view in shown)
+
+
+def _unknown(view: BoardView) -> Array:
+    """In place of how far off a view is that was not used."""
+    return np.full(view.seen.shape if view.seen.shape[1] == 2 else len(view.seen), np.nan)
+
+
+def _timeless(positions: Array) -> Array:
     return np.full(len(positions), np.nan)
 
 
@@ -95,6 +123,17 @@ def _rows(table: Table, arrays: Arrays, names: Sequence[str]) -> list[dict[str, 
             raise InputError(f"{table.name}/sensor: must be below the {len(names)} sensors, got {row['sensor']}")
         row["sensor"] = names[row["sensor"]]
     return rows
+
+
+def _board_views(arrays: Arrays, names: Sequence[str]) -> tuple[BoardView, ...]:
+    views = []
+    for table in (_CORNERS, _BEAMS):
+        for row in _rows(table, arrays, names):
+            if len(row["off"]) != len(row["seen"]):
+                raise InputError(f"{table.name}/off: each view must have as many as {table.name}/seen")
+            unknown = len(row["off"]) > 0 and np.isnan(row["off"]).all()
+            views.append(BoardView(**row | {"off": None if unknown else row["off"]}))
+    return tuple(sorted(views, key=lambda view: (view.capture, view.sensor)))
 
 
 def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:

@@ -6,11 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import InputError
-from calgraph.geometry import Array
-
-
-def _none(columns: int) -> NDArray[np.float32]:
-    return np.empty((0, columns), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +21,8 @@ class Snapshot:
     width: int = 0
     height: int = 0
     """Of the picture before it was shrunk, px."""
-    points: NDArray[np.float32] = field(default_factory=lambda: _none(3))
+    points: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
     """(N, 3) of a scan or cloud, thinned, in the sensor's frame, m; none of a camera."""
-    board: NDArray[np.float32] = field(default_factory=lambda: _none(3))
-    """(M, 3) what a scanner took for the board, thinned, in its frame, m."""
-    corners: NDArray[np.float32] = field(default_factory=lambda: _none(2))
-    """(M, 2) where a camera saw printed corners, px of the picture before it was shrunk."""
 
     @property
     def picture(self) -> NDArray[np.uint8]:
@@ -48,11 +39,3 @@ class Snapshot:
         if bgr is None:
             raise InputError(f"picture of {self.sensor} in capture {self.capture}: is no JPEG; calibrate again")
         return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
-
-    def shrunk(self, pixels: Array) -> Array:
-        """Pixels (N, 2) of the picture before it was shrunk as pixels of ``picture``.
-
-        Centres of pixels are whole numbers in both, so that the scale is about the corner (-0.5, -0.5).
-        """
-        h, w = self.picture.shape[:2]
-        return np.asarray((pixels + 0.5) * np.array([w / self.width, h / self.height]) - 0.5)

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from calgraph.captures import Captured, Hold, with_boards
+from calgraph.captures import Captured, Hold
 from calgraph.detection import Rejected
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
@@ -52,7 +52,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         estimator=joint.estimator,
         estimated=joint.estimated,
         joint_covariance=_ordered(joint, root_first),
-        snapshots=with_boards(captured.snapshots, captured.detections, used),
+        snapshots=captured.snapshots,
     )
 
 
