@@ -5,6 +5,7 @@ from calgraph.refinement.network.audit import audit_network
 from calgraph.refinement.network.evidence import assemble_network
 from calgraph.refinement.network.extension import agreed_prior, earlier_poses, extended, without
 from calgraph.refinement.network.joint_network import JointNetwork, solve_network
+from calgraph.refinement.network.prior import ScannerPrior
 from calgraph.refinement.observability import axis_names
 from calgraph.refinement.rig.audit import audit
 from calgraph.refinement.rig.bundle_adjustment import cramer_rao, solve_bundle
@@ -35,6 +36,7 @@ __all__ = [
     "Problem",
     "RigidFile",
     "RigidGroup",
+    "ScannerPrior",
     "Scatter",
     "SensorAudit",
     "Solver",

@@ -1,0 +1,27 @@
+"""The two stories, one screen each: from a recording to a calibrated tree of transforms."""
+
+from calgraph.calibrate.either import calibrate
+from calgraph.calibrate.judging import audit_problem, check_network, verify_problem
+from calgraph.calibrate.network import DEPTHS, calibrate_network, follow_people
+from calgraph.calibrate.options import NetworkEstimator, Options, Progress, Weights, silent
+from calgraph.calibrate.rig import calibrate_rig, capture_board, pose_problem, prepare, solve_problem
+
+__all__ = [
+    "DEPTHS",
+    "NetworkEstimator",
+    "Options",
+    "Progress",
+    "Weights",
+    "audit_problem",
+    "calibrate",
+    "calibrate_network",
+    "calibrate_rig",
+    "capture_board",
+    "check_network",
+    "follow_people",
+    "pose_problem",
+    "prepare",
+    "silent",
+    "solve_problem",
+    "verify_problem",
+]

@@ -1,0 +1,17 @@
+"""Whichever of the two stories a rig is for."""
+
+from calgraph.calibrate.network import calibrate_network
+from calgraph.calibrate.options import Options, Progress, silent
+from calgraph.calibrate.rig import calibrate_rig
+from calgraph.recording import Recording
+from calgraph.result import Calibration
+from calgraph.rig import Cylinder, People, Rig
+
+
+def calibrate(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
+    """Calibrates a robot with a board, or a network with people, whichever the rig's target is.
+
+    Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
+    """
+    story = calibrate_network if isinstance(rig.target, People | Cylinder) else calibrate_rig
+    return story(rig, recording, options, progress)

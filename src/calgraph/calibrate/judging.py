@@ -1,0 +1,60 @@
+"""Whether a result holds: captures drawn anew, and extrinsics that are given against those that are found."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.calibrate.network import calibrate_network
+from calgraph.calibrate.options import Options, Progress, silent
+from calgraph.calibrate.rig import solve_jointly
+from calgraph.errors import CalibrationError
+from calgraph.recording import Recording
+from calgraph.refinement import Audit, Problem, Scatter, Tolerance, assemble, audit, audit_network, resample
+from calgraph.result import Calibration, KnownPoses
+from calgraph.rig import Rig
+
+
+def verify_problem(
+    problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = silent
+) -> tuple[Calibration, dict[str, Scatter]]:
+    """A calibration, and by sensor how far its pose scatters when the captures are drawn anew.
+
+    Raises:
+        CalibrationError: no two sensors saw the board together.
+    """
+    problem = replace(problem, solver=problem.solver.model_copy(update={"estimator": "bundle"}))
+    joint, tree = solve_jointly(problem)
+    if joint.adjusted is None:
+        raise CalibrationError(
+            f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
+        )
+    scatter = resample(joint.adjusted, rounds, rng, lambda done: progress("resampling", done))
+    return assemble(problem.rig, problem.captured, problem.pairs, tree, joint), scatter
+
+
+def audit_problem(
+    problem: Problem, given: KnownPoses, tolerance: Tolerance | None = None
+) -> tuple[Calibration, Audit]:
+    """What the captures say of given extrinsics: a calibration that knows nothing of them, and the comparison.
+
+    Raises:
+        InputError: the extrinsics lack the root, or nothing fixed connects the sensors there.
+    """
+    unknowing = {"estimator": "bundle", "priors": (), "groups": ()}
+    problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
+    joint, tree = solve_jointly(problem)
+    calibration = assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    return calibration, audit(calibration, joint.adjusted, given, tolerance)
+
+
+def check_network(
+    rig: Rig,
+    recording: Recording,
+    given: KnownPoses,
+    options: Options,
+    tolerance: Tolerance | None = None,
+    progress: Progress = silent,
+) -> tuple[Calibration, Audit]:
+    """What a recording says of the given poses of a network, as :func:`audit_problem` does of a rig's."""
+    calibration = calibrate_network(rig, recording, options, progress)
+    return calibration, audit_network(calibration, given, tolerance)

@@ -1,0 +1,107 @@
+"""The second story: from one recording of people walking through a building to its network of scanners."""
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+
+import numpy as np
+
+from calgraph.calibrate.options import Options, Progress, network_estimator, silent
+from calgraph.captures import as_scans
+from calgraph.errors import CalibrationError, InputError
+from calgraph.graph import average_network, network_graph, trust
+from calgraph.pairwise import TrackPair, estimate_network_pairs
+from calgraph.recording import Recording
+from calgraph.refinement import (
+    ScannerPrior,
+    agreed_prior,
+    assemble_network,
+    earlier_poses,
+    extended,
+    solve_network,
+    without,
+)
+from calgraph.result import Calibration
+from calgraph.rig import Cylinder, Lidar2dSpec, People, Rig
+from calgraph.sensors import LaserScan
+from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
+
+# How far off along the sight the centres may lie that each feature gives, as a standard deviation, m. A centre of
+# mass lies three quarters of the radius before the centre.
+DEPTHS: Mapping[Feature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.03}
+
+
+def calibrate_network(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+) -> Calibration:
+    """Calibrates stationary 2-D scanners from people who walk through their views (lrf-network).
+
+    Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
+    """
+    estimator = network_estimator(options)
+    old = _earlier(rig, options)
+    rng = np.random.default_rng(options.seed)
+    followed, frames = follow_people(rig, recording, options, progress)
+    tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
+    depth = DEPTHS[options.feature]
+    pairs = estimate_network_pairs(
+        tracked, rng, icp=options.icp, depth=depth, progress=lambda done: progress("pairing", done)
+    )
+    known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
+    graph, names = network_graph(rig.root, known)
+    weights = trust(names, known) if options.weights == "weighted" else None
+    averaged, graph = average_network(graph, rng, options.average, weights)
+    joint = prior = None
+    # A root that nothing is connected to may not even have been followed.
+    if estimator == "joint" and len(names) > 1:
+        progress("solving", 0.0)
+        solution = partial(solve_network, _walking(rig), [tracked[name] for name in names], averaged, graph)
+        joint = solution()
+        if old:
+            prior = agreed_prior(earlier_poses(old, rig.root), names, joint)
+            joint = solution(prior=prior)
+        progress("solving", 1.0)
+    found = assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start, joint)
+    return _extended(found, old, prior) if old else found
+
+
+def _earlier(rig: Rig, options: Options) -> Calibration | None:
+    """What is to be extended, without what has moved since."""
+    if options.extend is None:
+        return None
+    earlier_poses(options.extend, rig.root)
+    return without(options.extend, options.moved)
+
+
+def _extended(found: Calibration, old: Calibration, prior: ScannerPrior | None) -> Calibration:
+    if prior is None:
+        why = "; ".join(f"{name}: {reason}" for name, reason in found.unconnected.items())
+        raise CalibrationError(f"nothing to extend with: no scanner is connected to the root {found.root} ({why})")
+    return extended(found, old, prior)
+
+
+def follow_people(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+) -> tuple[dict[str, Tracked | Untracked], dict[str, str]]:
+    """What moved through each scanner's view, and the frames that their messages state."""
+    target = _walking(rig)
+    followed: dict[str, Tracked | Untracked] = {}
+    frames: dict[str, str] = {}
+    for done, (name, spec) in enumerate(rig.sensors.items()):
+        progress("following", done / len(rig.sensors))
+        if not isinstance(spec, Lidar2dSpec):
+            raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
+        scans = partial(_scans, recording, spec.topic)
+        frames[name] = next((scan.frame_id for scan in scans()), "")
+        followed[name] = track_scanner(scans, target, spec.noise, feature=options.feature)
+    progress("following", 1.0)
+    return followed, frames
+
+
+def _walking(rig: Rig) -> People | Cylinder:
+    if not isinstance(rig.target, People | Cylinder):
+        raise InputError("target.kind: a network needs people or cylinder")
+    return rig.target
+
+
+def _scans(recording: Recording, topic: str) -> Iterator[LaserScan]:
+    return (scan for record in recording.records([topic]) for scan in as_scans([record.decode()]))

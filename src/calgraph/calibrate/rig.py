@@ -1,0 +1,170 @@
+"""The first story: from one recording of a board carried around a robot to its tree of transforms."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from calgraph.calibrate.options import Options, Progress, check_estimator, rig_estimator, silent
+from calgraph.captures import (
+    ActivityMeter,
+    Captured,
+    Timeline,
+    check_timeline,
+    details,
+    detectors,
+    find_holds,
+    gather,
+    is_snapshots,
+    learn_backgrounds,
+    observe,
+    survey,
+    thinned,
+)
+from calgraph.errors import CalibrationError, InputError
+from calgraph.graph import SpanningTree, start_poses
+from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
+from calgraph.recording import Recording, read_cameras
+from calgraph.refinement import (
+    Joint,
+    Problem,
+    Solver,
+    assemble,
+    attached,
+    knowing,
+    replayable,
+    save_problem,
+    solve_bundle,
+    solve_hypergraph,
+    with_outlook,
+)
+from calgraph.result import Calibration
+from calgraph.rig import CameraSpec, Cylinder, People, Rig
+from calgraph.sensors import Record
+
+
+def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
+    """Calibrates a robot's sensors from one recording of a board carried around it (MSG-Cal).
+
+    Args:
+        rig: sensors, target and captures.
+        recording: open recording with the rig's topics.
+        options: how to calibrate.
+        progress: told how far each step is.
+
+    Returns:
+        Poses, covariances and evidence of all sensors that are connected to the root; of the others, why not.
+
+    Raises:
+        InputError: the rig does not fit the recording.
+        CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
+    """
+    problem = pose_problem(rig, recording, options, progress)
+    if options.dump:
+        save_problem(problem, options.dump)
+    return solve_problem(problem)
+
+
+def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
+    """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
+    if isinstance(rig.target, People | Cylinder):
+        raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
+    rig_estimator(options)
+    rng = np.random.default_rng(options.seed)
+    captured = capture_board(rig, recording, options, rng, progress)
+    return prepare(rig, captured, options, rng, progress)
+
+
+def capture_board(
+    rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = silent
+) -> Captured:
+    """Finds the times at which the board rests, and the board in what every sensor measured then."""
+    if len(rig.sensors) < 2:
+        raise CalibrationError(
+            f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
+        )
+    cameras = read_cameras(rig, recording)
+    timeline = _survey(rig, recording, progress)
+    check_timeline(rig, timeline, recording.end)
+    holds = thinned(find_holds(timeline, rig.capture), rig)
+    backgrounds = learn_backgrounds(_empty_room(rig, recording), rig)
+    detect = detectors(rig, cameras, backgrounds, options.tags, rng)
+
+    def detecting(done: float) -> None:
+        progress("detecting", done / (len(holds) * len(rig.sensors)))
+
+    observations = observe(
+        recording.records(rig.topics.values()), holds, rig.topics, detect,
+        keep=details(holds, rig), progress=detecting,
+    )  # fmt: skip
+    return gather(rig, timeline, holds, observations, cameras)
+
+
+def prepare(
+    rig: Rig, captured: Captured, options: Options, rng: np.random.Generator, progress: Progress = silent
+) -> Problem:
+    """From detections to the joint problem: every pair, and the tree they span."""
+    seen = captured.detections
+    pairs = estimate_pairs(seen, rig.board_size, rng, lambda done: progress("pairing", done))
+    tree = start_poses(rig.root, estimated(pairs), options.start, rng)
+    if options.keep == "ransac":
+        # What three captures could not tell apart, all of them can: select once more under a joint solution.
+        joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
+        pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
+        tree = start_poses(rig.root, estimated(pairs), options.start, rng)
+    solver = Solver(
+        estimator=rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
+    )
+    return replayable(knowing(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
+
+
+def solve_problem(problem: Problem) -> Calibration:
+    """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
+    joint, tree = solve_jointly(problem)
+    rig, calibration = problem.rig, assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    if joint.adjusted is None:
+        return calibration
+    # The boards that are tried need no seed of the user's: any draw of so many serves.
+    return with_outlook(
+        calibration, joint.adjusted, rig.board_size, problem.solver.folds, np.random.default_rng(0)
+    )
+
+
+def solve_jointly(problem: Problem) -> tuple[Joint, SpanningTree]:
+    """The joint solution, and the tree that it started from.
+
+    Raises:
+        InputError: the estimator makes no use of what is known or asked for.
+    """
+    rig, captured, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
+    check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
+    tree = attached(problem.tree, estimated(pairs), solver.priors, solver.groups)
+    if solver.estimator == "bundle":
+        joint = solve_bundle(
+            rig, captured, estimated(pairs), tree.T_root_sensor,
+            keep=solver.keep, estimate=solver.estimate, priors=solver.priors, groups=solver.groups,
+        )  # fmt: skip
+    else:
+        joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=solver.keep)
+    return joint, tree
+
+
+def _survey(rig: Rig, recording: Recording, progress: Progress) -> Timeline:
+    """When every sensor measured; and where no trigger tells the holds, how much its view changed each time."""
+    trigger = rig.capture.trigger
+    watched = [*rig.topics.values(), *([trigger] if trigger else [])]
+
+    def reading(arrival: float) -> None:
+        progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+
+    timeline = survey(recording.records(watched), recording.start, rig.topics, trigger, progress=reading)
+    if trigger or is_snapshots(timeline):
+        return timeline
+    meters = {name: ActivityMeter() for name in rig.sensors}
+    return survey(recording.records(watched), recording.start, rig.topics, None, meters=meters, progress=reading)
+
+
+def _empty_room(rig: Rig, recording: Recording) -> Iterable[Record]:
+    """What the scanners measured without target and operator."""
+    window = rig.capture.background
+    scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
+    return recording.records(scanners, *(recording.start + t for t in window)) if window else ()
