@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from calgraph.cli.board import board
 from calgraph.cli.calibrate import calibrate
 from calgraph.cli.check import check
 from calgraph.cli.console import console
@@ -62,6 +63,7 @@ app.command()(guarded(check))
 app.command()(guarded(verify))
 app.command()(guarded(demo))
 app.command()(guarded(init))
+app.command("board")(guarded(board))
 app.command()(guarded(inspect))
 app.command()(guarded(export))
 simulate.command("rig")(guarded(simulate_rig_command))

@@ -1,0 +1,78 @@
+"""The ``target:`` of rig.yaml that belongs to a print: written, put into a file, and read back."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from calgraph.errors import InputError
+from calgraph.rig import AprilGrid, Board, Rig, yaml_text
+from calgraph.rig.model import StrictModel
+from calgraph.rig.reading import read_text, read_yaml, validated
+from calgraph.rig.target import Target
+
+_COMMENT = """\
+The printed board, in m. Measure the print with its rulers: printers change scales.
+If it is glued to a larger plate, size is the plate's, and centers count from the plate's centre."""
+# The key, and what is below it: indented lines and dashes, with blank lines and comments between them.
+_BLOCK = re.compile(r"^target:.*\n(?:(?:[ \t]*(?:#.*)?\n)*(?:[ \t]+\S.*|-.*)(?:\n|\Z))*", re.MULTILINE)
+
+
+class _TargetOnly(StrictModel):
+    """The part of a rig.yaml that a print needs."""
+
+    target: Target
+
+
+def target_block(boards: Sequence[Board]) -> str:
+    """``target:`` with one board or a list of them, as YAML with a comment."""
+    plain = [_plain(board) for board in boards]
+    return yaml_text({"target": plain[0] if len(plain) == 1 else plain}, _COMMENT)
+
+
+def put_target(path: Path, boards: Sequence[Board]) -> str:
+    """The text of a rig.yaml with another target; everything else, comments too, stays as it is.
+
+    Raises:
+        InputError: the file is no rig.yaml, or not with these boards.
+
+    """
+    text, before = read_text(path), read_yaml(path)
+    block = target_block(boards)
+    text = text if text.endswith("\n") else text + "\n"
+    changed = _BLOCK.sub(lambda _: block, text, count=1) if _BLOCK.search(text) else text + block
+    after = YAML(typ="safe").load(changed)
+    if {**after, "target": None} != {**before, "target": None}:
+        raise InputError(
+            f"{path}: its target is written in a way that cannot be replaced; paste the block by hand"
+        )
+    validated(Rig, after, path)
+    return changed
+
+
+def read_boards(path: Path) -> tuple[Board, ...]:
+    """The boards under ``target`` of a rig.yaml, or of a file that has only a target.
+
+    Raises:
+        InputError: it has none, or a wrong one.
+
+    """
+    content = read_yaml(path)
+    target = validated(_TargetOnly, {key: content[key] for key in ("target",) if key in content}, path).target
+    if isinstance(target, Board):
+        return (target,)
+    if isinstance(target, tuple):
+        return target
+    raise InputError(f"{path}: target.kind: must be board to be printed, got {target.kind}")
+
+
+def _plain(board: Board) -> dict[str, Any]:
+    """A board with the keys that matter to it."""
+    content = board.model_dump(mode="json", exclude_none=True)
+    if board.pattern:
+        del content["tags"]
+        if not isinstance(board.pattern, AprilGrid):
+            del content["family"]
+    return content
