@@ -1,1 +1,87 @@
-"""Extrinsic calibration of cameras, laser scanners and LiDARs from one recording."""
+"""Extrinsic calibration of rigs of cameras, 2-D laser scanners and 3-D LiDARs from one recording.
+
+The steps of the command line as functions on NumPy arrays and frozen dataclasses. Names are handed on from the
+rooms where they live, which are loaded when first asked for: ``import calgraph`` itself takes no time.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calgraph.calibrate import (
+        Options,
+        calibrate_detections,
+        calibrate_network,
+        calibrate_rig,
+        calibrate_tracks,
+        pose_problem,
+        prepare,
+        solve_problem,
+        verify_problem,
+    )
+    from calgraph.captures import Captured, captured_from
+    from calgraph.detection import (
+        BoardCorners,
+        PlanePatch,
+        Rejected,
+        Segment,
+        corners_seen,
+        plane_seen,
+        segment_seen,
+    )
+    from calgraph.errors import CalgraphError, CalibrationError, InputError, RecordingError
+    from calgraph.geometry import plane, se2, se3, so3
+    from calgraph.graph import Averaged, PoseGraph, average
+    from calgraph.pairwise import PairwiseEstimate, estimate_pair
+    from calgraph.recording import MessageRecording, open_recording, open_recordings
+    from calgraph.refinement import Problem, load_problem, save_problem
+    from calgraph.report import write_report
+    from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration
+    from calgraph.rig import (
+        Board,
+        CameraSpec,
+        Cylinder,
+        Intrinsics,
+        Lidar2dSpec,
+        Lidar3dSpec,
+        People,
+        PixelNoise,
+        RangeNoise,
+        Rig,
+        Tag,
+        load_rig,
+    )
+    from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, painted
+    from calgraph.tracking import Track, Tracked, track_scanner
+
+__all__ = [
+    "Averaged", "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel",
+    "CameraSpec", "Captured", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec",
+    "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch",
+    "PointCloud", "PoseGraph", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "Segment",
+    "SensorPose", "Tag", "Track", "Tracked", "average", "calibrate_detections", "calibrate_network",
+    "calibrate_rig", "calibrate_tracks", "captured_from", "corners_seen", "estimate_pair", "export",
+    "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "painted", "plane",
+    "plane_seen", "pose_problem", "prepare", "save_calibration", "save_problem", "se2", "se3", "segment_seen",
+    "so3", "solve_problem", "track_scanner", "verify_problem", "write_report",
+]  # fmt: skip
+
+_ROOMS = (
+    "errors", "geometry", "sensors", "rig", "result", "detection", "tracking", "captures", "pairwise", "graph",
+    "refinement", "recording", "report", "calibrate",
+)  # fmt: skip
+"""Where names are looked for, from the bottom of the house upwards."""
+
+
+def __getattr__(name: str) -> object:
+    """The public name, from the lowest room that hands it on."""
+    if name in __all__:
+        for room in _ROOMS:
+            found = getattr(import_module(f"{__name__}.{room}"), name, None)
+            if found is not None:
+                return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

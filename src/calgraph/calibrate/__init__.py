@@ -2,9 +2,16 @@
 
 from calgraph.calibrate.either import calibrate
 from calgraph.calibrate.judging import audit_problem, check_network, verify_problem
-from calgraph.calibrate.network import DEPTHS, calibrate_network, follow_people
+from calgraph.calibrate.network import DEPTHS, calibrate_network, calibrate_tracks, follow_people
 from calgraph.calibrate.options import NetworkEstimator, Options, Progress, Weights, silent
-from calgraph.calibrate.rig import calibrate_rig, capture_board, pose_problem, prepare, solve_problem
+from calgraph.calibrate.rig import (
+    calibrate_detections,
+    calibrate_rig,
+    capture_board,
+    pose_problem,
+    prepare,
+    solve_problem,
+)
 
 __all__ = [
     "DEPTHS",
@@ -14,8 +21,10 @@ __all__ = [
     "Weights",
     "audit_problem",
     "calibrate",
+    "calibrate_detections",
     "calibrate_network",
     "calibrate_rig",
+    "calibrate_tracks",
     "capture_board",
     "check_network",
     "follow_people",

@@ -21,7 +21,7 @@ from calgraph.refinement import (
     without,
 )
 from calgraph.result import Calibration
-from calgraph.rig import Cylinder, Lidar2dSpec, People, Rig
+from calgraph.rig import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.sensors import LaserScan
 from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
 
@@ -37,10 +37,40 @@ def calibrate_network(
 
     Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
     """
+    network_estimator(options)  # before minutes are spent on following
+    _earlier(rig, options)
+    followed, frames = follow_people(rig, recording, options, progress)
+    return calibrate_tracks(rig, followed, options, progress, frames=frames, start=recording.start)
+
+
+def calibrate_tracks(
+    rig: Rig,
+    followed: Mapping[str, Tracked | Untracked],
+    options: Options,
+    progress: Progress = silent,
+    *,
+    frames: Mapping[str, str] | None = None,
+    start: float | None = None,
+) -> Calibration:
+    """Calibrates stationary 2-D scanners from what each of them followed, whoever followed it.
+
+    Args:
+        rig: the network.
+        followed: by scanner, in its own frame and by its own clock; scanners may be left out.
+        options: how to calibrate. The joint solution needs the beams (:class:`calgraph.tracking.Hits`) that ended
+            on what was followed; averaging makes do with positions.
+        progress: told how far each step is.
+        frames: frame_id by scanner, where the rig does not say.
+        start: of the recording, s; the time of the first track if left out.
+
+    Raises:
+        InputError: the rig is none of 2-D scanners, or has not all that were followed.
+        CalibrationError: nothing is connected to the root of a network that is to be extended.
+    """
     estimator = network_estimator(options)
     old = _earlier(rig, options)
+    followed = _of_all(rig, followed)
     rng = np.random.default_rng(options.seed)
-    followed, frames = follow_people(rig, recording, options, progress)
     tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
     depth = DEPTHS[options.feature]
     pairs = estimate_network_pairs(
@@ -60,7 +90,9 @@ def calibrate_network(
             prior = agreed_prior(earlier_poses(old, rig.root), names, joint)
             joint = solution(prior=prior)
         progress("solving", 1.0)
-    found = assemble_network(rig, frames, followed, pairs, graph, names, averaged, recording.start, joint)
+    stated = {name: (frames or {}).get(name, "") for name in rig.sensors}
+    start = _first(tracked) if start is None else start
+    found = assemble_network(rig, stated, followed, pairs, graph, names, averaged, start, joint)
     return _extended(found, old, prior) if old else found
 
 
@@ -70,6 +102,27 @@ def _earlier(rig: Rig, options: Options) -> Calibration | None:
         return None
     earlier_poses(options.extend, rig.root)
     return without(options.extend, options.moved)
+
+
+def _of_all(rig: Rig, followed: Mapping[str, Tracked | Untracked]) -> dict[str, Tracked | Untracked]:
+    """What each scanner of the rig followed."""
+    unknown = set(followed) - set(rig.sensors)
+    if unknown:
+        raise InputError(f"followed: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
+    for name, spec in rig.sensors.items():
+        _noise(name, spec)
+    return {name: followed.get(name, Untracked("no tracks were given")) for name in rig.sensors}
+
+
+def _noise(name: str, spec: SensorSpec) -> RangeNoise:
+    """The noise of a scanner; raises InputError for what is none."""
+    if not isinstance(spec, Lidar2dSpec):
+        raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
+    return spec.noise
+
+
+def _first(tracked: Mapping[str, Tracked]) -> float:
+    return min((float(track.times[0]) for own in tracked.values() for track in own.tracks), default=0.0)
 
 
 def _extended(found: Calibration, old: Calibration, prior: ScannerPrior | None) -> Calibration:
@@ -88,11 +141,10 @@ def follow_people(
     frames: dict[str, str] = {}
     for done, (name, spec) in enumerate(rig.sensors.items()):
         progress("following", done / len(rig.sensors))
-        if not isinstance(spec, Lidar2dSpec):
-            raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
+        noise = _noise(name, spec)
         scans = partial(_scans, recording, spec.topic)
         frames[name] = next((scan.frame_id for scan in scans()), "")
-        followed[name] = track_scanner(scans, target, spec.noise, feature=options.feature)
+        followed[name] = track_scanner(scans(), target, noise, feature=options.feature)
     progress("following", 1.0)
     return followed, frames
 

@@ -1,6 +1,6 @@
 """The first story: from one recording of a board carried around a robot to its tree of transforms."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -8,7 +8,9 @@ from calgraph.calibrate.options import Options, Progress, check_estimator, rig_e
 from calgraph.captures import (
     ActivityMeter,
     Captured,
+    Found,
     Timeline,
+    captured_from,
     check_timeline,
     details,
     detectors,
@@ -39,7 +41,7 @@ from calgraph.refinement import (
 )
 from calgraph.result import Calibration
 from calgraph.rig import CameraSpec, Cylinder, People, Rig
-from calgraph.sensors import Record
+from calgraph.sensors import CameraModel, Record
 
 
 def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
@@ -58,7 +60,35 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
         InputError: the rig does not fit the recording.
         CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
     """
-    problem = pose_problem(rig, recording, options, progress)
+    return _kept_and_solved(pose_problem(rig, recording, options, progress), options)
+
+
+def calibrate_detections(
+    rig: Rig,
+    found: Mapping[str, Mapping[int, Found]],
+    options: Options,
+    cameras: Mapping[str, CameraModel] | None = None,
+    progress: Progress = silent,
+) -> Calibration:
+    """Calibrates a robot's sensors from detections made elsewhere, without any recording.
+
+    Args:
+        rig: sensors and board; topics and captures do not matter.
+        found: by sensor and capture, what was seen of the board; see :func:`calgraph.detection.corners_seen`,
+            :func:`calgraph.detection.plane_seen` and :func:`calgraph.detection.segment_seen`.
+        options: how to calibrate.
+        cameras: intrinsics by camera; those of the rig if left out.
+        progress: told how far each step is.
+
+    Raises:
+        InputError: detections and rig do not fit together.
+    """
+    _check_board(rig, options)
+    rng = np.random.default_rng(options.seed)
+    return _kept_and_solved(prepare(rig, captured_from(rig, found, cameras), options, rng, progress), options)
+
+
+def _kept_and_solved(problem: Problem, options: Options) -> Calibration:
     if options.dump:
         save_problem(problem, options.dump)
     return solve_problem(problem)
@@ -66,12 +96,16 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
 
 def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
-    if isinstance(rig.target, People | Cylinder):
-        raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
-    rig_estimator(options)
+    _check_board(rig, options)
     rng = np.random.default_rng(options.seed)
     captured = capture_board(rig, recording, options, rng, progress)
     return prepare(rig, captured, options, rng, progress)
+
+
+def _check_board(rig: Rig, options: Options) -> None:
+    if isinstance(rig.target, People | Cylinder):
+        raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
+    rig_estimator(options)
 
 
 def capture_board(

@@ -2,6 +2,7 @@
 
 from calgraph.captures.checks import check_timeline
 from calgraph.captures.detectors import as_scans, detectors, learn_backgrounds
+from calgraph.captures.given import Found, captured_from
 from calgraph.captures.holds import Hold, find_holds, is_snapshots
 from calgraph.captures.observe import Captured, Detect, Observation, gather, observe, thinned
 from calgraph.captures.snapshots import Detail, details
@@ -9,7 +10,7 @@ from calgraph.captures.stillness import ActivityMeter
 from calgraph.captures.timeline import SensorTimes, Timeline, survey
 
 __all__ = [
-    "ActivityMeter", "Captured", "Detail", "Detect", "Hold", "Observation", "SensorTimes", "Timeline", "as_scans",
-    "check_timeline", "details", "detectors", "find_holds", "gather", "is_snapshots", "learn_backgrounds",
-    "observe", "survey", "thinned",
+    "ActivityMeter", "Captured", "Detail", "Detect", "Found", "Hold", "Observation", "SensorTimes", "Timeline",
+    "as_scans", "captured_from", "check_timeline", "details", "detectors", "find_holds", "gather", "is_snapshots",
+    "learn_backgrounds", "observe", "survey", "thinned",
 ]  # fmt: skip

@@ -4,11 +4,12 @@ from calgraph.detection.background import CloudBackground
 from calgraph.detection.camera import Averaging, CameraDetector, find_boards
 from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
 from calgraph.detection.landmarks import Landmarks, landmarks
+from calgraph.detection.measured import corners_seen, plane_seen, segment_seen
 from calgraph.detection.patches import find_patches
 from calgraph.detection.segments import find_segments
 
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "Landmarks", "PlanePatch",
-    "Rejected", "Segment", "find_boards", "find_patches", "find_segments", "landmarks",
-    "plane_of",
+    "Rejected", "Segment", "corners_seen", "find_boards", "find_patches", "find_segments", "landmarks", "plane_of",
+    "plane_seen", "segment_seen",
 ]  # fmt: skip

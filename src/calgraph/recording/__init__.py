@@ -1,12 +1,14 @@
 """Recordings in and out, as streams of messages: ROS bags and plain folders."""
 
 from calgraph.recording.cameras import read_cameras, with_intrinsics
+from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
 from calgraph.recording.opening import open_recording, open_recordings
 from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
-    "SENSORS", "Encoding", "Inspection", "Recording", "RecordingWriter", "Timing", "TopicInfo", "TopicReport",
-    "find_topics", "inspect_recording", "open_recording", "open_recordings", "read_cameras", "with_intrinsics",
+    "SENSORS", "Encoding", "Inspection", "MessageRecording", "Recording", "RecordingWriter", "Timing", "TopicInfo",
+    "TopicReport", "find_topics", "inspect_recording", "open_recording", "open_recordings", "read_cameras",
+    "with_intrinsics",
 ]  # fmt: skip

@@ -85,7 +85,7 @@ class RangeNoise(StrictModel):
 class CameraSpec(StrictModel):
     """A camera of the rig."""
 
-    kind: Literal["camera"]
+    kind: Literal["camera"] = "camera"
     topic: Name
     """Image topic; in a plain folder the sensor's folder."""
     camera_info: Name | None = None
@@ -106,7 +106,7 @@ class CameraSpec(StrictModel):
 class Lidar2dSpec(StrictModel):
     """A 2-D laser scanner of the rig."""
 
-    kind: Literal["lidar2d"]
+    kind: Literal["lidar2d"] = "lidar2d"
     topic: Name
     """Topic of its messages; in a plain folder the sensor's folder."""
     frame_id: Name | None = None
@@ -117,7 +117,7 @@ class Lidar2dSpec(StrictModel):
 class Lidar3dSpec(StrictModel):
     """A 3-D LiDAR of the rig."""
 
-    kind: Literal["lidar3d"]
+    kind: Literal["lidar3d"] = "lidar3d"
     topic: Name
     """Topic of its messages; in a plain folder the sensor's folder."""
     frame_id: Name | None = None

@@ -183,7 +183,7 @@ def _check_on_sheet(key: str, sheet: Pair, center: Pair, extent: Pair) -> None:
 class People(StrictModel):
     """Walking people, seen as ellipses by horizontal scanners."""
 
-    kind: Literal["people"]
+    kind: Literal["people"] = "people"
     axes: tuple[Length, Length] = (0.25, 0.15)
     """Start value of the ellipse's radii, m."""
 
@@ -191,7 +191,7 @@ class People(StrictModel):
 class Cylinder(StrictModel):
     """A moving vertical cylinder."""
 
-    kind: Literal["cylinder"]
+    kind: Literal["cylinder"] = "cylinder"
     diameter: Length
     """Its diameter, m."""
 
