@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -168,7 +167,7 @@ def follow(rig: Rig, scans: Mapping[str, list[LaserScan]], feature: Feature) -> 
     tracked: dict[str, Tracked] = {}
     for name, spec in rig.sensors.items():
         assert isinstance(spec, Lidar2dSpec)
-        found = track_scanner(partial(iter, scans[name]), rig.target, spec.noise, feature=feature)
+        found = track_scanner(scans[name], rig.target, spec.noise, feature=feature)
         if isinstance(found, Tracked):
             tracked[name] = found
     return tracked

@@ -12,7 +12,6 @@ import resource
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +70,7 @@ def measure(count: int) -> tuple[float, list[Measured]]:
         spec = rig.sensors[scanner.name]
         assert isinstance(spec, Lidar2dSpec)
         assert isinstance(rig.target, People)
-        found = track_scanner(partial(scans_of, network, scanner), rig.target, spec.noise)
+        found = track_scanner(scans_of(network, scanner), rig.target, spec.noise)
         if isinstance(found, Tracked):
             tracked[scanner.name] = found
     T = np.array([truth[name][np.ix_((0, 1, 3), (0, 1, 3))] for name in tracked])

@@ -1,7 +1,6 @@
 """Two stationary scanners and people whose walks are known: do they find each other, and do they know how well?"""
 
 import time
-from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -240,7 +239,7 @@ def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
             scans[record.topic].append(message)
     tracked = []
     for of_one in scans.values():
-        known = track_scanner(partial(iter, of_one), People(kind="people"), RangeNoise(), feature=feature)
+        known = track_scanner(of_one, People(kind="people"), RangeNoise(), feature=feature)
         assert isinstance(known, Tracked)
         tracked.append(known)
     found = estimate_network_pair("front", "rear", tracked[0], tracked[1], rng)

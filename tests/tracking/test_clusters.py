@@ -7,6 +7,7 @@ from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, ScanBackground
 from calgraph.tracking.background import StaticScene
 from calgraph.tracking.clusters import Clusters, clusters, foreground
+from calgraph.tracking.scans import in_runs
 
 ANGLES = np.radians(np.arange(-90, 90.25, 0.5))
 EMPTY = StaticScene(ScanBackground(ANGLES, np.full(len(ANGLES), 8.0)), np.empty((0, 2)), 0.02)
@@ -24,7 +25,7 @@ def scan(*objects: tuple[float, float, float], stamp: float = 0.0, increment: fl
 
 
 def found(*scans: LaserScan) -> Clusters:
-    return clusters(foreground(scans, EMPTY), WIDTH, 0.02)
+    return clusters(foreground(in_runs(scans), EMPTY), WIDTH, 0.02)
 
 
 def test_one_object_is_one_cluster() -> None:

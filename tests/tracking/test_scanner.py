@@ -28,7 +28,7 @@ def tracked(
     target: People | Cylinder = PEOPLE,
 ) -> Tracked:
     scans = world.scans(seconds, seed)
-    result = track_scanner(lambda: scans, target, RangeNoise(), feature=feature)
+    result = track_scanner(scans, target, RangeNoise(), feature=feature)
     assert isinstance(result, Tracked)
     return result
 
@@ -191,14 +191,14 @@ def test_somebody_who_stands_still_is_no_track() -> None:
         return np.where(there[..., None], [3.0, 1.0 + 1e-9], np.nan)
 
     scans = World((standing,)).scans(20.0, 0)
-    result = track_scanner(lambda: scans, PEOPLE, RangeNoise())
+    result = track_scanner(scans, PEOPLE, RangeNoise())
     assert isinstance(result, Untracked)
     assert "could be followed" in result.reason
 
 
 @pytest.mark.parametrize("scans", [[], World(()).scans(3.0, 0)], ids=["no scans", "nobody"])
 def test_nothing_to_follow_is_said(scans: list[LaserScan]) -> None:
-    result = track_scanner(lambda: scans, PEOPLE, RangeNoise())
+    result = track_scanner(scans, PEOPLE, RangeNoise())
     assert isinstance(result, Untracked)
     assert "scan" in result.reason
 
@@ -214,7 +214,7 @@ def test_ugly_scans_do_no_harm() -> None:
     ugly[50] = replace(ugly[50], ranges=np.full_like(ugly[50].ranges, np.inf))
     ugly[60] = replace(ugly[60], angles=ugly[60].angles[:0], ranges=ugly[60].ranges[:0])
     ugly.insert(80, ugly[79])
-    result = track_scanner(lambda: ugly, PEOPLE, RangeNoise())
+    result = track_scanner(ugly, PEOPLE, RangeNoise())
     assert isinstance(result, Tracked)
     assert np.linalg.norm(errors(result, CIRCLE), axis=1).mean() < 0.02
 
@@ -222,7 +222,7 @@ def test_ugly_scans_do_no_harm() -> None:
 def test_a_minute_of_three_people_is_quick(busy: World) -> None:
     scans = busy.scans(60.0, 0)
     begin = process_time()
-    track_scanner(lambda: scans, PEOPLE, RangeNoise())
+    track_scanner(scans, PEOPLE, RangeNoise())
     # 0.6 s on an idle machine.
     assert process_time() - begin < 3.0
 
@@ -235,7 +235,7 @@ def test_the_person_of_the_real_recording_is_followed(
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag") as recording:
         messages = [record.decode() for record in recording.records([topic])]
     scans = [message for message in messages if isinstance(message, LaserScan)]
-    result = track_scanner(lambda: scans, PEOPLE, RangeNoise(), feature=feature)
+    result = track_scanner(scans, PEOPLE, RangeNoise(), feature=feature)
     assert isinstance(result, Tracked)
     # The README counts foreground in 301 rear and 104 front scans, some of it a few stray beams.
     in_view = {"/rear_scan": 301, "/front_scan": 81}[topic]

@@ -58,8 +58,12 @@ class ScanBackground:
 
     def foreground(self, scan: LaserScan) -> NDArray[np.bool_]:
         """Which beams of the scan end clearly before the background: (N,)."""
-        limit = self.nearer_than[nearest_beam(self.angles, scan.angles)]
-        return np.asarray(scan.valid & (np.where(scan.valid, scan.ranges, np.inf) < limit))
+        return self.ends_before(scan.angles, scan.ranges)
+
+    def ends_before(self, angles: Array, ranges: Array) -> NDArray[np.bool_]:
+        """Which ranges (..., N) of beams at some angles (N,) are clearly shorter than the background's."""
+        limit = self.nearer_than[nearest_beam(self.angles, angles)]
+        return np.asarray(np.isfinite(ranges) & (ranges < limit))
 
 
 def _nearest_depth(ranges: Array) -> Array:

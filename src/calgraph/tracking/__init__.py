@@ -2,6 +2,17 @@
 
 from calgraph.tracking.features import Feature
 from calgraph.tracking.scanner import track_scanner
+from calgraph.tracking.scans import ScanGathering, ScanRun, in_runs
 from calgraph.tracking.track import Hits, Track, Tracked, Untracked
 
-__all__ = ["Feature", "Hits", "Track", "Tracked", "Untracked", "track_scanner"]
+__all__ = [
+    "Feature",
+    "Hits",
+    "ScanGathering",
+    "ScanRun",
+    "Track",
+    "Tracked",
+    "Untracked",
+    "in_runs",
+    "track_scanner",
+]

@@ -4,16 +4,17 @@ A depth counts as static where a beam returns it often and throughout the record
 enough at one depth of one beam, and somebody who stands still for a while does it in one stretch only.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.sensors import LaserScan, ScanBackground, nearest_beam
+from calgraph.sensors import ScanBackground, nearest_beam
+from calgraph.tracking.scans import ScanRun
 
-# Scans kept to learn from: more say no more, and a long recording must not fill the memory.
+# Scans to learn from: more say no more.
 _MOST_SCANS = 512
 # Width of a bin of depth, m; a depth is looked for in a bin and its two neighbours.
 _BIN = 0.05
@@ -43,22 +44,20 @@ class StaticScene:
     """Noise of a range, the median over the beams that see one static depth, m; NaN if there are none."""
 
 
-def learn_static_scene(scans: Iterable[LaserScan]) -> StaticScene | None:
-    """Learns the static surroundings from a whole recording, in one pass and bounded memory.
+def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
+    """Learns the static surroundings from a whole recording.
 
     Args:
-        scans: of one stationary scanner, in order of time; scans with other beams are matched by angle.
+        runs: the scans of one stationary scanner; those with other beams are matched by angle.
 
     Returns:
-        The scene, or None if there are no scans.
+        The scene, or None if no scan has any beam.
     """
-    kept = _evenly_kept(scans)
+    kept = _evenly_kept(runs)
     if not kept:
         return None
-    angles = np.sort(max(kept, key=lambda scan: len(scan.angles)).angles)
-    ranges = np.full((len(kept), len(angles)), np.nan)
-    for row, scan in zip(ranges, kept, strict=True):
-        row[nearest_beam(angles, scan.angles[scan.valid])] = scan.ranges[scan.valid]
+    angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
+    ranges = np.concatenate([_at_angles(angles, run) for run in kept])
     nearest, usual, single = _static_depths(ranges)
     off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
     spread = _robust_spread(off)
@@ -74,16 +73,29 @@ def learn_static_scene(scans: Iterable[LaserScan]) -> StaticScene | None:
     return StaticScene(ScanBackground(angles, limit), _broken(points, clean, centre, angles), sigma)
 
 
-def _evenly_kept(scans: Iterable[LaserScan]) -> list[LaserScan]:
-    """Every 2^k-th scan, with the smallest k that keeps no more than a bounded number."""
-    kept: list[LaserScan] = []
-    stride = 1
-    for index, scan in enumerate(scans):
-        if index % stride == 0:
-            kept.append(scan)
-            if len(kept) > _MOST_SCANS:
-                kept, stride = kept[::2], 2 * stride
-    return [scan for scan in kept if len(scan.angles)]
+def _evenly_kept(runs: Sequence[ScanRun]) -> list[ScanRun]:
+    """Every 2^k-th scan, with the smallest k that keeps no more than a bounded number; none without beams."""
+    count = sum(map(len, runs))
+    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / _MOST_SCANS))))
+    kept, passed = [], 0
+    for run in runs:
+        chosen = slice(-passed % stride, None, stride)
+        thinned = ScanRun(run.angles, run.stamps[chosen], run.increments[chosen], run.ranges[chosen])
+        kept.append(thinned)
+        passed += len(run)
+    return [run for run in kept if run.ranges.size]
+
+
+def _at_angles(angles: Array, run: ScanRun) -> Array:
+    """(S, B) ranges of a run's scans by the nearest of ascending angles (B,); NaN where nothing was measured."""
+    ranges = np.where(np.isfinite(run.ranges), run.ranges, np.nan)
+    nearest = nearest_beam(angles, run.angles)
+    if np.array_equal(nearest, np.arange(len(angles))):
+        return ranges
+    rows = np.full((len(run), len(angles)), np.nan)
+    for beam, column in zip(nearest, ranges.T, strict=True):
+        rows[:, beam] = np.where(np.isfinite(column), column, rows[:, beam])
+    return rows
 
 
 def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

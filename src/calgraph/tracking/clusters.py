@@ -1,6 +1,6 @@
 """Objects in the foreground of scans: neighbouring beams that end before the static surroundings."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +9,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.geometry import Array
-from calgraph.sensors import LaserScan
 from calgraph.tracking.background import StaticScene
+from calgraph.tracking.scans import ScanRun
 
 # Neighbouring points belong to one surface up to this distance: m, and as a multiple of the beam spacing.
 _GAP = (0.12, 2.5)
@@ -79,20 +79,11 @@ class Foreground:
     """(S,) angle between neighbouring beams of each scan, rad."""
 
 
-def foreground(scans: Iterable[LaserScan], scene: StaticScene) -> Foreground:
-    """Subtracts the static surroundings; scans that are not later than the one before count as repetitions."""
-    parts: list[Foreground] = []
-    last = -np.inf
-    for scan in scans:
-        if not scan.stamp > last:
-            continue
-        last = scan.stamp
-        beams = np.flatnonzero(scene.nearer.foreground(scan))
-        parts.append(_new_beams(scan, beams, len(parts)))
-    if not parts:
-        nothing = np.empty(0)
-        indices = np.empty(0, dtype=np.intp)
-        return Foreground(indices, indices, nothing, nothing, nothing, np.empty(0, dtype=bool), nothing)
+def foreground(runs: Sequence[ScanRun], scene: StaticScene) -> Foreground:
+    """Subtracts the static surroundings."""
+    before = np.cumsum([0, *map(len, runs)])
+    nothing = ScanRun(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
+    parts = [_new_beams(run, scene, int(first)) for run, first in zip((*runs, nothing), before, strict=True)]
     return Foreground(
         np.concatenate([part.scan for part in parts]),
         np.concatenate([part.beam for part in parts]),
@@ -104,20 +95,21 @@ def foreground(scans: Iterable[LaserScan], scene: StaticScene) -> Foreground:
     )
 
 
-def _new_beams(scan: LaserScan, beams: NDArray[np.intp], index: int) -> Foreground:
-    """The foreground of one scan."""
-    turn = abs(scan.angles[-1] - scan.angles[0]) if len(scan.angles) > 1 else 0.0
-    spacing = turn / max(len(scan.angles) - 1, 1)
-    ranges = scan.ranges[beams]
+def _new_beams(run: ScanRun, scene: StaticScene, first: int) -> Foreground:
+    """The foreground of successive scans, of which the first has this index."""
+    scan, beam = np.nonzero(scene.nearer.ends_before(run.angles, run.ranges))
+    turn = abs(run.angles[-1] - run.angles[0]) if len(run.angles) > 1 else 0.0
+    spacing = turn / max(len(run.angles) - 1, 1)
+    ranges = run.ranges[scan, beam]
     # Two beams to either side, for the one at an edge often ends in between or nowhere.
-    beside = beams[:, None] + np.array([-2, -1, 1, 2])
-    outside = (beside < 0) | (beside >= len(scan.ranges))
-    nearer = scan.ranges[np.clip(beside, 0, len(scan.ranges) - 1)]
+    beside = beam[:, None] + np.array([-2, -1, 1, 2])
+    outside = (beside < 0) | (beside >= len(run.angles))
+    nearer = run.ranges[scan[:, None], np.clip(beside, 0, len(run.angles) - 1)]
     # NaN, no measurement, is not nearer.
     hidden = outside | (nearer < (ranges * (1 - _GAP[1] * spacing) - _GAP[0])[:, None])
     return Foreground(
-        np.full(len(beams), index, dtype=np.intp), beams, scan.angles[beams], ranges,
-        np.asarray(scan.stamp + beams * scan.time_increment), hidden.any(axis=1), np.array([spacing]),
+        first + scan, beam, run.angles[beam], ranges,
+        np.asarray(run.stamps[scan] + beam * run.increments[scan]), hidden.any(axis=1), np.full(len(run), spacing),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """From the scans of one stationary scanner to the objects that moved through its view."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from calgraph.tracking.background import learn_static_scene
 from calgraph.tracking.clusters import Clusters, clusters, foreground
 from calgraph.tracking.features import Centres, Feature, Walks, centres, radii_of, width_of
 from calgraph.tracking.periods import Piece, cut_into_periods
+from calgraph.tracking.scans import ScanRun, in_runs
 from calgraph.tracking.smoothing import smooth_all, with_unmodelled_noise
 from calgraph.tracking.track import Hits, Track, Tracked, Untracked
 
@@ -27,17 +28,12 @@ _FEWEST = 5
 
 
 def track_scanner(
-    scans: Callable[[], Iterable[LaserScan]],
-    target: People | Cylinder,
-    noise: RangeNoise,
-    *,
-    feature: Feature = "nls",
+    scans: Iterable[LaserScan], target: People | Cylinder, noise: RangeNoise, *, feature: Feature = "nls"
 ) -> Tracked | Untracked:
     """Follows everything that moves through the view of a stationary scanner (lrf-network, sections III-B and C).
 
     Args:
-        scans: gives the scans anew at each call, in order of time; it is called twice, first to learn the static
-            surroundings, then to subtract them.
+        scans: in order of time.
         target: what moves: people, or a cylinder.
         noise: of the scanner; the noise seen on the static surroundings is used instead where there are any.
         feature: how centres are measured, see :func:`calgraph.tracking.features.centres`.
@@ -45,13 +41,20 @@ def track_scanner(
     Returns:
         Tracks and background, or the reason why there are none.
     """
-    scene = learn_static_scene(scans())
+    return track_runs(in_runs(scans), target, noise, feature)
+
+
+def track_runs(
+    runs: Sequence[ScanRun], target: People | Cylinder, noise: RangeNoise, feature: Feature
+) -> Tracked | Untracked:
+    """The same from scans that are stacked already."""
+    scene = learn_static_scene(runs)
     if scene is None:
         return Untracked("no scan has any beam")
     sigma = scene.sigma if np.isfinite(scene.sigma) else noise.range
     # Ranges come in steps; residuals of less than a few millimetres mean nothing.
     sigma = max(sigma, 0.003)
-    found = clusters(foreground(scans(), scene), width_of(target), sigma)
+    found = clusters(foreground(runs, scene), width_of(target), sigma)
     if not len(found):
         return Untracked("nothing of the target's size stood out from the static surroundings in any scan")
     spread = 0.5 * float(np.mean(radii_of(target)))
