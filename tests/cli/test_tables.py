@@ -1,15 +1,7 @@
 """The tables of poses: on a terminal of 80 columns, and in a pipe."""
 
-import os
-import pty
-import re
-import struct
-import subprocess
-import sys
-import termios
 from collections.abc import Callable
 from dataclasses import replace
-from fcntl import ioctl
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +10,7 @@ import pytest
 from calgraph.cli.tables import print_calibration, print_errors
 from calgraph.geometry import se3, so3
 from calgraph.result import Calibration, SensorPose, Verdict, save_calibration
+from terminal import on_a_terminal
 
 LONG = "the_front_left_short_range_corner_radar_replacement"
 
@@ -42,24 +35,6 @@ def calibration() -> Calibration:
             sensor("lost", origin, origin, Verdict("unobservable", "x is not observed"), np.inf),
         ),
     )
-
-
-def on_a_terminal(code: str) -> list[str]:
-    """The lines that a program shows on a terminal of 80 columns, without colours."""
-    parent, child = pty.openpty()
-    ioctl(child, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "NO_COLOR")} | {"TERM": "xterm"}
-    with subprocess.Popen([sys.executable, "-c", code], stdout=child, env=environment) as process:
-        os.close(child)
-        shown = b""
-        try:
-            while part := os.read(parent, 65536):
-                shown += part
-        except OSError:  # how Linux tells that the other side has closed
-            pass
-        process.wait(timeout=60)
-    os.close(parent)
-    return re.sub(r"\x1b\[[0-9;]*m", "", shown.decode()).splitlines()
 
 
 def test_it_is_readable_on_80_columns(calibration: Calibration, tmp_path: Path) -> None:
