@@ -34,8 +34,9 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_the_four_files_are_written(calibrated: tuple[Path, Result]) -> None:
-    assert names(calibrated[0]) == ["calibration.yaml", "captures.csv", "report.html", "rig.resolved.yaml"]
+def test_the_files_are_written(calibrated: tuple[Path, Result]) -> None:
+    written = ["calibration.yaml", "captures.csv", "report.html", "rig.resolved.yaml", "scene.npz"]
+    assert names(calibrated[0]) == written
 
 
 def test_every_start_can_be_chosen() -> None:
