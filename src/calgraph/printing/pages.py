@@ -105,9 +105,8 @@ def lay_out(board: Board, paper: Paper | None = None, overlap: float = 10.0) -> 
     width, height = (MM * length for length in board.size)
     if paper is None:
         paper = Paper(width + 2 * MARGIN, height + 2 * MARGIN)
-    for turned in (paper, paper.turned):
-        if page := _single(board, turned):
-            return (page,)
+    if single := [page for turned in (paper, paper.turned) if (page := _single(board, turned))]:
+        return (max(single, key=lambda page: page.window.width * page.window.height),)
     if not 0 <= overlap < min(paper.inner) / 2:
         raise InputError(
             f"--overlap: must be from 0 to {min(paper.inner) / 2:g} mm on this paper, got {overlap:g}"

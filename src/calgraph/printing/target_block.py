@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import InputError
 from calgraph.rig import AprilGrid, Board, Rig, yaml_text
@@ -43,8 +44,8 @@ def put_target(path: Path, boards: Sequence[Board]) -> str:
     block = target_block(boards)
     text = text if text.endswith("\n") else text + "\n"
     changed = _BLOCK.sub(lambda _: block, text, count=1) if _BLOCK.search(text) else text + block
-    after = YAML(typ="safe").load(changed)
-    if {**after, "target": None} != {**before, "target": None}:
+    after = _loaded(changed)
+    if not after or {**after, "target": None} != {**before, "target": None}:
         raise InputError(
             f"{path}: its target is written in a way that cannot be replaced; paste the block by hand"
         )
@@ -66,6 +67,14 @@ def read_boards(path: Path) -> tuple[Board, ...]:
     if isinstance(target, tuple):
         return target
     raise InputError(f"{path}: target.kind: must be board to be printed, got {target.kind}")
+
+
+def _loaded(text: str) -> dict[str, Any]:
+    """The mapping that the text holds; an empty one if it is not YAML."""
+    try:
+        return dict(YAML(typ="safe").load(text))
+    except YAMLError:
+        return {}
 
 
 def _plain(board: Board) -> dict[str, Any]:

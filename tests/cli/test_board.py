@@ -1,0 +1,99 @@
+"""calgraph board: a PDF, and the target that belongs to it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pypdfium2
+import pytest
+from typer.testing import Result
+
+from calgraph.printing import read_boards
+from calgraph.rig import AprilGrid, Charuco, Checkerboard, load_rig
+
+Run = Callable[..., Result]
+
+
+def pages(path: Path) -> int:
+    with pypdfium2.PdfDocument(path) as pdf:
+        return len(pdf)
+
+
+@pytest.mark.parametrize(
+    ("kind", "pattern"),
+    [("tags", type(None)), ("aprilgrid", AprilGrid), ("charuco", Charuco), ("checkerboard", Checkerboard)],
+)
+def test_each_kind_gives_a_page_and_a_target_that_loads(
+    run: Run, kind: str, pattern: type, tmp_path: Path
+) -> None:
+    result = run("board", "--kind", kind, "-o", tmp_path / "board.pdf")
+    assert result.exit_code == 0, result.output
+    assert pages(tmp_path / "board.pdf") == 1
+    (tmp_path / "target.yaml").write_text(result.stdout)
+    (board,) = read_boards(tmp_path / "target.yaml")
+    assert (board.size, type(board.pattern)) == ((0.297, 0.21), pattern)
+
+
+def test_a_large_board_is_spread_over_pages(run: Run, tmp_path: Path) -> None:
+    result = run("board", "--size", "1200x900", "--paper", "A3", "-o", tmp_path / "board.pdf")
+    assert f"{pages(tmp_path / 'board.pdf')} pages" in result.stderr
+    assert pages(tmp_path / "board.pdf") == 15
+
+
+def test_a_large_board_is_one_page_of_its_size(run: Run, tmp_path: Path) -> None:
+    assert run("board", "--size", "1200x900", "--paper", "fit", "-o", tmp_path / "board.pdf").exit_code == 0
+    assert pages(tmp_path / "board.pdf") == 1
+
+
+def test_the_target_goes_into_a_rig(run: Run, simulated: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text((simulated / "rig.yaml").read_text())
+    before = load_rig(rig)
+    assert run("board", "--kind", "charuco", "-o", tmp_path / "b.pdf", "--into", rig).exit_code == 0
+    after = load_rig(rig)
+    assert isinstance(after.boards[0].pattern, Charuco)
+    assert after.sensors == before.sensors
+
+
+def test_the_boards_of_a_rig_are_printed(run: Run, tmp_path: Path) -> None:
+    target = tmp_path / "target.yaml"
+    target.write_text(
+        "target:\n- {size: [0.2, 0.2], tags: [{id: 3, size: 0.1}]}\n- {size: [0.2, 0.2], tags: [{id: 4, size: 0.1}]}"
+    )
+    result = run("board", target, "-o", tmp_path / "b.pdf")
+    assert result.exit_code == 0, result.output
+    assert pages(tmp_path / "b.pdf") == 2
+
+
+def test_a_rig_and_wishes_contradict_each_other(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "target.yaml").write_text("target: {size: [0.2, 0.2], tags: [{id: 3, size: 0.1}]}")
+    result = run("board", tmp_path / "target.yaml", "--kind", "charuco", "-o", tmp_path / "b.pdf")
+    assert (result.exit_code, (tmp_path / "b.pdf").exists()) == (2, False)
+    assert "says which boards to print; give either it, or options of another" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--kind", "circles"], "--kind: must be 'tags', 'aprilgrid', 'charuco' or 'checkerboard', got 'circles'"),
+        (["--kind", "charuco", "--square", "-3"], "--square: must be greater than 0, got -3"),
+        (["--paper", "B7"], "--paper: is none of a0, a1"),
+        (["--size", "12"], "--size: must be WIDTHxHEIGHT in mm, such as 1200x900; got '12'"),
+        (["--paper", "fit"], "--size: is needed for --paper fit"),
+        (["--dictionary", "DICT_5X5_50"], "--dictionary: is for charuco"),
+        (["-o", "missing/board.pdf"], "missing"),
+    ],
+)
+def test_what_is_wrong_is_named(
+    run: Run, options: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run("board", *options)
+    assert (result.exit_code, list(tmp_path.iterdir())) == (2, [])
+    assert message in result.stderr
+
+
+def test_tags_are_put_where_they_are_asked_for(run: Run, tmp_path: Path) -> None:
+    result = run("board", "--tags", "[{id: 9, size: 0.06, center: [0.05, -0.02]}]", "-o", tmp_path / "b.pdf")
+    (tmp_path / "target.yaml").write_text(result.stdout)
+    (tag,) = read_boards(tmp_path / "target.yaml")[0].tags
+    assert (tag.id, tag.size, tag.center) == (9, 0.06, (0.05, -0.02))

@@ -1,0 +1,125 @@
+"""Paper, and how boards are spread over it."""
+
+import numpy as np
+import pytest
+
+from calgraph.errors import InputError
+from calgraph.printing import Paper, Wishes, design, lay_out, parse_paper
+from calgraph.printing.pages import sheet_ink
+from calgraph.rig import Board, Tag
+
+A4 = parse_paper("A4")
+BARE = Board(size=(1.2, 0.9), tags=(Tag(id=0, size=0.3),))
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("A4", (210, 297)),
+        ("a0", (841, 1189)),
+        ("Letter", (215.9, 279.4)),
+        ("tabloid", (279.4, 431.8)),
+        ("500x700", (500, 700)),
+        ("500.5 x 700 mm", (500.5, 700)),
+    ],
+)
+def test_paper_is_known_by_name_or_size(text: str, size: tuple[float, float]) -> None:
+    assert parse_paper(text) == Paper(*size)
+
+
+@pytest.mark.parametrize("text", ["B52", "500", "500x", "-1x500", "0x500", "axb", ""])
+def test_other_paper_is_refused_with_what_there_is(text: str) -> None:
+    with pytest.raises(InputError, match=r"--paper: is none of a0, .*, letter, .* nor WIDTHxHEIGHT in mm"):
+        parse_paper(text)
+
+
+@pytest.mark.parametrize("text", ["50x300", "300x6000"])
+def test_paper_that_is_no_page_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="edges must be from 60 to 5000 mm"):
+        parse_paper(text)
+
+
+def test_a_board_that_lies_is_put_on_paper_that_lies() -> None:
+    (page,) = lay_out(design((250, 150), Wishes()), A4)
+    assert page.paper == Paper(297, 210)
+
+
+def test_a_board_is_in_the_middle_of_its_page() -> None:
+    (page,) = lay_out(design((250, 150), Wishes()), A4)
+    assert page.place(125, 75) == (297 / 2, 105)
+
+
+def test_a_board_as_large_as_the_paper_is_on_one_page() -> None:
+    """Its print keeps clear of the margins, only its white rim has the rulers on it."""
+    for name in ("A4", "A0", "letter"):
+        paper = parse_paper(name)
+        (page,) = lay_out(design((paper.height, paper.width), Wishes(kind="aprilgrid")), paper)
+        assert page.origin == pytest.approx((0, 0))
+
+
+def test_a_print_that_reaches_into_the_margins_is_spread_over_pages() -> None:
+    wide = Board(
+        size=(0.29, 0.2), tags=(Tag(id=0, size=0.15, center=(-0.06, 0)), Tag(id=1, size=0.1, center=(0.09, 0)))
+    )
+    assert len(lay_out(wide, A4)) == 2
+
+
+@pytest.mark.parametrize("size", [(1.2, 0.9), (0.9, 1.2), (0.3, 0.3), (2.0, 0.1), (0.5207, 0.37031)])
+@pytest.mark.parametrize("paper", ["A4", "A3", "letter", "330x60"])
+@pytest.mark.parametrize("overlap", [0.0, 10.0, 14.0])
+def test_every_place_of_a_board_is_on_some_page(size: tuple[float, float], paper: str, overlap: float) -> None:
+    pages = lay_out(Board(size=size), parse_paper(paper), overlap)
+    places = np.random.default_rng(1).uniform(0, 1000, (500, 2)) * size
+    on_page = [
+        (places >= [p.window.left, p.window.bottom]).all(axis=1)
+        & (places <= [p.window.right, p.window.top]).all(axis=1)
+        for p in pages
+    ]
+    assert np.any(on_page, axis=0).all()
+
+
+@pytest.mark.parametrize("size", [(1.2, 0.9), (0.5207, 0.37031)])
+def test_what_is_on_a_page_keeps_clear_of_its_margins(size: tuple[float, float]) -> None:
+    for page in lay_out(Board(size=size), A4):
+        w = page.window
+        left, bottom = page.place(w.left, w.bottom)
+        right, top = page.place(w.right, w.top)
+        assert min(left, bottom, page.paper.width - right, page.paper.height - top) > 15 - 1e-9
+
+
+def test_neighbours_overlap_as_asked() -> None:
+    pages = {page.label: page for page in lay_out(BARE, A4, 12.0)}
+    assert pages["A1"].window.right - pages["A2"].window.left == pytest.approx(12)
+    assert pages["B1"].window.top - pages["A1"].window.bottom == pytest.approx(12)
+
+
+def test_pages_point_at_where_their_neighbours_come() -> None:
+    pages = {page.label: page for page in lay_out(BARE, A4)}
+    assert pages["A1"].joints == ((pages["A2"].window.left,), (pages["B1"].window.top,))
+
+
+def test_the_orientation_that_takes_fewer_pages_is_taken() -> None:
+    """900 mm are 5 times 180 but 4 times 267, less the overlaps; 240 mm fit once into 267."""
+    pages = lay_out(Board(size=(0.9, 0.24)), A4)
+    assert (len(pages), pages[0].paper) == (6, A4)
+
+
+def test_fit_makes_one_page_as_large_as_the_board_needs() -> None:
+    (page,) = lay_out(BARE)
+    assert page.paper == Paper(1230, 930)
+
+
+def test_hundreds_of_pages_are_refused() -> None:
+    with pytest.raises(InputError, match=r"--paper: it would take \d+ pages"):
+        lay_out(Board(size=(9, 9)), A4)
+
+
+@pytest.mark.parametrize("overlap", [-1.0, 90.0])
+def test_an_overlap_that_leaves_nothing_new_is_refused(overlap: float) -> None:
+    with pytest.raises(InputError, match="--overlap: must be from 0 to 90 mm"):
+        lay_out(BARE, A4, overlap)
+
+
+def test_ink_counts_from_the_lower_left_corner_of_the_sheet() -> None:
+    black = sheet_ink(BARE)
+    np.testing.assert_allclose([*black[:, :2].min(axis=0), *black[:, 2:].max(axis=0)], [450, 300, 750, 600])
