@@ -68,7 +68,7 @@ __all__ = [
 
 _ROOMS = (
     "errors", "geometry", "sensors", "rig", "result", "detection", "tracking", "captures", "pairwise", "graph",
-    "refinement", "recording", "report", "calibrate",
+    "refinement", "recording", "calibrate", "report",
 )  # fmt: skip
 """Where names are looked for, from the bottom of the house upwards."""
 

@@ -1,0 +1,143 @@
+"""Rigs and networks calibrated from arrays, without any file."""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks
+from calgraph.detection import (
+    BoardCorners,
+    Detection,
+    PlanePatch,
+    Rejected,
+    corners_seen,
+    plane_seen,
+    segment_seen,
+)
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3
+from calgraph.recording import MessageRecording
+from calgraph.refinement import load_problem
+from calgraph.result import Calibration
+from calgraph.rig import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
+from calgraph.sensors import LaserScan
+from calgraph.simulation import NetworkScenario, simulate_network_scans
+from calgraph.tracking import Track, Tracked
+from seen_rigs import Seen, seen
+
+SCANNERS = Rig(
+    root="scanner_1",
+    target=People(),
+    sensors={f"scanner_{k}": Lidar2dSpec(topic=f"scanner_{k}", noise=RangeNoise(range=0.01)) for k in (1, 2, 3)},
+)
+
+
+def measured(one: Seen) -> dict[str, dict[int, Detection | Rejected]]:
+    """Detections from nothing but the arrays of what was measured."""
+    cameras, sensors = one.captured.cameras, one.rig.sensors
+
+    def again(name: str, detection: Detection) -> Detection | Rejected:
+        if isinstance(detection, BoardCorners):
+            return corners_seen(detection.corners_board, detection.pixels, cameras[name])
+        noise = sensors[name].noise
+        assert isinstance(noise, RangeNoise)
+        return (plane_seen if isinstance(detection, PlanePatch) else segment_seen)(detection.points, noise)
+
+    return {
+        name: {capture: again(name, found[0]) for capture, found in by.items()}
+        for name, by in one.captured.detections.items()
+    }
+
+
+def assert_close(found: Calibration, T_root_sensor: Mapping[str, Array], limit: float) -> None:
+    for sensor in found.sensors:
+        assert np.abs(se3.difference(sensor.T_root_sensor, T_root_sensor[sensor.name])).max() < limit
+
+
+def test_rig_is_calibrated_from_arrays() -> None:
+    one = seen()
+    found = calibrate_detections(one.rig, measured(one), Options(folds=0), one.captured.cameras)
+    assert {sensor.name for sensor in found.sensors} == set(one.rig.sensors)
+    # Standard deviations are up to 2.6 mm, in height of the 2-D scanner.
+    assert_close(found, one.T_root_sensor, 0.008)
+
+
+def test_problem_of_own_detections_can_be_kept(tmp_path: Path) -> None:
+    one = seen()
+    path = tmp_path / "problem.npz"
+    calibrate_detections(one.rig, measured(one), Options(folds=0, dump=path), one.captured.cameras)
+    assert set(load_problem(path).captured.detections) == set(one.rig.sensors)
+
+
+def test_people_are_no_board() -> None:
+    with pytest.raises(InputError, match=r"target\.kind: must be board"):
+        calibrate_detections(SCANNERS, {}, Options())
+
+
+@cache
+def scans() -> tuple[dict[str, list[LaserScan]], Mapping[str, Array]]:
+    # Range 30 m, so that three scanners of the L-shaped lab share enough in so little time.
+    scenario = NetworkScenario.model_validate({"layout": "lab", "duration": 12.0, "scanner": {"count": 3}})
+    sent, truth = simulate_network_scans(scenario, 1)
+    return sent, truth.T_root_sensor
+
+
+def test_network_is_calibrated_from_scans_at_hand() -> None:
+    sent, T_root_sensor = scans()
+    found = calibrate_network(SCANNERS, MessageRecording(sent), Options())
+    assert len(found.sensors) == 3
+    assert_close(found, T_root_sensor, 0.03)
+
+
+def walks(T_root_scanner: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Tracked]:
+    """Two people's positions by every scanner's own frame, each with noise of 2 cm, and no beams."""
+    times = np.arange(0, 30, 0.1)
+    paths = [
+        np.column_stack([3 + 2 * np.cos(0.5 * times + a), b * np.sin(0.37 * times + b), 0 * times])
+        for a, b in ((0.0, 2.0), (2.0, 3.0))
+    ]
+
+    def track(T: Array, path: Array) -> Track:
+        own = se3.apply(se3.inverse(T), path)[:, :2] + rng.normal(0, 0.02, (len(times), 2))
+        covariances = np.tile(0.02**2 * np.eye(2), (len(times), 1, 1))
+        return Track(times, own, np.gradient(own, times, axis=0), covariances, period=0)
+
+    return {
+        name: Tracked(tuple(track(T, path) for path in paths), np.zeros((0, 2)), 0.01)
+        for name, T in T_root_scanner.items()
+    }
+
+
+def test_network_is_calibrated_from_own_tracks(rng: np.random.Generator) -> None:
+    poses = {
+        "scanner_1": np.eye(4),
+        "scanner_2": se3.from_xyz_quaternion(np.array([6.0, 1, 0]), np.array([0, 0, 0.9, -0.4])),
+        "scanner_3": se3.from_xyz_quaternion(np.array([3.0, -4, 0]), np.array([0, 0, 0.5, 0.8])),
+    }
+    found = calibrate_tracks(SCANNERS, walks(poses, rng), Options(estimator="averaging"))
+    assert len(found.sensors) == 3
+    assert_close(found, poses, 0.02)
+
+
+def test_scanner_without_tracks_is_said_to_have_none(rng: np.random.Generator) -> None:
+    own = walks({"scanner_1": np.eye(4), "scanner_2": np.eye(4)}, rng)
+    found = calibrate_tracks(SCANNERS, own, Options(estimator="averaging"))
+    assert "no tracks were given" in found.unconnected["scanner_3"]
+
+
+def test_tracks_of_a_scanner_that_the_rig_lacks_are_an_error(rng: np.random.Generator) -> None:
+    with pytest.raises(InputError, match="followed: must be of scanner_1, scanner_2, scanner_3, got scanner_9"):
+        calibrate_tracks(SCANNERS, walks({"scanner_9": np.eye(4)}, rng), Options())
+
+
+def test_tracks_are_of_scanners(rng: np.random.Generator) -> None:
+    rig = replace_sensor(SCANNERS, Lidar3dSpec(topic="scanner_2"))
+    with pytest.raises(InputError, match=r"sensors.scanner_2.kind: only 2-D scanners"):
+        calibrate_tracks(rig, walks({"scanner_1": np.eye(4)}, rng), Options())
+
+
+def replace_sensor(rig: Rig, sensor: Lidar3dSpec) -> Rig:
+    return rig.model_copy(update={"sensors": {**rig.sensors, sensor.topic: sensor}})

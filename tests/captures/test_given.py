@@ -1,0 +1,72 @@
+"""Captures from detections made elsewhere."""
+
+import numpy as np
+import pytest
+
+from calgraph.captures import captured_from
+from calgraph.detection import PlanePatch, Rejected, Segment, plane_seen, segment_seen
+from calgraph.errors import InputError
+from calgraph.rig import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
+
+RIG = Rig(
+    root="lidar",
+    target=Board(size=(1.0, 0.8)),
+    sensors={"lidar": Lidar3dSpec(topic="lidar", frame_id="velodyne"), "laser": Lidar2dSpec(topic="laser")},
+)
+
+
+@pytest.fixture
+def patch(rng: np.random.Generator) -> PlanePatch:
+    found = plane_seen(np.column_stack([np.full(50, 2.0), rng.uniform(-0.4, 0.4, (50, 2))]))
+    assert isinstance(found, PlanePatch)
+    return found
+
+
+@pytest.fixture
+def segment() -> Segment:
+    found = segment_seen(np.column_stack([np.full(50, 2.0), np.linspace(-0.4, 0.4, 50)]))
+    assert isinstance(found, Segment)
+    return found
+
+
+def test_captures_keep_their_numbers_and_misses_say_why(patch: PlanePatch, segment: Segment) -> None:
+    seen = captured_from(RIG, {"lidar": {7: patch, 3: patch}, "laser": {7: segment, 9: Rejected("too far")}})
+    assert [hold.index for hold in seen.holds] == [3, 7, 9]
+    assert seen.misses == {
+        (3, "laser"): "no detection was given",
+        (9, "lidar"): "no detection was given",
+        (9, "laser"): "too far",
+    }
+
+
+def test_several_candidates_are_kept(patch: PlanePatch) -> None:
+    seen = captured_from(RIG, {"lidar": {0: [patch, patch]}})
+    assert len(seen.detections["lidar"][0]) == 2
+    assert not seen.detections["laser"]
+
+
+def test_frames_are_the_rigs(patch: PlanePatch) -> None:
+    assert captured_from(RIG, {"lidar": {0: patch}}).frames["lidar"] == "velodyne"
+
+
+def test_unknown_sensor_is_named(patch: PlanePatch) -> None:
+    with pytest.raises(InputError, match="found: must be of lidar, laser, got radar"):
+        captured_from(RIG, {"radar": {0: patch}})
+
+
+def test_what_a_sensor_cannot_see_is_an_error(patch: PlanePatch) -> None:
+    with pytest.raises(InputError, match="laser is a lidar2d and sees Segment, got PlanePatch in capture 4"):
+        captured_from(RIG, {"laser": {4: patch}})
+
+
+def test_camera_needs_intrinsics_and_takes_those_of_the_rig() -> None:
+    camera = CameraSpec(topic="camera")
+    boards = Board.model_validate({"size": [1.0, 0.8], "tags": [{"id": 0, "size": 0.3}]})
+    rig = Rig(root="camera", target=boards, sensors={"camera": camera})
+    with pytest.raises(InputError, match="cameras: lacks camera"):
+        captured_from(rig, {})
+    stated = camera.model_copy(
+        update={"intrinsics": Intrinsics(width=640, height=480, K=(500.0, 500.0, 320.0, 240.0))}
+    )
+    rig = rig.model_copy(update={"sensors": {"camera": stated}})
+    assert captured_from(rig, {}).cameras["camera"].width == 640

@@ -1,0 +1,43 @@
+"""What ``import calgraph`` offers."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import calgraph
+
+SOURCE = ast.parse(Path(calgraph.__file__).read_text(encoding="utf-8"))
+STATED = {
+    alias.name: node.module or ""
+    for node in ast.walk(SOURCE)
+    if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("calgraph.")
+    for alias in node.names
+}
+
+
+@pytest.mark.parametrize("name", calgraph.__all__)
+def test_name_is_what_type_checkers_take_it_for(name: str) -> None:
+    assert getattr(calgraph, name) is getattr(import_module(STATED[name]), name)
+
+
+def test_type_checkers_see_no_other_names() -> None:
+    assert set(STATED) == set(calgraph.__all__)
+
+
+def test_other_names_are_attribute_errors() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'calibrate_ring'"):
+        _ = calgraph.calibrate_ring
+
+
+def test_names_are_listed_for_completion() -> None:
+    assert set(calgraph.__all__) <= set(dir(calgraph))
+
+
+def test_import_loads_no_room() -> None:
+    code = "import sys, calgraph; print([m for m in sys.modules if m.startswith('calgraph.') or m == 'numpy'])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
