@@ -25,6 +25,7 @@ from calgraph.cli.simulate import simulate_rig_command
 from calgraph.cli.simulate_network import simulate_network_command
 from calgraph.cli.solve import solve
 from calgraph.cli.verify import verify
+from calgraph.cli.view import view
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
@@ -66,6 +67,7 @@ app.command()(guarded(init))
 app.command("board")(guarded(board))
 app.command()(guarded(inspect))
 app.command()(guarded(export))
+app.command()(guarded(view))
 simulate.command("rig")(guarded(simulate_rig_command))
 simulate.command("network")(guarded(simulate_network_command))
 app.add_typer(simulate, name="simulate")

@@ -1,0 +1,39 @@
+"""``calgraph view``: a calibration in the browser, to walk around in."""
+
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calgraph.errors import InputError
+from calgraph.result import cameras_of, load_calibration, load_scene
+from calgraph.rig import load_rig
+
+
+def view(
+    result: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that calibrate wrote.")],
+    port: Annotated[int, typer.Option(min=1, max=65535, help="The first free one from here on is taken.")] = 8080,
+    host: Annotated[
+        str, typer.Option(help="Address to serve at; 0.0.0.0 lets other machines look.")
+    ] = "127.0.0.1",
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+) -> None:
+    """Show a calibration in the browser: sensors, what they saw, and how it degrades if one is moved.
+
+    Serves until Ctrl-C.
+    """
+    from calgraph.viewer import Viewer  # takes seconds, which --help should not
+
+    if not result.is_dir():
+        raise InputError(f"{result}: is no folder; give the one that calibrate wrote with -o")
+    calibration = load_scene(result / "scene.npz", load_calibration(result / "calibration.yaml"))
+    rig = load_rig(result / "rig.resolved.yaml")
+    with Viewer(calibration, cameras_of(calibration, rig), host, port) as viewer:
+        typer.echo(f"{result} is shown at {viewer.url}; Ctrl-C ends it")
+        if browser:
+            webbrowser.open(viewer.url)
+        try:
+            viewer.serve()
+        except KeyboardInterrupt:
+            typer.echo()

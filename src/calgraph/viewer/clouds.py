@@ -1,0 +1,125 @@
+"""What scanners measured, in their own frames and in the colours chosen."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, se3
+from calgraph.result import Calibration, Snapshot
+from calgraph.sensors import CameraModel, painted
+from calgraph.viewer.choice import Choice, poses, up
+
+Colors = NDArray[np.uint8]
+
+# Okabe and Ito's colours, which stay apart for every kind of colour blindness; with more sensors they come again.
+PALETTE = np.array(
+    [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (213, 94, 0), (0, 114, 178), (240, 228, 66)],
+    dtype=np.uint8,
+)
+# Where no camera looks.
+_UNSEEN = np.array([92, 96, 104], dtype=np.uint8)
+# Of all captures at once, so many points of one sensor are shown.
+_MOST = 150_000
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of one sensor."""
+
+    points: NDArray[np.float32]
+    """(N, 3) in the sensor's frame, m."""
+    colors: Colors
+    """(N, 3) red, green and blue."""
+
+
+def color_of(calibration: Calibration, name: str) -> Colors:
+    """(3,) the colour that stands for a sensor."""
+    names = [sensor.name for sensor in calibration.sensors]
+    return PALETTE[names.index(name) % len(PALETTE)]
+
+
+def clouds(
+    calibration: Calibration, cameras: Mapping[str, CameraModel], choice: Choice, heights: tuple[float, float]
+) -> dict[str, Cloud]:
+    """By scanner what it measured at the moment chosen; in a network, what stood still.
+
+    Args:
+        calibration: with its snapshots or floor.
+        cameras: intrinsics by camera.
+        choice: what to show.
+        heights: the lowest and highest that colours tell apart, m.
+    """
+    T_root_sensor = poses(calibration, choice)
+    shown: dict[str, list[Cloud]] = {}
+    for captured in _by_capture(calibration.snapshots, choice.moment):
+        scans = [s for s in captured if s.sensor in T_root_sensor and len(s.points)]
+        for snapshot in scans:
+            x_root = se3.apply(T_root_sensor[snapshot.sensor], snapshot.points)
+            if choice.coloring == "camera":
+                colors = as_seen(x_root, captured, cameras, T_root_sensor)
+            elif choice.coloring == "height":
+                colors = by_height(x_root @ up(calibration), heights)
+            else:
+                colors = np.tile(color_of(calibration, snapshot.sensor), (len(x_root), 1))
+            shown.setdefault(snapshot.sensor, []).append(Cloud(snapshot.points, colors))
+    for view in calibration.floor:
+        points = on_floor(calibration, view.sensor, view.background)
+        shown[view.sensor] = [Cloud(points, np.tile(color_of(calibration, view.sensor), (len(points), 1)))]
+    return {name: _joined(parts) for name, parts in shown.items()}
+
+
+def heights_of(calibration: Calibration) -> tuple[float, float]:
+    """Between which heights nearly all that the scanners measured lies, m."""
+    T = poses(calibration, Choice())
+    z = [se3.apply(T[s.sensor], s.points) @ up(calibration) for s in calibration.snapshots if s.sensor in T]
+    together = np.concatenate([np.zeros(1), *z])
+    low, high = np.percentile(together, [2, 98])
+    return float(low), float(max(high, low + 0.1))
+
+
+def by_height(height: Array, heights: tuple[float, float]) -> Colors:
+    """(N, 3) colours of heights (N,), m, from blue (low) to red."""
+    low, high = heights
+    level = np.clip(255 * (height - low) / (high - low), 0, 255).astype(np.uint8)
+    bgr = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)
+    return np.asarray(bgr.reshape(-1, 3)[:, ::-1], dtype=np.uint8)
+
+
+def as_seen(
+    x_root: Array,
+    captured: Sequence[Snapshot],
+    cameras: Mapping[str, CameraModel],
+    T_root_sensor: Mapping[str, Array],
+) -> Colors:
+    """(N, 3) colours of points (N, 3) in the root's frame, m, in pictures of their capture; grey where unseen."""
+    colors = np.tile(_UNSEEN, (len(x_root), 1))
+    for picture in captured:
+        if picture.image and picture.sensor in cameras and picture.sensor in T_root_sensor:
+            x_camera = se3.apply(se3.inverse(T_root_sensor[picture.sensor]), x_root)
+            own, seen = painted(x_camera, cameras[picture.sensor], picture.picture)
+            colors[seen] = own[seen]
+    return colors
+
+
+def on_floor(calibration: Calibration, name: str, positions: Array) -> NDArray[np.float32]:
+    """(N, 3) in a scanner's frame of positions (N, 2) on the floor of the root's frame, m."""
+    x_root = np.pad(positions, ((0, 0), (0, 1)))
+    return se3.apply(se3.inverse(calibration[name].T_root_sensor), x_root).astype(np.float32)
+
+
+def _by_capture(snapshots: Iterable[Snapshot], moment: float | None) -> list[list[Snapshot]]:
+    found: dict[int, list[Snapshot]] = {}
+    for snapshot in snapshots:
+        if moment is None or snapshot.capture == moment:
+            found.setdefault(snapshot.capture, []).append(snapshot)
+    return list(found.values())
+
+
+def _joined(parts: Sequence[Cloud]) -> Cloud:
+    points = np.concatenate([part.points for part in parts])
+    colors = np.concatenate([part.colors for part in parts])
+    step = len(points) // _MOST + 1
+    return Cloud(points[::step], colors[::step])

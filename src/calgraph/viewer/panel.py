@@ -1,0 +1,154 @@
+"""The controls beside the scene, and the choice they stand for."""
+
+from collections.abc import Callable, Mapping
+from threading import Lock
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calgraph.result import Calibration
+from calgraph.sensors import CameraModel
+from calgraph.viewer.agreement import misfits
+from calgraph.viewer.choice import NOWHERE, Choice, Coloring
+from calgraph.viewer.stage import EXAGGERATIONS, LAYERS, Stage
+from calgraph.viewer.walks import duration
+
+if TYPE_CHECKING:
+    from viser import GuiApi, GuiSliderHandle
+
+_COLORINGS: Mapping[str, Coloring] = {"as cameras see it": "camera", "by height": "height", "by sensor": "sensor"}
+# Axes along and about which a sensor is moved, and their units: millimetres and degrees, of which one has an idea.
+_AXES = ("x, mm", "y, mm", "z, mm", "roll, °", "pitch, °", "yaw, °")
+_UNITS = np.array([1e-3, 1e-3, 1e-3, *np.radians([1, 1, 1])])
+_REACH = {False: (200.0, 10.0), True: (1000.0, 20.0)}
+"""How far sensors can be moved, mm and degrees: of a rig, and of a network."""
+
+
+class Panel:
+    """Controls that change what a stage shows."""
+
+    def __init__(
+        self, gui: "GuiApi", calibration: Calibration, cameras: Mapping[str, CameraModel], stage: Stage
+    ) -> None:
+        self._gui, self._calibration, self._cameras, self._stage = gui, calibration, cameras, stage
+        self._changing = Lock()
+        self._shown: Choice | None = None
+        self.moments = moments(calibration)
+        self._words = gui.add_markdown("")
+        with gui.add_folder("When"):
+            self._add_time()
+        with gui.add_folder("Move a sensor off its pose", expand_by_default=False):
+            self._add_moving()
+        with gui.add_folder("Show"):
+            self._add_looks()
+        with gui.add_folder("Sensors"):
+            for sensor in calibration.sensors:
+                self._add_toggle(sensor.name, lambda on, name=sensor.name: stage.show_sensor(name, on))
+        self.refresh()
+
+    def choice(self) -> Choice:
+        """What the controls say now."""
+        moment = None if self.everything.value else self.moments[min(self.time.value, len(self.moments) - 1)]
+        by = tuple((np.array([slider.value for slider in self.shift]) * _UNITS).tolist())
+        moved = self.moved.value if any(by) else ""
+        return Choice(moment, _COLORINGS[self.coloring.value], moved, by if moved else NOWHERE)
+
+    def refresh(self) -> None:
+        """Shows what is chosen.
+
+        Controls send more events than can be drawn while they are dragged: one drawing serves all before it.
+        """
+        with self._changing:
+            choice = self.choice()
+            if choice != self._shown:
+                self._stage.show(choice)
+                self._words.content = self._in_words(choice)
+                self._shown = choice
+
+    def _add_time(self) -> None:
+        last = max(len(self.moments) - 1, 1)
+        what = "time" if self._calibration.floor else "capture"
+        self.time: GuiSliderHandle[int] = self._gui.add_slider(what, 0, last, 1, 0, disabled=len(self.moments) < 2)
+        self.everything = self._gui.add_checkbox("all at once", not self.moments or bool(self._calibration.floor))
+        self.time.on_update(lambda _: self._look_at_one())
+        self.everything.on_update(lambda _: self.refresh())
+
+    def _look_at_one(self) -> None:
+        """Whoever moves the slider wants to see what it shows."""
+        if self.everything.value and self.moments:
+            self.everything.value = False
+        self.refresh()
+
+    def _add_moving(self) -> None:
+        planar = self._calibration.planar
+        reach = np.repeat(_REACH[planar], 3)
+        names = [sensor.name for sensor in self._calibration.sensors]
+        self.moved = self._gui.add_dropdown("sensor", names, initial_value=names[-1])
+        self.moved.on_update(lambda _: self.refresh())
+        self.shift: list[GuiSliderHandle[float]] = []
+        for k, (axis, most) in enumerate(zip(_AXES, reach.tolist(), strict=True)):
+            slider = self._gui.add_slider(axis, -most, most, most / 200, 0.0, visible=not planar or k in (0, 1, 5))
+            slider.on_update(lambda _: self.refresh())
+            self.shift.append(slider)
+        self.reset = self._gui.add_button("put it back")
+        self.reset.on_click(lambda _: self._put_back())
+
+    def _put_back(self) -> None:
+        for slider in self.shift:
+            slider.value = 0.0
+        self.refresh()
+
+    def _add_looks(self) -> None:
+        network = bool(self._calibration.floor)
+        usable = {words: c for words, c in _COLORINGS.items() if c == "sensor" or not network}
+        if not self._cameras:
+            usable.pop("as cameras see it", None)
+        self.coloring = self._gui.add_dropdown("colours", list(usable), visible=len(usable) > 1)
+        self.coloring.on_update(lambda _: self.refresh())
+        factors = {("none" if f == 0 else f"× {f}"): f for f in EXAGGERATIONS}
+        uncertainty = self._gui.add_dropdown("95 % ellipsoids", list(factors), initial_value="none")
+        uncertainty.on_update(lambda _: self._stage.show_uncertainty(factors[uncertainty.value]))
+        points = self._gui.add_slider("points, mm", 2, 60, 1, 20 if network else 12)
+        points.on_update(lambda _: self._stage.show_points(points.value / 1000))
+        for layer in LAYERS:
+            if (layer == "walks") <= network and (layer in ("camera views", "boards", "beams")) <= (not network):
+                self._add_toggle(layer, lambda on, layer=layer: self._stage.show_layer(layer, on))
+
+    def _add_toggle(self, words: str, show: Callable[[bool], None]) -> None:
+        box = self._gui.add_checkbox(words, True)
+        box.on_update(lambda _: show(box.value))
+
+    def _in_words(self, choice: Choice) -> str:
+        """What is shown, and how well it fits."""
+        lines = [f"**{self._moment_in_words(choice)}**"]
+        before = misfits(self._calibration, self._cameras, Choice(choice.moment))
+        now = misfits(self._calibration, self._cameras, choice)
+        if now:
+            lines += ["", "| sensor | off the board |", "| --- | --- |"]
+            lines += [
+                f"| {_escaped(name)} | {before[name]}" + (f" → **{fit}** |" if name == choice.moved else " |")
+                for name, fit in now.items()
+            ]
+        return "\n".join(lines)
+
+    def _moment_in_words(self, choice: Choice) -> str:
+        network = bool(self._calibration.floor)
+        if choice.moment is None:
+            return "All walks" if network else "All captures"
+        if network:
+            return f"{choice.moment:.1f} s"
+        row = next((row for row in self._calibration.captures if row.capture == choice.moment), None)
+        return f"Capture {choice.moment:.0f}" + (f", {row.start:.1f} to {row.end:.1f} s" if row else "")
+
+
+def moments(calibration: Calibration) -> list[float]:
+    """At which moments there is something to show: a rig's captures, or every fifth of a second of a network."""
+    if calibration.floor:
+        return np.arange(0, duration(calibration), 0.2).round(1).tolist()
+    shown = {s.capture for s in calibration.snapshots} | {o.capture for o in calibration.outlines}
+    return [float(capture) for capture in sorted(shown)]
+
+
+def _escaped(name: str) -> str:
+    """A name that Markdown does not take for anything else."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]()#+-.!|<>" else c for c in name)

@@ -1,0 +1,196 @@
+"""The scene in the browser: what stands in it, and how it changes with the choice."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calgraph.geometry import Array, so3
+from calgraph.result import Calibration, SensorPose
+from calgraph.sensors import CameraModel
+from calgraph.viewer.choice import Choice, poses, up
+from calgraph.viewer.clouds import Cloud, clouds, color_of, heights_of
+from calgraph.viewer.sights import beams, ellipsoid, through_window, window
+from calgraph.viewer.walks import trails
+
+if TYPE_CHECKING:
+    from viser import SceneApi, SceneNodeHandle
+
+LAYERS = ("names", "axes", "camera views", "beams", "clouds", "boards", "walks")
+EXAGGERATIONS = (0, 1, 10, 100, 1000)
+_BOARD, _NOW = (120, 124, 132), (255, 190, 60)
+
+
+class Stage:
+    """Puts a calibration into a scene; each sensor's things hang from its frame."""
+
+    def __init__(self, scene: "SceneApi", calibration: Calibration, cameras: Mapping[str, CameraModel]) -> None:
+        self._scene, self._calibration, self._cameras = scene, calibration, cameras
+        self._heights = heights_of(calibration)
+        self.size = size_of_axes(calibration)
+        self._point_size = 0.02 if calibration.floor else 0.012
+        self._number = {sensor.name: k for k, sensor in enumerate(calibration.sensors)}
+        self._drawn: dict[str, Cloud] = {}
+        self._hidden: set[str] = set()
+        self._nodes: dict[str, dict[str, SceneNodeHandle]] = {layer: {} for layer in (*LAYERS, "uncertainty")}
+        scene.set_up_direction(up(calibration))
+        self._lay_ground()
+        self._frames = {sensor.name: self._place(sensor) for sensor in calibration.sensors}
+
+    def show(self, choice: Choice) -> None:
+        """Brings the scene to what is chosen."""
+        for name, T in poses(self._calibration, choice).items():
+            self._frames[name].position = T[:3, 3]
+            self._frames[name].wxyz = _wxyz(T[:3, :3])
+        self._show_clouds(clouds(self._calibration, self._cameras, choice, self._heights), choice)
+        self._show_pictures(choice)
+        self._show_boards(choice)
+        self._show_walks(choice)
+
+    def show_sensor(self, name: str, visible: bool) -> None:
+        """Shows or hides all that is of one sensor."""
+        self._frames[name].visible = visible
+
+    def show_layer(self, layer: str, visible: bool) -> None:
+        """Shows or hides things of one kind."""
+        (self._hidden.discard if visible else self._hidden.add)(layer)
+        for node in self._nodes[layer].values():
+            node.visible = visible
+
+    def show_uncertainty(self, exaggeration: float) -> None:
+        """Draws the 95 % ellipsoids of positions so many times as large as they are; 0 for none."""
+        for node in self._nodes["uncertainty"].values():
+            node.remove()
+        self._nodes["uncertainty"] = {
+            sensor.name: self._ellipsoid(sensor, exaggeration)
+            for sensor in self._calibration.sensors
+            if exaggeration and sensor.covariance[:3, :3].any()
+        }
+
+    def show_points(self, size: float) -> None:
+        """Draws points of another size, m."""
+        self._point_size = size
+        for name, cloud in self._drawn.items():
+            self._draw_cloud(name, cloud)
+
+    def _place(self, sensor: SensorPose) -> "SceneNodeHandle":
+        """A sensor's frame, with its axes, name and view."""
+        at = self._at(sensor.name)
+        frame = self._scene.add_frame(at, show_axes=False)
+        self._nodes["axes"][sensor.name] = self._scene.add_frame(
+            f"{at}/axes", axes_length=self.size, axes_radius=self.size / 28, origin_radius=self.size / 12,
+            origin_color=_rgb(color_of(self._calibration, sensor.name)),
+        )  # fmt: skip
+        self._nodes["names"][sensor.name] = self._scene.add_label(
+            f"{at}/name", sensor.name, position=(0.0, 0.0, 0.0), anchor="bottom-center"
+        )
+        if sensor.kind == "camera" and sensor.name in self._cameras:
+            self._draw_view(sensor.name, None)
+        return frame
+
+    def _at(self, name: str) -> str:
+        return f"/sensors/{self._number[name]}"
+
+    def _lay_ground(self) -> None:
+        vertical = up(self._calibration)
+        level = 0.0 if self._calibration.floor else self._heights[0]
+        self._scene.add_grid(
+            "/ground", width=200, height=200, plane="xz" if vertical[1] else "xy", position=level * vertical,
+            cell_size=1, section_size=5, cell_color=(58, 62, 70), section_color=(84, 88, 98), infinite_grid=True,
+            fade_distance=60,
+        )  # fmt: skip
+
+    def _show_clouds(self, found: Mapping[str, Cloud], choice: Choice) -> None:
+        for name in self._drawn.keys() - found.keys():
+            for layer in ("clouds", "beams"):
+                if name in self._nodes[layer]:
+                    self._nodes[layer].pop(name).remove()
+        for name, cloud in found.items():
+            before = self._drawn.get(name)
+            same = before is not None and np.array_equal(before.points, cloud.points)
+            if before is None or not same or not np.array_equal(before.colors, cloud.colors):
+                self._draw_cloud(name, cloud)
+            if not same or choice.moment is None:
+                self._draw_beams(name, cloud if choice.moment is not None else None)
+        self._drawn = dict(found)
+
+    def _draw_cloud(self, name: str, cloud: Cloud) -> None:
+        # Scans are thin lines, and would be lost among a cloud's many points.
+        wide = 2.0 if self._calibration[name].kind == "lidar2d" and not self._calibration.floor else 1.0
+        self._nodes["clouds"][name] = self._scene.add_point_cloud(
+            f"{self._at(name)}/cloud", cloud.points, cloud.colors, point_size=wide * self._point_size,
+            point_shape="circle", precision="float32", point_shading="flat", visible="clouds" not in self._hidden,
+        )  # fmt: skip
+
+    def _draw_beams(self, name: str, cloud: Cloud | None) -> None:
+        """Lines to what a 2-D scanner measured; of all captures at once there would be too many."""
+        if name in self._nodes["beams"]:
+            self._nodes["beams"].pop(name).remove()
+        if cloud is not None and self._calibration[name].kind == "lidar2d" and not self._calibration.floor:
+            dim = (0.45 * color_of(self._calibration, name)).astype(np.uint8)
+            self._nodes["beams"][name] = self._scene.add_line_segments(
+                f"{self._at(name)}/beams", beams(cloud.points), _rgb(dim), thickness=1, thickness_units="screen",
+                visible="beams" not in self._hidden,
+            )  # fmt: skip
+
+    def _show_pictures(self, choice: Choice) -> None:
+        pictures = {s.sensor: s for s in self._calibration.snapshots if s.image and s.capture == choice.moment}
+        for name in self._nodes["camera views"]:
+            picture = pictures.get(name)
+            self._draw_view(name, through_window(picture.picture, self._cameras[name]) if picture else None)
+
+    def _draw_view(self, name: str, image: "np.ndarray | None") -> None:
+        angle, aspect = window(self._cameras[name])
+        self._nodes["camera views"][name] = self._scene.add_camera_frustum(
+            f"{self._at(name)}/view", angle, aspect, scale=2.5 * self.size, image=image, format="jpeg",
+            color=_rgb(color_of(self._calibration, name)), visible="camera views" not in self._hidden,
+        )  # fmt: skip
+
+    def _show_boards(self, choice: Choice) -> None:
+        shown = [o for o in self._calibration.outlines if choice.moment in (None, o.capture)]
+        ring = [np.stack([o.corners, np.roll(o.corners, -1, axis=0)], axis=1) for o in shown]
+        color = _BOARD if choice.moment is None else _NOW
+        lines = np.concatenate([np.empty((0, 2, 3)), *ring])
+        self._nodes["boards"]["outlines"] = self._scene.add_line_segments(
+            "/boards", lines, color, thickness=2, thickness_units="screen", visible="boards" not in self._hidden
+        )
+
+    def _show_walks(self, choice: Choice) -> None:
+        for name, trail in trails(self._calibration, choice).items():
+            color = _rgb(color_of(self._calibration, name))
+            visible = "walks" not in self._hidden
+            self._nodes["walks"][f"{name} trail"] = self._scene.add_line_segments(
+                f"{self._at(name)}/trail", trail.segments, color, thickness=1.5 if choice.moment is None else 3,
+                thickness_units="screen", visible=visible,
+            )  # fmt: skip
+            self._nodes["walks"][f"{name} people"] = self._scene.add_point_cloud(
+                f"{self._at(name)}/people", trail.people, color, point_size=0.15, point_shape="circle",
+                precision="float32", visible=visible,
+            )  # fmt: skip
+
+    def _ellipsoid(self, sensor: SensorPose, exaggeration: float) -> "SceneNodeHandle":
+        half, R = ellipsoid(sensor.T_root_sensor, sensor.covariance, 3 * self.size / exaggeration)
+        # A network's ellipsoids are flat, and would not be seen from the side.
+        half = np.maximum(exaggeration * half, 0.02 * self.size)
+        return self._scene.add_icosphere(
+            f"{self._at(sensor.name)}/uncertainty", radius=1.0, scale=(half[0], half[1], half[2]), wxyz=_wxyz(R),
+            color=(230, 120, 190), opacity=0.45, cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+
+def size_of_axes(calibration: Calibration) -> float:
+    """Length of a frame's axes, m: clear of its neighbours, yet to be seen."""
+    origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
+    distances = np.linalg.norm(origins[:, None] - origins, axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    nearest = distances.min(axis=1)
+    return float(np.clip(0.4 * np.median(nearest), 0.05, 1.0)) if np.isfinite(nearest).all() else 0.25
+
+
+def _wxyz(R: Array) -> Array:
+    return np.roll(so3.quaternion(R), 1)
+
+
+def _rgb(color: Array) -> tuple[int, int, int]:
+    red, green, blue = color.tolist()
+    return red, green, blue

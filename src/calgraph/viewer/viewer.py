@@ -1,0 +1,97 @@
+"""The page in the browser, served for as long as somebody looks."""
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+from calgraph.result import Calibration
+from calgraph.sensors import CameraModel
+from calgraph.viewer.choice import up
+from calgraph.viewer.panel import Panel
+from calgraph.viewer.stage import Stage
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+
+class Viewer:
+    """Serves a calibration and what it shows; a context manager that ends with its block."""
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        cameras: Mapping[str, CameraModel],
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ) -> None:
+        """Starts to serve.
+
+        Args:
+            calibration: with snapshots, outlines and floor, as :func:`calgraph.result.load_scene` gives it.
+            cameras: intrinsics by camera.
+            host: address to serve at.
+            port: of the first free one from here on.
+
+        Raises:
+            InputError: the extra ``view`` is not installed.
+        """
+        self._server = _server(host, port)
+        self.host = host
+        self.stage = Stage(self._server.scene, calibration, cameras)
+        self.panel = Panel(self._server.gui, calibration, cameras, self.stage)
+        eye, target = point_of_view(calibration)
+        self._server.initial_camera.position = eye
+        self._server.initial_camera.look_at = target
+        self._server.initial_camera.up = up(calibration)
+
+    @property
+    def url(self) -> str:
+        """Where to look."""
+        return f"http://{self.host}:{self._server.get_port()}"
+
+    def serve(self) -> None:
+        """Blocks until it is interrupted."""
+        self._server.sleep_forever()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.stop()
+
+
+def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
+    """Where to look from (3,) and to (3,), m: all of a network from above, or a rig from behind and above."""
+    origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
+    vertical = up(calibration)
+    if calibration.floor:
+        seen = np.concatenate([origins[:, :2], *(view.background for view in calibration.floor)])
+        low, high = np.percentile(seen, [1, 99], axis=0)
+        middle, extent = np.append((low + high) / 2, 0.0), float(np.max(high - low))
+        return middle + extent * np.array([0.0, -0.45, 0.85]), middle
+    middle = origins.mean(axis=0)
+    boards = np.array([outline.corners.mean(axis=0) for outline in calibration.outlines]).reshape(-1, 3)
+    reach = float(np.median(np.linalg.norm(boards - middle, axis=1))) if len(boards) else 2.0
+    ahead = boards.mean(axis=0) - middle if len(boards) else np.array([1.0, 0, 0])
+    ahead -= (ahead @ vertical) * vertical
+    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+    return middle + reach * (0.8 * vertical - 1.1 * ahead), middle + 0.5 * reach * ahead
+
+
+def _server(host: str, port: int) -> "ViserServer":
+    try:
+        from viser import ViserServer
+    except ImportError as error:
+        raise InputError('the viewer needs viser: pip install "calgraph[view]"') from error
+    server = ViserServer(host=host, port=port, label="calgraph", verbose=False)
+    server.gui.configure_theme(
+        dark_mode=True, show_logo=False, show_share_button=False, control_layout="collapsible"
+    )
+    server.gui.set_panel_label("calgraph")
+    return server
