@@ -1,12 +1,12 @@
 """The second story: from one recording of people walking through a building to its network of scanners."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
 
+from calgraph.calibrate.following import follow_people, scanner_noise, walking
 from calgraph.calibrate.options import Options, Progress, network_estimator, silent
-from calgraph.captures import as_scans
 from calgraph.errors import CalibrationError, InputError
 from calgraph.graph import average_network, network_graph, trust
 from calgraph.pairwise import TrackPair, estimate_network_pairs
@@ -21,9 +21,8 @@ from calgraph.refinement import (
     without,
 )
 from calgraph.result import Calibration
-from calgraph.rig import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
-from calgraph.sensors import LaserScan
-from calgraph.tracking import Feature, Tracked, Untracked, track_scanner
+from calgraph.rig import Rig
+from calgraph.tracking import Feature, Tracked, Untracked
 
 # How far off along the sight the centres may lie that each feature gives, as a standard deviation, m. A centre of
 # mass lies three quarters of the radius before the centre.
@@ -84,7 +83,7 @@ def calibrate_tracks(
     # A root that nothing is connected to may not even have been followed.
     if estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
-        solution = partial(solve_network, _walking(rig), [tracked[name] for name in names], averaged, graph)
+        solution = partial(solve_network, walking(rig), [tracked[name] for name in names], averaged, graph)
         joint = solution()
         if old:
             prior = agreed_prior(earlier_poses(old, rig.root), names, joint)
@@ -110,15 +109,8 @@ def _of_all(rig: Rig, followed: Mapping[str, Tracked | Untracked]) -> dict[str, 
     if unknown:
         raise InputError(f"followed: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
     for name, spec in rig.sensors.items():
-        _noise(name, spec)
+        scanner_noise(name, spec)
     return {name: followed.get(name, Untracked("no tracks were given")) for name in rig.sensors}
-
-
-def _noise(name: str, spec: SensorSpec) -> RangeNoise:
-    """The noise of a scanner; raises InputError for what is none."""
-    if not isinstance(spec, Lidar2dSpec):
-        raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
-    return spec.noise
 
 
 def _first(tracked: Mapping[str, Tracked]) -> float:
@@ -130,30 +122,3 @@ def _extended(found: Calibration, old: Calibration, prior: ScannerPrior | None) 
         why = "; ".join(f"{name}: {reason}" for name, reason in found.unconnected.items())
         raise CalibrationError(f"nothing to extend with: no scanner is connected to the root {found.root} ({why})")
     return extended(found, old, prior)
-
-
-def follow_people(
-    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
-) -> tuple[dict[str, Tracked | Untracked], dict[str, str]]:
-    """What moved through each scanner's view, and the frames that their messages state."""
-    target = _walking(rig)
-    followed: dict[str, Tracked | Untracked] = {}
-    frames: dict[str, str] = {}
-    for done, (name, spec) in enumerate(rig.sensors.items()):
-        progress("following", done / len(rig.sensors))
-        noise = _noise(name, spec)
-        scans = partial(_scans, recording, spec.topic)
-        frames[name] = next((scan.frame_id for scan in scans()), "")
-        followed[name] = track_scanner(scans(), target, noise, feature=options.feature)
-    progress("following", 1.0)
-    return followed, frames
-
-
-def _walking(rig: Rig) -> People | Cylinder:
-    if not isinstance(rig.target, People | Cylinder):
-        raise InputError("target.kind: a network needs people or cylinder")
-    return rig.target
-
-
-def _scans(recording: Recording, topic: str) -> Iterator[LaserScan]:
-    return (scan for record in recording.records([topic]) for scan in as_scans([record.decode()]))

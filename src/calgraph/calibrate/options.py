@@ -57,6 +57,8 @@ class Options:
     """Scanners that have moved since, and are found anew."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
+    jobs: int = 1
+    """Processes at most that follow people side by side; see :func:`calgraph.tracking.track_scanners`."""
     dump: Path | None = None
     """File to write a rig's joint problem to before it is solved."""
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from calgraph.cli.cores import JobsOption, cores
 from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_calibration, print_place
@@ -148,6 +149,7 @@ def calibrate(
         typer.Option("--moved", metavar="NAME", help="People: has moved since OLD: find it anew; repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
+    jobs: JobsOption = None,
     dump: Annotated[
         Path | None,
         typer.Option("--dump", metavar="FILE", help="Board: write what the solution is made from, for solve."),
@@ -183,6 +185,7 @@ def calibrate(
             extend=load_calibration(extend) if extend else None,
             moved=tuple(moved or ()),
             seed=seed,
+            jobs=jobs or cores(),
             dump=folder / dump.name if dump and _is_in(dump, out) else dump,
         )
         with open_recordings(recordings) as recording, progress_bars() as progress:

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from calgraph.cli.calibrate import write_results
 from calgraph.cli.console import console
+from calgraph.cli.cores import cores
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import InputError
 from calgraph.recording import open_recordings, with_intrinsics
@@ -88,7 +89,7 @@ def _audited(
     from calgraph import calibrate as story
 
     if isinstance(rig.target, People | Cylinder):
-        options = story.Options(seed=seed)
+        options = story.Options(seed=seed, jobs=cores())
         with open_recordings(recordings) as recording, progress_bars() as progress:
             return *story.check_network(rig, recording, given, options, allowed, progress), rig
     problem = _problem(rig, recordings, seed)

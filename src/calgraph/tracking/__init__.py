@@ -4,6 +4,7 @@ from calgraph.tracking.features import Feature
 from calgraph.tracking.scanner import track_scanner
 from calgraph.tracking.scans import ScanGathering, ScanRun, in_runs
 from calgraph.tracking.track import Hits, Track, Tracked, Untracked
+from calgraph.tracking.workers import track_scanners
 
 __all__ = [
     "Feature",
@@ -15,4 +16,5 @@ __all__ = [
     "Untracked",
     "in_runs",
     "track_scanner",
+    "track_scanners",
 ]

@@ -1,0 +1,78 @@
+"""What moved through the views of a network's scanners: their recording read once, and followed side by side."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from calgraph.calibrate.options import Options, Progress, silent
+from calgraph.captures import as_scans
+from calgraph.errors import InputError
+from calgraph.recording import Recording
+from calgraph.rig import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
+from calgraph.tracking import ScanGathering, ScanRun, Tracked, Untracked, track_scanners
+
+# Scans that are in memory at once, more than so many only if they are of one scanner: of 1000 beams, 0.8 GB.
+_AT_ONCE = 100_000
+
+
+def follow_people(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+) -> tuple[dict[str, Tracked | Untracked], dict[str, str]]:
+    """What moved through each scanner's view, and the frames that their messages state."""
+    target = walking(rig)
+    noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
+    followed: dict[str, Tracked | Untracked] = {}
+    frames: dict[str, str] = {}
+    for names in _portions(rig, recording):
+
+        def following(share: float, before: int = len(followed), own: int = len(names)) -> None:
+            progress("following", (before + share * own) / len(rig.sensors))
+
+        scans, stated = _read(recording, {rig.topics[name]: name for name in names}, progress)
+        frames |= stated
+        followed |= track_scanners(
+            scans, target, noise, feature=options.feature, jobs=options.jobs, progress=following
+        )
+    return followed, frames
+
+
+def walking(rig: Rig) -> People | Cylinder:
+    """What walks through a network; raises InputError for a rig."""
+    if not isinstance(rig.target, People | Cylinder):
+        raise InputError("target.kind: a network needs people or cylinder")
+    return rig.target
+
+
+def scanner_noise(name: str, spec: SensorSpec) -> RangeNoise:
+    """The noise of a scanner; raises InputError for what is none."""
+    if not isinstance(spec, Lidar2dSpec):
+        raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
+    return spec.noise
+
+
+def _portions(rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:
+    """Names of the scanners that are read together, so that the memory holds what they measured."""
+    counts = {topic.name: topic.count for topic in recording.topics}
+    portion: list[str] = []
+    scans = 0
+    for name, topic in rig.topics.items():
+        scans += counts.get(topic, 0)
+        if portion and scans > _AT_ONCE:
+            yield portion
+            portion, scans = [], counts.get(topic, 0)
+        portion.append(name)
+    yield portion
+
+
+def _read(
+    recording: Recording, names: Mapping[str, str], progress: Progress
+) -> tuple[dict[str, tuple[ScanRun, ...]], dict[str, str]]:
+    """The scans of some scanners, given by topic, and the frames they state."""
+    gathered = {name: ScanGathering() for name in names.values()}
+    frames: dict[str, str] = {}
+    length = max(recording.end - recording.start, 1e-9)
+    for record in recording.records(list(names)):
+        name = names[record.topic]
+        for scan in as_scans([record.decode()]):
+            frames.setdefault(name, scan.frame_id)
+            gathered[name].add(scan)
+        progress("reading", (record.arrival - recording.start) / length)
+    return {name: own.runs() for name, own in gathered.items()}, frames

@@ -1,0 +1,54 @@
+"""From a recording to what every scanner followed."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+
+import pytest
+
+from calgraph.calibrate import Options, follow_people, following
+from calgraph.recording import MessageRecording
+from calgraph.rig import Lidar2dSpec, People, Rig
+from calgraph.sensors import LaserScan, Record
+from calgraph.tracking import Tracked
+from walking_scenes import World, circling
+
+NAMES = ("east", "west", "south")
+RIG = Rig(root="east", target=People(), sensors={name: Lidar2dSpec(topic=f"/{name}") for name in NAMES})
+
+
+class Counted(MessageRecording):
+    """Remembers which topics were read."""
+
+    def __init__(self, messages: dict[str, list[LaserScan]]) -> None:
+        super().__init__(messages)
+        self.read: list[list[str]] = []
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Record]:
+        self.read.append(sorted(topics or ()))
+        return super().records(topics, start, end)
+
+
+@pytest.fixture
+def recording() -> Counted:
+    scans = World((circling(1.5, (3.0, 0.0)),)).scans(6.0, 0)
+    return Counted({f"/{name}": [replace(scan, frame_id=f"{name}_frame") for scan in scans] for name in NAMES})
+
+
+def test_a_recording_is_read_once(recording: Counted) -> None:
+    followed, frames = follow_people(RIG, recording, Options())
+    assert recording.read == [["/east", "/south", "/west"]]
+    assert frames == {name: f"{name}_frame" for name in NAMES}
+    assert all(isinstance(own, Tracked) for own in followed.values())
+
+
+def test_a_long_recording_is_read_in_portions_that_the_memory_holds(
+    recording: Counted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(following, "_AT_ONCE", 200)
+    told: list[tuple[str, float]] = []
+    followed, _ = follow_people(RIG, recording, Options(), lambda *step: told.append(step))
+    assert recording.read == [["/east", "/west"], ["/south"]]
+    assert tuple(followed) == NAMES
+    assert [done for step, done in told if step == "following"] == pytest.approx([1 / 3, 2 / 3, 1])

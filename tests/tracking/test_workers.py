@@ -1,0 +1,93 @@
+"""Scanners followed by several processes."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Mapping, Sequence
+
+import pytest
+
+from calgraph.errors import CalibrationError, InputError
+from calgraph.rig import People, RangeNoise
+from calgraph.tracking import ScanRun, Tracked, Untracked, in_runs, track_scanners, workers
+from walking_scenes import World, along, circling
+
+PEOPLE = People(kind="people")
+
+
+@pytest.fixture(scope="module")
+def scans() -> dict[str, Sequence[ScanRun]]:
+    worlds = {
+        "one": World((circling(1.5, (3.0, 0.0)),)),
+        "two": World((along([(2, -3), (2, 3), (6, 3)]), circling(1.0, (4.0, 0.0)))),
+        "nobody": World(()),
+    }
+    return {name: in_runs(world.scans(12.0, 0)) for name, world in worlds.items()}
+
+
+@pytest.fixture(autouse=True)
+def _worthwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_WORTHWHILE", 0)
+
+
+def followed(
+    scans: Mapping[str, Sequence[ScanRun]], jobs: int, told: list[float] | None = None
+) -> dict[str, Tracked | Untracked]:
+    progress = (lambda _done: None) if told is None else told.append
+    return track_scanners(scans, PEOPLE, dict.fromkeys(scans, RangeNoise()), jobs=jobs, progress=progress)
+
+
+def bits(found: Mapping[str, Tracked | Untracked]) -> dict[str, list[bytes] | str]:
+    return {
+        name: own.reason
+        if isinstance(own, Untracked)
+        else [
+            array.tobytes()
+            for track in own.tracks
+            for array in (track.times, track.positions, track.velocities, track.covariances, track.hits.points)
+        ]
+        for name, own in found.items()
+    }
+
+
+def test_the_number_of_processes_does_not_change_a_bit(scans: dict[str, Sequence[ScanRun]]) -> None:
+    alone, together = followed(scans, 1), followed(scans, 2)
+    assert list(together) == ["one", "two", "nobody"]
+    assert bits(together) == bits(alone)
+
+
+def test_progress_is_told_of_every_scanner(scans: dict[str, Sequence[ScanRun]]) -> None:
+    told: list[float] = []
+    followed(scans, 2, told)
+    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+
+
+def test_no_process_is_left_behind(scans: dict[str, Sequence[ScanRun]]) -> None:
+    followed(scans, 2)
+    assert multiprocessing.active_children() == []
+
+
+def refused(*_arguments: object) -> Untracked:
+    raise InputError("sensors.one: is upside down")
+
+
+def killed(*_arguments: object) -> Untracked:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return Untracked("never said")
+
+
+def test_an_error_keeps_its_kind_and_words(
+    scans: dict[str, Sequence[ScanRun]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "track_runs", refused)
+    with pytest.raises(InputError, match=r"^sensors\.one: is upside down$"):
+        followed(scans, 2)
+    assert multiprocessing.active_children() == []
+
+
+def test_a_process_that_is_killed_is_said(
+    scans: dict[str, Sequence[ScanRun]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "track_runs", killed)
+    with pytest.raises(CalibrationError, match=r"killed.*--jobs 1"):
+        followed(scans, 2)
