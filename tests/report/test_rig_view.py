@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -93,10 +94,22 @@ def test_lines_of_different_things_are_not_joined(calibration: Calibration, rig:
     assert traces(calibration, rig)["x axes"]["x"][2] is None
 
 
-def test_uncertainties_are_there_in_three_sizes(calibration: Calibration, rig: Rig) -> None:
-    meshes = [t for t in view(calibration, rig)["data"] if t["type"] == "mesh3d" and "name" in t]
-    assert len(meshes) == 3 * 4
-    assert [m["visible"] for m in meshes].count(True) == 4
+def test_ellipsoids_are_as_large_as_they_are_or_as_much_larger_as_is_said(
+    calibration: Calibration, rig: Rig
+) -> None:
+    (factor,) = re.findall(r"Ellipsoids are drawn <b>(\d+) times</b>", rig_view(calibration, rig))
+    own = [t for t in view(calibration, rig)["data"] if t["type"] == "mesh3d" and t.get("name") == "laser"]
+    true, drawn = (np.array([mesh["x"], mesh["y"], mesh["z"]]) for mesh in own)
+    center = calibration["laser"].T_root_sensor[:3, 3]
+    np.testing.assert_allclose(drawn.T - center, int(factor) * (true.T - center), atol=1e-5 * int(factor))
+    assert np.ptp(true[0]) == pytest.approx(2 * np.sqrt(chi2.ppf(0.95, 3)) * 0.0031, rel=0.02)
+    assert [mesh["visible"] for mesh in own] == [False, True]
+
+
+def test_ellipsoids_that_can_be_seen_are_not_magnified(calibration: Calibration, rig: Rig) -> None:
+    large = tuple(dataclasses.replace(s, covariance=1e4 * s.covariance) for s in calibration.sensors)
+    html = rig_view(dataclasses.replace(calibration, sensors=large), rig)
+    assert "Ellipsoids are drawn as large as they are." in html
 
 
 def test_buttons_switch_the_uncertainties_only(calibration: Calibration, rig: Rig) -> None:

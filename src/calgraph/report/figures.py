@@ -1,6 +1,7 @@
 """Plotly figures as plain mappings, and how they get into the page.
 
-plotly.js is given its data as JSON; building that directly is as short as through plotly's Python classes.
+plotly.js is given its data as JSON; building that directly is as short as through plotly's Python classes. Colours
+are those of style.css, by name: the page puts in what they are in the light, in the dark and on paper.
 """
 
 import json
@@ -8,15 +9,24 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.geometry import Array
+
 Figure = dict[str, Any]
 """``data`` and ``layout`` of a plotly figure."""
 
-# Okabe and Ito's colours, which stay apart for every kind of colour blindness.
-BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
-INK, MUTED, RULE, NOTHING = "#1f2933", "#5f6b7a", "#d9dee5", "#eef1f4"
+BLUE, ORANGE, GREEN, VERMILION = "var(--blue)", "var(--orange)", "var(--green)", "var(--vermilion)"
+PURPLE, BROWN, SKY, PINK = "var(--purple)", "var(--brown)", "var(--sky)", "var(--pink)"
+INK, MUTED, RULE, NOTHING, PAPER = "var(--ink)", "var(--muted)", "var(--rule)", "var(--nothing)", "var(--paper)"
+WHEEL = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN)
+"""Colours of so many things that stay apart for every kind of colour blindness; of more, they come again."""
 
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12, "color": INK}
-_LAYOUT = {"font": FONT, "paper_bgcolor": "#ffffff", "plot_bgcolor": "#ffffff", "hoverlabel": {"align": "left"}}
+_LAYOUT = {
+    "font": FONT,
+    "paper_bgcolor": PAPER,
+    "plot_bgcolor": PAPER,
+    "hoverlabel": {"align": "left", "bgcolor": PAPER, "bordercolor": RULE, "font": {"color": INK}},
+}
 
 
 def figure(data: list[dict[str, Any]], **layout: Any) -> Figure:
@@ -54,6 +64,8 @@ def _json(content: Any) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+        return _rounded(value)
     if isinstance(value, list | tuple | np.ndarray):
         return [_plain(item) for item in value]
     if isinstance(value, np.generic):
@@ -61,3 +73,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.6g}") if np.isfinite(value) else None
     return value
+
+
+def _rounded(values: Array) -> Any:
+    """Nested lists of numbers with six significant digits, None for those that are not finite."""
+    finite = np.isfinite(values)
+    size = np.floor(np.log10(np.abs(values), out=np.zeros(values.shape), where=finite & (values != 0)))
+    step = 10.0 ** np.clip(5 - size, 0, 20)
+    rounded = np.round(np.where(finite, values, 0.0) * step) / step
+    nothing = np.full(values.shape, None, dtype=object)
+    return np.where(finite, rounded.astype(object), nothing).tolist()

@@ -1,17 +1,15 @@
 """The floor plan of a network: scanners, how uncertain they are, and all that they saw, in the root's frame."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from calgraph.geometry import Array
-from calgraph.report.figures import INK, RULE, Figure, figure, placed, plotly_text
+from calgraph.geometry import Array, se3
+from calgraph.report.figures import INK, RULE, WHEEL, Figure, figure, placed, plotly_text
 from calgraph.report.text import angle, fixed, length
 from calgraph.result import Calibration, FloorView, SensorPose
 
-# Okabe and Ito's colours, which stay apart for every kind of colour blindness; with more scanners they come again.
-_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7b3294", "#a6761d")
 _SIGMAS = 2.0
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipse can be seen if its longer half axis takes this part of the plan, as can an arrow of that part.
@@ -26,14 +24,47 @@ def floor_plan(calibration: Calibration) -> str:
     factor = _exaggeration(calibration.sensors, extent)
     drawn = {view.sensor: view for view in calibration.floor}
     traces = [
-        trace
+        trace | {"meta": {"scanner": k, **trace.get("meta", {})}}
         for k, sensor in enumerate(calibration.sensors)
-        for trace in _scanner(sensor, drawn.get(sensor.name), extent, factor, _COLORS[k % len(_COLORS)])
+        for trace in _scanner(sensor, drawn.get(sensor.name), extent, factor, WHEEL[k % len(WHEEL)])
     ]
+    states = _states(calibration)
     size = "as large as they are" if factor == 1 else f"{factor} times as large as they are"
     words = f"<p>Ellipses: {_SIGMAS:g} standard deviations (σ) of a scanner's position, drawn {size}.</p>"
     height = _HEIGHT + _LEGEND_LINE * (len(calibration.sensors) // _NAMES)
-    return words + placed("floor", _plan(traces), height, "Floor plan of the network")
+    plan = _plan(traces) | {"states": list(states.values())}
+    return words + _chooser(list(states)) + placed("floor", plan, height, "Floor plan of the network")
+
+
+def _states(calibration: Calibration) -> dict[str, list[list[float]]]:
+    """By what they are called, how all that each scanner saw moves to where it was thought to be before."""
+    if not calibration.floor:
+        return {}
+    nowhere = {sensor.name: np.eye(4) for sensor in calibration.sensors}
+    start = {"before: pairs averaged": calibration.start} if calibration.start else {}
+    before: dict[str, Mapping[str, Array]] = {"not calibrated: all in one place": nowhere, **start}
+    moves = {
+        words: [_move(poses[s.name] @ se3.inverse(s.T_root_sensor)) for s in calibration.sensors]
+        for words, poses in before.items()
+    }
+    return {**moves, "after: calibrated": [_move(np.eye(4)) for _ in calibration.sensors]}
+
+
+def _move(T: Array) -> list[float]:
+    """Cosine and sine of the turn, and the shift, m, of a pose (4, 4) in the plane."""
+    return [float(T[0, 0]), float(T[1, 0]), float(T[0, 3]), float(T[1, 3])]
+
+
+def _chooser(states: Sequence[str]) -> str:
+    """Buttons for the states, the last one chosen."""
+    if not states:
+        return ""
+    buttons = "".join(
+        f'<label><input type="radio" name="floor-state" value="{k}"{" checked" if k == len(states) - 1 else ""}>'
+        f"<span>{words}</span></label>"
+        for k, words in enumerate(states)
+    )
+    return f'<fieldset class="states" data-for="floor"><legend>Poses</legend>{buttons}</fieldset>'
 
 
 def _plan(traces: list[dict[str, Any]]) -> Figure:
@@ -83,7 +114,8 @@ def _scanner(
         traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 1}, "opacity": 0.55})
     if _uncertain([sensor]):
         x, y = _ellipse(sensor, factor).T
-        traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 2}, "fill": "toself"})
+        traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 2},
+                       "fill": "toself", "meta": {"last": True}})  # fmt: skip
     x, y = _arrow(sensor, _ARROW * extent).T
     traces.append({**line, "x": x, "y": y, "line": {"color": INK, "width": 2}})
     x, y = sensor.T_root_sensor[:2, 3]

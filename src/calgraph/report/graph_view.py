@@ -48,8 +48,8 @@ def graph(calibration: Calibration, words: Words) -> str:
     labels = "".join(_caption(label) for label in _labels(labelled, places))
     nodes = "".join(_node(name, places[name], calibration) for name in places)
     return (
-        f'<svg class="graph" viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="Graph of the sensors">'
-        f"{lines}{nodes}{labels}</svg>"
+        f'<div class="scroller"><svg class="graph" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
+        f'aria-label="Graph of the sensors">{lines}{nodes}{labels}</svg></div>'
     )
 
 

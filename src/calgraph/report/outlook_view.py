@@ -28,8 +28,11 @@ def left_out_table(calibration: Calibration) -> str:
 
 
 def suggestion_list(calibration: Calibration) -> str:
-    """Further captures, the first one first; nothing where none would help."""
+    """Further captures, the first one first; folded away where all is good, nothing where none would help."""
     if not calibration.suggestions:
         return ""
     items = "".join(f"<li>{escaped(one)}</li>" for one in calibration.suggestions)
-    return f"<h3>Next captures</h3><p>{_ABOUT_SUGGESTIONS}</p><ol>{items}</ol>"
+    said = f"<p>{_ABOUT_SUGGESTIONS}</p><ol>{items}</ol>"
+    if all(sensor.verdict.grade == "good" for sensor in calibration.sensors) and not calibration.unconnected:
+        return f"<details><summary>Captures that would make it better still</summary>{said}</details>"
+    return f'<div class="next"><h3>Next captures</h3>{said}</div>'

@@ -1,16 +1,57 @@
 "use strict";
 
-// Figures: their data stand beside them as JSON.
+// Figures: their data stand beside them as JSON, with colours by the names that they have in the style sheet.
+const figures = new Map();
 for (const source of document.querySelectorAll("script.figure-data")) {
-  const place = document.getElementById(source.dataset.for);
-  const figure = JSON.parse(source.textContent);
-  Plotly.newPlot(place, figure.data, figure.layout, { responsive: true, displaylogo: false, displayModeBar: false });
+  figures.set(source.dataset.for, { text: source.textContent, state: null, drawn: false });
 }
 
-// On paper a figure has another width than on the screen.
-const resizeAll = () => document.querySelectorAll(".figure").forEach((place) => Plotly.Plots.resize(place));
-window.addEventListener("beforeprint", resizeAll);
-window.addEventListener("afterprint", resizeAll);
+const draw = (id) => {
+  const style = getComputedStyle(document.documentElement);
+  const one = figures.get(id);
+  const figure = JSON.parse(one.text.replace(/var\((--[a-z-]+)\)/g, (_, name) => style.getPropertyValue(name).trim()));
+  const config = { responsive: true, displaylogo: false, displayModeBar: false };
+  one.drawn = true;
+  const data = one.state === null ? figure.data : inState(figure, one.state);
+  Plotly.react(document.getElementById(id), data, { ...figure.layout, uirevision: "kept" }, config);
+};
+
+// Where scanners were before: what each saw, moved by (cos, sin, x, y); what is only known in the end is hidden.
+const inState = (figure, state) =>
+  figure.data.map((trace) => {
+    const { scanner, last } = trace.meta;
+    const [c, s, x, y] = figure.states[state][scanner];
+    const moved = (f) => trace.x.map((v, i) => (v === null ? null : f(v, trace.y[i])));
+    const visible = last && state < figure.states.length - 1 ? false : trace.visible ?? true;
+    return { ...trace, visible, x: moved((u, v) => c * u - s * v + x), y: moved((u, v) => s * u + c * v + y) };
+  });
+
+for (const chooser of document.querySelectorAll("fieldset.states")) {
+  chooser.addEventListener("change", (event) => {
+    figures.get(chooser.dataset.for).state = Number(event.target.value);
+    draw(chooser.dataset.for);
+  });
+}
+
+// A figure is drawn when it comes near the window; all are for paper, in the colours of paper.
+const near = new IntersectionObserver(
+  (entries) => {
+    for (const { isIntersecting, target } of entries) {
+      if (isIntersecting && !figures.get(target.id).drawn) draw(target.id);
+    }
+  },
+  { rootMargin: "600px" },
+);
+for (const id of figures.keys()) near.observe(document.getElementById(id));
+const redraw = () => figures.forEach((one, id) => one.drawn && draw(id));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+const onPaper = (yes) => {
+  document.documentElement.classList.toggle("on-paper", yes);
+  figures.forEach((_, id) => draw(id));
+  for (const place of document.querySelectorAll(".figure")) Plotly.Plots.resize(place);
+};
+window.addEventListener("beforeprint", () => onPaper(true));
+window.addEventListener("afterprint", () => onPaper(false));
 
 // The table of captures.
 const table = document.getElementById("capture-table");

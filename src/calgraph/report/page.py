@@ -7,11 +7,15 @@ from string import Template
 from plotly.offline import get_plotlyjs
 
 from calgraph.report.capture_view import captures
+from calgraph.report.coverage_view import coverages
 from calgraph.report.floor_view import floor_plan
+from calgraph.report.fused_view import fused_view
+from calgraph.report.gallery import gallery
 from calgraph.report.graph_view import edge_table, graph
+from calgraph.report.image_view import camera_images
 from calgraph.report.outlook_view import left_out_table, suggestion_list
 from calgraph.report.pose_table import estimated_table, pose_table
-from calgraph.report.residual_view import histograms
+from calgraph.report.residual_view import histograms, spreads
 from calgraph.report.rig_view import rig_view
 from calgraph.report.text import counted, escaped
 from calgraph.report.verdicts import cards, headline
@@ -38,6 +42,11 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
 def report_html(calibration: Calibration, rig: Rig) -> str:
     """The text of the report."""
     words = words_for(rig)
+    sections = {
+        "images": ("Camera images", camera_images(calibration, rig)),
+        "cloud": ("Fused cloud", fused_view(calibration, rig)),
+    }
+    shown = {name: (title, content) for name, (title, content) in sections.items() if content}
     return Template(_part("page.html")).substitute(
         title=escaped(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
         headline=escaped(headline(calibration)),
@@ -48,12 +57,17 @@ def report_html(calibration: Calibration, rig: Rig) -> str:
         edges=edge_table(calibration, words),
         poses=pose_table(calibration) + estimated_table(calibration),
         about_residuals=words.residuals,
-        residuals=histograms(calibration) + left_out_table(calibration),
+        residuals=histograms(calibration) + spreads(calibration, words) + left_out_table(calibration),
         view_title=words.view,
         about_view=words.about_view,
         view=floor_plan(calibration) if words is NETWORK else rig_view(calibration, rig),
+        links="".join(f'<a href="#{name}">{title}</a>' for name, (title, _) in shown.items()),
+        pictures="".join(
+            f'<section id="{name}"><h2>{title}</h2>{content}</section>' for name, (title, content) in shown.items()
+        ),
+        coverage=coverages(calibration, rig, words),
         captures_title=words.rows,
-        captures=captures(calibration, words),
+        captures=captures(calibration, words) + gallery(calibration),
         style=_part("style.css"),
         plotly=get_plotlyjs(),
         script=_part("page.js"),

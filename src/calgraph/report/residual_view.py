@@ -1,10 +1,11 @@
-"""Histograms of the whitened residuals, beside the normal distribution they should have."""
+"""Residuals: whitened ones beside the normal distribution they should have, and distances by sensor."""
 
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.report.figures import BLUE, MUTED, RULE, VERMILION, Figure, figure, placed
+from calgraph.report.figures import BLUE, MUTED, RULE, VERMILION, Figure, figure, placed, plotly_text
 from calgraph.report.text import counted, digits, escaped
+from calgraph.report.words import Words
 from calgraph.result import Calibration
 
 _LIMIT = 5.0
@@ -64,3 +65,30 @@ def _bars(values: Array) -> Figure:
         xaxis={**axis, "title": {"text": "residual / σ"}, "range": [-_LIMIT - _STEP, _LIMIT + _STEP], "dtick": 1},
         yaxis={**axis, "rangemode": "tozero"},
     )  # fmt: skip
+
+
+def spreads(calibration: Calibration, words: Words) -> str:
+    """A box for each sensor with the distances of its captures or walks; nothing where none is known."""
+    distances: dict[str, list[float]] = {sensor.name: [] for sensor in calibration.sensors}
+    for row in calibration.captures:
+        if row.used and row.residual is not None and np.isfinite(row.residual):
+            distances.setdefault(row.sensor, []).append(1e3 * row.residual)
+    known = {name: values for name, values in distances.items() if values}
+    if not known:
+        return ""
+    boxes = [
+        {
+            "type": "box", "x": np.array(values).round(3), "name": plotly_text(name),
+            "marker": {"color": BLUE, "size": 3}, "line": {"width": 1.5}, "boxpoints": "outliers",
+            "hoverinfo": "x+name",
+        }
+        for name, values in known.items()
+    ]  # fmt: skip
+    drawing = figure(
+        boxes,
+        showlegend=False, margin={"l": 10, "r": 10, "t": 6, "b": 40},
+        xaxis={"title": {"text": "distance, mm"}, "gridcolor": RULE, "rangemode": "tozero", "fixedrange": True},
+        yaxis={"autorange": "reversed", "automargin": True, "fixedrange": True},
+    )  # fmt: skip
+    picture = placed("spreads", drawing, 70 + 34 * len(known), f"Distances of each {words.row} by sensor")
+    return f"<h3>Distances by sensor</h3><p>{words.spread}</p>{picture}"

@@ -5,43 +5,72 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.report.figures import BLUE, GREEN, MUTED, RULE, VERMILION, figure, placed, plotly_text
-from calgraph.report.rig_shapes import Polyline, axes, ellipsoid, frustum, scan_circle
+from calgraph.report.figures import (
+    BLUE,
+    BROWN,
+    GREEN,
+    INK,
+    MUTED,
+    PAPER,
+    PINK,
+    PURPLE,
+    RULE,
+    SKY,
+    VERMILION,
+    figure,
+    placed,
+    plotly_text,
+)
+from calgraph.report.rig_shapes import SCALE_95, Polyline, axes, ellipsoid, frustum, scan_circle
 from calgraph.result import Calibration, SensorPose
+from calgraph.result.cameras import cameras_of
 from calgraph.rig import Rig
-from calgraph.sensors import CameraModel
 
-_EXAGGERATIONS = (1.0, 10.0, 100.0)
+_EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+# An ellipsoid can be seen if its longest half axis takes this part of an axis of a frame.
+_VISIBLE = 0.25
 _AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 _FANS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
 
 
 def rig_view(calibration: Calibration, rig: Rig) -> str:
-    """The figure, with buttons for what to look at and how large to draw uncertainties."""
+    """The figure, with buttons for what to look at and how large to draw uncertainties, and how large they are."""
     size = _size_of_frames(calibration)
     fixed = [
         *(_lines(f"{name} axes", [axes(s.T_root_sensor, size)[i] for s in calibration.sensors], color, 5)
           for i, (name, color) in enumerate(_AXES)),
         _names(calibration.sensors),
-        _lines("camera views", _frustums(calibration, rig, size), "#7b3294", 2),
+        _lines("camera views", _frustums(calibration, rig, size), PURPLE, 2),
         *_discs(calibration, 1.8 * size),
-        _lines("2-D scan planes", _circles(calibration, "lidar2d", 1.8 * size, (0.0,)), "#a6761d", 2),
-        _lines("3-D LiDAR beams", _circles(calibration, "lidar3d", 1.5 * size, _FANS), "#56b4e9", 2),
+        _lines("2-D scan planes", _circles(calibration, "lidar2d", 1.8 * size, (0.0,)), BROWN, 2),
+        _lines("3-D LiDAR beams", _circles(calibration, "lidar3d", 1.5 * size, _FANS), SKY, 2),
         _lines("boards", [np.concatenate([o.corners, o.corners[:1]]) for o in calibration.outlines], MUTED, 1.5),
     ]  # fmt: skip
     fixed = [trace for trace in fixed if len(trace["x"])]
     sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.covariance[:3, :3])]
-    limit = 3 * size
-    groups = [[_ellipsoid(s, factor, limit, factor == 1) for s in sensors] for factor in _EXAGGERATIONS]
+    limit, factor = 3 * size, _exaggeration(sensors, size)
+    sizes = (1,) if factor == 1 else (1, factor)
+    groups = [[_ellipsoid(s, one, limit, one == factor) for s in sensors] for one in sizes]
     ellipsoids = [trace for group in groups for trace in group]
     layout = {
         "margin": {"l": 0, "r": 0, "t": 44, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
         "scene": _scene(calibration, size),
-        "updatemenus": [_views(calibration, size), *_sizes(len(fixed), len(sensors))],
+        "updatemenus": [_views(calibration, size), *_sizes(len(fixed), len(sensors), sizes)],
     }
-    return placed("rig", figure([*fixed, *ellipsoids], **layout), 600, "The rig in space")
+    drawn = "as large as they are" if factor == 1 else f"<b>{factor} times</b> as large as they are"
+    about = f"<p>Ellipsoids are drawn {drawn}.</p>" if sensors else ""
+    return about + placed("rig", figure([*fixed, *ellipsoids], **layout), 600, "The rig in space")
+
+
+def _exaggeration(sensors: Sequence[SensorPose], size: float) -> int:
+    """How many times larger ellipsoids must be drawn for half of them to be seen beside frames of a size, m."""
+    known = [s.covariance[:3, :3] for s in sensors if np.isfinite(s.covariance).all()]
+    if not known:
+        return 1
+    longest = SCALE_95 * np.sqrt(np.median([np.linalg.eigvalsh(one)[-1] for one in known]))
+    return next((f for f in _EXAGGERATIONS if f * longest >= _VISIBLE * size), _EXAGGERATIONS[-1])
 
 
 def _size_of_frames(calibration: Calibration) -> float:
@@ -73,19 +102,15 @@ def _names(sensors: Sequence[SensorPose]) -> dict[str, Any]:
         "y": origins[:, 1].tolist(), "z": origins[:, 2].tolist(), "text": [s.name for s in sensors],
         # Text in the scene is drawn as it is; hover labels know tags.
         "customdata": [plotly_text(s.name) for s in sensors],
-        "textposition": "top center", "marker": {"size": 4, "color": "#1f2933"},
+        "textposition": "top center", "marker": {"size": 4, "color": INK},
         "hovertemplate": "<b>%{customdata}</b><br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
     }  # fmt: skip
 
 
 def _frustums(calibration: Calibration, rig: Rig, size: float) -> list[Polyline]:
+    known = cameras_of(calibration, rig)
     cameras = [s for s in calibration.sensors if s.kind == "camera"]
-    return [line for s in cameras for line in frustum(s.T_root_sensor, _intrinsics(s.name, rig), 1.5 * size)]
-
-
-def _intrinsics(name: str, rig: Rig) -> CameraModel | None:
-    spec = rig.cameras().get(name)
-    return spec.intrinsics.camera() if spec and spec.intrinsics else None
+    return [line for s in cameras for line in frustum(s.T_root_sensor, known.get(s.name), 1.5 * size)]
 
 
 def _circles(calibration: Calibration, kind: str, radius: float, elevations: Sequence[float]) -> list[Polyline]:
@@ -104,7 +129,7 @@ def _discs(calibration: Calibration, radius: float) -> list[dict[str, Any]]:
             discs.append({
                 "type": "mesh3d", "x": x, "y": y, "z": z, "i": i, "j": (i + 1) % len(rim),
                 "k": np.full_like(i, len(rim)),
-                "color": "#a6761d", "opacity": 0.1, "hoverinfo": "skip",
+                "color": BROWN, "opacity": 0.1, "hoverinfo": "skip",
             })  # fmt: skip
     return discs
 
@@ -114,13 +139,13 @@ def _ellipsoid(sensor: SensorPose, exaggeration: float, limit: float, visible: b
     x, y, z = vertices.T
     i, j, k = triangles.T
     return {
-        "type": "mesh3d", "x": x, "y": y, "z": z, "i": i, "j": j, "k": k, "color": "#cc79a7", "opacity": 0.35,
+        "type": "mesh3d", "x": x, "y": y, "z": z, "i": i, "j": j, "k": k, "color": PINK, "opacity": 0.35,
         "visible": visible, "name": plotly_text(sensor.name), "hoverinfo": "name", "flatshading": False,
     }  # fmt: skip
 
 
 def _scene(calibration: Calibration, size: float) -> dict[str, Any]:
-    axis = {"backgroundcolor": "#ffffff", "gridcolor": RULE, "zerolinecolor": RULE, "showspikes": False}
+    axis = {"backgroundcolor": PAPER, "gridcolor": RULE, "zerolinecolor": RULE, "showspikes": False}
     ranges = _ranges(calibration, size)
     named = {f"{n}axis": {**axis, "title": {"text": f"{n}, m"}, "range": r}
              for n, r in zip("xyz", ranges, strict=True)}  # fmt: skip
@@ -149,22 +174,22 @@ def _views(calibration: Calibration, size: float) -> dict[str, Any]:
     return _menu(0.0, [("the rig", "relayout", [rig]), ("with the boards", "relayout", [everything])])
 
 
-def _sizes(fixed: int, sensors: int) -> list[dict[str, Any]]:
+def _sizes(fixed: int, sensors: int, sizes: Sequence[int]) -> list[dict[str, Any]]:
     """Buttons: how large to draw the uncertainties."""
     if not sensors:
         return []
-    traces = list(range(fixed, fixed + sensors * len(_EXAGGERATIONS)))
+    traces = list(range(fixed, fixed + sensors * len(sizes)))
     buttons = []
-    for chosen in (None, *_EXAGGERATIONS):
-        label = "no uncertainty" if chosen is None else "95 % ellipsoids" if chosen == 1 else f"× {chosen:g}"
-        visible = [factor == chosen for factor in _EXAGGERATIONS for _ in range(sensors)]
+    for chosen in (None, *sizes):
+        label = "no ellipsoids" if chosen is None else "true size" if chosen == 1 else f"× {chosen}"
+        visible = [factor == chosen for factor in sizes for _ in range(sensors)]
         buttons.append((label, "restyle", [{"visible": visible}, traces]))
-    return [_menu(0.99, buttons, active=1)]
+    return [_menu(0.99, buttons, active=len(sizes))]
 
 
 def _menu(x: float, buttons: Sequence[tuple[str, str, list[Any]]], active: int = 0) -> dict[str, Any]:
     return {
         "type": "buttons", "direction": "right", "x": x, "xanchor": "left" if x == 0 else "right", "y": 1.0,
-        "yanchor": "bottom", "active": active, "pad": {"b": 6}, "bgcolor": "#ffffff", "bordercolor": RULE,
+        "yanchor": "bottom", "active": active, "pad": {"b": 6}, "bgcolor": PAPER, "bordercolor": RULE,
         "buttons": [{"label": label, "method": method, "args": args} for label, method, args in buttons],
     }  # fmt: skip

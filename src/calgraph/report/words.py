@@ -24,6 +24,9 @@ class Words:
     """Heads of a pair's numbers."""
     graph: str
     residuals: str
+    spread: str
+    """On the distances of single captures or walks."""
+    coverage: str
     view: str
     """Title of the section with the picture of the result."""
     about_view: str
@@ -45,10 +48,15 @@ tree along which the start values came; dashed ones could not be used.""",
     residuals="""Residuals of the joint solution, each divided by the standard deviation its noise should
 give it. With the right noise they follow the dotted curve and have an RMS of 1; above 1 the stated noise
 is too small, below it is too large.""",
+    spread="""Distances of what each sensor saw in single captures from what the others saw, under the final poses:
+half of the captures lie in the box, dots are captures far from the others.""",
+    coverage="""How often the board was where in each sensor's field of view, the darker the more captures. A
+result holds best where the board was; nothing is known of parts of the view where it never was. What
+is missing need not be bad: only where views overlap does a capture tie sensors to each other.""",
     view="3-D view",
     about_view="""Frames with x, y, z axes in red, green and blue; drag to turn, scroll to zoom, click in
-the legend to hide. An ellipsoid holds a sensor's true position with 95 % probability; ones too small to
-see can be drawn larger, ones too large are cut off.""",
+the legend to hide. An ellipsoid holds a sensor's true position with 95 % probability; what is too large
+is cut off.""",
     advice={
         "weak": "Record more captures with the board at other angles, heights and distances.",
         "unconnected": "No capture ties it to another sensor. Hold the board where both see it at once.",
@@ -71,6 +79,9 @@ lines are the tree in which the scanners hang; dashed pairs contradict the other
 under the final poses, each divided by the standard deviation that both tracks state. With the right noise
 they follow the dotted curve and have an RMS of 1; above 1 the stated noise is too small, below it is too
 large.""",
+    spread="""Distances between where each scanner saw people walk and where the others saw them, under the final
+poses: half of the walks lie in the box, dots are walks far from the others.""",
+    coverage="""How many walks came through which part of each scanner's field of view, the darker the more.""",
     view="Floor plan",
     about_view="""What all scanners saw, in one frame: points stood still, lines are where somebody
 walked. If walls or walks of two colours lie beside each other instead of on each other, a pose is wrong.

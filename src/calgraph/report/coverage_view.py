@@ -1,0 +1,84 @@
+"""The coverage of each sensor's field of view as a picture and in words."""
+
+import numpy as np
+
+from calgraph.report.coverage import Coverage, coverage
+from calgraph.report.text import KINDS, counted, escaped
+from calgraph.report.words import Words
+from calgraph.result import Calibration
+from calgraph.rig import Rig
+
+# Of the drawing, with room for labels at the left and below.
+_WIDTH, _HEIGHT, _LEFT, _RIGHT, _BELOW = 400, 230, 44, 16, 34
+_TICKS = 5
+
+
+def coverages(calibration: Calibration, rig: Rig, words: Words) -> str:
+    """A picture for each sensor; a sentence where nothing is known."""
+    found = {sensor: coverage(calibration, rig, sensor) for sensor in calibration.sensors}
+    shown = "".join(
+        f'<div class="cover"><h3>{escaped(sensor.name)}</h3>{_picture(one, sensor.name, words)}'
+        f"<ul>{''.join(f'<li>{escaped(remark)}</li>' for remark in one.remarks)}</ul></div>"
+        for sensor, one in found.items()
+        if one
+    )
+    if not shown:
+        return '<p class="empty">What the sensors saw is not part of this result.</p>'
+    without = [escaped(f"{s.name} ({KINDS[s.kind]})") for s, one in found.items() if not one]
+    rest = f"<p>Of {', '.join(without)} nothing is known.</p>" if without else ""
+    return f'<p>{words.coverage}</p><div class="grid">{shown}</div>{rest}'
+
+
+def _picture(of: Coverage, name: str, words: Words) -> str:
+    """The cells as an SVG, the darker the more often seen."""
+    rows, columns = of.counts.shape
+    width = _WIDTH - _LEFT - _RIGHT
+    height = min(width * rows / columns, _HEIGHT) if of.axes[0] == "px" else 0.5 * _HEIGHT + 20
+    w, h = width / columns, height / rows
+    most = max(float(of.counts.max()), 1.0)
+    cells = "".join(
+        f'<rect class="cell" x="{_LEFT + j * w:.1f}" y="{8 + i * h:.1f}" width="{w:.1f}" height="{h:.1f}" '
+        f'fill-opacity="{0.15 + 0.85 * np.log1p(n) / np.log1p(most):.2f}">'
+        f"<title>{_between(of.x_edges, j)} {of.axes[0]}, {_between(of.y_edges, i)} {of.axes[1]}: "
+        f"{counted(int(n), words.row)}</title></rect>"
+        for (i, j), n in np.ndenumerate(of.counts)
+        if n
+    )
+    field = (
+        "".join(
+            f'<rect class="field" x="{_LEFT + j * w:.1f}" y="8" width="{w + 0.2:.1f}" height="{height:.1f}"/>'
+            for j in np.flatnonzero(of.visible)
+        )
+        if not of.visible.all()
+        else f'<rect class="field" x="{_LEFT}" y="8" width="{width}" height="{height:.1f}"/>'
+    )
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {height + 8 + _BELOW:.0f}" role="img" '
+        f'aria-label="Coverage of {escaped(name)}">'
+        f'<rect class="outside" x="{_LEFT}" y="8" width="{width}" height="{height:.1f}"/>{field}{cells}'
+        f"{_labels(of, width, height)}</svg>"
+    )
+
+
+def _labels(of: Coverage, width: float, height: float) -> str:
+    x = "".join(
+        f'<text x="{_LEFT + t * width:.0f}" y="{height + 22:.0f}" text-anchor="middle">{_at(of.x_edges, t)}</text>'
+        for t in np.linspace(0, 1, _TICKS)
+    )
+    y = "".join(
+        f'<text x="{_LEFT - 6}" y="{12 + t * height:.0f}" text-anchor="end">{_at(of.y_edges, t)}</text>'
+        for t in (0.0, 0.5, 1.0)
+    )
+    names = "picture, px" if of.axes[0] == "px" else f"across: {of.axes[0]}; up: {of.axes[1]}"
+    return f'{x}{y}<text x="{_LEFT + width / 2:.0f}" y="{height + 38:.0f}" text-anchor="middle">{names}</text>'
+
+
+def _at(edges: np.ndarray[tuple[int], np.dtype[np.float64]], share: float) -> str:
+    value = float(edges[0] + share * (edges[-1] - edges[0]))
+    decimals = 0 if abs(edges[-1] - edges[0]) > 20 else 1
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−")
+
+
+def _between(edges: np.ndarray[tuple[int], np.dtype[np.float64]], k: int) -> str:
+    low, high = sorted((float(edges[k]), float(edges[k + 1])))
+    return f"{low:.4g} to {high:.4g}".replace("-", "−")
