@@ -57,7 +57,7 @@ def _misfits(adjusted: Adjusted, T_root_sensor: Mapping[str, Array]) -> dict[str
         own.where(np.full(len(own.board), name in T_root_sensor))
         for name, own in zip(bundle.names, bundle.views, strict=True)
     )
-    held = replace(bundle, views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
+    held = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
     poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.names, state.T_root_sensor, strict=True)]
     given = _residuals(held, replace(state, T_root_sensor=np.array(poses)))
     found = _residuals(held, state)

@@ -12,8 +12,8 @@ def board_shares(bundle: Bundle, system: System) -> Array:
     Their sum, and that of the priors, is what the reduced problem is made of.
     """
     H = np.zeros((len(system.H_board), bundle.size, bundle.size))
-    for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
-        columns = bundle.columns(s)
+    for k, (views, at) in enumerate(zip(bundle.all_views, system.views, strict=True)):
+        columns = bundle.columns(k)
         G, columns = at.by_sensor[..., columns >= 0], columns[columns >= 0]
         H[np.ix_(views.board, columns, columns)] += np.swapaxes(G, -1, -2) @ at.information @ G
     K = np.linalg.solve(system.H_board + FAINT * np.eye(6), system.coupling)

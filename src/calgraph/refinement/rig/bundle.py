@@ -8,7 +8,7 @@ Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algori
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class Unknown:
     belief: float
     """Standard deviation of that: wide, so that it decides only what nothing measures."""
     sensors: tuple[int, ...]
-    """Those whose measurements depend on it."""
+    """Those whose measurements depend on it, and outlines, as the bundle counts all views."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,21 +65,44 @@ class Bundle:
     body: Index
     """(S,) which rigid body each sensor is on, counted from 0, the root's: sensors of one body move as one."""
     sway: Array
-    """(S,) variance of the displacement with which a sensor sees a board in each view of its own, m²."""
+    """(K,) variance of the displacement with which a sensor sees a board in each view of its own, m²: of all S
+    sensors' views, then of the outlines."""
     lever: float
     """A displacement by one metre comes with a rotation of one metre over this, m: half the size of a board."""
     priors: tuple[Prior, ...] = ()
     unknowns: tuple[Unknown, ...] = ()
     """Besides poses. Views of a sensor take theirs in this order."""
+    outlines: tuple[Views, ...] = ()
+    """(O,) where scanners saw the sheets end: views with noise, sway and unknowns of their own."""
+    outlined: tuple[int, ...] = ()
+    """(O,) the sensor that each outline is of."""
 
-    def own(self, sensor: int) -> Index:
-        """(e,) which unknowns a sensor's measurements depend on."""
-        return np.array([i for i, one in enumerate(self.unknowns) if sensor in one.sensors], dtype=np.intp)
+    @property
+    def all_views(self) -> tuple[Views, ...]:
+        """(K,) of each sensor, then the outlines: below, ``k`` counts these."""
+        return (*self.views, *self.outlines)
 
-    def columns(self, sensor: int) -> Index:
+    def seer(self, k: int) -> int:
+        """Whose views they are."""
+        return k if k < len(self.views) else self.outlined[k - len(self.views)]
+
+    def with_views(self, all_views: Sequence[Views]) -> "Bundle":
+        """The bundle with other views (K,)."""
+        sensors = len(self.views)
+        return replace(self, views=tuple(all_views[:sensors]), outlines=tuple(all_views[sensors:]))
+
+    def without_outlines(self) -> "Bundle":
+        """The bundle with what sensors saw of the boards' planes and prints alone."""
+        return replace(self, outlines=(), outlined=(), sway=self.sway[: len(self.views)])
+
+    def own(self, k: int) -> Index:
+        """(e,) which unknowns the measurements depend on."""
+        return np.array([i for i, one in enumerate(self.unknowns) if k in one.sensors], dtype=np.intp)
+
+    def columns(self, k: int) -> Index:
         """(6 + e,) columns of a sensor's body and own unknowns in the reduced problem; -1 where it is fixed."""
-        body = 6 * (self.body[sensor] - 1) + np.arange(6)
-        return np.concatenate([np.maximum(body, -1), self.own(sensor) + 6 * self.bodies])
+        body = 6 * (self.body[self.seer(k)] - 1) + np.arange(6)
+        return np.concatenate([np.maximum(body, -1), self.own(k) + 6 * self.bodies])
 
     @property
     def bodies(self) -> int:
@@ -96,10 +119,10 @@ class Bundle:
         """(G,) standard deviations of the reduced problem's unknowns without any data."""
         return np.concatenate([np.tile(_BELIEF, self.bodies), [one.belief for one in self.unknowns]])
 
-    def swaying(self, sensor: int) -> Array:
+    def swaying(self, k: int) -> Array:
         """(6 + e,) variances of the displacement of one view, along the sensor's axes."""
-        shape = np.array([1, 1, 1, *[self.lever**-2] * 3, *[0.0] * self.views[sensor].unknowns])
-        return np.asarray(self.sway[sensor] * shape)
+        shape = np.array([1, 1, 1, *[self.lever**-2] * 3, *[0.0] * self.all_views[k].unknowns])
+        return np.asarray(self.sway[k] * shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +139,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class ViewEquations:
-    """One sensor's views at a state."""
+    """One sensor's views, or an outline's, at a state."""
 
     information: Array
     """(V, p, p) on the pose of the board before the sensor, and the sensor's own unknowns."""
@@ -173,14 +196,14 @@ def linearize(bundle: Bundle, state: State) -> System:
     cost, H, g = _believed(bundle, state)
     H_board, g_board, coupling = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     equations = []
-    for s, views in enumerate(bundle.views):
-        T_root_sensor, T_root_board = state.T_root_sensor[s], state.T_root_board[views.board]
-        rows = views.linearize(relative(T_root_sensor, T_root_board), state.own[bundle.own(s)])
-        A, b, costs = swayed(rows, views.start, bundle.swaying(s))
-        by_sensor, by_board = _chain(bundle, state, s, T_root_board, views.unknowns)
+    for k, views in enumerate(bundle.all_views):
+        T_root_sensor, T_root_board = state.T_root_sensor[bundle.seer(k)], state.T_root_board[views.board]
+        rows = views.linearize(relative(T_root_sensor, T_root_board), state.own[bundle.own(k)])
+        A, b, costs = swayed(rows, views.start, bundle.swaying(k))
+        by_sensor, by_board = _chain(bundle, state, bundle.seer(k), T_root_board, views.unknowns)
         equations.append(ViewEquations(A, b, by_sensor, by_board))
         cost += float(costs.sum())
-        columns = bundle.columns(s)
+        columns = bundle.columns(k)
         G, columns = by_sensor[..., columns >= 0], columns[columns >= 0]
         Gt, Bt = np.swapaxes(G, -1, -2), np.swapaxes(by_board, -1, -2)
         H[np.ix_(columns, columns)] += np.sum(Gt @ A @ G, axis=0)
@@ -261,7 +284,7 @@ def reduced_covariance(system: System) -> Array:
 
 
 def view_spreads(bundle: Bundle, system: System) -> list[Array]:
-    """By sensor, how far off the solution may have each board before it: factors ``F`` (V, p, G + 6).
+    """By sensor and outline, how far off the solution may have each board before it: factors ``F`` (V, p, G + 6).
 
     Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
     board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
@@ -269,8 +292,8 @@ def view_spreads(bundle: Bundle, system: System) -> list[Array]:
     H, _, K = system.reduced()
     inner, of_board = _inverse_root(H), _inverse_root(system.H_board + FAINT * np.eye(6))
     found = []
-    for s, (views, at) in enumerate(zip(bundle.views, system.views, strict=True)):
-        columns = bundle.columns(s)
+    for k, (views, at) in enumerate(zip(bundle.all_views, system.views, strict=True)):
+        columns = bundle.columns(k)
         by_unknowns = -at.by_board @ K[views.board, :, :-1]
         by_unknowns[..., columns[columns >= 0]] += at.by_sensor[..., columns >= 0]
         found.append(np.concatenate([by_unknowns @ inner, at.by_board @ of_board[views.board]], axis=-1))

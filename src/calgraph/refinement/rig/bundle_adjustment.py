@@ -65,7 +65,7 @@ def solve_bundle(
     if estimate:
         bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
     rejected: set[tuple[int, str]] = set()
-    seen = np.array([len(views.board) for views in bundle.views])
+    seen = np.array([len(views.board) for views in bundle.all_views])
     solved = solve(bundle, state)
     for _ in range(_ROUNDS):
         before = bundle
@@ -89,7 +89,7 @@ def solve_bundle(
         rejected={(boards[i].capture, name): _CONTRADICTS for i, name in sorted(rejected)},
         noise={
             name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
-            for name, views, sway in zip(names, bundle.views, bundle.sway, strict=True)
+            for name, views, sway in zip(names, bundle.views, bundle.sway[: len(names)], strict=True)
         },
         estimated=estimated_values(bundle, solved.state, solved.system),
         adjusted=Adjusted(bundle, solved, np.array([board.capture for board in boards])),
@@ -111,7 +111,7 @@ def cramer_rao(
     boards = [Sighting(c, by) for c, by in seen.items() if by]
     bundle, state = build(rig, captured, boards, T_root_sensor)
     truth = replace(state, T_root_board=stacked([T_root_board[board.capture] for board in boards]))
-    exact = replace(_weighed(bundle, truth), sway=np.zeros(len(bundle.names)))
+    exact = replace(_weighed(bundle, truth), sway=np.zeros_like(bundle.sway))
     spread = covariance(exact, truth, linearize(exact, truth))
     blocks = spread.reshape(len(bundle.names), 6, len(bundle.names), 6)
     return {name: blocks[i, :, i] for i, name in enumerate(bundle.names)}
@@ -147,10 +147,10 @@ def _printed_on(captured: Captured, boards: Sequence[Sighting]) -> Index:
 def _weighed(bundle: Bundle, state: State) -> Bundle:
     """The bundle with the noise that measurements have if taken at this state."""
     views = [
-        own.weighed(relative(T, state.T_root_board[own.board]), own.scale)
-        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
+        own.weighed(relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board]), own.scale)
+        for k, own in enumerate(bundle.all_views)
     ]
-    return replace(bundle, views=tuple(views))
+    return bundle.with_views(views)
 
 
 def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) -> Views:
@@ -180,17 +180,17 @@ def _without_wrong(bundle: Bundle, solved: Solved, seen: NDArray[np.intp]) -> tu
     ]
     rejected = {
         (int(board), name)
-        for name, views, bad in zip(bundle.names, bundle.views, wrong, strict=True)
+        for name, views, bad in zip(bundle.names, bundle.views, wrong[: len(bundle.views)], strict=True)
         for board in views.board[bad]
     }
-    left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
-    return replace(bundle, views=left), rejected
+    left = [views.where(~bad) for views, bad in zip(bundle.all_views, wrong, strict=True)]
+    return bundle.with_views(left), rejected
 
 
 def _alike(a: Bundle, b: Bundle) -> bool:
     """Whether two bundles have the same views, and nearly the same noise."""
-    same_views = all(len(p.board) == len(q.board) for p, q in zip(a.views, b.views, strict=True))
-    same_noise = all(abs(p.scale / q.scale - 1) < _SETTLED for p, q in zip(a.views, b.views, strict=True))
+    same_views = all(len(p.board) == len(q.board) for p, q in zip(a.all_views, b.all_views, strict=True))
+    same_noise = all(abs(p.scale / q.scale - 1) < _SETTLED for p, q in zip(a.all_views, b.all_views, strict=True))
     smallest = np.minimum(a.sway, b.sway)
     same_sway = bool(np.all(np.abs(a.sway - b.sway) <= 2 * _SETTLED * smallest + 1e-9))
     return same_views and same_noise and same_sway

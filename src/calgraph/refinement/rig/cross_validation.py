@@ -8,7 +8,7 @@ Source: Stone, "Cross-validatory choice and assessment of statistical prediction
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -86,7 +86,8 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
     for fold in range(min(folds, int(number.max()) + 1)):
         trained = solve(_of_boards(bundle, fold_of != fold), adjusted.solved.state)
         spread = reduced_covariance(trained.system)
-        left = _of_boards(bundle, fold_of == fold)
+        # An outline is what a scanner saw itself: it must not place the board for it.
+        left = _of_boards(bundle.without_outlines(), fold_of == fold)
         state, system = _placed(left, trained.state)
         for s, name in enumerate(bundle.names):
             if len(left.views[s].board):
@@ -97,7 +98,7 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
 
 def _of_boards(bundle: Bundle, kept: NDArray[np.bool_]) -> Bundle:
     """The bundle with the views of some boards (C,) only."""
-    return replace(bundle, views=tuple(views.where(kept[views.board]) for views in bundle.views))
+    return bundle.with_views([views.where(kept[views.board]) for views in bundle.all_views])
 
 
 def _placed(bundle: Bundle, state: State) -> tuple[State, System]:

@@ -101,12 +101,12 @@ def resample(
 def _drawn(bundle: Bundle, state: State, boards: Index) -> tuple[Bundle, State]:
     """Bundle and state of some boards, each as often as it was drawn."""
     views = []
-    for own in bundle.views:
+    for own in bundle.all_views:
         view_of = np.full(len(state.T_root_board), -1)
         view_of[own.board] = np.arange(len(own.board))
         seen = np.flatnonzero(view_of[boards] >= 0)
         views.append(replace(own.where(view_of[boards[seen]]), board=seen))
-    return replace(bundle, views=tuple(views)), replace(state, T_root_board=state.T_root_board[boards])
+    return bundle.with_views(views), replace(state, T_root_board=state.T_root_board[boards])
 
 
 def _move_covariance(shares: Array, V: Array, often: Index) -> Array:

@@ -25,18 +25,18 @@ _WAITING = 0.25
 def with_measured_noise(bundle: Bundle, state: State) -> Bundle:
     """The bundle with each sensor's noise as its measurements scatter about the board that fits each view best."""
     views = []
-    for s, own in enumerate(bundle.views):
-        T_sensor_board = relative(state.T_root_sensor[s], state.T_root_board[own.board])
-        rows = own.linearize(T_sensor_board, state.own[bundle.own(s)])
+    for k, own in enumerate(bundle.all_views):
+        T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board])
+        rows = own.linearize(T_sensor_board, state.own[bundle.own(k)])
         squares, freedom = summed(rows, own.start).scatter()
         squared = squares.sum() / huber_scatter(rows.residual.shape[1]) * own.scale**2
         scale = float(np.sqrt((squared + _FIRM) / (freedom.sum() + _FIRM)))
         views.append(own.weighed(T_sensor_board, scale))
-    return replace(bundle, views=tuple(views))
+    return bundle.with_views(views)
 
 
 def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
-    """The bundle with all sensors' sway one step nearer to what the scatter of their views says.
+    """The bundle with all sensors' and outlines' sway one step nearer to what the scatter of their views says.
 
     Fisher scoring of the restricted likelihood: views' gradients have the covariance ``W = A - A P A`` if noise
     and sway are right. Views of one board explain each other's scatter, so sensors are scored together; that of
@@ -45,7 +45,7 @@ def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
     Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika
     1971.
     """
-    sensors = range(len(bundle.names))
+    sensors, views = range(len(bundle.sway)), bundle.all_views
     shapes = [replace(bundle, sway=np.ones(len(sensors))).swaying(s) for s in sensors]
     A = [at.information for at in system.views]
     Y = [information @ F for information, F in zip(A, view_spreads(bundle, system), strict=True)]
@@ -55,7 +55,7 @@ def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
         score[s] = shapes[s] @ (system.views[s].gradient ** 2 - np.diagonal(W, axis1=-2, axis2=-1)).sum(axis=0)
         fisher[s, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[s]
         for t in sensors[:s]:
-            _, i, j = np.intersect1d(bundle.views[s].board, bundle.views[t].board, return_indices=True)
+            _, i, j = np.intersect1d(views[s].board, views[t].board, return_indices=True)
             W = Y[s][i] @ np.swapaxes(Y[t][j], -1, -2)
             fisher[s, t] = fisher[t, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[t]
     return replace(bundle, sway=_ascended(bundle.sway, score, fisher))
@@ -71,14 +71,14 @@ def _ascended(variances: Array, score: Array, fisher: Array) -> Array:
 
 
 def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
-    """By sensor, (V,) which views contradict the others: of a board only the worst, for it bends the others.
+    """By sensor and outline, (V,) which views contradict the others: of a board the worst, for it bends the others.
 
     Views that are far worse than the rest bend all sensors: those that are less wrong are judged without them.
     """
     boards = len(system.H_board)
     excess, spreads = [], view_spreads(bundle, system)
     worst: Array = np.zeros(boards)
-    for views, at, F in zip(bundle.views, system.views, spreads, strict=True):
+    for views, at, F in zip(bundle.all_views, system.views, spreads, strict=True):
         squared, freedom = misfit(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
         over = squared / chdtri(np.maximum(freedom, 1), _CHANCE)
         excess.append(over)
@@ -86,5 +86,5 @@ def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
     limit = max(1.0, _WAITING * worst.max(initial=0.0))
     return [
         np.asarray((over > limit) & (over >= worst[views.board]), dtype=np.bool_)
-        for views, over in zip(bundle.views, excess, strict=True)
+        for views, over in zip(bundle.all_views, excess, strict=True)
     ]

@@ -53,7 +53,7 @@ def suggest(
         imagined(own, kinds[name], relative(T, seen[own.board]), relative(T, state.T_root_board), size)
         for name, own, T in sensors
     )
-    looking = replace(bundle, views=views, priors=())
+    looking = replace(bundle.without_outlines(), views=views, priors=())
     gains = board_shares(looking, linearize(looking, state))
     turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = (turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)).reshape(6 * len(turns), -1)
