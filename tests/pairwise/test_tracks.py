@@ -60,6 +60,7 @@ def observe(
     cut: float = 2.0,
     late: float = 0.0,
     near: float = 0.0,
+    sigma: float = SIGMA,
     background: Array = NO_BACKGROUND,
 ) -> Tracked:
     """What a scanner with a view of 270° makes of people: errors that last, dropouts, tracks cut in pieces.
@@ -74,7 +75,7 @@ def observe(
         p = se2.apply(T, np.column_stack([np.interp(t, truth, x[:, k]) for k in (0, 1)]))
         u = np.column_stack([np.interp(t, truth, v[:, k]) for k in (0, 1)]) @ T[:2, :2].T
         keep = np.exp(-1 / rate / MEMORY)
-        noise = rng.normal(size=p.shape) * SIGMA
+        noise = rng.normal(size=p.shape) * sigma
         noise[1:] *= np.sqrt(1 - keep**2)
         p = p + lfilter([1], [1, -keep], noise, axis=0)
         p = p * (1 - near / np.linalg.norm(p, axis=1, keepdims=True))
@@ -84,7 +85,7 @@ def observe(
         breaks = (np.diff(seen) > 5) | (np.diff(piece[seen]) > 0)
         for k in np.split(seen, np.flatnonzero(breaks) + 1):
             if len(k) >= 4:
-                S = np.broadcast_to(SIGMA**2 * np.eye(2), (len(k), 2, 2))
+                S = np.broadcast_to(sigma**2 * np.eye(2), (len(k), 2, 2))
                 tracks.append(Track(t[k] + late, p[k], u[k], S, period=int(piece[k[0]])))
     return Tracked(tuple(tracks), background, 0.01)
 
@@ -149,6 +150,19 @@ def test_clocks_may_differ_by_thirty_milliseconds(
     walks = [wander(rng) for _ in range(2)]
     A, B = somewhere(rng), somewhere(rng)
     assert error(estimate(rng, walks, A, B, late=0.03), se2.inverse(A) @ B)[0] < 0.03
+
+
+@pytest.mark.parametrize(("late", "near"), [(0.09, 0.0), (0.0, 0.07)])
+@pytest.mark.parametrize("seed", range(3))
+def test_tracks_may_be_far_surer_than_clocks_and_sizes_are_known(late: float, near: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, B = somewhere(rng), somewhere(rng)
+    fast = [wander(rng, speed=2.5)]
+    a = observe(fast, A, rng, sigma=0.003, near=near)
+    b = observe(fast, B, rng, sigma=0.003, late=late, near=near)
+    metres, degrees = error(estimate_network_pair("a", "b", a, b, rng, icp=False), se2.inverse(A) @ B)
+    assert metres < 0.05
+    assert degrees < 0.5
 
 
 def test_errors_are_as_large_as_the_information_says() -> None:

@@ -101,8 +101,8 @@ def costs(T_a_b: Array, met: Meetings, misfit: float = _MISFIT) -> Array:
 
 def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> tuple[NDArray[np.intp], Array]:
     """The meetings (P,) of mutual nearest neighbours within the gate, and their squared Mahalanobis distances."""
-    x_a, x_b = met.x_a, met.x_b
-    rough = np.sum((se2.apply(T_a_b, x_b) - x_a) ** 2, axis=1) / (met.variance + misfit**2)
+    apart = _differences(T_a_b, nuisance, met.x_a, met.x_b, met.v_b)
+    rough = np.sum(apart**2, axis=1) / (met.variance + misfit**2)
     # The exact covariance matters for the gate alone; who is nearest is clear without it.
     near = np.flatnonzero(rough < 4 * GATE)
     if not len(near):
@@ -115,17 +115,22 @@ def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> 
 
 def _linearized(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 6) by pose, clock, depths, covariances."""
-    a, b = met.row_a[pairs], met.row_b[pairs]
     R = T[:2, :2]
-    x_a, x_b, v_b = met.a.positions[a], met.b.positions[b], met.b.velocities[b] @ R.T
+    x_a, x_b, v_b = met.x_a[pairs], met.x_b[pairs], met.v_b[pairs]
     turned = x_b @ R.T
-    out_a, out_b = _unit(x_a), _unit(turned)
     J = np.zeros((len(pairs), 2, 6))
     J[:, 0, 0] = J[:, 1, 1] = 1
     J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
-    J[:, :, 3], J[:, :, 4], J[:, :, 5] = v_b, -out_a, out_b
-    r = turned + T[:2, 2] - x_a + nuisance[0] * v_b - nuisance[1] * out_a + nuisance[2] * out_b
-    return r, J, met.a.covariances[a] + R @ met.b.covariances[b] @ R.T
+    J[:, :, 3], J[:, :, 4], J[:, :, 5] = v_b @ R.T, -_unit(x_a), _unit(turned)
+    S = met.a.covariances[met.row_a[pairs]] + R @ met.b.covariances[met.row_b[pairs]] @ R.T
+    return _differences(T, nuisance, x_a, x_b, v_b), J, S
+
+
+def _differences(T: Array, nuisance: Array, x_a: Array, x_b: Array, v_b: Array) -> Array:
+    """(M, 2) from what a saw to what b saw, in a's frame, clocks and depths put right; all arrays (M, 2)."""
+    late, behind_a, behind_b = nuisance
+    seen_by_b = x_b + late * v_b + behind_b * _unit(x_b)
+    return se2.apply(T, seen_by_b) - (x_a + behind_a * _unit(x_a))
 
 
 def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array, depth: float) -> tuple[Array, Array]:

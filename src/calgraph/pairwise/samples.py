@@ -88,6 +88,11 @@ class Meetings:
         return np.asarray(self.b.positions[self.row_b])
 
     @cached_property
+    def v_b(self) -> Array:
+        """(M, 2) velocities seen by b, m/s."""
+        return np.asarray(self.b.velocities[self.row_b])
+
+    @cached_property
     def variance(self) -> Array:
         """(M,) variances of a coordinate's difference, m², averaged over all directions."""
         traces = [np.trace(s.covariances, axis1=1, axis2=2) for s in (self.a, self.b)]
