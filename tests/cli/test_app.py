@@ -11,7 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from calgraph.cli.app import app, guarded
+from calgraph.cli.app import COMMANDS, SIMULATIONS, app, guarded
+from calgraph.cli.on_demand import Place
 from calgraph.errors import CalibrationError, InputError, RecordingError
 
 Run = Callable[..., Result]
@@ -43,6 +44,22 @@ def test_every_command_has_help_within_80_columns(command: list[str]) -> None:
     result = CliRunner(env={"COLUMNS": "80"}).invoke(app, [*command, "--help"])
     assert result.exit_code == 0
     assert max(map(len, result.output.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("place", [*COMMANDS.values(), *SIMULATIONS.values()], ids=lambda place: place.function)
+def test_the_list_says_of_a_command_what_its_help_does(place: Place) -> None:
+    assert (place.command().__doc__ or "").splitlines()[0] == place.summary
+
+
+def test_the_list_of_commands_waits_for_none_of_them() -> None:
+    """It takes a quarter of a second; NumPy alone as long again."""
+    code = "import sys; from calgraph.cli.app import app; app(['--help'], standalone_mode=False); {}"
+    heavy = "sys.exit(', '.join({'numpy', 'scipy', 'pydantic', 'rosbags', 'ruamel.yaml'} & set(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code.format(heavy)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stderr.strip() == ""
+    assert "calibrate" in done.stdout
 
 
 @pytest.mark.parametrize(

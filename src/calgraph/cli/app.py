@@ -6,26 +6,14 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from types import FrameType
 from typing import Annotated
 
 import typer
 from rich.markup import escape
 
-from calgraph.cli.board import board
-from calgraph.cli.calibrate import calibrate
-from calgraph.cli.check import check
 from calgraph.cli.console import console
-from calgraph.cli.demo import demo
-from calgraph.cli.export import export
-from calgraph.cli.init import init
-from calgraph.cli.inspect import inspect
-from calgraph.cli.simulate import simulate_rig_command
-from calgraph.cli.simulate_network import simulate_network_command
-from calgraph.cli.solve import solve
-from calgraph.cli.verify import verify
-from calgraph.cli.view import view
+from calgraph.cli.on_demand import Place, on_demand
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
@@ -56,25 +44,54 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
-simulate = typer.Typer(no_args_is_help=True, help="Simulate recordings with known truth.")
-app.command()(guarded(calibrate))
-app.command()(guarded(solve))
-app.command()(guarded(check))
-app.command()(guarded(verify))
-app.command()(guarded(demo))
-app.command()(guarded(init))
-app.command("board")(guarded(board))
-app.command()(guarded(inspect))
-app.command()(guarded(export))
-app.command()(guarded(view))
-simulate.command("rig")(guarded(simulate_rig_command))
-simulate.command("network")(guarded(simulate_network_command))
+COMMANDS = {
+    name: Place(f"calgraph.cli.{name}", name, summary)
+    for name, summary in {
+        "calibrate": "Find the relative poses of all sensors of a rig or network.",
+        "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
+        "check": "Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and "
+        "axis, and why.",
+        "verify": "Check whether the covariances of a rig's calibration hold, by a bootstrap over its captures.",
+        "demo": "Simulate a five-sensor robot, calibrate it from its recording, and compare with the truth.",
+        "init": "Draft a rig.yaml from the topics of a recording, with comments that say what to check and to "
+        "measure.",
+        "board": "Make a printable board: a PDF at true scale, and on stdout the target: that rig.yaml needs "
+        "for it.",
+        "inspect": "Show the topics of a recording: counts, rates, gaps, frames, clocks, and what is odd about "
+        "them.",
+        "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.",
+        "view": "Show a calibration in the browser: sensors, what they saw, and how it degrades if one is moved.",
+    }.items()
+}
+SIMULATIONS = {
+    "rig": Place(
+        "calgraph.cli.simulate",
+        "simulate_rig_command",
+        "Simulate a robot, a board, and an operator who carries it around; write the recording and the truth.",
+    ),
+    "network": Place(
+        "calgraph.cli.simulate_network",
+        "simulate_network_command",
+        "Simulate 2-D scanners fixed in a building, and people who walk through it; write recording and truth.",
+    ),
+}
+
+app = typer.Typer(
+    cls=on_demand(COMMANDS, guarded),
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+simulate = typer.Typer(
+    cls=on_demand(SIMULATIONS, guarded), no_args_is_help=True, help="Simulate recordings with known truth."
+)
 app.add_typer(simulate, name="simulate")
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version
+
         typer.echo(f"calgraph {version('calgraph')}")
         raise typer.Exit
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
@@ -53,6 +52,8 @@ class CloudBackground:
             InputError: the clouds hold no points.
 
         """
+        from scipy.ndimage import maximum_filter  # takes as long to import as all of NumPy
+
         keys = np.empty(0, dtype=np.int64)
         reach = np.zeros((round(np.pi / _DIRECTION), round(2 * np.pi / _DIRECTION)))
         # Just less than half a voxel: a cube as wide as a voxel could straddle three of them by rounding.
