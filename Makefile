@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format requirements clean
+.PHONY: help setup demo test check docs format requirements clean
 
 BIN := .venv/bin
 READY := .venv/.ready
@@ -29,6 +29,9 @@ check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: $(READY)  ## build the documentation; open docs/_build/index.html
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build
+
 format: $(READY)  ## put all code into the format that check asks for
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -37,7 +40,7 @@ requirements: $(READY)  ## pin the newest versions that pyproject.toml allows, w
 	requirements/compile $(BIN)/uv
 
 clean:  ## remove .venv, results of the demo and all caches
-	rm -rf .venv demo build src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv demo build docs/_build docs/gallery docs/generated src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
 # The environment is made anew only when what is pinned has changed; a change of pyproject.toml needs no network.
 .venv/.pinned: requirements/dev.txt requirements/install

@@ -1,0 +1,91 @@
+"""
+A rig, from a recording to its poses
+====================================
+
+Simulates the recording of a robot with a camera, a 2-D scanner and a LiDAR, calibrates it and reads the result.
+"""
+
+# %%
+# A recording
+# -----------
+# With a recording of your own, begin below: ``rig.yaml`` describes the sensors and the board, and the
+# recording is whatever :func:`calgraph.open_recording` reads. The board is shown in 14 places here; record
+# more.
+from pathlib import Path
+from tempfile import mkdtemp
+
+from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, simulate_rig
+
+folder = Path(mkdtemp())
+scenario = RigScenario(
+    camera=CameraKnobs(width=640, height=480, texels_per_mm=0.5),
+    laser=LaserKnobs(count=1, rate=10, resolution=0.5),
+    multibeam=MultibeamKnobs(count=1, rate=5, resolution=0.5),
+    spinning=SpinningKnobs(count=0),
+    bearings=(-30, -20, -10, 0, 10, 20, 30),
+    samples=1,
+    background=1.0,
+)
+simulate_rig(scenario, folder, seed=0)
+
+# %%
+# Calibrating
+# -----------
+# The same as ``calgraph calibrate rig.yaml recording -o result/``.
+import calgraph
+
+rig = calgraph.load_rig(folder / "rig.yaml")
+with calgraph.open_recording(folder / "recording") as recording:
+    calibration = calgraph.calibrate_rig(rig, recording, calgraph.Options())
+
+calgraph.save_calibration(calibration, folder / "calibration.yaml")
+
+# %%
+# Reading the result
+# ------------------
+# A row for each sensor: pose in the root's frame in metres and degrees, standard deviations, and the verdict.
+table = calibration.to_dataframe()
+print(table[["x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg", "verdict"]].round(4).to_string())
+
+# %%
+# Any two sensors: ``T_camera_laser`` maps coordinates of the scanner to those of the camera. Its covariance
+# is of the error along and about the camera's axes, and knows how errors of the two go together.
+import numpy as np
+
+T_camera_laser = calibration.transform("camera", "laser_front")
+stddev = np.sqrt(np.diag(calibration.covariance("camera", "laser_front")))
+print(T_camera_laser.round(4))
+print("± mm:", (1000 * stddev[:3]).round(2), " ± degrees:", np.degrees(stddev[3:]).round(3))
+
+# %%
+# Why should you believe it? What the sensors saw in captures that were left out, against what the others
+# predict of it: the ratio of errors to what is expected is about 1 if standard deviations hold.
+for name, left_out in calibration.left_out.items():
+    print(f"{name:12} {left_out.views} captures, ratio {left_out.ratio:.2f}")
+
+# %%
+# And by the truth, which only a simulation knows:
+from calgraph.simulation import load_truth
+
+truth = load_truth(folder / "truth.yaml")
+for sensor in calibration.sensors:
+    error = calgraph.se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])
+    millimetres, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
+    print(f"{sensor.name:12} {millimetres:.2f} mm, {degrees:.3f}°")
+
+# %%
+# Where the board was, and the sensors' axes (red, green, blue: x, y, z), in the root's frame:
+import plotly.graph_objects as go
+
+figure = go.Figure()
+for outline in calibration.outlines:
+    x, y, z = outline.corners[[0, 1, 2, 3, 0]].T
+    figure.add_scatter3d(x=x, y=y, z=z, mode="lines", line={"color": "#999"}, showlegend=False)
+for sensor in calibration.sensors:
+    for axis, color in enumerate(("red", "green", "blue")):
+        ends = calgraph.se3.apply(sensor.T_root_sensor, 0.25 * np.eye(4, 3, -1)[[0, axis + 1]])
+        x, y, z = ends.T
+        line = {"color": color, "width": 6}
+        figure.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, name=sensor.name, showlegend=False)
+figure.update_layout(scene={"aspectmode": "data"}, margin={"l": 0, "r": 0, "t": 0, "b": 0}, height=420)
+figure

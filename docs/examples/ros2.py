@@ -1,0 +1,79 @@
+"""
+Reading the result in ROS 2
+===========================
+
+The tree of transforms as a launch file, as tf, and as URDF. No ROS is needed to write them, nor to run this page.
+"""
+
+# %%
+# A result
+# --------
+# With yours: ``calibration = calgraph.load_calibration("result/calibration.yaml")``.
+import numpy as np
+
+import calgraph
+from calgraph.simulation import (
+    CameraKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, set_stage, simulate_detections,
+)  # fmt: skip
+
+scenario = RigScenario(
+    camera=CameraKnobs(texels_per_mm=0.5), multibeam=MultibeamKnobs(count=1), spinning=SpinningKnobs(count=0),
+    bearings=(-20, 0, 20), radii=(1.7, 2.5), samples=2,
+)  # fmt: skip
+rig, captured, _ = simulate_detections(set_stage(scenario, 0), seed=0)
+problem = calgraph.prepare(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
+calibration = calgraph.solve_problem(problem)
+print(calibration.to_dataframe()[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())
+
+# %%
+# A launch file
+# -------------
+# One ``static_transform_publisher`` for each edge of the tree; ``calgraph export result/ --format launch``
+# writes the same.
+from pathlib import Path
+from tempfile import mkdtemp
+
+launch = Path(mkdtemp()) / "sensors.launch.py"
+launch.write_text(calgraph.export(calibration, "launch"))
+print(launch.read_text()[:1100], "...")
+
+# %%
+# Where ROS 2 is installed, ``ros2 launch ./sensors.launch.py`` publishes it, and ``ros2 run tf2_ros tf2_echo
+# lidar camera_optical`` prints ``T_lidar_camera``. From a launch file of your own, include it:
+#
+# .. code-block:: python
+#
+#     IncludeLaunchDescription(PythonLaunchDescriptionSource("sensors.launch.py"))
+
+# %%
+# tf as data
+# ----------
+# The layout of ``tf2_msgs/TFMessage``, for programs that publish on ``/tf_static`` themselves. Read back with
+# any YAML parser, each entry is ``T_parent_child``:
+from ruamel.yaml import YAML
+
+transforms = YAML(typ="safe").load(calgraph.export(calibration, "tf"))["transforms"]
+for one in transforms:
+    xyz = [one["transform"]["translation"][k] for k in "xyz"]
+    xyzw = [one["transform"]["rotation"][k] for k in "xyzw"]
+    T_parent_child = calgraph.se3.from_xyz_quaternion(xyz, xyzw)
+    print(one["header"]["frame_id"], "→", one["child_frame_id"], T_parent_child[:3, 3].round(3))
+
+# %%
+# In a node of your own, with rclpy:
+#
+# .. code-block:: python
+#
+#     message = TransformStamped()
+#     rosidl_runtime_py.set_message_fields(message, one)
+#     StaticTransformBroadcaster(node).sendTransform(message)
+
+# %%
+# URDF
+# ----
+# A new URDF; or, with ``urdf=text``, yours, with the origins of those joints corrected that carry a sensor.
+print(calgraph.export(calibration, "urdf"))
+
+# %%
+# Any URDF, tf file or calibration.yaml can be held against a new recording later: ``calgraph check rig.yaml
+# RECORDING --against robot.urdf`` says which sensor has moved.

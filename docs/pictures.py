@@ -1,0 +1,219 @@
+"""Draws the pictures of recording.md into docs/images: `python docs/pictures.py`.
+
+Sketches are drawn, and the chart is measured on simulated detections, which takes two minutes.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import calgraph
+from calgraph.simulation import (
+    LaserKnobs,
+    MultibeamKnobs,
+    RigScenario,
+    SpinningKnobs,
+    set_stage,
+    simulate_detections,
+)
+
+IMAGES = Path(__file__).parent / "images"
+INK, PALE, GOOD, BAD, BOARD = "#333", "#bbb", "#2a7f3f", "#b3362b", "#c98a1b"
+
+Point = tuple[float, float]
+
+
+def svg(width: float, height: float, parts: Iterable[str]) -> str:
+    """A picture of a size in pixels."""
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+        f'font-family="sans-serif" font-size="13" fill="{INK}">\n' + "\n".join(parts) + "\n</svg>\n"
+    )
+
+
+def line(points: Sequence[Point], color: str = INK, width: float = 1.5, more: str = "") -> str:
+    """A polyline."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="{width:g}" {more}/>'
+
+
+def shape(points: Sequence[Point], fill: str, more: str = "") -> str:
+    """A filled polygon."""
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polygon points="{path}" fill="{fill}" {more}/>'
+
+
+def text(x: float, y: float, words: str, color: str = INK, anchor: str = "middle") -> str:
+    """A line of words."""
+    return f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" fill="{color}">{words}</text>'
+
+
+def disc(x: float, y: float, radius: float, fill: str) -> str:
+    """A filled circle."""
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{fill}"/>'
+
+
+def wedge(x: float, y: float, radius: float, first: float, last: float, fill: str) -> str:
+    """A field of view from above, degrees counter-clockwise from the right."""
+    angles = np.radians(np.linspace(first, last, 40))
+    arc = [(x + radius * np.cos(a), y - radius * np.sin(a)) for a in angles]
+    return shape([(x, y), *arc], fill, 'fill-opacity="0.25"')
+
+
+def places() -> str:
+    """From above: where boards go."""
+    x0, y0, metre = 330, 345, 95
+    parts = [wedge(x0, y0, 3.4 * metre, 45, 135, "#6b9bd1"), wedge(x0, y0, 3.4 * metre, 0, 180, "#ddd")]
+    rng = np.random.default_rng(2)
+    for distance in (1.5, 2.2, 3.0):
+        for bearing in np.arange(20, 161, 20 if distance > 2 else 28):
+            turn = np.radians(bearing + 90 + rng.choice([-35, -20, 20, 35]))
+            x, y = (
+                x0 + distance * metre * np.cos(np.radians(bearing)),
+                y0 - distance * metre * np.sin(np.radians(bearing)),
+            )
+            dx, dy = 0.3 * metre * np.cos(turn), -0.3 * metre * np.sin(turn)
+            parts.append(line([(x - dx, y - dy), (x + dx, y + dy)], BOARD, 5))
+    parts += [
+        shape([(x0 - 22, y0 + 28), (x0 - 22, y0 - 10), (x0 + 22, y0 - 10), (x0 + 22, y0 + 28)], INK),
+        text(x0, y0 + 14, "robot", "#fff"),
+        text(x0, y0 - 3.45 * metre, "camera"),
+        text(x0 + 2.9 * metre, y0 - 8, "scanners"),
+        text(x0 + 1.5 * metre, y0 + 24, "1.5 m"),
+        text(x0 + 3.0 * metre, y0 + 24, "3 m"),
+    ]
+    return svg(680, 390, parts)
+
+
+def tilts() -> str:
+    """From the side: a scan plane cuts boards at different heights and tilts."""
+    parts, cases = [], (("upright", 0, BAD), ("leaning back", 30, GOOD), ("leaning forwards", -30, GOOD))
+    for k, (words, degrees, color) in enumerate(cases):
+        x, y = 130 + 215 * k, 130
+        dx, dy = 75 * np.sin(np.radians(degrees)), 75 * np.cos(np.radians(degrees))
+        parts += [
+            line([(x - 95, y - 6), (x + 70, y + 8)], "#6b9bd1", 2, 'stroke-dasharray="6 4"'),
+            line([(x - dx, y + dy), (x + dx, y - dy)], BOARD, 6),
+            disc(x, y + 2, 4, BAD),
+            disc(x - 95, y - 6, 7, INK),
+            text(x, 235, words, color),
+        ]
+    low = ("moves up or down: same range", "moves: another range", "moves: another range")
+    parts += [text(130 + 215 * k, 255, words, "#666") for k, words in enumerate(low)]
+    parts.append(text(45, 28, "scan plane (dashed) and board, from the side", "#666", "start"))
+    return svg(680, 275, parts)
+
+
+def holding() -> str:
+    """From above: who holds the board, and how."""
+    parts = []
+    for x, good in ((170, True), (510, False)):
+        color = GOOD if good else BAD
+        parts += [
+            line([(x - 80, 90), (x + 80, 90)], BOARD, 8),
+            f'<ellipse cx="{x}" cy="{160 if good else 118}" rx="42" ry="24" fill="{PALE}"/>',
+            disc(x, 160 if good else 118, 14, INK),
+        ]
+        hands = (45, 45) if good else (88, 88)
+        for side, hand in zip((-1, 1), hands, strict=True):
+            start = (x + side * 38, 152 if good else 112)
+            end = (x + side * hand, 97 if good else 84)
+            parts += [line([start, end], PALE, 9, 'stroke-linecap="round"'), disc(*end, 7, INK)]
+        words = ("arms and body behind, edges free", "an arm's length away") if good else (
+            "hands over the edges,", "body flush with the board")  # fmt: skip
+        parts += [text(x, 215 + 18 * k, row, color) for k, row in enumerate(words)]
+        parts.append(text(x, 40, "↑ to the sensors", "#666"))
+    return svg(680, 250, parts)
+
+
+def walks() -> str:
+    """Floor plans: paths that tie scanners, and one that does not."""
+    parts = []
+    for x0, good in ((20, True), (360, False)):
+        scanners = [(x0 + 12, 62), (x0 + 288, 62), (x0 + 150, 258)]
+        fields = ((-60, 20), (160, 240), (40, 140))
+        parts.append(line([(x0, 50), (x0 + 300, 50), (x0 + 300, 270), (x0, 270), (x0, 50)], INK, 3))
+        parts += [wedge(*at, 195, *field, "#6b9bd1") for at, field in zip(scanners, fields, strict=True)]
+        parts += [disc(*at, 7, INK) for at in scanners]
+        t = np.linspace(0, 1, 120)
+        if good:
+            x, y = 150 + 105 * np.sin(4 * np.pi * t + 0.4), 160 + 75 * np.sin(6 * np.pi * t)
+            parts.append(line(list(zip(x0 + x, y, strict=True)), GOOD, 2.5))
+            words = "across what several see, with turns"
+        else:
+            parts.append(line([(x0 + 22, 85), (x0 + 40, 245)], BAD, 2.5))
+            parts.append(line([(x0 + 276, 90), (x0 + 262, 250)], BAD, 2.5))
+            words = "straight along walls, where one scanner sees"
+        parts.append(text(x0 + 150, 296, words, GOOD if good else BAD))
+    return svg(680, 310, parts)
+
+
+TILTS = (2, 5, 10, 15, 20, 30, 40)
+COUNTS = (9, 18, 36, 72)
+
+
+def scanner_deviations(tilt: float, samples: int, seed: int) -> tuple[float, float]:
+    """Standard deviations of a 2-D scanner's height (mm) and roll (degrees) with boards tilted up to so much."""
+    scenario = RigScenario(
+        laser=LaserKnobs(count=1, resolution=0.5),
+        multibeam=MultibeamKnobs(count=1, resolution=0.4),
+        spinning=SpinningKnobs(count=0),
+        bearings=(-30, 0, 30),
+        radii=(1.7, 2.3, 3.0),
+        samples=samples,
+        max_rotation=tilt,
+    )
+    rng = np.random.default_rng(seed)
+    rig, captured, _ = simulate_detections(set_stage(scenario, seed), seed)
+    problem = calgraph.prepare(rig, captured, calgraph.Options(folds=0), rng)
+    calibration = calgraph.solve_problem(problem)
+    if "laser_front" in calibration.unconnected:
+        return np.inf, np.inf
+    stddev = np.sqrt(np.diag(calibration["laser_front"].covariance))
+    return 1000 * stddev[2], np.degrees(stddev[3])
+
+
+def chart() -> str:
+    """What tilt and number of captures are worth: median over robots of a scanner's deviation in height."""
+    left, top, width, height = 70, 30, 560, 240
+    low, high = np.log10(0.5), np.log10(200)
+
+    def at(tilt: float, value: float) -> Point:
+        x = left + width * tilt / 42
+        return x, top + height * (1 - (np.clip(np.log10(value), low, high) - low) / (high - low))
+
+    parts = []
+    for value in (1, 10, 100):
+        (_, y) = at(0, value)
+        parts += [
+            line([(left, y), (left + width, y)], "#ddd", 1),
+            text(left - 8, y + 4, f"{value} mm", anchor="end"),
+        ]
+    parts += [text(at(tilt, 1)[0], top + height + 20, f"±{tilt}°") for tilt in TILTS[1:]]
+    for count, color in zip(COUNTS, ("#b3362b", "#c98a1b", "#2a7f3f", "#2f5fa8"), strict=True):
+        medians = [
+            float(np.median([scanner_deviations(tilt, count // 9, seed)[0] for seed in range(7)]))
+            for tilt in TILTS
+        ]
+        points = [at(tilt, value) for tilt, value in zip(TILTS, medians, strict=True)]
+        parts.append(line(points, color, 2.5))
+        parts += [disc(*point, 3.5, color) for point in points]
+        parts.append(text(points[-1][0] + 12, points[-1][1] + 4, f"{count}", color, "start"))
+        print(count, [round(value, 2) for value in medians])
+    parts += [
+        text(left, 18, "standard deviation of a 2-D scanner's height; lines: number of captures", anchor="start"),
+        text(left + width / 2, top + height + 42, "boards turned and tilted by up to"),
+    ]
+    return svg(680, 325, parts)
+
+
+if __name__ == "__main__":
+    for name, draw in {
+        "places": places,
+        "tilts": tilts,
+        "holding": holding,
+        "walks": walks,
+        "tilt_chart": chart,
+    }.items():
+        (IMAGES / f"recording_{name}.svg").write_text(draw(), encoding="utf-8")

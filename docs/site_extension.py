@@ -1,0 +1,51 @@
+"""What the site needs beside Sphinx: formulas without scripts, and plotly's figures in the gallery.
+
+Formulas become MathML while the site is built, and plotly's script is part of the site: pages work offline.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from plotly.offline import get_plotlyjs
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
+
+_SCRIPT = "plotly.min.js"
+_SHOWN = "figure"
+"""Examples show what they drew by ending a block in this name."""
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Registers everything with Sphinx."""
+    app.add_html_math_renderer("mathml", (_inline_formula, None), (_formula, None))
+    app.add_js_file(_SCRIPT)
+    app.connect("build-finished", _write_script)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _inline_formula(writer: HTML5Translator, node: nodes.math) -> None:
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def _formula(writer: HTML5Translator, node: nodes.math_block) -> None:
+    writer.body.append(f'<div class="formula">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def _write_script(app: Sphinx, error: Exception | None) -> None:
+    if error is None:
+        (Path(app.outdir) / "_static" / _SCRIPT).write_text(get_plotlyjs(), encoding="utf-8")
+
+
+def figure_scraper(block: Any, block_vars: dict[str, Any], _gallery_conf: dict[str, Any]) -> str:
+    """The reStructuredText that shows the figure with which a block of an example ends; empty for other blocks."""
+    figure = block_vars["example_globals"].get(_SHOWN)
+    if not isinstance(figure, go.Figure) or block[1].strip().splitlines()[-1] != _SHOWN:
+        return ""
+    html = figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False})
+    indented = "\n".join(f"    {line}" for line in html.splitlines())
+    return f"\n.. raw:: html\n\n{indented}\n\n"
