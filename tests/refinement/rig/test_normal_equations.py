@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.geometry import Array
-from calgraph.refinement.rig.normal_equations import HUBER, huber_scatter, misfit, summed, swayed
+from calgraph.geometry import Array, Index
+from calgraph.refinement.rig.normal_equations import HUBER, huber_scatter, judged, misfit, summed
 from calgraph.refinement.rig.views import Rows
 
 START = np.array([0, 30, 37])
@@ -15,6 +15,10 @@ COUNTS = [30, 7, 23]
 
 def random_rows(rng: np.random.Generator, k: int, q: int, p: int, size: float = 1.0) -> Rows:
     return Rows(size * rng.normal(size=(60, k)), rng.normal(size=(60, k, q)), rng.normal(size=(len(COUNTS), q, p)))
+
+
+def swayed(rows: Rows, start: Index, sway: Array) -> tuple[Array, Array, Array]:
+    return judged(rows, start, sway).swayed(sway)
 
 
 def dense(rows: Rows, view: int) -> tuple[Array, Array]:
@@ -34,6 +38,15 @@ def test_sums_are_those_of_dense_matrices(rng: np.random.Generator, k: int, q: i
         np.testing.assert_allclose(sums.gradient[view], J.T @ r, atol=1e-9)
         assert sums.square[view] == pytest.approx(r @ r)
         assert sums.count[view] == k * COUNTS[view]
+
+
+def test_views_without_measurements_say_nothing(rng: np.random.Generator) -> None:
+    rows = Rows(3 * rng.normal(size=(5, 1)), rng.normal(size=(5, 1, 3)), rng.normal(size=(5, 3, 6)))
+    sums = summed(rows, np.array([0, 0, 3, 3, 5]))
+    assert sums.count.tolist() == [0, 3, 0, 2, 0]
+    assert not sums.core[[0, 2, 4]].any()
+    full = summed(replace(rows, basis=rows.basis[[1, 3]]), np.array([0, 3]))
+    np.testing.assert_array_equal(sums.slope[[1, 3]], full.slope)
 
 
 def costs_after(rows: Rows, step: Array, sway: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.refinement.rig.edges import relative_pose_jacobians
-from calgraph.refinement.rig.normal_equations import swayed
+from calgraph.refinement.rig.normal_equations import judged
 from calgraph.refinement.rig.views import Views, relative
 
 # What is believed of a board without any data (m⁻², rad⁻²): it keeps what no view sees from being singular.
@@ -199,7 +199,8 @@ def linearize(bundle: Bundle, state: State) -> System:
     for k, views in enumerate(bundle.all_views):
         T_root_sensor, T_root_board = state.T_root_sensor[bundle.seer(k)], state.T_root_board[views.board]
         rows = views.linearize(relative(T_root_sensor, T_root_board), state.own[bundle.own(k)])
-        A, b, costs = swayed(rows, views.start, bundle.swaying(k))
+        sway = bundle.swaying(k)
+        A, b, costs = judged(rows, views.start, sway).swayed(sway)
         by_sensor, by_board = _chain(bundle, state, bundle.seer(k), T_root_board, views.unknowns)
         equations.append(ViewEquations(A, b, by_sensor, by_board))
         cost += float(costs.sum())

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +57,36 @@ class ViewSums:
 
     def fit(self) -> Array:
         """(V, q) by how much the numbers that measurements depend on are to change to fit each view best."""
-        return np.asarray(-(_pseudo_inverse(self.core) @ self.slope[..., None])[..., 0])
+        return _times(-_pseudo_inverse(self.core), self.slope)
+
+    def moved(self, step: Array) -> "ViewSums":
+        """The sums after steps (V, p) of poses and own unknowns, to first order in the residuals."""
+        change = _times(self.basis, step)
+        slope = self.slope + _times(self.core, change)
+        return replace(self, slope=slope, square=self.square + np.sum(change * (self.slope + slope), axis=-1))
+
+    def swayed(self, sway: Array) -> tuple[Array, Array, Array]:
+        """The views' information, gradients and costs if each saw its board displaced by an unknown of its own.
+
+        A bent board, a range that is off for one material, a stamp that is late: measurements of one view then err
+        together, and however many there are, they say no more than the displacement allows. It is marginalised:
+        what is left of A is ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``.
+
+        Args:
+            sway: (p,) variances Q of the displacement along the sensor's axes; 0 for the sensor's own unknowns.
+
+        Returns:
+            (V, p, p), (V, p) and (V,).
+        """
+        spread = _spread(self.basis, sway)
+        shrink, Bt = _shrink(self.core, spread), np.swapaxes(self.basis, -1, -2)
+        A, slope = Bt @ shrink @ self.core @ self.basis, _times(shrink, self.slope)
+        explained = np.einsum("vi,vij,vj->v", self.slope, spread, slope)
+        return (A + np.swapaxes(A, -1, -2)) / 2, _times(Bt, slope), self.held + 0.5 * (self.square - explained)
+
+    def displaced(self, spread: Array) -> Array:
+        """(V, q) the likeliest displacement, if it has the covariance ``spread`` (V, q, q)."""
+        return -_times(spread @ _shrink(self.core, spread), self.slope)
 
 
 def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewSums.fit) -> ViewSums:
@@ -72,56 +100,69 @@ def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewS
         start: (V,).
         fitted: (V, q) from sums, where the views are to be judged.
     """
-    view = np.repeat(np.arange(len(start)), np.diff(start, append=len(rows.residual)))
-    plain = sums = _plain_sums(rows, start)
+    columns, residual = _columns(rows), rows.residual.ravel()
+    plain = sums = _plain_sums(columns, residual, rows, start)
     for _ in range(_REWEIGHTINGS):
-        size = _sizes(_shifted(rows, start, fitted(sums)))
+        shift = np.repeat(fitted(sums).T, sums.count, axis=1)
+        size = _sizes((residual + np.einsum("in,in->n", columns, shift)).reshape(rows.residual.shape))
         outlying = np.flatnonzero(size > HUBER)
         if not len(outlying):
             break
-        sums = _without_excess(plain, rows, outlying, view, size)
+        sums = _without_excess(plain, rows, outlying, start, size[outlying])
     return sums
 
 
-def _plain_sums(rows: Rows, start: Index) -> ViewSums:
+def judged(rows: Rows, start: Index, sway: Array) -> ViewSums:
+    """Sums rows over views, which start at ``start`` (V,): outliers are judged where each view likeliest sways."""
+    spread = _spread(rows.basis, sway)
+    return summed(rows, start, lambda sums: sums.displaced(spread))
+
+
+def _columns(rows: Rows) -> Array:
+    """(q, N·k) derivatives of all residuals, one number after the other in memory."""
+    return np.ascontiguousarray(rows.jacobian.reshape(-1, rows.jacobian.shape[-1]).T)
+
+
+def _plain_sums(columns: Array, residual: Array, rows: Rows, start: Index) -> ViewSums:
     """Sums in which all measurements count in full."""
-    count, k, q = rows.jacobian.shape
-    flat, residual = rows.jacobian.reshape(-1, q), rows.residual.ravel()
-    core, slope, square = np.empty((len(start), q, q)), np.empty((len(start), q)), np.empty(len(start))
-    for view, (first, last) in enumerate(pairwise(k * np.append(start, count))):
-        # View by view: this is what BLAS is best at.
-        J, r = flat[first:last], residual[first:last]
-        core[view], slope[view], square[view] = J.T @ J, J.T @ r, r @ r
-    return ViewSums(core, slope, rows.basis, square, np.zeros(len(start)), np.diff(start, append=count) * k)
+    q, count = len(columns), np.diff(start, append=len(rows.residual)) * rows.residual.shape[1]
+    core, slope = np.empty((len(start), q, q)), np.empty((len(start), q))
+    for i in range(q):
+        for j in range(i, q):
+            core[:, i, j] = core[:, j, i] = _by_view(columns[i] * columns[j], count)
+        slope[:, i] = _by_view(columns[i] * residual, count)
+    return ViewSums(core, slope, rows.basis, _by_view(residual**2, count), np.zeros(len(start)), count)
 
 
-def _shifted(rows: Rows, start: Index, shift: Array) -> Array:
-    """Residuals (N, k) after the numbers that each view's measurements depend on have changed by (V, q)."""
-    count, k, q = rows.jacobian.shape
-    flat, shifted = rows.jacobian.reshape(-1, q), rows.residual.flatten()
-    for change, (first, last) in zip(shift, pairwise(k * np.append(start, count)), strict=True):
-        shifted[first:last] += flat[first:last] @ change
-    return shifted.reshape(-1, k)
+def _by_view(numbers: Array, count: Index) -> Array:
+    """(V, ...) sums of so many numbers (N, ...) each."""
+    sums = np.zeros((len(count), *numbers.shape[1:]))
+    some = count > 0
+    sums[some] = np.add.reduceat(numbers, (np.cumsum(count) - count)[some], axis=0)
+    return sums
 
 
-def _without_excess(sums: ViewSums, rows: Rows, outlying: Index, view: Index, size: Array) -> ViewSums:
+def _without_excess(sums: ViewSums, rows: Rows, outlying: Index, start: Index, size: Array) -> ViewSums:
     """The sums with M measurements weighed by ``HUBER / size`` instead of in full.
 
     Args:
         sums: in which all count in full.
         rows: of N measurements.
-        outlying: (M,) which of them.
-        view: (N,) of which view each is.
-        size: (N,) how far off they are where they are judged.
+        outlying: (M,) which of them, in ascending order.
+        start: (V,) where views begin.
+        size: (M,) how far off they are where they are judged.
     """
-    excess, J, r = 1 - HUBER / size[outlying], rows.jacobian[outlying], rows.residual[outlying]
+    view = np.searchsorted(start, outlying, side="right") - 1
+    count = np.bincount(view, minlength=len(start))
+    excess, J, r = 1 - HUBER / size, rows.jacobian[outlying], rows.residual[outlying]
     Jt = excess[:, None, None] * np.swapaxes(J, -1, -2)
-    core, slope, square, held = sums.core.copy(), sums.slope.copy(), sums.square.copy(), sums.held.copy()
-    np.subtract.at(core, view[outlying], Jt @ J)
-    np.subtract.at(slope, view[outlying], (Jt @ r[..., None])[..., 0])
-    np.subtract.at(square, view[outlying], excess * np.sum(r**2, axis=-1))
-    np.add.at(held, view[outlying], 0.5 * HUBER * (size[outlying] - HUBER))
-    return replace(sums, core=core, slope=slope, square=square, held=held)
+    return replace(
+        sums,
+        core=sums.core - _by_view(Jt @ J, count),
+        slope=sums.slope - _by_view(_times(Jt, r), count),
+        square=sums.square - _by_view(excess * np.sum(r**2, axis=-1), count),
+        held=sums.held + _by_view(0.5 * HUBER * (size - HUBER), count),
+    )
 
 
 def _sizes(residual: Array) -> Array:
@@ -129,34 +170,19 @@ def _sizes(residual: Array) -> Array:
     return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
 
 
-def swayed(rows: Rows, start: Index, sway: Array) -> tuple[Array, Array, Array]:
-    """The views' information, gradients and costs if each saw its board displaced by an unknown of its own.
+def _spread(basis: Array, sway: Array) -> Array:
+    """(V, q, q) covariance, in the numbers that measurements depend on, of a displacement with variances (p,)."""
+    return np.asarray((basis * sway) @ np.swapaxes(basis, -1, -2))
 
-    A bent board, a range that is off for one material, a stamp that is late: measurements of one view then err
-    together, and however many there are, they say no more than the displacement allows. It is marginalised:
-    ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``, and ``-Q b`` is the likeliest displacement.
 
-    Args:
-        rows: of N measurements.
-        start: (V,) where views begin.
-        sway: (p,) variances Q of the displacement along the sensor's axes; 0 for the sensor's own unknowns.
+def _shrink(core: Array, spread: Array) -> Array:
+    """``inv(I + core @ spread)`` (V, q, q)."""
+    return np.asarray(np.linalg.inv(np.eye(core.shape[-1]) + core @ spread))
 
-    Returns:
-        (V, p, p), (V, p) and (V,).
-    """
 
-    def marginal(sums: ViewSums) -> tuple[Array, Array]:
-        A, b = sums.information, sums.gradient
-        shrink = np.linalg.inv(np.eye(len(sway)) + A * sway)
-        return shrink @ A, (shrink @ b[..., None])[..., 0]
-
-    def displaced(sums: ViewSums) -> Array:
-        return np.asarray((sums.basis @ (-sway * marginal(sums)[1])[..., None])[..., 0])
-
-    sums = summed(rows, start, displaced)
-    A, b = marginal(sums)
-    cost = sums.held + 0.5 * (sums.square - np.sum(sums.gradient * sway * b, axis=-1))
-    return (A + np.swapaxes(A, -1, -2)) / 2, b, cost
+def _times(A: Array, x: Array) -> Array:
+    """Matrices (V, n, p) times vectors (V, p)."""
+    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def misfit(information: Array, spread: Array, gradient: Array) -> tuple[Array, NDArray[np.intp]]:

@@ -95,7 +95,7 @@ class Corners:
         """The views of detections ``found`` of these boards."""
         return cls(
             np.array(board, dtype=np.intp),
-            _starts([len(d.pixels) for d in found]),
+            starts([len(d.pixels) for d in found]),
             np.concatenate([np.empty((0, 3)), *(d.corners_board for d in found)]),
             np.concatenate([np.empty((0, 2)), *(d.pixels for d in found)]),
             camera,
@@ -109,7 +109,7 @@ class Corners:
 
     def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
         """See :class:`Views`: reprojection errors."""
-        view = _view_of(self.start, len(self.pixels))
+        view = view_of(self.start, len(self.pixels))
         intrinsics, places = np.split(own, [self.unknowns - 3 * len(self.tags)])
         camera = self.camera.with_intrinsics(intrinsics) if self.intrinsics else self.camera
         corners_board, by_places = self._placed(places.reshape(-1, 3))
@@ -147,7 +147,7 @@ class Corners:
 
     def where(self, keep: NDArray[np.bool_] | Index) -> "Corners":
         """See :class:`Views`."""
-        start, kept = _selected(self.start, len(self.pixels), keep)
+        start, kept = selected(self.start, len(self.pixels), keep)
         return replace(
             self,
             board=self.board[keep],
@@ -165,7 +165,7 @@ class Beams:
     board: Index
     start: Index
     directions: Array
-    """(N, 3) unit vectors in the sensor frame."""
+    """(N, 3) unit vectors in the sensor frame; column by column in memory, which is how they are used."""
     ranges: Array
     """(N,) m."""
     noise: RangeNoise
@@ -184,8 +184,8 @@ class Beams:
         ranges = np.linalg.norm(points, axis=1)
         return cls(
             np.array(board, dtype=np.intp),
-            _starts([len(d.points) for d in found]),
-            points / ranges[:, None],
+            starts([len(d.points) for d in found]),
+            np.asfortranarray(points / ranges[:, None]),
             ranges,
             noise,
             np.full(len(ranges), noise.range),
@@ -193,54 +193,53 @@ class Beams:
         )
 
     def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
-        """See :class:`Views`: in the board's frame, a beam ends where z = 0.
+        """See :class:`Views`: a beam u meets the plane ``n @ x = h`` at the range ``h / n @ u``.
 
-        Of the board's pose, ranges know the plane: its offset along the normal, and the tilts about the board's
-        own axes, by which they change with the place (x, y) on the board where the beam meets it.
+        Of the board's pose, ranges know the plane: they change by ``u @ (n dh - h dn) / (n @ u)²``.
         """
-        cosine, reach, x, y = self._meet(T_sensor_board)
-        steepness = 1 / (cosine * self.sigma)
+        n, h, cosine = self._meet(T_sensor_board)
         # Column by column, as they are computed.
-        columns = np.empty((3 + self.unknowns, len(reach)))
-        columns[0], columns[1], columns[2], columns[3:] = steepness, y * steepness, -x * steepness, 1 / self.sigma
-        residual = (reach + own.sum() - self.ranges) / self.sigma
+        columns = np.empty((3 + self.unknowns, len(self.ranges)))
+        np.multiply(self.directions.T, 1 / (cosine**2 * self.sigma), out=columns[:3])
+        columns[3:] = 1 / self.sigma
+        residual = (np.repeat(h, self._counts) / cosine + own.sum() - self.ranges) / self.sigma
         basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
-        basis[:, 0, :3] = T_sensor_board[:, :3, 2]
-        basis[:, 1, 3:6], basis[:, 2, 3:6] = T_sensor_board[:, :3, 0], T_sensor_board[:, :3, 1]
+        basis[:, :3, :3] = n[:, :, None] * n[:, None]
+        lever = np.cross(n, T_sensor_board[:, :3, 3])
+        basis[:, :3, 3:6] = h[:, None, None] * so3.hat(n) + n[:, :, None] * lever[:, None]
         basis[:, 3:, 6:] = np.eye(self.unknowns)
         return Rows(residual[:, None], columns.T[:, None], basis)
 
     def weighed(self, T_sensor_board: Array, scale: float) -> "Beams":
         """See :class:`Views`: an error of the beam's direction counts the more, the flatter it meets the board."""
-        cosine, _, _, _ = self._meet(T_sensor_board)
-        tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
-        sigma = scale * np.hypot(self.noise.range, self.noise.angle * self.ranges * tangent)
+        _, _, cosine = self._meet(T_sensor_board)
+        tangent2 = np.maximum(1 / cosine**2 - 1, 0)
+        sigma = scale * np.sqrt(self.noise.range**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
         return replace(self, sigma=sigma, scale=scale)
 
     def where(self, keep: NDArray[np.bool_] | Index) -> "Beams":
         """See :class:`Views`."""
-        start, kept = _selected(self.start, len(self.ranges), keep)
+        start, kept = selected(self.start, len(self.ranges), keep)
         return replace(
             self,
             board=self.board[keep],
             start=start,
-            directions=self.directions[kept],
+            directions=self.directions.T[:, kept].T,
             ranges=self.ranges[kept],
             sigma=self.sigma[kept],
         )
 
-    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array, Array]:
-        """Cosines (N,) of beams and normals, ranges (N,) to the planes, and places x, y (N,) on the boards."""
-        T_board_sensor = se3.inverse(T_sensor_board)
-        bounds = np.append(self.start, len(self.ranges))
-        cosine, reach, x, y = np.empty((4, len(self.ranges)))
-        for T, first, last in zip(T_board_sensor, bounds[:-1], bounds[1:], strict=True):
-            # View by view: beams share few poses, and what is computed at once stays in the processor's cache.
-            of, (u, v, w) = slice(first, last), T[:3, :3] @ self.directions[first:last].T
-            cosine[of] = np.copysign(np.maximum(np.abs(w), _GRAZING), w)
-            reach[of] = -T[2, 3] / cosine[of]
-            x[of], y[of] = T[0, 3] + reach[of] * u, T[1, 3] + reach[of] * v
-        return cosine, reach, x, y
+    @property
+    def _counts(self) -> Index:
+        """(V,) how many beams each view has."""
+        return np.diff(self.start, append=len(self.ranges))
+
+    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array]:
+        """Normals (V, 3) of the planes, their offsets along these (V,), and cosines (N,) of beams and normals."""
+        n = T_sensor_board[:, :3, 2]
+        h = np.sum(n * T_sensor_board[:, :3, 3], axis=-1)
+        cosine = np.einsum("in,in->n", self.directions.T, np.repeat(n.T, self._counts, axis=1))
+        return n, h, np.copysign(np.maximum(np.abs(cosine), _GRAZING), cosine)
 
 
 def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
@@ -248,17 +247,18 @@ def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
     return np.asarray(se3.inverse(T_root_sensor) @ T_root_board)
 
 
-def _starts(counts: Sequence[int]) -> Index:
+def starts(counts: Sequence[int]) -> Index:
+    """(V,) the first measurement of each view, for the number of measurements of each."""
     return np.cumsum([0, *counts], dtype=np.intp)[:-1]
 
 
-def _view_of(start: Index, count: int) -> Index:
+def view_of(start: Index, count: int) -> Index:
     """(N,) which view each measurement belongs to."""
     return np.repeat(np.arange(len(start)), np.diff(start, append=count))
 
 
-def _selected(start: Index, count: int, keep: NDArray[np.bool_] | Index) -> tuple[Index, Index]:
+def selected(start: Index, count: int, keep: NDArray[np.bool_] | Index) -> tuple[Index, Index]:
     """Where the chosen views start after selection, and which measurements are theirs."""
     counts = np.diff(start, append=count)[keep]
-    after = _starts(counts.tolist())
+    after = starts(counts.tolist())
     return after, np.repeat(start[keep] - after, counts) + np.arange(counts.sum())
