@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pytest
@@ -161,3 +162,22 @@ def test_json_has_it(correlated: Calibration) -> None:
     found = json.loads(export(correlated, "json"))["joint_covariance"]
     assert found["order"] == ["lidar", "a", "b", "c"]
     np.testing.assert_array_equal(found["matrix"], correlated.joint_covariance)
+
+
+def test_the_joint_covariance_of_sixty_sensors_is_written_in_seconds(tmp_path: Path) -> None:
+    """0.2 s; a YAML library takes twenty."""
+    A = np.random.default_rng(0).normal(0, 0.01, (360, 360))
+    many = hung({f"s{k}": np.eye(4) for k in range(60)}, A @ A.T)
+    begin = process_time()
+    save_calibration(many, tmp_path / "calibration.yaml")
+    assert process_time() - begin < 5
+    assert (tmp_path / "calibration.yaml").read_text().count("\n  - [") == 360
+
+
+def test_the_joint_covariance_comes_back_to_twelve_digits(tmp_path: Path) -> None:
+    A = np.random.default_rng(0).normal(0, 1e-4, (18, 18))
+    few = hung({name: np.eye(4) for name in "abc"}, A @ A.T)
+    save_calibration(few, tmp_path / "calibration.yaml")
+    loaded = load_calibration(tmp_path / "calibration.yaml").joint_covariance
+    assert loaded is not None
+    np.testing.assert_allclose(loaded, A @ A.T, rtol=1e-12, atol=0)

@@ -11,8 +11,8 @@ from ruamel.yaml.comments import CommentedSeq
 from calgraph.geometry import Array, so3
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion
 from calgraph.result.estimated import Estimated
-from calgraph.rig import replacing, save_yaml
-from calgraph.rig.writing import on_one_line
+from calgraph.rig import replacing, write_text, yaml_text
+from calgraph.rig.writing import number_text, on_one_line
 
 FORMAT = "calgraph/1"
 _HEADER = """\
@@ -41,13 +41,11 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     }
     if calibration.estimated:
         content["estimated"] = [_estimated(one) for one in calibration.estimated]
+    rows = ""
     if calibration.joint_covariance is not None:
-        content["joint_covariance"] = {
-            "order": on_one_line(sensor.name for sensor in calibration.sensors),
-            # Two sensors may know each other far better than both know the root: more digits for the difference.
-            "matrix": _symmetric(calibration.joint_covariance, 14),
-        }
-    save_yaml(path, content, _HEADER)
+        content["joint_covariance"] = {"order": on_one_line(sensor.name for sensor in calibration.sensors)}
+        rows = _matrix(calibration.joint_covariance)
+    write_text(path, yaml_text(content, _HEADER) + rows)
 
 
 def save_captures(calibration: Calibration, path: Path) -> None:
@@ -165,6 +163,13 @@ def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
 
 def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
     return [on_one_line(_digits(row, digits)) for row in 0.5 * (covariance + covariance.T)]
+
+
+def _matrix(joint_covariance: Array) -> str:
+    """The rest of the file: numbers by the hundred thousand, which a YAML library takes a minute to write."""
+    # Two sensors may know each other far better than both know the root: more digits for the difference.
+    rows = (_digits(row, 14) for row in 0.5 * (joint_covariance + joint_covariance.T))
+    return "  matrix:\n" + "".join(f"  - [{', '.join(map(number_text, row))}]\n" for row in rows)
 
 
 def _digits(values: Iterable[float] | Array, digits: int) -> list[float]:

@@ -26,6 +26,15 @@ def yaml_text(content: Mapping[str, Any], comment: str = "") -> str:
     return "".join(f"# {line}\n" for line in comment.splitlines()) + stream.getvalue()
 
 
+def number_text(value: float) -> str:
+    """A number as YAML has it, to the last bit.
+
+    0.000001 becomes 1.0e-06: readers of YAML 1.1 (ROS) take ruamel's 1e-06 for a text.
+    """
+    text = {math.inf: ".inf", -math.inf: "-.inf"}.get(value, ".nan" if math.isnan(value) else repr(value))
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
 def save_yaml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
     """Writes plain values as YAML in one step.
 
@@ -44,13 +53,10 @@ def on_one_line(values: Iterable[object]) -> CommentedSeq:
 
 
 class _Representer(RoundTripRepresenter):
-    """Writes 0.000001 as 1.0e-06: readers of YAML 1.1 (ROS) take ruamel's 1e-06 for a text."""
+    """Writes numbers as :func:`number_text` does."""
 
     def represent_number(self, value: float) -> ScalarNode:
-        text = {math.inf: ".inf", -math.inf: "-.inf"}.get(value, ".nan" if math.isnan(value) else repr(value))
-        if "e" in text and "." not in text:
-            text = text.replace("e", ".0e")
-        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", text)
+        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", number_text(value))
         return node
 
 
