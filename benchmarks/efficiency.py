@@ -31,7 +31,8 @@ from calgraph.geometry import Array, se3
 from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
 from calgraph.refinement.rig.boards import Sighting
 from calgraph.refinement.rig.bundle import linearize
-from calgraph.refinement.rig.bundle_adjustment import build
+from calgraph.refinement.rig.bundle_adjustment import build, weighed
+from calgraph.refinement.rig.sheets import with_outlines
 from calgraph.rig import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
@@ -226,9 +227,13 @@ def ideal_errors(recording: Recording) -> Array:
     ]
     bundle, start = build(recording.noise, recording.captured, boards, T_root_sensor)
     truth = replace(start, T_root_board=np.array([recording.T_root_board[board.capture] for board in boards]))
-    H, g, _ = linearize(replace(bundle, sway=np.zeros(len(bundle.names))), truth).reduced()
-    steps = dict(zip(bundle.names[1:], -np.linalg.solve(H, g).reshape(-1, 6), strict=True))
-    return np.array([steps[name] for name in recording.rig.sensors if name != recording.rig.root])
+    bundle, laid = with_outlines(bundle, truth, recording.noise, recording.captured.detections, boards, 0.0)
+    truth = replace(truth, own=laid.own)
+    exact = weighed(replace(bundle, sway=np.zeros_like(bundle.sway)), truth)
+    H, g, _ = linearize(exact, truth).reduced()
+    steps = -np.linalg.solve(H, g)[: 6 * bundle.bodies].reshape(-1, 6)
+    by_name = dict(zip(bundle.names[1:], steps, strict=True))
+    return np.array([by_name[name] for name in recording.rig.sensors if name != recording.rig.root])
 
 
 def with_noise_about_truth(recording: Recording) -> Rig:

@@ -1,6 +1,6 @@
 """What a detector found in one capture: a plane patch, a line segment, printed corners, or a reason why not."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,6 +21,8 @@ class PlanePatch:
     """(3,) centre of the patch, projected on the plane, m."""
     match: float = 1.0
     """How well its outline fits a board of the known size: 1 is perfect, 0 is nothing alike."""
+    edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
+    """(M, 2, 3) where the sheet truly ends: unit vectors of the last beam on it and the first one past it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,8 @@ class Segment:
     """(N, 3) measured points on the board, sensor frame, m."""
     match: float = 1.0
     """How plausible its length is for a board of the known size."""
+    edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
+    """(M, 2, 3) where the sheet truly ends: unit vectors of the last beam on it and the first one past it."""
 
     @property
     def center(self) -> Array:

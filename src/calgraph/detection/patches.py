@@ -4,6 +4,7 @@ Source: MSG-Cal, section III-B.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from calgraph.detection.detections import PlanePatch, Rejected
 from calgraph.detection.fitting import fit_plane
 from calgraph.detection.outline import Sheet, lay_sheet, standing_free
 from calgraph.detection.regions import flat_regions
+from calgraph.detection.sheet_edges import beams_about, sheet_edges
 from calgraph.geometry import Array, plane
 from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import PointCloud
@@ -35,6 +37,12 @@ _TRUSTED = 0.5
 _WORTH = 0.25
 # Within this of the outline a beam may have hit the edge and averaged board and background, m.
 _EDGE = 0.02
+# Around the board, so much is looked at for where it ends, m.
+_BESIDE = 0.15
+# Beams of spinning 2-D scanners start beside the origin: what is behind the board seems so far aside, rad.
+_PARALLAX = 0.03
+# Flatter than this a beam grazes the board.
+_MIN_COSINE = 0.05
 
 
 def find_patches(
@@ -90,7 +98,12 @@ def find_patches(
     found = sorted((p for p in patches if p is not None and p.match >= _MIN_MATCH), key=lambda p: -p.match)
     if not found:
         return _no_match(cells, regions, boards)
-    return tuple(p for p in found if p.match >= _WORTH * found[0].match)
+    lines, reach = _scan_lines(clouds[0]), max(0.5 * float(np.hypot(*board.size)) for board in boards) + _BESIDE
+    return tuple(
+        replace(p, edges=_edges(lines, p, max(4 * noise.range, _MIN_THICKNESS), reach))
+        for p in found
+        if p.match >= _WORTH * found[0].match
+    )
 
 
 def _most_likely(
@@ -228,6 +241,43 @@ def _no_match(cells: Cells, regions: Sequence[Indices], boards: Sequence[Board])
     return Rejected(
         f"no flat patch has a board's size: the largest is {length:.2f} x {width:.2f} m, the board is {sizes}"
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _ScanLines:
+    """One sweep, beam by beam as they scan. Sweeps have the same beams: a further one would not tell more."""
+
+    points: Array
+    """(N, 3) m."""
+    line: Indices
+    """(N,) scan line of each."""
+    parallax: float
+    """How far beams may start from the sensor's origin, as an angle, rad."""
+
+
+def _scan_lines(cloud: PointCloud) -> _ScanLines:
+    """Rings, each by azimuth; without rings, points as they were sent, which is as they were measured."""
+    there = np.linalg.norm(cloud.points, axis=1) > _MIN_RANGE
+    points = cloud.points[there]
+    if cloud.rings is None:
+        return _ScanLines(points, np.zeros(len(points), dtype=np.intp), _PARALLAX)
+    rings = cloud.rings[there]
+    order = np.lexsort([np.arctan2(points[:, 1], points[:, 0]), rings])
+    return _ScanLines(points[order], rings[order].astype(np.intp), 0.0)
+
+
+def _edges(lines: _ScanLines, patch: PlanePatch, thickness: float, reach: float) -> Array:
+    """(M, 2, 3) where beams leave the patch's plane within so far of its centre."""
+    n, d = patch.plane[:3], patch.plane[3]
+    ranges = np.linalg.norm(lines.points, axis=1)
+    directions = lines.points / ranges[:, None]
+    facing = -(directions @ n)
+    meets = np.where(facing > _MIN_COSINE, d / np.maximum(facing, _MIN_COSINE), np.inf)
+    at = np.minimum(meets, np.linalg.norm(patch.center) + 2 * reach)[:, None] * directions
+    near = beams_about(np.linalg.norm(at - patch.center, axis=1) < reach)
+    # Where other beams of the line lie between, another one begins.
+    _, line = np.unique(np.stack([lines.line[near], near - np.arange(len(near))]), axis=1, return_inverse=True)
+    return sheet_edges(directions[near], (ranges - meets)[near], np.ravel(line), thickness, lines.parallax)
 
 
 def _joined_rings(clouds: Sequence[PointCloud]) -> NDArray[np.int32] | None:

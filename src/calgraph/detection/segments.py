@@ -5,7 +5,7 @@ ends are jumps in depth, which the ends of a piece of wall seldom are.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from calgraph import consensus
 from calgraph.detection.detections import Rejected, Segment
 from calgraph.detection.fitting import Fit, fit_line
 from calgraph.detection.merging import MergedScan, merge_scans
+from calgraph.detection.sheet_edges import beams_about, sheet_edges
 from calgraph.geometry import Array
 from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import LaserScan, ScanBackground
@@ -37,6 +38,12 @@ _BLOCK = 5
 # Scanners bend a straight board by this much, m.
 _SYSTEMATIC = 0.006
 _Z_VARIANCE = 1e-8
+# Around the longest cut, so much is looked at for where it ends, m.
+_BESIDE = 0.15
+# A beam within this of the line, m, hits the board, be it bent.
+_THICKNESS = 0.03
+# Flatter than this a beam grazes the board.
+_MIN_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +97,8 @@ def find_segments(
         longest = max(lines, key=lambda line: line.length)
         sizes = " or ".join(f"{b.size[0]:g} x {b.size[1]:g} m" for b in boards)
         return Rejected(f"no line has a board's length: the longest is {longest.length:.2f} m, the board {sizes}")
-    return tuple(_segment(scan, line, match) for match, line in good)
+    reach = max(0.5 * float(np.hypot(*board.size)) for board in boards) + _BESIDE
+    return tuple(_segment(scan, line, match, reach) for match, line in good)
 
 
 def _runs(scan: MergedScan, noise: RangeNoise) -> list[Indices]:
@@ -270,9 +278,24 @@ def _end_score(scan: MergedScan, line: _Line, direction: int) -> float:
     return 0.7 if excess < -margin else 0.2
 
 
-def _segment(scan: MergedScan, line: _Line, match: float) -> Segment:
+def _segment(scan: MergedScan, line: _Line, match: float, reach: float) -> Segment:
     points = np.column_stack([scan.points[line.beams], np.zeros(len(line.beams))])
-    return segment_between(scan.angles[line.beams[[0, -1]]], scan.spacing, line.fit, points, match)
+    segment = segment_between(scan.angles[line.beams[[0, -1]]], scan.spacing, line.fit, points, match)
+    return replace(segment, edges=_edges(scan, line.fit, segment.center[:2], reach))
+
+
+def _edges(scan: MergedScan, line: Fit, middle: Array, reach: float) -> Array:
+    """(M, 2, 3) where the beams leave the line within so far of its middle (2,)."""
+    angle, p = line.parameters
+    cosine = np.cos(scan.angles - angle)
+    meets = np.where(cosine > _MIN_COSINE, p / np.maximum(cosine, _MIN_COSINE), np.inf)
+    along = np.where(np.isfinite(meets), p * np.tan(scan.angles - angle), np.inf)
+    center = float(middle @ [-np.sin(angle), np.cos(angle)])
+    near = beams_about(np.abs(along - center) < reach)
+    directions = np.stack([np.cos(scan.angles), np.sin(scan.angles), np.zeros_like(scan.angles)], axis=-1)[near]
+    thickness = max(4 * line.scale * float(np.median(scan.sigma_range[near])), _THICKNESS)
+    # Where other beams lie between, another line begins.
+    return sheet_edges(directions, (scan.ranges - meets)[near], near - np.arange(len(near)), thickness)
 
 
 def segment_between(ends: Array, spacing: float, line: Fit, points: Array, match: float = 1.0) -> Segment:

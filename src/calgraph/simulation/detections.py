@@ -5,7 +5,7 @@ tell how an estimator's errors compare with its covariances. Planes, lines and p
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -17,6 +17,7 @@ from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import board_corners
 from calgraph.detection.fitting import fit_line, fit_plane
 from calgraph.detection.segments import segment_between
+from calgraph.detection.sheet_edges import BLUR
 from calgraph.geometry import Array, plane, se3
 from calgraph.rig import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.sensors import CameraModel
@@ -31,6 +32,8 @@ _MARGIN = 0.02
 """Beams this near to the sheet's outline are left out, as detectors do, m."""
 _LEAST_BEAMS, _LEAST_POINTS, _LEAST_RINGS = 5, 20, 3
 """Different beams of a 2-D and of a 3-D scanner, and rings, that have to hit the board."""
+_FLAT = 1e-6
+"""Flatter than this, a cosine or an angle in rad, beams meet no board."""
 _LEAST_RANGE_NOISE, _LEAST_ANGLE_NOISE = 1e-4, 1e-5
 """Solvers cannot weigh with a noise of zero: less than this (m and rad) is never stated."""
 
@@ -151,7 +154,8 @@ def _patch(
         return Rejected("the beams graze the board")
     middle = points.mean(axis=0)
     center = middle - plane.distance(fit.parameters, middle[None]) * fit.parameters[:3]
-    return (PlanePatch(fit.parameters, fit.covariance, points, center),)
+    edges = _edges(scanner, board, T_sensor_board, rng)
+    return (PlanePatch(fit.parameters, fit.covariance, points, center, edges=edges),)
 
 
 def _segment(
@@ -174,7 +178,7 @@ def _segment(
     length, least = float(np.linalg.norm(np.diff(segment.endpoints, axis=0))), min(board.size) / 3
     if length < least:
         return Rejected(f"the scan cuts off a corner of the board, {length:.2f} m long")
-    return (segment,)
+    return (replace(segment, edges=_edges(scanner, board, T_sensor_board, rng)),)
 
 
 def _hits(scanner: MountedScanner, board: Board, T_sensor_board: Array) -> NDArray[np.intp]:
@@ -183,6 +187,34 @@ def _hits(scanner: MountedScanner, board: Board, T_sensor_board: Array) -> NDArr
     sheet = Solid(Sheet(width - 2 * _MARGIN, height - 2 * _MARGIN), T_sensor_board)
     ranges = cast([sheet], scanner.pattern.origins, scanner.pattern.directions).ranges
     return np.flatnonzero((ranges >= scanner.noise.min_range) & (ranges <= scanner.noise.max_range))
+
+
+def _edges(scanner: MountedScanner, board: Board, T_sensor_board: Array, rng: np.random.Generator) -> Array:
+    """(M, 2, 3) beams next to each other of which one hits the sheet, and the other one goes past it.
+
+    How far the outline is from either is drawn, as if the scanner's beams pointed elsewhere each time: of several
+    sweeps at rest all would see the same.
+    """
+    pattern, half = scanner.pattern, 0.5 * np.array(board.size)
+    T_board_sensor = se3.inverse(T_sensor_board)
+    origins = se3.apply(T_board_sensor, np.broadcast_to(pattern.origins, pattern.directions.shape))
+    along = pattern.directions @ T_board_sensor[:3, :3].T
+    reach = -origins[:, 2] / np.where(np.abs(along[:, 2]) < _FLAT, np.nan, along[:, 2])
+    hit = (origins + reach[:, None] * along)[:, :2]
+    ahead = (reach >= scanner.noise.min_range) & (reach <= scanner.noise.max_range)
+    on = ahead & np.all(np.abs(hit) <= half, axis=1)
+    ends = np.flatnonzero(ahead & ahead[pattern.neighbours] & (on != on[pattern.neighbours]))
+    other = pattern.neighbours[ends]
+    last, past = np.where(on[ends], ends, other), np.where(on[ends], other, ends)
+    step = hit[past] - hit[last]
+    # The side that the beams cross first, and where.
+    walls = (np.sign(step) * half - hit[last]) / np.where(step == 0, np.nan, step)
+    side = np.nanargmin(walls, axis=1)[:, None]
+    share = np.take_along_axis(walls, side, axis=1) - rng.uniform(size=(len(ends), 1))
+    moved = share * step + rng.normal(0.0, BLUR, (len(ends), 2))
+    ends_on_board = np.stack([hit[last] + moved, hit[past] + moved], axis=1)
+    at = se3.apply(T_sensor_board, np.concatenate([ends_on_board, np.zeros((len(ends), 2, 1))], axis=-1))
+    return np.asarray(at / np.linalg.norm(at, axis=-1, keepdims=True))
 
 
 def _measured(

@@ -214,7 +214,7 @@ def test_another_npz_is_refused(tmp_path: Path) -> None:
     ("given", "shown"), [("calgraph-problem/2", "'calgraph-problem/2'"), (None, "nothing"), (1, "1")]
 )
 def test_another_version_is_refused(given: object, shown: str, saved: Path) -> None:
-    with pytest.raises(InputError, match=f"format: must be calgraph-problem/1, which this .* reads, got {shown}"):
+    with pytest.raises(InputError, match=f"format: must be calgraph-problem/2, which this .* reads, got {shown}"):
         load_problem(with_text(saved, format=given))
 
 

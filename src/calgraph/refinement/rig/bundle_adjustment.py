@@ -17,6 +17,7 @@ from calgraph.refinement.rig.hypergraph import Filter, believed
 from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.rig.known import PosePrior, RigidGroup, free, with_groups, with_known
 from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
+from calgraph.refinement.rig.sheets import with_outlines, without_wrong_outlines
 from calgraph.refinement.rig.unknowns import Estimable, estimated_values, with_unknowns
 from calgraph.refinement.rig.views import Beams, Corners, Views, relative
 from calgraph.rig import CameraSpec, Rig
@@ -64,17 +65,12 @@ def solve_bundle(
     bundle = free(bundle)
     if estimate:
         bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
-    rejected: set[tuple[int, str]] = set()
-    seen = np.array([len(views.board) for views in bundle.all_views])
-    solved = solve(bundle, state)
-    for _ in range(_ROUNDS):
-        before = bundle
-        bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
-        bundle, wrong = _without_wrong(bundle, solved, seen)
-        rejected |= wrong
-        if _alike(before, bundle):
-            break
-        solved = solve(bundle, solved.state, iterations=_STEPS)
+    bundle, solved, rejected = _settled(bundle, solve(bundle, state))
+    # Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
+    bundle, state = with_outlines(bundle, solved.state, rig, captured.detections, boards, _SWAY**2)
+    bundle, solved, more = _settled(bundle, solve(bundle, state, iterations=_STEPS))
+    rejected |= more
+    bundle = without_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
     bundle = with_known(bundle, priors, groups)
     solved = solve(bundle, with_groups(solved.state, bundle.names, groups))
@@ -111,7 +107,9 @@ def cramer_rao(
     boards = [Sighting(c, by) for c, by in seen.items() if by]
     bundle, state = build(rig, captured, boards, T_root_sensor)
     truth = replace(state, T_root_board=stacked([T_root_board[board.capture] for board in boards]))
-    exact = replace(_weighed(bundle, truth), sway=np.zeros_like(bundle.sway))
+    bundle, laid = with_outlines(bundle, truth, rig, captured.detections, boards, 0.0)
+    truth = replace(truth, own=laid.own)
+    exact = replace(weighed(bundle, truth), sway=np.zeros_like(bundle.sway))
     spread = covariance(exact, truth, linearize(exact, truth))
     blocks = spread.reshape(len(bundle.names), 6, len(bundle.names), 6)
     return {name: blocks[i, :, i] for i, name in enumerate(bundle.names)}
@@ -135,7 +133,7 @@ def build(
         stacked([placed(board, captured.detections, T_root_sensor) for board in boards]),
         np.zeros(0),
     )
-    return _weighed(bundle, state), state
+    return weighed(bundle, state), state
 
 
 def _printed_on(captured: Captured, boards: Sequence[Sighting]) -> Index:
@@ -144,7 +142,7 @@ def _printed_on(captured: Captured, boards: Sequence[Sighting]) -> Index:
     return np.array([found[0] if found else 0 for found in seen], dtype=np.intp)
 
 
-def _weighed(bundle: Bundle, state: State) -> Bundle:
+def weighed(bundle: Bundle, state: State) -> Bundle:
     """The bundle with the noise that measurements have if taken at this state."""
     views = [
         own.weighed(relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board]), own.scale)
@@ -167,6 +165,21 @@ def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) 
         return Corners.of(indices, corners, captured.cameras[name], spec.noise)
     surfaces = [d for _, d in seen if not isinstance(d, BoardCorners)]
     return Beams.of(indices, surfaces, spec.noise)
+
+
+def _settled(bundle: Bundle, solved: Solved) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
+    """The bundle with its noise and sway measured and wrong views left out; and those, by board and sensor."""
+    rejected: set[tuple[int, str]] = set()
+    seen = np.array([len(views.board) for views in bundle.all_views])
+    for _ in range(_ROUNDS):
+        before = bundle
+        bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
+        bundle, wrong = _without_wrong(bundle, solved, seen)
+        rejected |= wrong
+        if _alike(before, bundle):
+            break
+        solved = solve(bundle, solved.state, iterations=_STEPS)
+    return bundle, solved, rejected
 
 
 def _without_wrong(bundle: Bundle, solved: Solved, seen: NDArray[np.intp]) -> tuple[Bundle, set[tuple[int, str]]]:

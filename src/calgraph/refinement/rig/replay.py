@@ -22,7 +22,7 @@ from calgraph.rig.model import StrictModel
 from calgraph.rig.reading import validated
 from calgraph.sensors import CameraModel
 
-FORMAT = "calgraph-problem/1"
+FORMAT = "calgraph-problem/2"
 _STRUCTURE = "problem.json"
 
 _PLACE = {"sensor": INDEX, "capture": INDEX, "candidate": INDEX}
@@ -30,12 +30,12 @@ DETECTIONS: Mapping[type[Detection], Table] = {
     PlanePatch: Table("planes", {
         **_PLACE,
         "plane": Column((4,)), "covariance": Column((3, 3)), "points": Column((3,), ragged=True),
-        "center": Column((3,)), "match": NUMBER,
+        "center": Column((3,)), "match": NUMBER, "edges": Column((2, 3), ragged=True),
     }),
     Segment: Table("segments", {
         **_PLACE,
         "endpoints": Column((2, 3)), "covariance": Column((6, 6)), "points": Column((3,), ragged=True),
-        "match": NUMBER,
+        "match": NUMBER, "edges": Column((2, 3), ragged=True),
     }),
     BoardCorners: Table("corners", {
         **_PLACE,

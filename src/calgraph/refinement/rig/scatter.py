@@ -71,7 +71,7 @@ def _ascended(variances: Array, score: Array, fisher: Array) -> Array:
 
 
 def wrong_views(bundle: Bundle, system: System) -> list[NDArray[np.bool_]]:
-    """By sensor and outline, (V,) which views contradict the others: of a board the worst, for it bends the others.
+    """By sensor and outline, (V,) which views contradict the others: of a board the worst, which bends the others.
 
     Views that are far worse than the rest bend all sensors: those that are less wrong are judged without them.
     """

@@ -77,6 +77,8 @@ def estimated_values(bundle: Bundle, state: State, system: System) -> tuple[Esti
             bool(stddev < _TOLD * one.belief),
         )
         for one, value, stddev in zip(bundle.unknowns, state.own, np.sqrt(own), strict=True)
+        # Where outlines are seen is a nuisance, which nobody asked for.
+        if one.sensors[0] < len(bundle.names)
     )
     for one in found:
         if not one.measured:
