@@ -1,12 +1,26 @@
-"""A rig of five sensors as a user may have it, and an ugly one."""
+"""A rig of five sensors as a user may have it, with and without pictures, a network, and an ugly rig."""
 
+import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from calgraph.detection import landmarks
 from calgraph.geometry import Array, se2, se3
-from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, FloorView, SensorPose, Verdict
+from calgraph.result import (
+    BoardOutline,
+    BoardView,
+    Calibration,
+    CaptureRow,
+    Edge,
+    FloorView,
+    SensorPose,
+    Snapshot,
+    Verdict,
+)
 from calgraph.rig import Rig
 
 FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -115,6 +129,59 @@ def calibration(rng: np.random.Generator) -> Calibration:
     return Calibration("lidar", sensors, edges, tuple(captures), {}, residuals, tuple(outlines), "bundle")
 
 
+PIXEL, RANGE = 0.4, 0.008
+"""Noise of corners, px, and of points about the board, m."""
+
+
+@pytest.fixture
+def pictured(calibration: Calibration, rig: Rig, rng: np.random.Generator) -> Calibration:
+    """The rig with what its sensors saw of the boards, and pictures of the first twelve captures."""
+    sheet = np.array([[-0.5, -0.4, 0], [0.5, -0.4, 0], [0.5, 0.4, 0], [-0.5, 0.4, 0]])
+    outlines = tuple(
+        BoardOutline(o.capture, se3.apply(board_pose(o), sheet), board=0) for o in calibration.outlines
+    )
+    views = tuple(view for o in outlines for sensor in calibration.sensors for view in _view(o, sensor, rig, rng))
+    taken = tuple(_snapshot(n, s, outlines[n], rng) for n in range(12) for s in calibration.sensors)
+    return dataclasses.replace(calibration, outlines=outlines, board_views=views, snapshots=taken)
+
+
+def board_pose(outline: BoardOutline) -> Array:
+    corners = outline.corners
+    x, up = corners[1] - corners[0], corners[3] - corners[0]
+    x, z = x / np.linalg.norm(x), np.cross(x, up) / np.linalg.norm(np.cross(x, up))
+    return se3.pose(np.column_stack([x, np.cross(z, x), z]), corners.mean(axis=0))
+
+
+def _view(outline: BoardOutline, sensor: SensorPose, rig: Rig, rng: np.random.Generator) -> Iterator[BoardView]:
+    T_sensor_board = se3.inverse(sensor.T_root_sensor) @ board_pose(outline)
+    if sensor.kind == "camera":
+        camera = rig.cameras()[sensor.name].intrinsics.camera()  # type: ignore[union-attr]
+        pixels = camera.project(se3.apply(T_sensor_board, landmarks(rig.boards[0]).corners.reshape(-1, 3)))
+        if camera.contains(pixels).all():
+            off = rng.normal(0, PIXEL, pixels.shape)
+            yield BoardView(outline.capture, sensor.name, True, pixels + off, off)
+    elif sensor.kind == "lidar3d" or outline.capture % 2:
+        places = rng.uniform([-0.5, -0.4], [0.5, 0.4], (80, 2)) * ([1, 1] if sensor.kind == "lidar3d" else [1, 0])
+        off = rng.normal(0, RANGE, 80)
+        away = np.sign(T_sensor_board[:3, 2] @ T_sensor_board[:3, 3])
+        seen = se3.apply(T_sensor_board, np.column_stack([places, away * off]))
+        yield BoardView(outline.capture, sensor.name, True, seen, off)
+
+
+def _snapshot(capture: int, sensor: SensorPose, outline: BoardOutline, rng: np.random.Generator) -> Snapshot:
+    """A camera sees red; a scanner the board and a wall."""
+    if sensor.kind == "camera":
+        picture = np.full((360, 640, 3), (40, 60, 200), dtype=np.uint8)
+        image = cv2.imencode(".jpg", picture)[1].tobytes()
+        return Snapshot(capture, sensor.name, 0.1 * capture, image, width=1280, height=720)
+    on_board = outline.corners[0] + rng.uniform(size=(150, 2)) @ (outline.corners[[1, 3]] - outline.corners[0])
+    wall = np.column_stack([np.full(300, 5.0), rng.uniform(-4, 4, 300), rng.uniform(-1, 2, 300)])
+    points = se3.apply(se3.inverse(sensor.T_root_sensor), np.concatenate([on_board, wall]))
+    if sensor.kind == "lidar2d":
+        points[:, 2] = 0
+    return Snapshot(capture, sensor.name, 0.1 * capture, points=points.astype(np.float32))
+
+
 EVIL = '<script>alert("1")</script> & <b>ümläut</b> 前 $root </style>'
 
 
@@ -187,6 +254,10 @@ def network() -> Calibration:
     )
     wall, walk = np.linspace([0, -1], [8, -1], 50), np.linspace([2, 0], [2, 5], 40)
     floor = (FloorView("hall", wall, (walk, walk + 0.1)), FloorView("door <b>", wall, (walk,)))
+    start = {
+        name: se2.to_se3(se2.pose(yaw + 0.1, np.array([x, y + 0.5]))) for name, (x, y, yaw) in SCANNERS.items()
+    }
     return Calibration(
-        "hall", sensors, edges, rows, {"attic": ""}, {"positions": np.zeros(9)}, estimator="averaging", floor=floor
-    )
+        "hall", sensors, edges, rows, {"attic": ""}, {"positions": np.zeros(9)}, estimator="averaging",
+        floor=floor, start=start,
+    )  # fmt: skip

@@ -69,7 +69,7 @@ def _matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:
             "type": "category",
             "fixedrange": True,
             "showgrid": False,
-            "nticks": 30,
+            "nticks": 12,
         },
         yaxis={
             "autorange": "reversed",

@@ -44,13 +44,12 @@ def _picture(of: Coverage, name: str, words: Words) -> str:
         for (i, j), n in np.ndenumerate(of.counts)
         if n
     )
-    field = (
-        "".join(
-            f'<rect class="field" x="{_LEFT + j * w:.1f}" y="8" width="{w + 0.2:.1f}" height="{height:.1f}"/>'
-            for j in np.flatnonzero(of.visible)
-        )
-        if not of.visible.all()
-        else f'<rect class="field" x="{_LEFT}" y="8" width="{width}" height="{height:.1f}"/>'
+    # A column that is seen is grey, together with its neighbours, so that no seams show.
+    turns = np.flatnonzero(np.diff(np.concatenate([[0], of.visible.astype(int), [0]]))).reshape(-1, 2)
+    field = "".join(
+        f'<rect class="field" x="{_LEFT + first * w:.1f}" y="8" width="{(last - first) * w:.1f}" '
+        f'height="{height:.1f}"/>'
+        for first, last in turns.tolist()
     )
     return (
         f'<svg viewBox="0 0 {_WIDTH} {height + 8 + _BELOW:.0f}" role="img" '

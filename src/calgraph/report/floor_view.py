@@ -13,7 +13,7 @@ from calgraph.result import Calibration, FloorView, SensorPose
 _SIGMAS = 2.0
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipse can be seen if its longer half axis takes this part of the plan, as can an arrow of that part.
-_VISIBLE, _ARROW = 0.008, 0.05
+_VISIBLE, _ARROW = 0.016, 0.05
 # Pixels: of the plan, and of a line of the legend, which takes so many names.
 _HEIGHT, _LEGEND_LINE, _NAMES = 680, 25, 9
 
@@ -123,7 +123,7 @@ def _scanner(
         "type": "scatter", "mode": "markers+text", "x": [x], "y": [y], "legendgroup": sensor.name,
         "name": plotly_text(sensor.name), "text": [plotly_text(sensor.name)], "textposition": "bottom center",
         "textfont": {"size": 13, "color": INK},
-        "marker": {"color": color, "size": 10, "line": {"color": INK, "width": 1}},
+        "marker": {"color": color, "size": 7, "line": {"color": INK, "width": 1}},
         "hovertemplate": f"{_pose_in_words(sensor)}<extra></extra>",
     })  # fmt: skip
     return traces

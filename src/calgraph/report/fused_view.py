@@ -17,7 +17,9 @@ from calgraph.sensors import CameraModel, painted
 # Captures that can be chosen, and points of each that no camera sees: they only show where the others are.
 _MOST, _GREY = 6, 2500
 # The view holds so much of the coloured points, in percent, and this around it, m.
-_INNER, _AROUND = 98, 0.3
+_INNER, _AROUND = 99, 0.3
+# What is shown reaches so many times as far as the boards, and so far at least, m.
+_BEHIND, _AT_LEAST = 1.7, 3.0
 # Of the eye from the middle, in the units of the scene.
 _DISTANCE = 1.15
 
@@ -70,8 +72,11 @@ def _clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
     views = [view for view in calibration.board_views if view.used]
     pictured = Counter(view.capture for view in views if view.sensor in cameras)
     used = Counter(view.capture for view in views)
-    best = sorted(sorted(both, key=lambda n: (-pictured[n], -used[n], -_detail(by_capture[n])))[:_MOST])
-    clouds = {n: _painted(_fused(by_capture[n], poses), by_capture[n], poses, cameras) for n in best}
+    # Most captures of a long recording are kept with few points only.
+    full = [n for n in both if _detail(by_capture[n]) >= 0.5 * max(map(_detail, by_capture.values()))]
+    best = sorted(sorted(full, key=lambda n: (-pictured[n], -used[n]))[:_MOST])
+    reach = _reach(calibration, best)
+    clouds = {n: _painted(_fused(by_capture[n], poses, reach), by_capture[n], poses, cameras) for n in best}
     return {n: cloud for n, cloud in clouds.items() if cloud[2].any()}
 
 
@@ -79,10 +84,19 @@ def _detail(taken: Sequence[Snapshot]) -> int:
     return sum(len(s.points) for s in taken)
 
 
-def _fused(taken: Sequence[Snapshot], poses: Mapping[str, Array]) -> Array:
+def _reach(calibration: Calibration, captures: Sequence[int]) -> float:
+    """How far from the root it is worth looking, m: what is far behind the boards would only make them small."""
+    boards = [o.corners for o in calibration.outlines if o.capture in captures and np.isfinite(o.corners).all()]
+    if not boards:
+        return np.inf
+    return max(_BEHIND * float(np.linalg.norm(np.concatenate(boards), axis=1).max()), _AT_LEAST)
+
+
+def _fused(taken: Sequence[Snapshot], poses: Mapping[str, Array], reach: float) -> Array:
     """(N, 3) what scanners measured, root frame, m."""
     clouds = [se3.apply(poses[s.sensor], s.points.astype(np.float64)) for s in taken if len(s.points)]
-    return np.concatenate([np.zeros((0, 3)), *clouds])
+    points = np.concatenate([np.zeros((0, 3)), *clouds])
+    return np.asarray(points[np.linalg.norm(points, axis=1) < reach])
 
 
 def _painted(

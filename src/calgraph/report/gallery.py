@@ -10,7 +10,7 @@ from calgraph.report.thumbnails import thumbnail
 from calgraph.result import Calibration, CaptureRow, Snapshot
 
 # Pictures on the page at most, and captures that are shown without asking.
-_MOST, _OPEN = 600, 6
+_MOST, _OPEN = 1000, 6
 
 
 def gallery(calibration: Calibration) -> str:

@@ -16,7 +16,7 @@ _MANY = 8
 """With more sensors than this only the tree's edges are labelled, and unused ones left to the table."""
 _CROWD = 14
 """With more sensors than this the drawing grows, so that their boxes do not cover each other."""
-_COVERED = 0.5
+_COVERED = 0.1
 """A caption that covers others by so much of its own size is left to the table."""
 _LONG = 40
 """A table of more pairs than this scrolls on its own."""

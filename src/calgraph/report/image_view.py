@@ -1,7 +1,7 @@
 """Pictures of the cameras with the board as the joint solution predicts it, and scanners' points by residual."""
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from calgraph.sensors import CameraModel
 _MOST, _EACH, _LEAST, _OPEN = 36, 8, 2, 4
 # From blue, before the board, to red, beyond it.
 _RAMP = ("#2166ac", "#67a9cf", "#d1e5f0", "#ffffff", "#fddbc7", "#ef8a62", "#b2182b")
+# A picture with less than this share of the bytes of the largest was kept small.
+_SMALL = 0.3
 _STEPS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # A typical error is drawn by so much of the picture's width, and points so far off by twice the RMS are all red.
-_VISIBLE = 0.015
+_VISIBLE = 0.01
 _ABOUT = """Yellow is the board and its print where the joint solution of all sensors has them, white dots are the
 corners that the camera saw; both should coincide. Pink lines are their differences, drawn larger. Dots in colours
 are the points of scanners on the board:"""
@@ -32,7 +34,7 @@ def camera_images(calibration: Calibration, rig: Rig) -> str:
     known = {sensor: cameras[sensor.name] for sensor in calibration.sensors if sensor.name in cameras}
     if not known:
         return ""
-    pictures = {(s.sensor, s.capture): s for s in calibration.snapshots if s.image}
+    pictures = _large(calibration.snapshots)
     limit = _limit(calibration.board_views)
     each = min(max(_MOST // len(known), _LEAST), _EACH)
     shown = "".join(
@@ -47,12 +49,12 @@ def _camera(
     rig: Rig,
     sensor: SensorPose,
     camera: CameraModel,
-    pictures: dict[tuple[str, int], Snapshot],
+    pictures: Mapping[tuple[str, int], Snapshot],
     each: int,
     limit: float,
 ) -> str:
     title = f"<h3>{escaped(sensor.name)}</h3>"
-    views = _ranked([view for view in calibration.board_views if view.sensor == sensor.name])
+    views = _ranked([view for view in calibration.board_views if view.sensor == sensor.name], pictures)
     if not views:
         return f'{title}<p class="empty">It saw the board in no capture that was used.</p>'
     factor = _exaggeration(views, camera)
@@ -75,9 +77,17 @@ def _camera(
     return f'{title}<div class="grid large">{"".join(shots[:_OPEN])}</div>{more if rest else ""}'
 
 
-def _ranked(views: Sequence[BoardView]) -> list[BoardView]:
-    """The views that were used, from the largest error to the least."""
-    used = [(rms(view.off), view) for view in views if view.off is not None]
+def _large(snapshots: Sequence[Snapshot]) -> dict[tuple[str, int], Snapshot]:
+    """Pictures by camera and capture, without those of long recordings that are kept too small for details."""
+    pictures = [s for s in snapshots if s.image]
+    size = {name: max(len(s.image) for s in pictures if s.sensor == name) for name in {s.sensor for s in pictures}}
+    return {(s.sensor, s.capture): s for s in pictures if len(s.image) >= _SMALL * size[s.sensor]}
+
+
+def _ranked(views: Sequence[BoardView], pictures: Mapping[tuple[str, int], Snapshot]) -> list[BoardView]:
+    """The views that were used, from the largest error to the least; where there are pictures, those with one."""
+    pictured = [view for view in views if (view.sensor, view.capture) in pictures]
+    used = [(rms(view.off), view) for view in pictured or views if view.off is not None]
     return [view for _, view in sorted(used, key=lambda one: -(one[0] or 0.0))]
 
 

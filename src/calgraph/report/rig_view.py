@@ -54,7 +54,7 @@ def rig_view(calibration: Calibration, rig: Rig) -> str:
     groups = [[_ellipsoid(s, one, limit, one == factor) for s in sensors] for one in sizes]
     ellipsoids = [trace for group in groups for trace in group]
     layout = {
-        "margin": {"l": 0, "r": 0, "t": 44, "b": 0},
+        "margin": {"l": 0, "r": 0, "t": 84, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
         "scene": _scene(calibration, size),
         "updatemenus": [_views(calibration, size), *_sizes(len(fixed), len(sensors), sizes)],
@@ -171,7 +171,7 @@ def _views(calibration: Calibration, size: float) -> dict[str, Any]:
     }
     rig["scene.aspectmode"] = "cube"
     everything = {**{f"scene.{n}axis.autorange": True for n in "xyz"}, "scene.aspectmode": "data"}
-    return _menu(0.0, [("the rig", "relayout", [rig]), ("with the boards", "relayout", [everything])])
+    return _menu(1, [("the rig", "relayout", [rig]), ("with the boards", "relayout", [everything])])
 
 
 def _sizes(fixed: int, sensors: int, sizes: Sequence[int]) -> list[dict[str, Any]]:
@@ -184,12 +184,13 @@ def _sizes(fixed: int, sensors: int, sizes: Sequence[int]) -> list[dict[str, Any
         label = "no ellipsoids" if chosen is None else "true size" if chosen == 1 else f"× {chosen}"
         visible = [factor == chosen for factor in sizes for _ in range(sensors)]
         buttons.append((label, "restyle", [{"visible": visible}, traces]))
-    return [_menu(0.99, buttons, active=len(sizes))]
+    return [_menu(0, buttons, active=len(sizes))]
 
 
-def _menu(x: float, buttons: Sequence[tuple[str, str, list[Any]]], active: int = 0) -> dict[str, Any]:
+def _menu(row: int, buttons: Sequence[tuple[str, str, list[Any]]], active: int = 0) -> dict[str, Any]:
+    """Buttons above the figure, in rows counted from below: on a telephone there is room for one row of them."""
     return {
-        "type": "buttons", "direction": "right", "x": x, "xanchor": "left" if x == 0 else "right", "y": 1.0,
-        "yanchor": "bottom", "active": active, "pad": {"b": 6}, "bgcolor": PAPER, "bordercolor": RULE,
+        "type": "buttons", "direction": "right", "x": 0, "xanchor": "left", "y": 1.0,
+        "yanchor": "bottom", "active": active, "pad": {"b": 6 + 38 * row}, "bgcolor": PAPER, "bordercolor": RULE,
         "buttons": [{"label": label, "method": method, "args": args} for label, method, args in buttons],
     }  # fmt: skip

@@ -1,0 +1,151 @@
+"""The report in a browser: nothing goes wrong, nothing is loaded, everything is drawn and can be used."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from calgraph.report import write_report
+from calgraph.result import Calibration
+from calgraph.rig import Rig
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open reports in")
+# Scenes in space are drawn without a graphics card, which takes seconds each: every page is opened once.
+_ARGUMENTS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+_PATIENCE = 60_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+class Opened:
+    """A page, and what was said and asked for while it was used."""
+
+    def __init__(self, browser: Browser, path: Path) -> None:
+        self.page: Page = browser.new_context(offline=True, viewport={"width": 1280, "height": 900}).new_page()
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+        # Figures are drawn when they come near.
+        for place in self.page.locator(".figure").all():
+            place.scroll_into_view_if_needed()
+            place.locator(".main-svg").first.wait_for(timeout=_PATIENCE)
+
+    @property
+    def loaded(self) -> list[str]:
+        """Addresses beyond the page itself."""
+        return [url for url in self.requests if not url.startswith(("file:", "data:", "blob:"))]
+
+    def color(self, of: str) -> str:
+        found: str = self.page.evaluate(f"getComputedStyle(document.querySelector('{of}')).backgroundColor")
+        return found
+
+    def wait_for_figures(self, color: str) -> None:
+        """Until figures have this background."""
+        style = "getComputedStyle(document.querySelector('#floor .main-svg')).backgroundColor"
+        self.page.wait_for_function(f"{style} === '{color}'", timeout=_PATIENCE)
+
+
+@pytest.fixture
+def rig_page(
+    browser: Browser, pictured: Calibration, rig: Rig, pages: dict[str, Opened], tmp_path: Path
+) -> Opened:
+    if "rig" not in pages:
+        write_report(pictured, rig, tmp_path / "rig.html")
+        pages["rig"] = Opened(browser, tmp_path / "rig.html")
+    return pages["rig"]
+
+
+@pytest.fixture
+def network_page(
+    browser: Browser, network: Calibration, network_rig: Rig, pages: dict[str, Opened], tmp_path: Path
+) -> Opened:
+    if "network" not in pages:
+        write_report(network, network_rig, tmp_path / "network.html")
+        pages["network"] = Opened(browser, tmp_path / "network.html")
+    return pages["network"]
+
+
+@pytest.fixture(scope="module")
+def pages() -> dict[str, Opened]:
+    """Those that are open already."""
+    return {}
+
+
+@pytest.fixture(params=["rig_page", "network_page"])
+def opened(request: pytest.FixtureRequest) -> Opened:
+    page: Opened = request.getfixturevalue(request.param)
+    return page
+
+
+def test_everything_is_drawn_without_an_error_and_without_a_network(opened: Opened) -> None:
+    assert opened.page.locator(".figure .main-svg").count() > 3
+    assert (opened.errors, opened.loaded) == ([], [])
+
+
+@pytest.mark.parametrize("name", ["rig", "fused"])
+def test_scenes_in_space_have_pixels(rig_page: Opened, name: str) -> None:
+    """The rig and the fused cloud are of many colours."""
+    picture = rig_page.page.locator(f"#{name}").screenshot(timeout=_PATIENCE)
+    pixels = np.asarray(cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR))
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100
+
+
+def test_captures_are_filtered(rig_page: Opened) -> None:
+    rig_page.page.locator("#filter-sensor").select_option("camera")
+    rig_page.page.locator("#filter-outcome").select_option("not used")
+    shown = rig_page.page.locator("#capture-table tbody tr:not([hidden]) .outcome").all_inner_texts()
+    assert set(shown) == {"not used"}
+    assert rig_page.page.locator("#filter-count").inner_text() == f"{len(shown)} of 240 rows"
+
+
+def test_before_and_after_are_chosen_with_the_keyboard(network_page: Opened) -> None:
+    """The walk along x = 2 m in the frame of the hall, which is displaced and turned by 0.1 at the start."""
+    page = network_page.page
+    walked = """() => { const of = document.getElementById("floor").data.find((t) => t.mode === "lines");
+                        return [of.x[1], of.y[1]]; }"""
+    assert page.evaluate(walked) == [2, 0]
+    page.locator("input[name=floor-state]:checked").focus()
+    page.keyboard.press("ArrowLeft")
+    assert page.evaluate(walked) == pytest.approx((2 * 0.995004, 2 * 0.099833 + 0.5), abs=1e-4)
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate(walked) == [2, 0]
+
+
+def test_the_dark_has_dark_figures_and_paper_is_white(network_page: Opened) -> None:
+    page = network_page.page
+    page.emulate_media(color_scheme="dark")
+    network_page.wait_for_figures("rgb(20, 25, 31)")
+    assert network_page.color("body") == "rgb(20, 25, 31)"
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    network_page.wait_for_figures("rgb(255, 255, 255)")
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    network_page.wait_for_figures("rgb(20, 25, 31)")
+    page.emulate_media(color_scheme="light")
+    network_page.wait_for_figures("rgb(255, 255, 255)")
+
+
+def test_a_telephone_does_not_scroll_sideways(opened: Opened) -> None:
+    opened.page.set_viewport_size({"width": 400, "height": 800})
+    opened.page.wait_for_function(
+        "document.querySelector('.figure .main-svg').clientWidth < 400", timeout=_PATIENCE
+    )
+    assert opened.page.evaluate("document.documentElement.scrollWidth") == 400
+
+
+def test_it_is_printed(network_page: Opened) -> None:
+    assert len(network_page.page.pdf(format="A4")) > 50_000
+    assert (network_page.errors, network_page.loaded) == ([], [])

@@ -1,0 +1,106 @@
+"""Which part of a field of view the target was in, and what is missing in words."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array
+from calgraph.report.coverage import coverage
+from calgraph.report.coverage_view import coverages
+from calgraph.report.words import BOARD
+from calgraph.result import BoardView, Calibration
+from calgraph.rig import Rig
+
+
+def with_views(calibration: Calibration, sensor: str, *seen: Array) -> Calibration:
+    views = tuple(BoardView(k, sensor, True, one) for k, one in enumerate(seen))
+    return dataclasses.replace(calibration, board_views=views, outlines=())
+
+
+def around(low: float, high: float, distance: float, height: float = 0.0) -> Array:
+    """(N, 3) points at all azimuths between two, degrees."""
+    azimuth = np.radians(np.arange(low, high, 0.5) + 0.25)
+    return np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), np.full(len(azimuth), height)])
+
+
+def remarks(calibration: Calibration, rig: Rig, sensor: str) -> str:
+    found = coverage(calibration, rig, calibration[sensor])
+    assert found is not None
+    return " ".join(found.remarks)
+
+
+def test_a_picture_names_the_parts_without_corners(calibration: Calibration, rig: Rig) -> None:
+    """1280 by 720: all thirds but those at the bottom left and the middle right."""
+    grid = [(x, y) for x in (200, 640, 1100) for y in (100, 360, 650) if (x, y) not in {(200, 650), (1100, 360)}]
+    seen = with_views(calibration, "camera", np.array(grid, dtype=float))
+    assert "Missing: no corners in the centre right and bottom left of the picture." in remarks(
+        seen, rig, "camera"
+    )
+
+
+def test_a_picture_that_is_full_says_so(calibration: Calibration, rig: Rig, rng: np.random.Generator) -> None:
+    full = with_views(calibration, "camera", rng.uniform([0, 0], [1279, 719], (500, 2)))
+    assert "There were corners in all parts of the picture." in remarks(full, rig, "camera")
+
+
+def test_cells_count_captures_and_not_corners(calibration: Calibration, rig: Rig) -> None:
+    one = np.array([[10.0, 10.0], [11.0, 11.0], [12.0, 10.0]])
+    found = coverage(with_views(calibration, "camera", one, one, one[:1] + 600), rig, calibration["camera"])
+    assert found is not None
+    assert found.counts[0, 0] == 2
+    assert found.counts.sum() == 3
+
+
+def test_distances_and_tilts_are_those_of_the_boards(pictured: Calibration, rig: Rig) -> None:
+    assert "m away, and its face turned by" in remarks(pictured, rig, "camera")
+
+
+def test_a_scanner_names_the_sectors_that_are_missing(calibration: Calibration, rig: Rig) -> None:
+    """Three quarters of a turn are seen, by the background of other captures."""
+    seen = with_views(calibration, "laser", around(-60, 60, 2.0), around(-135, 135, 1.0)[:1])
+    whole = dataclasses.replace(seen, snapshots=())
+    said = remarks(whole, rig, "laser")
+    assert said == "The board was in all directions in which it sees. The board was 1.0 to 2.0 m away."
+
+
+def test_sectors_behind_are_one(pictured: Calibration, rig: Rig) -> None:
+    """A LiDAR that sees all around, and boards in front only."""
+    ahead = with_views(pictured, "lidar", around(-60, 60, 2.0))
+    taken = tuple(
+        dataclasses.replace(s, points=around(-180, 180, 5.0).astype(np.float32)) for s in pictured.snapshots
+    )
+    said = remarks(dataclasses.replace(ahead, snapshots=taken), rig, "lidar")
+    assert "The board was in 33 % of the directions in which it sees. Missing: 60° to −60° (behind)." in said
+
+
+def test_left_is_left_and_up_is_up(calibration: Calibration, rig: Rig) -> None:
+    """A board at 90° to the left and above; the field reaches below."""
+    seen = with_views(calibration, "lidar", around(88, 92, 2.0, 1.0), around(-2, 2, 2.0, -1.0))
+    found = coverage(seen, rig, calibration["lidar"])
+    assert found is not None
+    rows, columns = np.nonzero(found.counts)
+    left = columns < found.counts.shape[1] * 0.3
+    assert left.any()
+    assert (rows[left] < 3).all()
+    assert (rows[~left] > 8).all()
+
+
+def test_a_network_tells_where_people_walked(network: Calibration, network_rig: Rig) -> None:
+    """From the hall, the walk along x = 2 m leads from ahead to 68° on the left."""
+    said = remarks(network, network_rig, "hall")
+    assert "Missing:" in said
+    assert "Somebody walked 2.0 to 5.5 m away." in said
+
+
+def test_nothing_known_is_said(bare: Calibration, rig: Rig) -> None:
+    assert "is not part of this result" in coverages(bare, rig, BOARD)
+
+
+@pytest.mark.parametrize("name", ["lidar", "camera", "laser"])
+def test_a_picture_has_a_cell_for_each_count(pictured: Calibration, rig: Rig, name: str) -> None:
+    found = coverage(pictured, rig, pictured[name])
+    assert found is not None
+    html = coverages(pictured, rig, BOARD)
+    own = html[html.index(f"<h3>{name}</h3>") :].split("</svg>")[0]
+    assert own.count('class="cell"') == np.count_nonzero(found.counts)

@@ -1,0 +1,190 @@
+"""Pictures in the report: boards where they are predicted, points by residual, fused colours, thumbnails."""
+
+import base64
+import dataclasses
+import json
+import re
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from calgraph.geometry import Array, se3
+from calgraph.report.fused_view import fused_view
+from calgraph.report.gallery import gallery
+from calgraph.report.image_view import camera_images
+from calgraph.report.overlays import overlay
+from calgraph.report.thumbnails import thumbnail
+from calgraph.result import Calibration, Snapshot
+from calgraph.result.cameras import cameras_of
+from calgraph.rig import Rig
+
+
+def painted_of(html: str) -> list[dict[str, Any]]:
+    """The traces whose points have a colour each."""
+    return [t for t in data_of(html)["data"] if isinstance(t["marker"].get("color"), list)]
+
+
+def data_of(html: str) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(re.findall(r"<script[^>]*>(.*?)</script>", html, re.DOTALL)[0])
+    return content
+
+
+def decoded(url: str) -> Any:
+    data = np.frombuffer(base64.b64decode(url.split(",")[1]), dtype=np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+
+
+def seen_by(pictured: Calibration, camera: str) -> int:
+    """The first capture in which a camera saw the board."""
+    return next(view.capture for view in pictured.board_views if view.sensor == camera)
+
+
+def test_the_sheet_is_drawn_where_the_joint_solution_has_it(pictured: Calibration, rig: Rig) -> None:
+    camera, capture = cameras_of(pictured, rig)["camera"], seen_by(pictured, "camera")
+    drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
+    corners = next(o.corners for o in pictured.outlines if o.capture == capture)
+    expected = camera.project(se3.apply(se3.inverse(pictured["camera"].T_root_sensor), corners))
+    (sheet,) = drawn.sheets
+    inside = camera.contains(expected)
+    assert inside.any()
+    np.testing.assert_allclose(sheet[::12][:4][inside], expected[inside], atol=1e-9)
+
+
+def test_marks_are_drawn_where_corners_are_predicted(pictured: Calibration, rig: Rig) -> None:
+    camera, capture = cameras_of(pictured, rig)["camera"], seen_by(pictured, "camera")
+    drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
+    (tag,) = drawn.marks
+    np.testing.assert_allclose(tag[::12][:4], drawn.seen - drawn.off, atol=1e-9)
+
+
+def test_points_of_all_scanners_lie_on_the_board(pictured: Calibration, rig: Rig) -> None:
+    """In captures with odd numbers, which three scanners saw."""
+    camera = cameras_of(pictured, rig)["camera"]
+    odd = [v.capture for v in pictured.board_views if v.sensor == "camera" and v.capture % 2]
+    every = [overlay(pictured, rig, pictured["camera"], camera, capture) for capture in odd]
+    drawn = next(one for one in every if np.isfinite(one.sheets[0]).all())
+    assert len(drawn.points) == 3 * 80
+    inside = drawn.points[np.isfinite(drawn.points[:, 0])]
+    hull = cv2.convexHull(drawn.sheets[0].astype(np.float32))
+    # Points are off the plane by millimetres, which is a few pixels at most.
+    off = [cv2.pointPolygonTest(hull, point, True) for point in inside.astype(float).tolist()]
+    assert min(off) > -15
+
+
+def test_pictures_go_from_the_worst_to_the_best(pictured: Calibration, rig: Rig) -> None:
+    errors = re.findall(r"off by ([\d.]+) px RMS", camera_images(pictured, rig).split("camera_rear")[0])
+    assert len(errors) > 1
+    assert [float(e) for e in errors] == sorted(map(float, errors), reverse=True)
+
+
+def test_differences_are_drawn_as_many_times_larger_as_is_said(pictured: Calibration, rig: Rig) -> None:
+    html = camera_images(pictured, rig)
+    capture, factor = re.findall(r"Capture (\d+)</b>.*?drawn (\d+) ×", html)[0]
+    path = re.findall(r'<path class="error" d="(.*?)"', html)[0]
+    ends = np.array([[float(x) for x in pair.split()] for pair in re.findall(r"[ML]([-\d. ]+)", path)])
+    view = next(v for v in pictured.board_views if (v.capture, v.sensor) == (int(capture), "camera"))
+    assert view.off is not None
+    np.testing.assert_allclose(ends[1::2] - ends[::2], int(factor) * view.off, atol=0.11)
+
+
+def test_points_are_coloured_by_their_distance(pictured: Calibration, rig: Rig) -> None:
+    """Half of the points of every view lie far before the board, half far beyond it."""
+    split = tuple(
+        v
+        if v.off is None or v.off.ndim > 1
+        else dataclasses.replace(v, off=np.where(np.arange(len(v.off)) % 2, 1.0, -1.0))
+        for v in pictured.board_views
+    )
+    html = camera_images(dataclasses.replace(pictured, board_views=split), rig)
+    assert set(re.findall(r'class="points" style="stroke:(#\w+)"', html)) == {"#d1e5f0", "#fddbc7"}
+    assert "2 m before the board" in html.replace("2.0 m", "2 m")
+
+
+def test_without_pictures_the_boards_are_drawn_all_the_same(pictured: Calibration, rig: Rig) -> None:
+    html = camera_images(dataclasses.replace(pictured, snapshots=()), rig)
+    assert "pictures themselves are not part of this result" in html
+    assert "<img" not in html
+    assert 'class="sheet"' in html
+
+
+def test_there_are_some_dozens_of_larger_pictures_at_most(pictured: Calibration, rig: Rig) -> None:
+    assert 2 <= camera_images(pictured, rig).count("<img") <= 36
+
+
+def test_a_rig_without_cameras_has_no_pictures(network: Calibration, network_rig: Rig) -> None:
+    assert camera_images(network, network_rig) == ""
+    assert fused_view(network, network_rig) == ""
+
+
+def test_the_fused_cloud_has_the_colours_of_the_pictures(pictured: Calibration, rig: Rig) -> None:
+    colored = painted_of(fused_view(pictured, rig))
+    colors = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for t in colored for c in t["marker"]["color"]])
+    assert len(colors) > 200
+    # JPEG keeps BGR (40, 60, 200) within some steps.
+    assert np.abs(colors - [200, 60, 40]).max() < 6
+
+
+def test_only_what_a_camera_sees_is_coloured(pictured: Calibration, rig: Rig) -> None:
+    trace = painted_of(fused_view(pictured, rig))[0]
+    points = np.array([trace["x"], trace["y"], trace["z"]]).T
+    seen = np.zeros(len(points), dtype=bool)
+    for name, camera in cameras_of(pictured, rig).items():
+        pixels = camera.project(se3.apply(se3.inverse(pictured[name].T_root_sensor), points))
+        # Coordinates are rounded to millimetres on the page.
+        seen |= (np.abs(pixels / [1280, 720] - 0.5) < 0.51).all(axis=1)
+    assert seen.all()
+
+
+def test_every_capture_can_be_chosen_and_shows_only_itself(pictured: Calibration, rig: Rig) -> None:
+    content = data_of(fused_view(pictured, rig))
+    (slider,) = content["layout"]["sliders"]
+    for k, step in enumerate(slider["steps"]):
+        visible = step["args"][0]["visible"]
+        assert len(visible) == len(content["data"])
+        assert np.flatnonzero(visible).tolist() == [3 * k, 3 * k + 1, 3 * k + 2, len(visible) - 1]
+
+
+def test_a_picture_is_shrunk_and_keeps_its_shape(pictured: Calibration) -> None:
+    taken = next(s for s in pictured.snapshots if s.image)
+    assert decoded(thumbnail(taken, np.empty((0, 3)))).shape == (90, 160, 3)
+
+
+def board_pixels(points: Array, board: Array) -> Array:
+    """(N, 2) column and row of the orange pixels of a thumbnail, from 0 to 1."""
+    image = decoded(thumbnail(Snapshot(0, "laser", 0.0, points=points.astype(np.float32)), board))
+    rows, columns = np.nonzero((image[..., :3] == (0, 150, 245)).all(axis=-1))
+    return np.column_stack([columns / image.shape[1], rows / image.shape[0]])
+
+
+def test_a_scan_is_seen_from_above_with_its_front_up() -> None:
+    """A board 2 m ahead, 1 m to the left, in a room of 4 m to each side."""
+    t = np.linspace(-4, 4, 200)
+    room = np.concatenate(
+        [np.column_stack([x, y, 0 * t]) for x, y in ((t, 4 + 0 * t), (t, -4 + 0 * t), (4 + 0 * t, t))]
+    )
+    at = board_pixels(room, np.array([[2.0, 1.0, 0.0]])).mean(axis=0)
+    assert at[0] < 0.47
+    assert at[1] < 0.4
+
+
+def test_a_cloud_is_seen_as_the_lidar_sees_it(rng: np.random.Generator) -> None:
+    """To the left is 90° of 360°, a quarter from the left edge."""
+    sphere = rng.normal(size=(3000, 3))
+    at = board_pixels(sphere, np.array([[0.0, 2.0, 1.0]])).mean(axis=0)
+    assert at[0] == pytest.approx(0.25, abs=0.02)
+    assert at[1] < 0.45
+
+
+def test_every_capture_has_a_card_with_what_became_of_each_sensor(pictured: Calibration) -> None:
+    html = gallery(pictured)
+    assert html.count('<article class="capture">') == 12
+    cards = re.findall(r'<article class="capture">.*?</article>', html, re.DOTALL)
+    row = next(row for row in pictured.captures if row.capture == 3 and not row.used)
+    assert row.reason in cards[3].replace("&#x27;", "'")
+    assert cards[3].count("<img") == 5
+
+
+def test_a_result_without_pictures_has_no_gallery(calibration: Calibration) -> None:
+    assert gallery(calibration) == ""
