@@ -38,4 +38,4 @@ class Snapshot:
         bgr = cv2.imdecode(np.frombuffer(self.image, dtype=np.uint8), cv2.IMREAD_COLOR)
         if bgr is None:
             raise InputError(f"picture of {self.sensor} in capture {self.capture}: is no JPEG; calibrate again")
-        return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -44,4 +44,4 @@ def turn(roll: float, pitch: float, yaw: float) -> Array:
 
 def up(calibration: Calibration) -> Array:
     """(3,) which way is up in the root's frame: a camera's y points down."""
-    return -np.eye(3)[1] if calibration[calibration.root].kind == "camera" else np.eye(3)[2]
+    return np.array([0.0, -1.0, 0.0] if calibration[calibration.root].kind == "camera" else [0.0, 0.0, 1.0])

@@ -15,12 +15,11 @@ from calgraph.viewer.choice import Choice, poses, up
 Colors = NDArray[np.uint8]
 
 # Okabe and Ito's colours, which stay apart for every kind of colour blindness; with more sensors they come again.
-PALETTE = np.array(
-    [(86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (213, 94, 0), (0, 114, 178), (240, 228, 66)],
-    dtype=np.uint8,
-)
+_PALETTE = (
+    (86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (213, 94, 0), (240, 228, 66), (0, 114, 178),
+)  # fmt: skip
 # Where no camera looks.
-_UNSEEN = np.array([92, 96, 104], dtype=np.uint8)
+_UNSEEN = (92, 96, 104)
 # Of all captures at once, so many points of one sensor are shown.
 _MOST = 150_000
 
@@ -35,10 +34,10 @@ class Cloud:
     """(N, 3) red, green and blue."""
 
 
-def color_of(calibration: Calibration, name: str) -> Colors:
-    """(3,) the colour that stands for a sensor."""
+def color_of(calibration: Calibration, name: str) -> tuple[int, int, int]:
+    """The colour that stands for a sensor."""
     names = [sensor.name for sensor in calibration.sensors]
-    return PALETTE[names.index(name) % len(PALETTE)]
+    return _PALETTE[names.index(name) % len(_PALETTE)]
 
 
 def clouds(
@@ -56,25 +55,29 @@ def clouds(
     shown: dict[str, list[Cloud]] = {}
     for captured in _by_capture(calibration.snapshots, choice.moment):
         scans = [s for s in captured if s.sensor in T_root_sensor and len(s.points)]
-        for snapshot in scans:
-            x_root = se3.apply(T_root_sensor[snapshot.sensor], snapshot.points)
-            if choice.coloring == "camera":
-                colors = as_seen(x_root, captured, cameras, T_root_sensor)
-            elif choice.coloring == "height":
-                colors = by_height(x_root @ up(calibration), heights)
-            else:
-                colors = np.tile(color_of(calibration, snapshot.sensor), (len(x_root), 1))
-            shown.setdefault(snapshot.sensor, []).append(Cloud(snapshot.points, colors))
+        if not scans:
+            continue
+        # All scanners' points together: each hides what is behind it from the cameras.
+        x_root = np.concatenate([in_root(s, T_root_sensor) for s in scans])
+        if choice.coloring == "camera":
+            colors = as_seen(x_root, captured, cameras, T_root_sensor)
+        elif choice.coloring == "height":
+            colors = by_height(x_root @ up(calibration), heights)
+        else:
+            colors = np.concatenate([_plain(color_of(calibration, s.sensor), len(s.points)) for s in scans])
+        cuts = np.cumsum([len(s.points) for s in scans])[:-1]
+        for scan, own in zip(scans, np.split(colors, cuts), strict=True):
+            shown.setdefault(scan.sensor, []).append(Cloud(scan.points, own))
     for view in calibration.floor:
         points = on_floor(calibration, view.sensor, view.background)
-        shown[view.sensor] = [Cloud(points, np.tile(color_of(calibration, view.sensor), (len(points), 1)))]
+        shown[view.sensor] = [Cloud(points, _plain(color_of(calibration, view.sensor), len(points)))]
     return {name: _joined(parts) for name, parts in shown.items()}
 
 
 def heights_of(calibration: Calibration) -> tuple[float, float]:
     """Between which heights nearly all that the scanners measured lies, m."""
     T = poses(calibration, Choice())
-    z = [se3.apply(T[s.sensor], s.points) @ up(calibration) for s in calibration.snapshots if s.sensor in T]
+    z = [in_root(s, T) @ up(calibration) for s in calibration.snapshots if s.sensor in T]
     together = np.concatenate([np.zeros(1), *z])
     low, high = np.percentile(together, [2, 98])
     return float(low), float(max(high, low + 0.1))
@@ -95,7 +98,7 @@ def as_seen(
     T_root_sensor: Mapping[str, Array],
 ) -> Colors:
     """(N, 3) colours of points (N, 3) in the root's frame, m, in pictures of their capture; grey where unseen."""
-    colors = np.tile(_UNSEEN, (len(x_root), 1))
+    colors = _plain(_UNSEEN, len(x_root))
     for picture in captured:
         if picture.image and picture.sensor in cameras and picture.sensor in T_root_sensor:
             x_camera = se3.apply(se3.inverse(T_root_sensor[picture.sensor]), x_root)
@@ -104,10 +107,19 @@ def as_seen(
     return colors
 
 
+def in_root(snapshot: Snapshot, T_root_sensor: Mapping[str, Array]) -> Array:
+    """(N, 3) a snapshot's points in the root's frame, m."""
+    return se3.apply(T_root_sensor[snapshot.sensor], snapshot.points.astype(np.float64))
+
+
 def on_floor(calibration: Calibration, name: str, positions: Array) -> NDArray[np.float32]:
     """(N, 3) in a scanner's frame of positions (N, 2) on the floor of the root's frame, m."""
     x_root = np.pad(positions, ((0, 0), (0, 1)))
     return se3.apply(se3.inverse(calibration[name].T_root_sensor), x_root).astype(np.float32)
+
+
+def _plain(color: tuple[int, int, int], count: int) -> Colors:
+    return np.tile(np.array(color, dtype=np.uint8), (count, 1))
 
 
 def _by_capture(snapshots: Iterable[Snapshot], moment: float | None) -> list[list[Snapshot]]:

@@ -1,8 +1,9 @@
 """The controls beside the scene, and the choice they stand for."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,14 +15,16 @@ from calgraph.viewer.stage import EXAGGERATIONS, LAYERS, Stage
 from calgraph.viewer.walks import duration
 
 if TYPE_CHECKING:
-    from viser import GuiApi, GuiSliderHandle
+    from viser import GuiApi, GuiInputHandle
 
-_COLORINGS: Mapping[str, Coloring] = {"as cameras see it": "camera", "by height": "height", "by sensor": "sensor"}
+_COLORINGS: Mapping[str, Coloring] = {"by sensor": "sensor", "by height": "height", "as cameras see it": "camera"}
 # Axes along and about which a sensor is moved, and their units: millimetres and degrees, of which one has an idea.
 _AXES = ("x, mm", "y, mm", "z, mm", "roll, °", "pitch, °", "yaw, °")
 _UNITS = np.array([1e-3, 1e-3, 1e-3, *np.radians([1, 1, 1])])
 _REACH = {False: (200.0, 10.0), True: (1000.0, 20.0)}
 """How far sensors can be moved, mm and degrees: of a rig, and of a network."""
+# Between moments of a network, s.
+_TICK = 0.2
 
 
 class Panel:
@@ -37,18 +40,22 @@ class Panel:
         self._words = gui.add_markdown("")
         with gui.add_folder("When"):
             self._add_time()
-        with gui.add_folder("Move a sensor off its pose", expand_by_default=False):
+        with gui.add_folder("Move a sensor off its pose"):
             self._add_moving()
         with gui.add_folder("Show"):
             self._add_looks()
         with gui.add_folder("Sensors"):
             for sensor in calibration.sensors:
-                self._add_toggle(sensor.name, lambda on, name=sensor.name: stage.show_sensor(name, on))
+                self._add_toggle(sensor.name, partial(stage.show_sensor, sensor.name))
         self.refresh()
 
     def choice(self) -> Choice:
         """What the controls say now."""
-        moment = None if self.everything.value else self.moments[min(self.time.value, len(self.moments) - 1)]
+        moment = (
+            None
+            if self.everything.value or not self.moments
+            else self.moments[round(self.time.value / self._step)]
+        )
         by = tuple((np.array([slider.value for slider in self.shift]) * _UNITS).tolist())
         moved = self.moved.value if any(by) else ""
         return Choice(moment, _COLORINGS[self.coloring.value], moved, by if moved else NOWHERE)
@@ -66,17 +73,20 @@ class Panel:
                 self._shown = choice
 
     def _add_time(self) -> None:
-        last = max(len(self.moments) - 1, 1)
-        what = "time" if self._calibration.floor else "capture"
-        self.time: GuiSliderHandle[int] = self._gui.add_slider(what, 0, last, 1, 0, disabled=len(self.moments) < 2)
-        self.everything = self._gui.add_checkbox("all at once", not self.moments or bool(self._calibration.floor))
+        network, several = bool(self._calibration.floor), len(self.moments) > 1
+        self._step = _TICK if network else 1
+        last = self._step * (len(self.moments) - 1 if several else 1)
+        self.time: GuiInputHandle[float] = self._gui.add_slider(
+            "time, s" if network else "capture", 0, round(last, 1), self._step, 0, disabled=not several
+        )
+        self.everything = self._gui.add_checkbox("all at once", not self.moments or network)
         self.time.on_update(lambda _: self._look_at_one())
         self.everything.on_update(lambda _: self.refresh())
 
     def _look_at_one(self) -> None:
         """Whoever moves the slider wants to see what it shows."""
         if self.everything.value and self.moments:
-            self.everything.value = False
+            _set(self.everything, False)
         self.refresh()
 
     def _add_moving(self) -> None:
@@ -85,7 +95,7 @@ class Panel:
         names = [sensor.name for sensor in self._calibration.sensors]
         self.moved = self._gui.add_dropdown("sensor", names, initial_value=names[-1])
         self.moved.on_update(lambda _: self.refresh())
-        self.shift: list[GuiSliderHandle[float]] = []
+        self.shift: list[GuiInputHandle[float]] = []
         for k, (axis, most) in enumerate(zip(_AXES, reach.tolist(), strict=True)):
             slider = self._gui.add_slider(axis, -most, most, most / 200, 0.0, visible=not planar or k in (0, 1, 5))
             slider.on_update(lambda _: self.refresh())
@@ -95,7 +105,7 @@ class Panel:
 
     def _put_back(self) -> None:
         for slider in self.shift:
-            slider.value = 0.0
+            _set(slider, 0.0)
         self.refresh()
 
     def _add_looks(self) -> None:
@@ -112,7 +122,7 @@ class Panel:
         points.on_update(lambda _: self._stage.show_points(points.value / 1000))
         for layer in LAYERS:
             if (layer == "walks") <= network and (layer in ("camera views", "boards", "beams")) <= (not network):
-                self._add_toggle(layer, lambda on, layer=layer: self._stage.show_layer(layer, on))
+                self._add_toggle(layer, partial(self._stage.show_layer, layer))
 
     def _add_toggle(self, words: str, show: Callable[[bool], None]) -> None:
         box = self._gui.add_checkbox(words, True)
@@ -141,10 +151,15 @@ class Panel:
         return f"Capture {choice.moment:.0f}" + (f", {row.start:.1f} to {row.end:.1f} s" if row else "")
 
 
+def _set(control: "GuiInputHandle[Any]", value: bool | float) -> None:
+    """Sets a control as if it had been moved by hand."""
+    control.value = value  # type: ignore[misc]  # viser's setter stands apart from its getter
+
+
 def moments(calibration: Calibration) -> list[float]:
-    """At which moments there is something to show: a rig's captures, or every fifth of a second of a network."""
+    """At which moments there is something to show: a rig's captures, or times of a network."""
     if calibration.floor:
-        return np.arange(0, duration(calibration), 0.2).round(1).tolist()
+        return np.arange(0, duration(calibration), _TICK).round(1).tolist()
     shown = {s.capture for s in calibration.snapshots} | {o.capture for o in calibration.outlines}
     return [float(capture) for capture in sorted(shown)]
 

@@ -21,7 +21,7 @@ def window(camera: CameraModel) -> tuple[float, float]:
     return float(2 * np.arctan(half[1])), float(half[0] / half[1])
 
 
-def through_window(picture: NDArray[np.uint8], camera: CameraModel, width: int = 480) -> NDArray[np.uint8]:
+def through_window(picture: NDArray[np.uint8], camera: CameraModel, width: int = 400) -> NDArray[np.uint8]:
     """A picture (h, w, 3) as it looks through the :func:`window`: without the lens's distortion, and centred."""
     angle, aspect = window(camera)
     half = np.tan(angle / 2) * np.array([aspect, 1])

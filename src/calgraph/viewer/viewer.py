@@ -1,6 +1,8 @@
 """The page in the browser, served for as long as somebody looks."""
 
 from collections.abc import Mapping
+from contextlib import redirect_stdout
+from io import StringIO
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -63,7 +65,8 @@ class Viewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._server.stop()
+        with _silently():
+            self._server.stop()
 
 
 def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
@@ -81,7 +84,12 @@ def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
     ahead = boards.mean(axis=0) - middle if len(boards) else np.array([1.0, 0, 0])
     ahead -= (ahead @ vertical) * vertical
     ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
-    return middle + reach * (0.8 * vertical - 1.1 * ahead), middle + 0.5 * reach * ahead
+    return middle + reach * (0.55 * vertical - 0.75 * ahead), middle + 0.5 * reach * ahead
+
+
+def _silently() -> redirect_stdout[StringIO]:
+    """Without what viser prints of itself even if asked not to: what to say is for the commands to decide."""
+    return redirect_stdout(StringIO())
 
 
 def _server(host: str, port: int) -> "ViserServer":
@@ -89,9 +97,9 @@ def _server(host: str, port: int) -> "ViserServer":
         from viser import ViserServer
     except ImportError as error:
         raise InputError('the viewer needs viser: pip install "calgraph[view]"') from error
-    server = ViserServer(host=host, port=port, label="calgraph", verbose=False)
-    server.gui.configure_theme(
-        dark_mode=True, show_logo=False, show_share_button=False, control_layout="collapsible"
-    )
+    with _silently():
+        server = ViserServer(host=host, port=port, label="calgraph", verbose=False)
+    server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     server.gui.set_panel_label("calgraph")
     return server

@@ -1,0 +1,166 @@
+"""The page in a real browser: it opens without complaints, and shows what its controls say."""
+
+import io
+import shutil
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from calgraph.result import Calibration
+from calgraph.sensors import CameraModel
+
+pytest.importorskip("viser", reason="the extra view is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+from playwright.sync_api import Browser, ConsoleMessage, Page  # noqa: E402
+
+from calgraph.viewer import Viewer  # noqa: E402
+from calgraph.viewer.choice import Choice  # noqa: E402
+
+Picture = NDArray[np.int16]
+
+# The browser draws without a graphics card, on whatever cores others leave to it.
+_PATIENCE = 60_000
+_SCENE = {"x": 0, "y": 120, "width": 500, "height": 380}
+"""The part of the page where the scene is, clear of the panel and of notices."""
+
+
+@dataclass
+class Shown:
+    """A page with a viewer."""
+
+    viewer: Viewer
+    page: Page
+    complaints: list[str] = field(default_factory=list)
+
+    def picture(self) -> Picture:
+        png = self.page.screenshot(clip=_SCENE, timeout=_PATIENCE)
+        return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=np.int16)
+
+    def settled(self, good: Callable[[Picture], bool] = lambda _: True) -> Picture:
+        """The scene once it has stopped changing, and is good."""
+        before = self.picture()
+        for _ in range(40):
+            self.page.wait_for_timeout(250)
+            now = self.picture()
+            if different(before, now) < 1e-3 and good(now):
+                return now
+            before = now
+        raise AssertionError("the scene never came to rest as it should")
+
+    def slider(self, words: str) -> None:
+        """Puts the focus on a slider, which keys then move."""
+        row = self.page.get_by_text(words, exact=True).locator("xpath=ancestor::*[.//*[@role='slider']][1]")
+        row.get_by_role("slider").focus(timeout=_PATIENCE)
+
+
+def different(a: Picture, b: Picture) -> float:
+    """The share of pixels that are not about the same."""
+    return float(np.mean(np.abs(a - b).max(axis=-1) > 12))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("there is no chromium to open the viewer in")
+    with sync_api.sync_playwright() as playwright:
+        arguments = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        yield playwright.chromium.launch(executable_path=chromium, args=arguments)
+
+
+def opened(browser: Browser, viewer: Viewer) -> Shown:
+    shown = Shown(viewer, browser.new_page(viewport={"width": 800, "height": 500}))
+
+    def listen(message: ConsoleMessage) -> None:
+        if message.type == "error":
+            shown.complaints.append(message.text)
+
+    shown.page.on("console", listen)
+    shown.page.on("pageerror", lambda error: shown.complaints.append(str(error)))
+    shown.page.on("requestfailed", lambda request: shown.complaints.append(request.url))
+    shown.page.goto(viewer.url, timeout=_PATIENCE)
+    shown.page.get_by_text("Show", exact=True).wait_for(timeout=_PATIENCE)
+    return shown
+
+
+@pytest.fixture(scope="module")
+def rig_page(browser: Browser, rig: Calibration, cameras: dict[str, CameraModel]) -> Iterator[Shown]:
+    with Viewer(rig, cameras) as viewer:
+        yield opened(browser, viewer)
+
+
+@pytest.fixture(scope="module")
+def network_page(browser: Browser, network: Calibration) -> Iterator[Shown]:
+    with Viewer(network, {}) as viewer:
+        yield opened(browser, viewer)
+
+
+def lit(picture: Picture) -> bool:
+    """Whether there is more to see than background."""
+    return float(np.mean(picture.max(axis=-1) > 100)) > 0.003
+
+
+def test_a_rig_is_explored(rig_page: Shown) -> None:
+    """One story, as a browser takes its time: the first capture, the next, a scanner moved, and put back."""
+    first = rig_page.settled(lit)
+    assert rig_page.viewer.panel.choice() == Choice(0.0)
+
+    rig_page.slider("capture")
+    rig_page.page.keyboard.press("ArrowRight")
+    second = rig_page.settled(lambda now: different(first, now) > 2e-3)
+    assert rig_page.viewer.panel.choice() == Choice(1.0)
+
+    rig_page.slider("x, mm")
+    rig_page.page.keyboard.press("End")
+    moved = rig_page.settled(lambda now: different(second, now) > 2e-3)
+    assert rig_page.viewer.panel.choice() == Choice(1.0, moved="laser", by=(0.2, 0, 0, 0, 0, 0))
+    rig_page.page.get_by_text("200.0 mm").wait_for(timeout=_PATIENCE)
+
+    rig_page.page.get_by_text("put it back").click(timeout=_PATIENCE)
+    again = rig_page.settled(lambda now: different(moved, now) > 2e-3)
+    assert different(second, again) < 2e-3
+    assert rig_page.complaints == []
+
+
+def test_a_network_is_explored(network_page: Shown) -> None:
+    everything = network_page.settled(lit)
+    network_page.slider("time, s")
+    network_page.page.keyboard.press("End")
+    network_page.settled(lambda now: different(everything, now) > 2e-3)
+    assert network_page.viewer.panel.choice().moment == pytest.approx(13.8)
+    assert network_page.complaints == []
+
+
+def test_every_control_works(rig: Calibration, cameras: dict[str, CameraModel]) -> None:
+    """Each is set as if by hand, and none raises."""
+    with Viewer(rig, cameras) as viewer:
+        for exaggeration in (1, 100, 0, 10):
+            viewer.stage.show_uncertainty(exaggeration)
+        for layer in ("names", "axes", "camera views", "beams", "clouds", "boards", "walks"):
+            viewer.stage.show_layer(layer, False)
+        viewer.stage.show_points(0.03)
+        viewer.stage.show_sensor("laser", False)
+        for choice in (Choice(None, "camera"), Choice(2.0, "height"), Choice(9.0), Choice(None)):
+            viewer.stage.show(choice)
+
+
+@pytest.mark.parametrize("left", ["snapshots", "outlines", "board_views"])
+def test_what_is_not_there_is_not_shown(rig: Calibration, left: str) -> None:
+    """As of a problem solved again, which has no pictures; and without intrinsics."""
+    bare = replace(rig, **{name: () for name in ("snapshots", "outlines", "board_views") if name != left})
+    with Viewer(bare, {}) as viewer:
+        assert viewer.panel.choice().moment in (None, 0.0)
+
+
+def test_two_viewers_find_a_port_each(rig: Calibration, network: Calibration) -> None:
+    with Viewer(rig, {}) as one, Viewer(network, {}) as other:
+        assert one.url != other.url
+        for viewer in (one, other):
+            with urllib.request.urlopen(viewer.url) as answer:
+                assert answer.status == 200
