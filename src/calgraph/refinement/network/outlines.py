@@ -33,26 +33,18 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
         radii: (N, 2) across and along the heading, m.
     """
     c, s = np.cos(heading), np.sin(heading)
-    start = _into(c, s, origin - centre) / radii
-    ahead = _into(c, s, direction) / radii
-    square, half = np.sum(ahead**2, axis=-1), np.sum(start * ahead, axis=-1)
-    discriminant = half**2 - square * (np.sum(start**2, axis=-1) - 1)
+    (x, y), (dx, dy), (across, ahead) = (origin - centre).T, direction.T, radii.T
+    # Where beams begin, and where they go, across and along the heading, in radii.
+    u, du = (c * y - s * x) / across, (c * dy - s * dx) / across
+    v, dv = (c * x + s * y) / ahead, (c * dx + s * dy) / ahead
+    square, half = du * du + dv * dv, u * du + v * dv
     with np.errstate(invalid="ignore"):
-        ranges = (-half - np.sqrt(discriminant)) / square
-    hit = start + ranges[:, None] * ahead
-    across, along = (hit / radii).T
-    normal = np.stack([c * along - s * across, s * along + c * across], axis=-1)
-    slope = np.sum(normal * direction, axis=-1)
-    arm = origin + ranges[:, None] * direction - centre
-    turn = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
-    moved = np.concatenate([normal, turn[:, None], hit**2 / radii], axis=-1)
+        ranges = (-half - np.sqrt(half * half - square * (u * u + v * v - 1))) / square
+    u, v = u + ranges * du, v + ranges * dv
+    normal = np.stack([c * v / ahead - s * u / across, s * v / ahead + c * u / across])
+    slope = normal[0] * dx + normal[1] * dy
+    turn = (x + ranges * dx) * normal[1] - (y + ranges * dy) * normal[0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        jacobian = moved / slope[:, None]
-        incidence = -slope / np.linalg.norm(normal, axis=-1)
-    return Outlines(ranges, incidence, jacobian)
-
-
-def _into(c: Array, s: Array, vectors: Array) -> Array:
-    """(N, 2) across and along a heading, of which cosines and sines (N,) are given."""
-    x, y = vectors.T
-    return np.stack([c * y - s * x, c * x + s * y], axis=-1)
+        jacobian = np.stack([*normal, turn, u * u / across, v * v / ahead]) / slope
+        incidence = -slope / np.hypot(*normal)
+    return Outlines(ranges, incidence, jacobian.T)
