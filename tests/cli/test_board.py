@@ -56,9 +56,8 @@ def test_the_target_goes_into_a_rig(run: Run, simulated: Path, tmp_path: Path) -
 
 def test_the_boards_of_a_rig_are_printed(run: Run, tmp_path: Path) -> None:
     target = tmp_path / "target.yaml"
-    target.write_text(
-        "target:\n- {size: [0.2, 0.2], tags: [{id: 3, size: 0.1}]}\n- {size: [0.2, 0.2], tags: [{id: 4, size: 0.1}]}"
-    )
+    boards = [f"- {{size: [0.2, 0.2], tags: [{{id: {number}, size: 0.1}}]}}" for number in (3, 4)]
+    target.write_text("\n".join(["target:", *boards]))
     result = run("board", target, "-o", tmp_path / "b.pdf")
     assert result.exit_code == 0, result.output
     assert pages(tmp_path / "b.pdf") == 2

@@ -95,7 +95,8 @@ def _print(board: Board) -> Gray:
             _paste(sheet, np.kron(255 * squares, np.ones((_px(p.square),) * 2)).astype(np.uint8), p.center)
         case Charuco() as p:
             dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, p.dictionary))
-            charuco = cv2.aruco.CharucoBoard((p.columns, p.rows), p.square, p.marker, dictionary)
+            ids = np.arange(p.first_id, p.first_id + p.columns * p.rows // 2, dtype=np.int32)
+            charuco = cv2.aruco.CharucoBoard((p.columns, p.rows), p.square, p.marker, dictionary, ids)
             drawn = charuco.generateImage((p.columns * _px(p.square), p.rows * _px(p.square)))
             _paste(sheet, np.asarray(drawn, np.uint8), p.center)
         case AprilGrid() as p:

@@ -167,3 +167,9 @@ def test_people_are_not_printed(tmp_path: Path) -> None:
 def test_tags_go_where_they_are_put() -> None:
     tags = (Tag(id=7, size=0.05, center=(0.06, -0.03)),)
     assert design(A4, Wishes(tags=tags)) == Board(size=(0.297, 0.21), tags=tags)
+
+
+def test_boards_that_cannot_be_told_apart_are_not_printed(tmp_path: Path) -> None:
+    (tmp_path / "target.yaml").write_text(target_block([design(A4, Wishes()), design(A4, Wishes(first_id=2))]))
+    with pytest.raises(InputError, match=r"target\[1\].tags\[0\].id: is also on target\[0\], got 2"):
+        read_boards(tmp_path / "target.yaml")

@@ -220,6 +220,20 @@ MISTAKES = {
                 "target.tags[1]: overlaps tags[0] by 0.220 m"),
     "same_id_on_two": ((TAGGED, "[{size: [1, 1], tags: [{id: 3, size: 0.3}]}, {size: [1, 1], tags: [{id: 3, size: 0.3}]}]"),
                        "target[1].tags[0].id: is also on target[0], got 3"),
+    "same_squares_on_two": ((TAGGED, f"[{BOARD}{CHARUCO}marker: 0.07, dictionary: DICT_5X5_50}}}}, "
+                                     f"{BOARD}{CHARUCO}marker: 0.05, dictionary: DICT_5X5_100, first_id: 5}}}}]"),
+                            "target[1].pattern: has a square that is also on target[0], its number 5; choose another first_id"),
+    "tags_as_markers": ((TAGGED, f"[{{size: [1, 1], tags: [{{id: 3, size: 0.3}}]}}, "
+                                 f"{BOARD}{CHARUCO}marker: 0.05, dictionary: DICT_APRILTAG_36h11}}}}]"),
+                        "target[1].pattern: has a square that is also on target[0], its number 3; choose another first_id"),
+    "same_checkerboard": ((TAGGED, "[{size: [1, 1], pattern: {kind: checkerboard, columns: 7, rows: 4, square: 0.1}}, "
+                                   "{size: [1, 1], pattern: {kind: checkerboard, columns: 4, rows: 7, square: 0.1}}]"),
+                          "target[1].pattern: cannot be told from that of target[0]: checkerboards differ by columns and rows only"),
+    "checkerboard_and_charuco": ((TAGGED, f"[{BOARD}{CHARUCO}marker: 0.07, dictionary: DICT_5X5_100}}}}, "
+                                          "{size: [1, 1], pattern: {kind: checkerboard, columns: 4, rows: 7, square: 0.1}}]"),
+                                 "target[1].pattern: cannot be told from that of target[0]: its corners are those of a checkerboard, too"),
+    "few_markers": ((TAGGED, "{kind: board, size: [2, 2], pattern: {kind: charuco, columns: 11, rows: 10, square: 0.1, marker: 0.07, dictionary: DICT_4X4_50}}"),
+                    "target.pattern.dictionary: needs marker 54, but DICT_4X4_50 ends at 49"),
     "marker": ((TAGGED, BOARD + CHARUCO + "marker: 0.1, dictionary: DICT_4X4_50}}"),
                "target.pattern.marker: must be smaller than square (0.1 m), got 0.1"),
     # the file itself

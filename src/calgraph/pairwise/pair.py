@@ -63,7 +63,8 @@ def estimate_pair(
     table, matches = _matches(candidates_a, candidates_b, board_size)
     if len(common) < matches.sample_size:
         return Rejected(f"{len(common)} captures show the board to both, {matches.sample_size} are needed")
-    found = search(table[:, 0], matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
+    groups = _alternatives(table, candidates_a, candidates_b)
+    found = search(groups, matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
     enough = max(matches.sample_size, _least(matches, len(table)))
     if found is None or found.count < enough:
         return Rejected(f"no relative pose agrees with {enough} of the {len(common)} common captures")
@@ -107,7 +108,7 @@ def reconsider(
     r2 = squared_residuals(matches)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
     gate = min(1.0, 3.5**2 * scale2)
-    inliers = best_of_groups(r2 / gate, table[:, 0])
+    inliers = best_of_groups(r2 / gate, _alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
         return Rejected(f"its {int(estimate.inliers.sum())} captures contradict what all sensors together say")
     found = _estimate(estimate.sensor_a, estimate.sensor_b, T_a_b, table, matches, inliers)
@@ -202,14 +203,33 @@ def reconsider_pairs(
 
 
 def match_table(candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:
-    """All pairs of candidates in common captures: (M, 3) rows of capture, index in a, index in b."""
+    """All pairs of candidates in common captures: (M, 3) rows of capture, index in a, index in b.
+
+    Two boards that cameras tell apart are no pair.
+    """
     rows = [
         (capture, i, j)
         for capture in sorted(set(candidates_a) & set(candidates_b))
-        for i in range(len(candidates_a[capture]))
-        for j in range(len(candidates_b[capture]))
+        for i, a in enumerate(candidates_a[capture])
+        for j, b in enumerate(candidates_b[capture])
+        if _board(a) is None or _board(b) is None or _board(a) == _board(b)
     ]
     return np.array(rows, dtype=np.intp).reshape(-1, 3)
+
+
+def _alternatives(table: NDArray[np.intp], candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:
+    """(M,) groups of matches of which one at most is true: those of one capture, and board if it is known."""
+    groups: dict[tuple[int, frozenset[int | None]], int] = {}
+    numbers = []
+    for capture, i, j in table.tolist():
+        boards = {_board(candidates_a[capture][i]), _board(candidates_b[capture][j])}
+        numbers.append(groups.setdefault((capture, frozenset(boards)), len(groups)))
+    return np.array(numbers, dtype=np.intp)
+
+
+def _board(detection: Detection) -> int | None:
+    """Which of the rig's boards it is, if the sensor can tell."""
+    return detection.board if isinstance(detection, BoardCorners) else None
 
 
 def _kind(detection: Detection) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pydantic import model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
@@ -13,6 +14,7 @@ from calgraph.rig import AprilGrid, Board, Rig, yaml_text
 from calgraph.rig.model import StrictModel
 from calgraph.rig.reading import read_text, read_yaml, validated
 from calgraph.rig.target import Target
+from calgraph.rig.told_apart import check_told_apart
 
 _COMMENT = """\
 The printed board, in m. Measure the print with its rulers: printers change scales.
@@ -25,6 +27,11 @@ class _TargetOnly(StrictModel):
     """The part of a rig.yaml that a print needs."""
 
     target: Target
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> "_TargetOnly":
+        check_told_apart(self.target if isinstance(self.target, tuple) else ())
+        return self
 
 
 def target_block(boards: Sequence[Board]) -> str:

@@ -8,6 +8,7 @@ from pydantic import Field, Strict, model_validator
 
 from calgraph.rig.model import StrictModel, wrong
 from calgraph.rig.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
+from calgraph.rig.told_apart import check_told_apart
 from calgraph.sensors import CameraModel
 
 Sigma = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
@@ -165,12 +166,7 @@ class Rig(StrictModel):
 
     @model_validator(mode="after")
     def _boards_tell_apart(self) -> "Rig":
-        owners: dict[tuple[str, int], int] = {}
-        for i, board in enumerate(self.boards):
-            for j, tag in enumerate(board.tags):
-                other = owners.setdefault((board.family, tag.id), i)
-                if other != i:
-                    raise wrong(f"target[{i}].tags[{j}].id", f"is also on target[{other}], got {tag.id}")
+        check_told_apart(self.boards)
         return self
 
     @property

@@ -93,9 +93,16 @@ def render(
 
     """
     image = room.background.copy()
+    draw(image, room, T_world_board, board, operator)
+    return blurred(image, blur)
+
+
+def draw(
+    image: Gray, room: Darkroom, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid]
+) -> None:
+    """Draws a board and the person behind it over a sharp image, in place; arguments as for :func:`render`."""
     _draw_solids(image, room, operator)
     _draw_board(image, room, T_world_board, board)
-    return blurred(image, blur)
 
 
 def blurred(image: Gray, blur: float) -> Gray:

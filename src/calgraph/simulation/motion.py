@@ -10,6 +10,9 @@ from calgraph.geometry import Array, se3, so3
 _DISTURBANCE_TIME = 0.3
 """How long the board takes to slip in a disturbed hold, s; less in a hold that is over before."""
 
+_APART = np.radians(50.0)
+"""From one board to the next, seen from the robot, where several are shown at once."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stance:
@@ -82,6 +85,21 @@ def board_pose(stance: Stance) -> Array:
     R_world_facing = np.array([[s, 0, -c], [-c, 0, -s], [0, 1, 0]])
     position = np.array([stance.radius * c, stance.radius * s, stance.height])
     return se3.pose(R_world_facing @ stance.R_facing_board, position)
+
+
+def stances_of_all(stance: Stance, count: int) -> tuple[Stance, ...]:
+    """The stance of the first board and those of further ones, which other operators carry along to its left.
+
+    Each is turned the other way than the one before, so that boards are as little parallel as single ones are.
+    """
+    turns = (stance.R_facing_board, stance.R_facing_board.T)
+    return (
+        stance,
+        *(
+            replace(stance, bearing=stance.bearing + i * _APART, R_facing_board=turns[i % 2])
+            for i in range(1, count)
+        ),
+    )
 
 
 def draw_stances(

@@ -63,7 +63,7 @@ def rig_of(stage: Stage) -> Rig:
     scenario = stage.scenario
     return Rig(
         root=stage.root,
-        target=scenario.board,
+        target=scenario.boards if scenario.companions else scenario.board,
         capture=Capture(
             background=(0.0, scenario.background), trigger=TRIGGER_TOPIC if scenario.trigger else None
         ),

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from calgraph.rig import Board, Tag
 from calgraph.rig.model import StrictModel
+from calgraph.rig.told_apart import check_told_apart
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -152,6 +153,8 @@ class RigScenario(StrictModel):
         ),
     )
     """The sheet and what is printed on it."""
+    companions: tuple[Board, ...] = ()
+    """Further boards that are shown at the same time, each by another operator, to the left of the one before."""
 
     bearings: Annotated[tuple[Finite, ...], Field(min_length=1)] = (
         -130, -80, -45, -30, -20, -10, 10, 20, 30, 45, 80, 130,
@@ -191,7 +194,13 @@ class RigScenario(StrictModel):
             raise ValueError("a rig needs at least two sensors")
         if self.heights[1] < self.heights[0]:
             raise ValueError(f"heights must be lowest, highest, got {list(self.heights)}")
+        check_told_apart(self.boards)
         return self
+
+    @property
+    def boards(self) -> tuple[Board, ...]:
+        """All boards, in the order of rig.yaml."""
+        return (self.board, *self.companions)
 
     @property
     def captures(self) -> int:

@@ -7,6 +7,7 @@ same whether the whole recording is simulated or only a capture, and in whatever
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import chain
 
 import numpy as np
 
@@ -20,11 +21,19 @@ from calgraph.simulation.camera_render import (
     PrintedBoard,
     blurred,
     darkroom,
+    draw,
     grain,
     printed_board,
-    render,
 )
-from calgraph.simulation.motion import Stance, Timeline, board_pose, draw_stances, schedule, slip
+from calgraph.simulation.motion import (
+    Stance,
+    Timeline,
+    board_pose,
+    draw_stances,
+    schedule,
+    slip,
+    stances_of_all,
+)
 from calgraph.simulation.rig_scenario import MEASURING_TWICE, RigScenario
 from calgraph.simulation.robot import MountedCamera, RobotSensor, build_robot, hold_end, root_name
 from calgraph.simulation.scanners import laser_scan, measure, point_cloud
@@ -85,7 +94,9 @@ def set_stage(scenario: RigScenario, seed: int) -> Stage:
     def solids(stance: Stance | None) -> tuple[Solid, ...]:
         if stance is None:
             return walls
-        return (*walls, board(stance, scenario.board.size), *operator(stance, scenario.board.size))
+        held = zip(stances_of_all(stance, len(scenario.boards)), scenario.boards, strict=True)
+        carried = [(board(own, one.size), *operator(own, one.size)) for own, one in held]
+        return (*walls, *chain.from_iterable(carried))
 
     cameras = [sensor for sensor in robot if isinstance(sensor, MountedCamera)]
     photographers = _photographers(scenario, cameras, walls, world)
@@ -202,8 +213,8 @@ def _photographers(
 ) -> dict[str, Photographer]:
     if not cameras:
         return {}
-    face = board_texture(scenario.board, 1000 * scenario.camera.texels_per_mm)
-    printed = printed_board(face, scenario.board.size)
+    density = 1000 * scenario.camera.texels_per_mm
+    printed = [printed_board(board_texture(one, density), one.size) for one in scenario.boards]
     photographers = {}
     for sensor in cameras:
         dark = darkroom(sensor.camera, sensor.T_world_sensor, walls, rng)
@@ -213,8 +224,13 @@ def _photographers(
     return photographers
 
 
-def _picture(scenario: RigScenario, dark: Darkroom, printed: PrintedBoard, stance: Stance | None) -> Gray:
-    if stance is None:
-        return blurred(dark.background, scenario.camera.blur)
-    holder = operator(stance, scenario.board.size)
-    return render(dark, board_pose(stance), printed, holder, scenario.camera.blur)
+def _picture(
+    scenario: RigScenario, dark: Darkroom, printed: Sequence[PrintedBoard], stance: Stance | None
+) -> Gray:
+    image = dark.background.copy()
+    held = zip(stances_of_all(stance, len(printed)), printed, strict=True) if stance else ()
+    shown = [(board_pose(own), one, operator(own, one.size)) for own, one in held]
+    eye = dark.T_world_camera[:3, 3]
+    for T_world_board, one, holder in sorted(shown, key=lambda s: -float(np.linalg.norm(s[0][:3, 3] - eye))):
+        draw(image, dark, T_world_board, one, holder)
+    return blurred(image, scenario.camera.blur)
