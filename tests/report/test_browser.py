@@ -118,7 +118,7 @@ def test_before_and_after_are_chosen_with_the_keyboard(network_page: Opened) -> 
     walked = """() => { const of = document.getElementById("floor").data.find((t) => t.mode === "lines");
                         return [of.x[1], of.y[1]]; }"""
     assert page.evaluate(walked) == [2, 0]
-    page.locator("input[name=floor-state]:checked").focus()
+    page.locator("input[name=floor-0]:checked").focus()
     page.keyboard.press("ArrowLeft")
     assert page.evaluate(walked) == pytest.approx((2 * 0.995004, 2 * 0.099833 + 0.5), abs=1e-4)
     page.keyboard.press("ArrowRight")

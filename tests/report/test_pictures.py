@@ -139,11 +139,12 @@ def test_only_what_a_camera_sees_is_coloured(pictured: Calibration, rig: Rig) ->
 
 def test_every_capture_can_be_chosen_and_shows_only_itself(pictured: Calibration, rig: Rig) -> None:
     content = data_of(fused_view(pictured, rig))
-    (slider,) = content["layout"]["sliders"]
-    for k, step in enumerate(slider["steps"]):
-        visible = step["args"][0]["visible"]
-        assert len(visible) == len(content["data"])
-        assert np.flatnonzero(visible).tolist() == [3 * k, 3 * k + 1, 3 * k + 2, len(visible) - 1]
+    (choices,) = content["choices"]
+    for k, choice in enumerate(choices):
+        *clouds, sensors = choice["visible"]
+        assert len(clouds) + 1 == len(content["data"])
+        assert np.flatnonzero(clouds).tolist() == [3 * k, 3 * k + 1, 3 * k + 2]
+        assert sensors is None
 
 
 def test_a_picture_is_shrunk_and_keeps_its_shape(pictured: Calibration) -> None:

@@ -5,6 +5,7 @@ are those of style.css, by name: the page puts in what they are in the light, in
 """
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,30 @@ def placed(name: str, content: Figure, height: int, description: str) -> str:
     return (
         f'<div class="figure" id="{name}" style="height:{height}px" role="img" aria-label="{description}"></div>\n'
         f'<script type="application/json" class="figure-data" data-for="{name}">{_json(content)}</script>\n'
+    )
+
+
+def chooser(name: str, number: int, legend: str, labels: Sequence[str], chosen: int) -> str:
+    """Buttons that change a figure, one of which is always chosen.
+
+    Args:
+        name: of the figure, whose ``choices[number]`` say for each button what it changes: which traces are
+            ``visible`` (null: as they were), parts of the ``layout``, and ``moves`` (cos, sin, x, y) of what
+            belongs together by ``meta``.
+        number: of the choice, from 0.
+        legend: what is chosen, for those who cannot see it.
+        labels: of the buttons.
+        chosen: which is chosen at first; the figure itself is as if none were.
+
+    """
+    buttons = "".join(
+        f'<label><input type="radio" name="{name}-{number}" value="{k}"{" checked" if k == chosen else ""}>'
+        f"<span>{label}</span></label>"
+        for k, label in enumerate(labels)
+    )
+    return (
+        f'<fieldset class="choice" data-for="{name}" data-of="{number}"><legend>{legend}</legend>'
+        f"{buttons}</fieldset>\n"
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.report.figures import INK, RULE, WHEEL, Figure, figure, placed, plotly_text
+from calgraph.report.figures import INK, RULE, WHEEL, Figure, chooser, figure, placed, plotly_text
 from calgraph.report.text import angle, fixed, length
 from calgraph.result import Calibration, FloorView, SensorPose
 
@@ -24,7 +24,7 @@ def floor_plan(calibration: Calibration) -> str:
     factor = _exaggeration(calibration.sensors, extent)
     drawn = {view.sensor: view for view in calibration.floor}
     traces = [
-        trace | {"meta": {"scanner": k, **trace.get("meta", {})}}
+        trace | {"meta": k}
         for k, sensor in enumerate(calibration.sensors)
         for trace in _scanner(sensor, drawn.get(sensor.name), extent, factor, WHEEL[k % len(WHEEL)])
     ]
@@ -32,8 +32,12 @@ def floor_plan(calibration: Calibration) -> str:
     size = "as large as they are" if factor == 1 else f"{factor} times as large as they are"
     words = f"<p>Ellipses: {_SIGMAS:g} standard deviations (σ) of a scanner's position, drawn {size}.</p>"
     height = _HEIGHT + _LEGEND_LINE * (len(calibration.sensors) // _NAMES)
-    plan = _plan(traces) | {"states": list(states.values())}
-    return words + _chooser(list(states)) + placed("floor", plan, height, "Floor plan of the network")
+    buttons = chooser("floor", 0, "Poses", list(states), len(states) - 1) if states else ""
+    # How uncertain poses are is known of the final ones only.
+    only_last = [False if trace.get("fill") else None for trace in traces]
+    choices = [{"moves": moves, "visible": only_last} for moves in states.values()]
+    plan = _plan(traces) | {"choices": [[*choices[:-1], {}]]}
+    return words + buttons + placed("floor", plan, height, "Floor plan of the network")
 
 
 def _states(calibration: Calibration) -> dict[str, list[list[float]]]:
@@ -44,27 +48,19 @@ def _states(calibration: Calibration) -> dict[str, list[list[float]]]:
     start = {"before: pairs averaged": calibration.start} if calibration.start else {}
     before: dict[str, Mapping[str, Array]] = {"not calibrated: all in one place": nowhere, **start}
     moves = {
-        words: [_move(poses[s.name] @ se3.inverse(s.T_root_sensor)) for s in calibration.sensors]
+        words: [
+            # Scanners that were added from an earlier calibration had no start.
+            _move(poses.get(s.name, s.T_root_sensor) @ se3.inverse(s.T_root_sensor))
+            for s in calibration.sensors
+        ]
         for words, poses in before.items()
     }
-    return {**moves, "after: calibrated": [_move(np.eye(4)) for _ in calibration.sensors]}
+    return {**moves, "after: calibrated": []}
 
 
 def _move(T: Array) -> list[float]:
     """Cosine and sine of the turn, and the shift, m, of a pose (4, 4) in the plane."""
     return [float(T[0, 0]), float(T[1, 0]), float(T[0, 3]), float(T[1, 3])]
-
-
-def _chooser(states: Sequence[str]) -> str:
-    """Buttons for the states, the last one chosen."""
-    if not states:
-        return ""
-    buttons = "".join(
-        f'<label><input type="radio" name="floor-state" value="{k}"{" checked" if k == len(states) - 1 else ""}>'
-        f"<span>{words}</span></label>"
-        for k, words in enumerate(states)
-    )
-    return f'<fieldset class="states" data-for="floor"><legend>Poses</legend>{buttons}</fieldset>'
 
 
 def _plan(traces: list[dict[str, Any]]) -> Figure:
@@ -115,7 +111,7 @@ def _scanner(
     if _uncertain([sensor]):
         x, y = _ellipse(sensor, factor).T
         traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 2},
-                       "fill": "toself", "meta": {"last": True}})  # fmt: skip
+                       "fill": "toself"})  # fmt: skip
     x, y = _arrow(sensor, _ARROW * extent).T
     traces.append({**line, "x": x, "y": y, "line": {"color": INK, "width": 2}})
     x, y = sensor.T_root_sensor[:2, 3]

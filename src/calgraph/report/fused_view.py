@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
-from calgraph.report.figures import MUTED, ORANGE, PAPER, RULE, VERMILION, figure, placed, plotly_text
+from calgraph.report.figures import MUTED, ORANGE, PAPER, RULE, VERMILION, chooser, figure, placed, plotly_text
 from calgraph.result import BoardOutline, Calibration, Snapshot
 from calgraph.result.cameras import cameras_of
 from calgraph.rig import Rig
@@ -45,15 +45,22 @@ def fused_view(calibration: Calibration, rig: Rig) -> str:
         margin={"l": 0, "r": 0, "t": 8, "b": 0},
         showlegend=False,
         scene=_scene([points[seen] for points, _, seen in clouds.values()], origins),
-        sliders=[_slider(list(clouds), len(traces) // len(clouds))] if len(clouds) > 1 else [],
     )
+    each = len(traces) // len(clouds)
+    choices = [
+        {"visible": [*(j == k for j in range(len(clouds)) for _ in range(each)), None]} for k in range(len(clouds))
+    ]
+    buttons = chooser("fused", 0, "Capture", [f"capture {capture}" for capture in clouds], 0)
     share = np.mean(np.concatenate([seen for _, _, seen in clouds.values()]))
     about = (
         f"<p>Points of all scanners in one capture, in the colours of the cameras' pictures; grey ones no camera "
         f"sees ({100 * (1 - share):.0f} %). Where a pose is wrong, colours run over edges: look at the board, "
         f"outlined where the joint solution has it. Red dots are the sensors. Drag to turn, scroll to zoom.</p>"
     )
-    return about + placed("fused", content, 620, "Points of the scanners in the colours of the cameras")
+    picture = placed(
+        "fused", content | {"choices": [choices]}, 560, "Points of the scanners in the colours of the cameras"
+    )
+    return about + buttons + picture
 
 
 Cloud = tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]
@@ -162,17 +169,3 @@ def _scene(seen: Sequence[Array], origins: Array) -> dict[str, Any]:
         "aspectratio": dict(zip("xyz", (1.6 * size).tolist(), strict=True)),
         "camera": {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}},
     }
-
-
-def _slider(captures: Sequence[int], each: int) -> dict[str, Any]:
-    """One capture at a time; the sensors, last, always."""
-    steps = [
-        {"label": str(capture), "method": "restyle",
-         "args": [{"visible": [*(j == k for j in range(len(captures)) for _ in range(each)), True]}]}
-        for k, capture in enumerate(captures)
-    ]  # fmt: skip
-    return {
-        "active": 0, "steps": steps, "currentvalue": {"prefix": "capture "}, "pad": {"l": 24, "r": 24, "b": 8},
-        "len": 0.9, "x": 0.05, "bordercolor": RULE, "bgcolor": RULE, "activebgcolor": ORANGE,
-        "font": {"color": MUTED},
-    }  # fmt: skip

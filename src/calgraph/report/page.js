@@ -3,34 +3,42 @@
 // Figures: their data stand beside them as JSON, with colours by the names that they have in the style sheet.
 const figures = new Map();
 for (const source of document.querySelectorAll("script.figure-data")) {
-  figures.set(source.dataset.for, { text: source.textContent, state: null, drawn: false });
+  figures.set(source.dataset.for, { text: source.textContent, drawn: false });
 }
 
 const draw = (id) => {
   const style = getComputedStyle(document.documentElement);
   const one = figures.get(id);
   const figure = JSON.parse(one.text.replace(/var\((--[a-z-]+)\)/g, (_, name) => style.getPropertyValue(name).trim()));
+  for (const chooser of document.querySelectorAll("fieldset.choice")) {
+    if (chooser.dataset.for === id) choose(figure, figure.choices[chooser.dataset.of][chooser.querySelector(":checked").value]);
+  }
   const config = { responsive: true, displaylogo: false, displayModeBar: false };
   one.drawn = true;
-  const data = one.state === null ? figure.data : inState(figure, one.state);
-  Plotly.react(document.getElementById(id), data, { ...figure.layout, uirevision: "kept" }, config);
+  Plotly.react(document.getElementById(id), figure.data, { ...figure.layout, uirevision: "kept" }, config);
 };
 
-// Where scanners were before: what each saw, moved by (cos, sin, x, y); what is only known in the end is hidden.
-const inState = (figure, state) =>
-  figure.data.map((trace) => {
-    const { scanner, last } = trace.meta;
-    const [c, s, x, y] = figure.states[state][scanner];
-    const moved = (f) => trace.x.map((v, i) => (v === null ? null : f(v, trace.y[i])));
-    const visible = last && state < figure.states.length - 1 ? false : trace.visible ?? true;
-    return { ...trace, visible, x: moved((u, v) => c * u - s * v + x), y: moved((u, v) => s * u + c * v + y) };
-  });
+// What a choice changes: which traces are shown, parts of the layout, and where scanners and what they saw are.
+const choose = (figure, { visible = [], layout = {}, moves }) => {
+  visible.forEach((shown, k) => { if (shown !== null) figure.data[k].visible = shown; });
+  merge(figure.layout, layout);
+  if (moves) for (const trace of figure.data) move(trace, moves[trace.meta]);
+};
 
-for (const chooser of document.querySelectorAll("fieldset.states")) {
-  chooser.addEventListener("change", (event) => {
-    figures.get(chooser.dataset.for).state = Number(event.target.value);
-    draw(chooser.dataset.for);
-  });
+const merge = (into, from) => {
+  for (const [key, value] of Object.entries(from)) {
+    if (value !== null && typeof value === "object" && !Array.isArray(value)) merge(into[key], value);
+    else into[key] = value;
+  }
+};
+
+const move = (trace, [c, s, x, y]) => {
+  const moved = (f) => trace.x.map((u, k) => (u === null ? null : f(u, trace.y[k])));
+  [trace.x, trace.y] = [moved((u, v) => c * u - s * v + x), moved((u, v) => s * u + c * v + y)];
+};
+
+for (const chooser of document.querySelectorAll("fieldset.choice")) {
+  chooser.addEventListener("change", () => draw(chooser.dataset.for));
 }
 
 // A figure is drawn when it comes near the window; all are for paper, in the colours of paper.

@@ -17,6 +17,7 @@ from calgraph.report.figures import (
     RULE,
     SKY,
     VERMILION,
+    chooser,
     figure,
     placed,
     plotly_text,
@@ -29,6 +30,9 @@ from calgraph.rig import Rig
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipsoid can be seen if its longest half axis takes this part of an axis of a frame.
 _VISIBLE = 0.25
+
+Choice = dict[str, dict[str, Any]]
+"""What buttons change in the figure, by what they are called."""
 _AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
 _FANS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
@@ -54,14 +58,18 @@ def rig_view(calibration: Calibration, rig: Rig) -> str:
     groups = [[_ellipsoid(s, one, limit, one == factor) for s in sensors] for one in sizes]
     ellipsoids = [trace for group in groups for trace in group]
     layout = {
-        "margin": {"l": 0, "r": 0, "t": 84, "b": 0},
+        "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
         "scene": _scene(calibration, size),
-        "updatemenus": [_views(calibration, size), *_sizes(len(fixed), len(sensors), sizes)],
     }
-    drawn = "as large as they are" if factor == 1 else f"<b>{factor} times</b> as large as they are"
-    about = f"<p>Ellipsoids are drawn {drawn}.</p>" if sensors else ""
-    return about + placed("rig", figure([*fixed, *ellipsoids], **layout), 600, "The rig in space")
+    view, drawn = _choice_of_view(calibration, size), _choice_of_size(len(fixed), len(sensors), sizes)
+    choices = {"choices": [list(view.values()), list(drawn.values())]}
+    buttons = chooser("rig", 0, "What to show", list(view), 0)
+    if sensors:
+        said = "as large as they are" if factor == 1 else f"<b>{factor} times</b> as large as they are"
+        buttons = f"<p>Ellipsoids are drawn {said}.</p>{buttons}"
+        buttons += chooser("rig", 1, "Size of the ellipsoids", list(drawn), len(sizes))
+    return buttons + placed("rig", figure([*fixed, *ellipsoids], **layout) | choices, 560, "The rig in space")
 
 
 def _exaggeration(sensors: Sequence[SensorPose], size: float) -> int:
@@ -164,33 +172,23 @@ def _ranges(calibration: Calibration, size: float) -> list[list[float]]:
     return [[float(middle - half), float(middle + half)] for middle in (low + high) / 2]
 
 
-def _views(calibration: Calibration, size: float) -> dict[str, Any]:
-    """Buttons: the rig alone, or everything."""
-    rig: dict[str, Any] = {
-        f"scene.{n}axis.range": r for n, r in zip("xyz", _ranges(calibration, size), strict=True)
-    }
-    rig["scene.aspectmode"] = "cube"
-    everything = {**{f"scene.{n}axis.autorange": True for n in "xyz"}, "scene.aspectmode": "data"}
-    return _menu(1, [("the rig", "relayout", [rig]), ("with the boards", "relayout", [everything])])
-
-
-def _sizes(fixed: int, sensors: int, sizes: Sequence[int]) -> list[dict[str, Any]]:
-    """Buttons: how large to draw the uncertainties."""
-    if not sensors:
-        return []
-    traces = list(range(fixed, fixed + sensors * len(sizes)))
-    buttons = []
-    for chosen in (None, *sizes):
-        label = "no ellipsoids" if chosen is None else "true size" if chosen == 1 else f"× {chosen}"
-        visible = [factor == chosen for factor in sizes for _ in range(sensors)]
-        buttons.append((label, "restyle", [{"visible": visible}, traces]))
-    return [_menu(0, buttons, active=len(sizes))]
-
-
-def _menu(row: int, buttons: Sequence[tuple[str, str, list[Any]]], active: int = 0) -> dict[str, Any]:
-    """Buttons above the figure, in rows counted from below: on a telephone there is room for one row of them."""
+def _choice_of_view(calibration: Calibration, size: float) -> Choice:
+    """The rig alone, or everything."""
+    ranges = zip("xyz", _ranges(calibration, size), strict=True)
+    rig = {f"{n}axis": {"range": r} for n, r in ranges}
+    everything = {f"{n}axis": {"range": None, "autorange": True} for n in "xyz"}
     return {
-        "type": "buttons", "direction": "right", "x": 0, "xanchor": "left", "y": 1.0,
-        "yanchor": "bottom", "active": active, "pad": {"b": 6 + 38 * row}, "bgcolor": PAPER, "bordercolor": RULE,
-        "buttons": [{"label": label, "method": method, "args": args} for label, method, args in buttons],
-    }  # fmt: skip
+        "the rig": {"layout": {"scene": {**rig, "aspectmode": "cube"}}},
+        "with the boards": {"layout": {"scene": {**everything, "aspectmode": "data"}}},
+    }
+
+
+def _choice_of_size(fixed: int, sensors: int, sizes: Sequence[int]) -> Choice:
+    """How large to draw the uncertainties, whose traces come after others."""
+    labels = {0: "no ellipsoids", 1: "true size"}
+    return {
+        labels.get(chosen, f"× {chosen}"): {
+            "visible": [None] * fixed + [size == chosen for size in sizes for _ in range(sensors)]
+        }
+        for chosen in (0, *sizes)
+    }
