@@ -26,7 +26,7 @@ Picture = NDArray[np.int16]
 
 # The browser draws without a graphics card, on whatever cores others leave to it.
 _PATIENCE = 60_000
-_SCENE = {"x": 0, "y": 120, "width": 500, "height": 380}
+_SCENE = {"x": 0, "y": 120, "width": 470, "height": 380}
 """The part of the page where the scene is, clear of the panel and of notices."""
 
 

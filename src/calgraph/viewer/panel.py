@@ -118,7 +118,7 @@ class Panel:
         factors = {("none" if f == 0 else f"× {f}"): f for f in EXAGGERATIONS}
         uncertainty = self._gui.add_dropdown("95 % ellipsoids", list(factors), initial_value="none")
         uncertainty.on_update(lambda _: self._stage.show_uncertainty(factors[uncertainty.value]))
-        points = self._gui.add_slider("points, mm", 2, 60, 1, 20 if network else 12)
+        points = self._gui.add_slider("points, mm", 2, 60, 1, 35 if network else 12)
         points.on_update(lambda _: self._stage.show_points(points.value / 1000))
         for layer in LAYERS:
             if (layer == "walks") <= network and (layer in ("camera views", "boards", "beams")) <= (not network):

@@ -12,7 +12,7 @@ from calgraph.sensors import CameraModel
 _WIDEST = np.radians(65)
 # 95 % of a normal distribution in space lies within this many standard deviations.
 _SCALE_95 = float(np.sqrt(chdtri(3, 0.05)))
-_BEAMS = 90
+_BEAMS = 45
 
 
 def window(camera: CameraModel) -> tuple[float, float]:

@@ -30,7 +30,7 @@ class Stage:
         self._scene, self._calibration, self._cameras = scene, calibration, cameras
         self._heights = heights_of(calibration)
         self.size = size_of_axes(calibration)
-        self._point_size = 0.02 if calibration.floor else 0.012
+        self._point_size = 0.035 if calibration.floor else 0.012
         self._number = {sensor.name: k for k, sensor in enumerate(calibration.sensors)}
         self._drawn: dict[str, Cloud] = {}
         self._moment: tuple[float | None, ...] = ()
@@ -126,7 +126,7 @@ class Stage:
 
     def _draw_cloud(self, name: str, cloud: Cloud) -> None:
         # Scans are thin lines, and would be lost among a cloud's many points.
-        wide = 2.0 if self._calibration[name].kind == "lidar2d" and not self._calibration.floor else 1.0
+        wide = 1.6 if self._calibration[name].kind == "lidar2d" and not self._calibration.floor else 1.0
         self._nodes["clouds"][name] = self._scene.add_point_cloud(
             f"{self._at(name)}/cloud", cloud.points, cloud.colors, point_size=wide * self._point_size,
             point_shape="circle", precision="float32", point_shading="flat", visible="clouds" not in self._hidden,
@@ -182,7 +182,7 @@ class Stage:
                 thickness_units="screen", visible=visible,
             )  # fmt: skip
             self._nodes["walks"][f"{name} people"] = self._scene.add_point_cloud(
-                f"{self._at(name)}/people", trail.people, color, point_size=0.15, point_shape="circle",
+                f"{self._at(name)}/people", trail.people, color, point_size=0.25, point_shape="circle",
                 precision="float32", visible=visible,
             )  # fmt: skip
 
@@ -192,7 +192,7 @@ class Stage:
         half = np.maximum(exaggeration * half, 0.02 * self.size)
         return self._scene.add_icosphere(
             f"{self._at(sensor.name)}/uncertainty", radius=1.0, scale=(half[0], half[1], half[2]), wxyz=_wxyz(R),
-            color=(230, 120, 190), opacity=0.45, cast_shadow=False, receive_shadow=False,
+            color=(255, 150, 215), opacity=0.55, material="toon5", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
 

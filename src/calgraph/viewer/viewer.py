@@ -84,7 +84,7 @@ def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
     ahead = boards.mean(axis=0) - middle if len(boards) else np.array([1.0, 0, 0])
     ahead -= (ahead @ vertical) * vertical
     ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
-    return middle + reach * (0.55 * vertical - 0.75 * ahead), middle + 0.5 * reach * ahead
+    return middle + reach * (0.85 * vertical - 1.0 * ahead), middle + 0.35 * reach * ahead
 
 
 def _silently() -> redirect_stdout[StringIO]:
