@@ -11,7 +11,8 @@ from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners, Rejected
 from calgraph.detection.landmarks import Landmarks, landmarks
-from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder, no_marks
+from calgraph.detection.straight_view import has_straight_lines, straight_view
+from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane, se3
 from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
@@ -131,9 +132,9 @@ class CameraDetector:
         if isinstance(pose, Rejected):
             return pose
         if isinstance(printed.finder, TagFinder):
-            more = self._overlooked(printed, printed.finder, gray, marks, pose)
-            if len(more):
-                marks = marks + more
+            better = self._looked_at_again(printed, printed.finder, gray, marks, pose)
+            if better is not marks:
+                marks = better
                 again = self._fit(printed, marks)
                 if isinstance(again, Rejected):
                     return again
@@ -141,18 +142,30 @@ class CameraDetector:
         kept = np.asarray(pose.used.any(axis=1))
         return marks.select(kept), replace(pose, used=pose.used[kept])
 
-    def _overlooked(
+    def _looked_at_again(
         self, printed: _Printed, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
     ) -> Marks:
-        """Tags that the first look missed, found where the pose expects them."""
-        missing = ~np.isin(printed.landmarks.ids, marks.ids)
-        corners = printed.landmarks.corners[missing].reshape(-1, 3)
-        expected = self._camera.project(se3.apply(pose.T_camera_board, corners))
-        inside = self._camera.contains(expected).reshape(-1, 4).all(axis=1)
-        if not inside.any():
-            return no_marks(4)
-        more = finder.find_within(gray, expected.reshape(-1, 4, 2)[inside])
-        return more.select(np.isin(more.ids, printed.landmarks.ids[missing]))
+        """The tags with those that the first look missed, and with corners that the lens does not shift.
+
+        They are looked for where the pose expects them, where lines are bent in a straightened view.
+        """
+        corners = se3.apply(pose.T_camera_board, printed.landmarks.corners.reshape(-1, 3))
+        expected = self._camera.project(corners).reshape(-1, 4, 2)
+        inside = self._camera.contains(expected.reshape(-1, 2)).reshape(-1, 4).all(axis=1)
+        straight = has_straight_lines(self._camera)
+        wanted = inside & ~np.isin(printed.landmarks.ids, marks.ids) if straight else inside
+        if not wanted.any():
+            return marks
+        if straight:
+            found = finder.find_within(gray, expected[wanted])
+        else:
+            view = straight_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted])
+            if view is None:
+                return marks
+            seen = finder.find(view.image)
+            found = Marks(seen.ids, view.in_image(seen.pixels))
+        found = found.select(np.isin(found.ids, printed.landmarks.ids[wanted]))
+        return marks.select(~np.isin(marks.ids, found.ids)) + found if len(found) else marks
 
     def _fit(self, printed: _Printed, marks: Marks) -> BoardPose | Rejected:
         return fit_pose(marks.ids, printed.landmarks.of(marks.ids), marks.pixels, self._camera, self._noise.pixel)

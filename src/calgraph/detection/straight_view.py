@@ -1,0 +1,108 @@
+"""A board as a camera without distortion, looking straight at it, would have seen it.
+
+The AprilTag library fits straight lines to the edges of tags. Lenses bend them: a tag that measures 36 pixels, 40
+degrees off a fisheye's axis, comes out larger by 0.2 pixels, and so nearer by half a per cent.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calgraph.detection.tags import Gray
+from calgraph.geometry import Array
+from calgraph.sensors import CameraModel
+
+_FINER = 1.5
+"""Resolution compared with the image's, so that resampling loses nothing."""
+_MARGIN = 0.4
+"""Around the tags, in edges of a tag."""
+_WIDEST = 4.0
+"""Tangent of the widest angle between a corner and the direction of the view."""
+_LONGEST = 2000
+"""Pixels along an edge of the view."""
+_STEP = 8
+"""The map from view to image is computed for so few pixels, and interpolated: it is smooth."""
+
+
+@dataclass(frozen=True, eq=False)
+class StraightView:
+    """A piece of an image, resampled."""
+
+    image: Gray
+    """(height, width)."""
+    camera: CameraModel
+    """The camera that took the image."""
+    R_camera_view: Array
+    """(3, 3) rotation of the camera without distortion."""
+    focal: float
+    """Its focal length, pixels."""
+    corner: Array
+    """(2,) where on its plane z = 1 the middle of the view's first pixel is."""
+
+    def in_image(self, pixels: Array) -> Array:
+        """Where pixels (..., 2) of the view are in the image."""
+        return _in_image(pixels, self.camera, self.R_camera_view, self.focal, self.corner)
+
+
+def has_straight_lines(camera: CameraModel) -> bool:
+    """Whether straight lines are straight in its images."""
+    return camera.model == "pinhole" and not camera.distortion.any()
+
+
+def straight_view(gray: Gray, camera: CameraModel, corners: Array) -> StraightView | None:
+    """A view of tags; None if they lie too far around for one view.
+
+    Args:
+        gray: image (height, width).
+        camera: its intrinsics.
+        corners: (M, 4, 3) about where the tags' corners are, camera frame, m.
+
+    """
+    points = corners.reshape(-1, 3)
+    R_camera_view = _looking_at(points.mean(axis=0))
+    local = points @ R_camera_view
+    flat = local[:, :2] / local[:, 2:]
+    if (local[:, 2] <= 0).any() or np.abs(flat).max() > _WIDEST:
+        return None
+    edges = _lengths(flat.reshape(-1, 4, 2))
+    focal = _FINER * float(np.median(_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
+    margin = _MARGIN * edges.max()
+    low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
+    focal = min(focal, _LONGEST / (high - low).max())
+    width, height = np.ceil(focal * (high - low)).astype(int) + 1
+    nodes = np.stack(np.meshgrid(_nodes(width), _nodes(height)), axis=-1)
+    sparse = _in_image(nodes, camera, R_camera_view, focal, low)
+    down, across = _hats(height), _hats(width)
+    x, y = ((down @ np.nan_to_num(sparse[..., k], nan=-1e4) @ across.T).astype(np.float32) for k in (0, 1))
+    image = cv2.remap(gray, x, y, cv2.INTER_LINEAR)
+    return StraightView(np.asarray(image, dtype=np.uint8), camera, R_camera_view, focal, low)
+
+
+def _looking_at(point: Array) -> Array:
+    """Rotation (3, 3) from a frame whose z points at a point, as upright as may be."""
+    z = point / np.linalg.norm(point)
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, -1.0], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _in_image(pixels: Array, camera: CameraModel, R_camera_view: Array, focal: float, corner: Array) -> Array:
+    flat = (corner + pixels / focal).reshape(-1, 2)
+    rays = np.column_stack([flat, np.ones(len(flat))]) @ R_camera_view.T
+    return camera.project(rays).reshape(pixels.shape)
+
+
+def _lengths(quads: Array) -> Array:
+    """(M, 4) lengths of the edges of quadrilaterals (M, 4, 2)."""
+    return np.asarray(np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=-1))
+
+
+def _nodes(length: int) -> Array:
+    return np.arange(0.0, length + _STEP, _STEP)
+
+
+def _hats(length: int) -> Array:
+    """(length, nodes) weights of linear interpolation between the nodes."""
+    away = np.abs(np.arange(length)[:, None] - _nodes(length)) / _STEP
+    return np.asarray(np.clip(1 - away, 0, None))
