@@ -22,17 +22,23 @@ class Outlines:
 def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> Outlines:
     """Casts a beam each to an ellipse each; all in one frame.
 
-    Where ``h`` is the hit in the ellipse's own axes over its radii, ``|h| = 1`` holds: differentiated, it says how
-    far along the beam the hit moves with the ellipse.
-
     Args:
-        origin: (N, 2) of the beams, m.
+        origin: (N, 2) of the beams, m; or (2,) of all of them.
         direction: (N, 2) unit vectors.
         centre: (N, 2) of the ellipses, m.
         heading: (N,) direction of their second radius, rad.
-        radii: (N, 2) across and along the heading, m.
+        radii: (N, 2) across and along the heading, m; or (2,) of all of them.
     """
-    c, s = np.cos(heading), np.sin(heading)
+    return cast_facing(origin, direction, centre, np.stack([np.cos(heading), np.sin(heading)]), radii)
+
+
+def cast_facing(origin: Array, direction: Array, centre: Array, facing: Array, radii: Array) -> Outlines:
+    """The same for headings given as unit vectors (2, N).
+
+    Where ``h`` is the hit in the ellipse's own axes over its radii, ``|h| = 1`` holds: differentiated, it says how
+    far along the beam the hit moves with the ellipse.
+    """
+    c, s = facing
     (x, y), (dx, dy), (across, ahead) = (origin - centre).T, direction.T, radii.T
     # Where beams begin, and where they go, across and along the heading, in radii.
     u, du = (c * y - s * x) / across, (c * dy - s * dx) / across
@@ -46,5 +52,15 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
     turn = (x + ranges * dx) * normal[1] - (y + ranges * dy) * normal[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         jacobian = np.stack([*normal, turn, u * u / across, v * v / ahead]) / slope
-        incidence = -slope / np.hypot(*normal)
+        incidence = -slope / np.sqrt(normal[0] ** 2 + normal[1] ** 2)
     return Outlines(ranges, incidence, jacobian.T)
+
+
+def turned(c: Array, s: Array, turn: Array) -> Array:
+    """Unit vectors (2, N) with cosines and sines (N,), turned by small angles (N,), rad.
+
+    A body hardly turns within a scan: few terms of the series tell it, far quicker than cosines of every beam.
+    """
+    square = turn * turn
+    cos, sin = 1 - square / 2 + square * square / 24, turn * (1 - square / 6 + square * square / 120)
+    return np.stack([c * cos - s * sin, s * cos + c * sin])

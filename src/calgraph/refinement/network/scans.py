@@ -90,7 +90,7 @@ def robust_weights(residual: Array, jacobian: Array, used: NDArray[np.bool_], st
 
 
 def _inverse3(A: Array) -> Array:
-    """Inverses of symmetric (V, 3, 3) by their cofactors, five times as fast as by a general decomposition."""
+    """Inverses of symmetric (V, 3, 3) by cofactors, several times as fast as a decomposition."""
     a, b, c, d, e, f = A[:, _UPPER[0], _UPPER[1]].T
     cofactors = np.stack(
         [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b]

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index, se2
 from calgraph.refinement.network.elimination import BodyEquations, eliminated
-from calgraph.refinement.network.outlines import Outlines, cast
+from calgraph.refinement.network.outlines import Outlines, cast_facing, turned
 from calgraph.refinement.network.prior import ScannerPrior
 from calgraph.refinement.network.scans import Scans, summed
 from calgraph.refinement.network.splines import Knots, evaluate
@@ -29,6 +30,8 @@ _FLAT = 0.05
 # Steps that change the cost by less than this, half squared standard deviations, or need more damping than this,
 # are the last.
 _SETTLED, _STUCK = 0.003, 1e3
+# Pairs of the four control points that a scan depends on.
+_EARLIER, _LATER = np.triu_indices(4)
 # Damping after the first step that led astray.
 _DAMPED = 0.01
 
@@ -221,33 +224,49 @@ def _body_equations(network: Network, state: State, body: Body, motion: Motion) 
     corner[[0, 1], [0, 1]] += known
     slope[:2] += known * (motion.radii - body.radii)
     cost += 0.5 * float(known @ (motion.radii - body.radii) ** 2)
+    pairs, singles = np.zeros((10, count - 3, 9)), np.zeros((4, count - 3, 9))
     for k, seen in enumerate(body.glimpses):
         first, weights, pose, rate = along(state, body, motion, seen)
         scans = says(network, state, motion, seen, pose, rate).swayed(network.sway[[0, 0, 1]])
         A, b = scans.information, scans.gradient
         cost += float(scans.cost.sum())
         G = _by_scanner(state.T_root_scanner[seen.scanner], pose, rate)
-        own = np.arange(2 + 4 * k, 6 + 4 * k)
         AG = A @ G
-        corner[np.ix_(own, own)] += np.sum(np.swapaxes(G, -1, -2) @ AG, axis=0)
+        own = slice(2 + 4 * k, 6 + 4 * k)
+        corner[own, own] += G.reshape(-1, 4).T @ AG.reshape(-1, 4)
         corner[:2, :2] += A[:, 3:, 3:].sum(axis=0)
         mixed = AG[:, 3:].sum(axis=0)
         corner[:2, own] += mixed
         corner[own, :2] += mixed.T
-        slope[own] += np.sum(np.swapaxes(G, -1, -2) @ b[..., None], axis=0)[:, 0]
+        slope[own] += G.reshape(-1, 4).T @ b.ravel()
         slope[:2] += b[:, 3:].sum(axis=0)
-        group = np.flatnonzero(np.diff(first, prepend=-1))
-        at = first[group]
+        # What a scan says is of the four control points about it, and of each pair of them.
+        alone = np.concatenate([b[:, :3], A[:, :3, 3:].reshape(-1, 6), AG[:, :3].reshape(-1, 12)], axis=1)
+        shared = _between_knots(first, weights, alone, count)
+        singles += shared[..., :9]
         for i in range(4):
-            w = weights[:, i]
-            gradient[at + i] += np.add.reduceat(w[:, None] * b[:, :3], group)
-            border[at + i, :, :2] += np.add.reduceat(w[:, None, None] * A[:, :3, 3:], group)
-            border[np.ix_(at + i, np.arange(3), own)] += np.add.reduceat(w[:, None, None] * AG[:, :3], group)
-            for j in range(i, 4):
-                both = (w * weights[:, j])[:, None, None] * A[:, :3, :3]
-                band[at + i, j - i] += np.add.reduceat(both, group)
+            border[i : count - 3 + i, :, own] += shared[i, :, 9:].reshape(-1, 3, 4)
+        pairs += _between_knots(
+            first, weights[:, _EARLIER] * weights[:, _LATER], A[:, :3, :3].reshape(-1, 9), count
+        )
+    for i in range(4):
+        gradient[i : count - 3 + i] += singles[i, :, :3]
+        border[i : count - 3 + i, :, :2] += singles[i, :, 3:].reshape(-1, 3, 2)
+    for i, j, both in zip(_EARLIER, _LATER, pairs, strict=True):
+        band[i : count - 3 + i, j - i] += both.reshape(-1, 3, 3)
     columns = np.concatenate([4 * seen.scanner + np.arange(4) for seen in body.glimpses])
     return BodyEquations(band, gradient, border, corner, slope, columns), cost
+
+
+def _between_knots(first: Index, weights: Array, values: Array, count: int) -> Array:
+    """(W, K - 3, n) sums of values (V, n) times weights (V, W), over the scans between two knots each."""
+    views, kinds = weights.shape
+    ends = np.searchsorted(first, np.arange(1, count - 2)) + views * np.arange(kinds)[:, None]
+    sums = csr_array(
+        (weights.T.ravel(), np.tile(np.arange(views), kinds), np.concatenate([[0], ends.ravel()])),
+        shape=(kinds * (count - 3), views),
+    )
+    return np.asarray((sums @ values).reshape(kinds, count - 3, -1))
 
 
 def along(state: State, body: Body, motion: Motion, seen: Glimpses) -> tuple[Index, Array, Array, Array]:
@@ -259,11 +278,13 @@ def along(state: State, body: Body, motion: Motion, seen: Glimpses) -> tuple[Ind
 def outlines(state: State, motion: Motion, seen: Glimpses, pose: Array, rate: Array) -> Outlines:
     """Where beams meet a body, whose pose and rate (V, 3) at the scans' times are given."""
     view = view_of(seen)
-    at = pose[view] + seen.lag[:, None] * rate[view]
     T = state.T_root_scanner[seen.scanner]
-    direction = seen.direction @ T[:2, :2].T
-    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], motion.radii))
-    return cast(origin, direction, at[:, :2], at[:, 2], radii)
+    # All numbers of a kind side by side, for speed.
+    x, y, _ = pose.T[:, view] + seen.lag * rate.T[:, view]
+    cos, sin = np.cos(pose[:, 2])[view], np.sin(pose[:, 2])[view]
+    facing = turned(cos, sin, seen.lag * rate[view, 2])
+    direction = (T[:2, :2] @ seen.direction.T).T
+    return cast_facing(T[:2, 2], direction, np.stack([x, y]).T, facing, motion.radii)
 
 
 def residuals(network: Network, seen: Glimpses, hits: Outlines) -> tuple[Array, Array]:
