@@ -57,6 +57,9 @@ def _leaving(
     directions: Array, excess: Array, on: NDArray[np.bool_], line: Index, step: float, parallax: float
 ) -> Array:
     """Edges at which beams, in this order, leave the sheet."""
+    # Behind the last beam, a line of its own that nothing is on.
+    directions, excess = np.pad(directions, ((0, 1), (0, 0)), mode="edge"), np.append(excess, 0.0)
+    on, line = np.append(on, False), np.append(line, line.max() + 1)
     if len(line) < 4:
         return np.empty((0, 2, 3))
     before, last, first, second = (slice(i, len(line) - 3 + i) for i in range(4))
