@@ -132,6 +132,13 @@ def test_a_network_is_explored(network_page: Shown) -> None:
     network_page.page.keyboard.press("End")
     network_page.settled(lambda now: different(everything, now) > 2e-3)
     assert network_page.viewer.panel.choice().moment == pytest.approx(13.8)
+    network_page.page.get_by_text("play", exact=True).locator("xpath=following::input[1]").check(timeout=_PATIENCE)
+    for _ in range(100):
+        network_page.page.wait_for_timeout(200)
+        if 0.5 < (network_page.viewer.panel.choice().moment or 0) < 13:
+            break
+    else:
+        raise AssertionError("time does not pass")
     assert network_page.complaints == []
 
 

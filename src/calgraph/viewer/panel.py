@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from threading import Lock
+from threading import Event, Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +35,7 @@ class Panel:
     ) -> None:
         self._gui, self._calibration, self._cameras, self._stage = gui, calibration, cameras, stage
         self._changing = Lock()
+        self._playing, self._closed = Lock(), Event()
         self._shown: Choice | None = None
         self.moments = moments(calibration)
         self._words = gui.add_markdown("")
@@ -72,6 +73,10 @@ class Panel:
                 self._words.content = self._in_words(choice)
                 self._shown = choice
 
+    def close(self) -> None:
+        """Ends what goes on by itself."""
+        self._closed.set()
+
     def _add_time(self) -> None:
         network, several = bool(self._calibration.floor), len(self.moments) > 1
         self._step = _TICK if network else 1
@@ -80,7 +85,9 @@ class Panel:
             "time, s" if network else "capture", 0, round(last, 1), self._step, 0, disabled=not several
         )
         self.everything = self._gui.add_checkbox("all at once", not self.moments or network)
+        self.play = self._gui.add_checkbox("play", False, disabled=not several)
         self.time.on_update(lambda _: self._look_at_one())
+        self.play.on_update(lambda _: self._play(round(last, 1)))
         self.everything.on_update(lambda _: self.refresh())
 
     def _look_at_one(self) -> None:
@@ -88,6 +95,17 @@ class Panel:
         if self.everything.value and self.moments:
             _set(self.everything, False)
         self.refresh()
+
+    def _play(self, last: float) -> None:
+        """Goes from moment to moment, over and over: of a network as time does, of a rig each second."""
+        if not self._playing.acquire(blocking=False):
+            return
+        try:
+            while self.play.value and not self._closed.wait(self._step):
+                following = round(self.time.value + self._step, 1)
+                _set(self.time, following if following <= last else 0)
+        finally:
+            self._playing.release()
 
     def _add_moving(self) -> None:
         planar = self._calibration.planar

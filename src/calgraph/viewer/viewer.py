@@ -65,6 +65,7 @@ class Viewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.panel.close()
         with _silently():
             self._server.stop()
 
@@ -80,11 +81,11 @@ def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
         return middle + extent * np.array([0.0, -0.45, 0.85]), middle
     middle = origins.mean(axis=0)
     boards = np.array([outline.corners.mean(axis=0) for outline in calibration.outlines]).reshape(-1, 3)
-    reach = float(np.median(np.linalg.norm(boards - middle, axis=1))) if len(boards) else 2.0
+    reach = float(np.percentile(np.linalg.norm(boards - middle, axis=1), 80)) if len(boards) else 2.0
     ahead = boards.mean(axis=0) - middle if len(boards) else np.array([1.0, 0, 0])
     ahead -= (ahead @ vertical) * vertical
     ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
-    return middle + reach * (0.85 * vertical - 1.0 * ahead), middle + 0.35 * reach * ahead
+    return middle + reach * (1.0 * vertical - 1.1 * ahead), middle + 0.3 * reach * ahead
 
 
 def _silently() -> redirect_stdout[StringIO]:
