@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks
+from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks, solve_problem
 from calgraph.detection import (
     BoardCorners,
     Detection,
@@ -57,19 +57,27 @@ def assert_close(found: Calibration, T_root_sensor: Mapping[str, Array], limit: 
         assert np.abs(se3.difference(sensor.T_root_sensor, T_root_sensor[sensor.name])).max() < limit
 
 
-def test_rig_is_calibrated_from_arrays() -> None:
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("own") / "problem.npz"
+
+
+@pytest.fixture(scope="module")
+def calibration(kept: Path) -> Calibration:
     one = seen()
-    found = calibrate_detections(one.rig, measured(one), Options(folds=0), one.captured.cameras)
-    assert {sensor.name for sensor in found.sensors} == set(one.rig.sensors)
+    return calibrate_detections(one.rig, measured(one), Options(folds=0, dump=kept), one.captured.cameras)
+
+
+def test_rig_is_calibrated_from_arrays(calibration: Calibration) -> None:
+    assert {sensor.name for sensor in calibration.sensors} == {"lidar", "camera", "laser_front"}
     # Standard deviations are up to 2.6 mm, in height of the 2-D scanner.
-    assert_close(found, one.T_root_sensor, 0.008)
+    assert_close(calibration, seen().T_root_sensor, 0.008)
 
 
-def test_problem_of_own_detections_can_be_kept(tmp_path: Path) -> None:
-    one = seen()
-    path = tmp_path / "problem.npz"
-    calibrate_detections(one.rig, measured(one), Options(folds=0, dump=path), one.captured.cameras)
-    assert set(load_problem(path).captured.detections) == set(one.rig.sensors)
+def test_problem_of_own_detections_is_kept(calibration: Calibration, kept: Path) -> None:
+    again = solve_problem(load_problem(kept))
+    poses = {sensor.name: sensor.T_root_sensor for sensor in calibration.sensors}
+    assert all(np.array_equal(sensor.T_root_sensor, poses[sensor.name]) for sensor in again.sensors)
 
 
 def test_people_are_no_board() -> None:
