@@ -19,7 +19,7 @@ _MOST, _GREY = 6, 2500
 # The view holds so much of the coloured points, in percent, and this around it, m.
 _INNER, _AROUND = 99, 0.3
 # What is shown reaches so many times as far as the boards, and so far at least, m.
-_BEHIND, _AT_LEAST = 1.7, 3.0
+_BEHIND, _AT_LEAST = 2.5, 3.0
 # Of the eye from the middle, in the units of the scene.
 _DISTANCE = 1.15
 
@@ -38,7 +38,7 @@ def fused_view(calibration: Calibration, rig: Rig) -> str:
     sensors = {
         "type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "hoverinfo": "text",
         "text": [plotly_text(s.name) for s in calibration.sensors],
-        "marker": {"size": 4, "color": VERMILION}, "name": "sensors", "visible": True,
+        "marker": {"size": 5, "color": VERMILION}, "name": "sensors", "visible": True,
     }  # fmt: skip
     content = figure(
         [*traces, sensors],
@@ -55,7 +55,8 @@ def fused_view(calibration: Calibration, rig: Rig) -> str:
     about = (
         f"<p>Points of all scanners in one capture, in the colours of the cameras' pictures; grey ones no camera "
         f"sees ({100 * (1 - share):.0f} %). Where a pose is wrong, colours run over edges: look at the board, "
-        f"outlined where the joint solution has it. Red dots are the sensors. Drag to turn, scroll to zoom.</p>"
+        f"outlined where the joint solution has it. The largest dots are the sensors. Drag to turn, "
+        f"scroll to zoom.</p>"
     )
     picture = placed(
         "fused", content | {"choices": [choices]}, 560, "Points of the scanners in the colours of the cameras"

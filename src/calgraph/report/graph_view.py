@@ -47,8 +47,9 @@ def graph(calibration: Calibration, words: Words) -> str:
     labelled = [edge for edge in reversed(drawn) if edge.in_tree or len(names) <= _MANY]
     labels = "".join(_caption(label) for label in _labels(labelled, places))
     nodes = "".join(_node(name, places[name], calibration) for name in places)
+    css = "graph crowded" if len(names) > _MANY else "graph"
     return (
-        f'<div class="scroller"><svg class="graph" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
+        f'<div class="scroller"><svg class="{css}" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
         f'aria-label="Graph of the sensors">{lines}{nodes}{labels}</svg></div>'
     )
 

@@ -93,7 +93,7 @@ def _ranked(views: Sequence[BoardView], pictures: Mapping[tuple[str, int], Snaps
 
 def _place(rank: int, count: int) -> str:
     if rank == 0:
-        return f"largest error of {counted(count, 'capture')}"
+        return f"largest error of {counted(count, 'picture')}"
     return "least error" if rank == count - 1 else f"error {rank + 1} of {count}"
 
 

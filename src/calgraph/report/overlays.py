@@ -13,6 +13,8 @@ from calgraph.sensors import CameraModel
 
 # Straight edges are bent by lenses: drawn in so many pieces.
 _PIECES = 12
+# Lines go on to the edge of the picture: their ends lie beyond it by such a share of its size.
+_BEYOND = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +42,8 @@ def overlay(calibration: Calibration, rig: Rig, sensor: SensorPose, camera: Came
     own = [view for view in views if view.sensor == sensor.name]
     points, distance = _scanned(calibration, views)
     return Overlay(
-        sheets=tuple(project(_edges(o.corners), sensor, camera) for o in outlines),
-        marks=tuple(project(mark, sensor, camera) for o in outlines for mark in _printed(o, rig)),
+        sheets=tuple(project(_edges(o.corners), sensor, camera, _BEYOND) for o in outlines),
+        marks=tuple(project(mark, sensor, camera, _BEYOND) for o in outlines for mark in _printed(o, rig)),
         seen=np.concatenate([np.zeros((0, 2)), *(view.seen for view in own)]),
         off=np.concatenate([np.zeros((0, 2)), *(_off(view) for view in own)]),
         points=project(points, sensor, camera),
@@ -49,10 +51,15 @@ def overlay(calibration: Calibration, rig: Rig, sensor: SensorPose, camera: Came
     )
 
 
-def project(points: Array, sensor: SensorPose, camera: CameraModel) -> Array:
-    """Pixels (N, 2) of points (N, 3) in the root frame, m; NaN where the camera does not see them."""
+def project(points: Array, sensor: SensorPose, camera: CameraModel, beyond: float = 0.0) -> Array:
+    """Pixels (N, 2) of points (N, 3) in the root frame, m.
+
+    NaN where the camera does not see them, and outside of the picture by more than a share of its size.
+    """
     pixels = camera.project(se3.apply(se3.inverse(sensor.T_root_sensor), points))
-    return np.where(camera.contains(pixels)[:, None], pixels, np.nan)
+    share = (pixels + 0.5) / (camera.width, camera.height)
+    inside = np.all((share >= -beyond) & (share < 1 + beyond), axis=1)
+    return np.where(inside[:, None], pixels, np.nan)
 
 
 def _off(view: BoardView) -> Array:

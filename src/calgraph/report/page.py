@@ -29,7 +29,8 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
 
     Args:
         calibration: what was found.
-        rig: what was asked for; a camera's intrinsics, where it states them, shape the camera's view.
+        rig: what was asked for. Cameras whose intrinsics it does not state have no pictures with boards:
+            :func:`calgraph.recording.with_intrinsics` states them.
         path: the file, e.g. ``OUT/report.html``.
 
     Raises:

@@ -1,0 +1,38 @@
+"""The report of the recording that `calgraph demo` makes: small, quick, and with all of its pictures."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from calgraph.recording import with_intrinsics
+from calgraph.report import write_report
+from calgraph.result import Calibration
+from calgraph.rig import Rig
+from calgraph.simulation import RigScenario
+from simulated_rigs import calibrated, staged
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[Calibration, Rig]:
+    rig, recording, _ = staged(RigScenario())
+    return calibrated(rig, recording), with_intrinsics(rig, recording)
+
+
+def test_it_is_small_and_quick(found: tuple[Calibration, Rig], tmp_path: Path) -> None:
+    """Time of the processor, as others may use it too."""
+    began = time.process_time()
+    write_report(*found, tmp_path / "report.html")
+    assert time.process_time() - began < 2.5
+    assert (tmp_path / "report.html").stat().st_size < 12e6
+
+
+def test_it_shows_every_capture_and_what_cameras_and_scanners_saw(
+    found: tuple[Calibration, Rig], tmp_path: Path
+) -> None:
+    write_report(*found, tmp_path / "report.html")
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert html.count('<article class="capture">') == len({row.capture for row in found[0].captures})
+    for section in ("images", "cloud", "coverage"):
+        assert f'<section id="{section}">' in html
+    assert "is not part of this result" not in html
