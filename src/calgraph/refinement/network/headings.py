@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, Index
-from calgraph.refinement.network.outlines import cast
 from calgraph.refinement.network.trajectories import (
     TURNING,
     Body,
@@ -64,14 +63,33 @@ def _misfits(network: Network, state: State, body: Body, motion: Motion, seen: G
     centre = pose[view, :2] + seen.lag[counts, None] * rate[view, :2]
     T = state.T_root_scanner[seen.scanner]
     direction = seen.direction[counts] @ T[:2, :2].T
-    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], motion.radii))
     sigma = np.hypot(network.sigma[seen.scanner], _ROUGH)
-    misfit = np.empty((len(view), len(_GRID)))
-    for k, heading in enumerate(_GRID):
-        hits = cast(origin, direction, centre, np.full(len(view), heading), radii)
-        off = 0.5 * ((hits.ranges - seen.ranges[counts]) / sigma) ** 2
-        misfit[:, k] = _SHARE * np.fmin(off, _MOST)
-    return nearest[view], misfit
+    ranges = _ranges(T[:2, 2] - centre, direction, motion.radii)
+    off = 0.5 * ((ranges - seen.ranges[counts, None]) / sigma) ** 2
+    return nearest[view], _SHARE * np.fmin(off, _MOST)
+
+
+def _ranges(start: Array, direction: Array, radii: Array) -> Array:
+    """Ranges (N, G) along beams to an ellipse about the origin in all headings, m; NaN where they miss it.
+
+    Squares of lengths in radii are ``|h|² = xᵀ Q x``, with three numbers of ``Q`` for each heading.
+
+    Args:
+        start: (N, 2) of the beams, m.
+        direction: (N, 2) unit vectors.
+        radii: (2,) across and along the heading, m.
+    """
+    across, ahead = radii**-2
+    c, s = np.cos(_GRID), np.sin(_GRID)
+    Q = np.stack([across * s**2 + ahead * c**2, across * c**2 + ahead * s**2, (ahead - across) * s * c])
+
+    def product(a: Array, b: Array) -> Array:
+        (x, y), (other_x, other_y) = a.T, b.T
+        return np.asarray(np.stack([x * other_x, y * other_y, x * other_y + y * other_x], axis=1) @ Q)
+
+    square, half = product(direction, direction), product(start, direction)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((-half - np.sqrt(half**2 - square * (product(start, start) - 1))) / square)
 
 
 def _cheapest(cost: Array, step: float) -> Index:

@@ -252,8 +252,8 @@ def _body_equations(network: Network, state: State, body: Body, motion: Motion) 
     for i in range(4):
         gradient[i : count - 3 + i] += singles[i, :, :3]
         border[i : count - 3 + i, :, :2] += singles[i, :, 3:].reshape(-1, 3, 2)
-    for i, j, both in zip(_EARLIER, _LATER, pairs, strict=True):
-        band[i : count - 3 + i, j - i] += both.reshape(-1, 3, 3)
+    for earlier, later, both in zip(_EARLIER, _LATER, pairs, strict=True):
+        band[earlier : count - 3 + earlier, later - earlier] += both.reshape(-1, 3, 3)
     columns = np.concatenate([4 * seen.scanner + np.arange(4) for seen in body.glimpses])
     return BodyEquations(band, gradient, border, corner, slope, columns), cost
 
