@@ -28,7 +28,7 @@ def found(ranges: Array, beams: Index = BEAMS, line: Index | None = None, parall
     """Edges of a sheet at the same distance in all directions, in steps of beams."""
     line = np.zeros(len(beams), dtype=np.intp) if line is None else line
     edges = sheet_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, parallax)
-    return angles_of(edges) / STEP
+    return np.asarray(angles_of(edges) / STEP)
 
 
 def scene(first: int = 10, last: int = 29, behind: float = WALL) -> Array:

@@ -26,6 +26,8 @@ from calgraph.rig import CameraSpec, Rig
 _SWAY = 0.003
 # Rounds of solving, measuring the noise and leaving out what is wrong, until nothing changes by more than a share.
 _ROUNDS = 12
+# Outlines come to a solution that has settled.
+_OUTLINE_ROUNDS = 4
 _STEPS = 4
 _SETTLED = 0.02
 _CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
@@ -65,10 +67,10 @@ def solve_bundle(
     bundle = free(bundle)
     if estimate:
         bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
-    bundle, solved, rejected = _settled(bundle, solve(bundle, state))
+    bundle, solved, rejected = _settled(bundle, solve(bundle, state), _ROUNDS)
     # Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
     bundle, state = with_outlines(bundle, solved.state, rig, captured.detections, boards, _SWAY**2)
-    bundle, solved, more = _settled(bundle, solve(bundle, state, iterations=_STEPS))
+    bundle, solved, more = _settled(bundle, solve(bundle, state, iterations=_STEPS), _OUTLINE_ROUNDS)
     rejected |= more
     bundle = without_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
@@ -167,11 +169,11 @@ def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) 
     return Beams.of(indices, surfaces, spec.noise)
 
 
-def _settled(bundle: Bundle, solved: Solved) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
+def _settled(bundle: Bundle, solved: Solved, rounds: int) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
     """The bundle with its noise and sway measured and wrong views left out; and those, by board and sensor."""
     rejected: set[tuple[int, str]] = set()
     seen = np.array([len(views.board) for views in bundle.all_views])
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         before = bundle
         bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
         bundle, wrong = _without_wrong(bundle, solved, seen)
