@@ -1,0 +1,89 @@
+"""Rigs calibrated with every kind of board, through images, of straight and of bent lines; several boards."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from calgraph.result import Calibration
+from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, Tag
+from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, Truth
+from simulated_rigs import calibrated, errors, staged
+
+SHEET = (1.0, 0.8)
+BOARDS: Mapping[str, Board] = {
+    "tags": Board(
+        size=SHEET,
+        tags=tuple(Tag(id=i, size=0.3, center=c) for i, c in enumerate([(-0.3, 0.2), (0.3, 0.2), (0.0, -0.2)])),
+    ),
+    "aprilgrid": Board(
+        size=SHEET, pattern=AprilGrid(kind="aprilgrid", columns=5, rows=4, tag_size=0.14, tag_spacing=0.3)
+    ),
+    "charuco": Board(
+        size=SHEET,
+        pattern=Charuco(kind="charuco", columns=8, rows=6, square=0.12, marker=0.09, dictionary="DICT_4X4_50"),
+    ),
+    # Smaller, as it has to be in view as a whole.
+    "checkerboard": Board(
+        size=(0.7, 0.5), pattern=Checkerboard(kind="checkerboard", columns=8, rows=5, square=0.075)
+    ),
+}
+PINHOLE = CameraKnobs(count=2, width=560, height=420, field_of_view=110, rate=2.0, texels_per_mm=1.0)
+FISHEYE = PINHOLE.model_copy(
+    update={"model": "fisheye", "field_of_view": 150.0, "distortion": (0.02, -0.01, 0.003, -0.001)}
+)
+CAMERAS = RigScenario(
+    camera=PINHOLE,
+    laser=LaserKnobs(count=0),
+    spinning=SpinningKnobs(count=0),
+    bearings=(-15, -8, 0, 8, 15),
+    radii=(1.3, 1.8),
+    samples=1,
+    clutter=3,
+    move_time=0.4,
+)
+LIDAR = MultibeamKnobs(count=1, rate=4.0, rings=24, resolution=0.5)
+
+
+def scenario(**knobs: object) -> RigScenario:
+    return CAMERAS.model_copy(update=knobs)
+
+
+def assert_true(calibration: Calibration, truth: Truth, millimetres: float) -> None:
+    assert not calibration.unconnected
+    for name, error in errors(calibration, truth).items():
+        assert 1000 * np.linalg.norm(error[:3]) < millimetres, name
+        assert np.degrees(np.linalg.norm(error[3:])) < 0.3, name
+        assert np.all(np.abs(error) < 5 * np.sqrt(np.diag(calibration[name].covariance))), name
+
+
+def used(calibration: Calibration, sensor: str) -> int:
+    return sum(row.used for row in calibration.captures if row.sensor == sensor)
+
+
+@pytest.mark.parametrize("lens", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
+def test_two_cameras_are_calibrated_with_every_board(board: Board, lens: CameraKnobs) -> None:
+    rig, recording, truth = staged(scenario(board=board, camera=lens), seed=4)
+    calibration = calibrated(rig, recording)
+    assert_true(calibration, truth, 10)
+    assert used(calibration, "camera_2") >= 5
+
+
+def test_boards_shown_at_once_are_all_used() -> None:
+    """A camera and a LiDAR see tags, and a grid beside them: nearly as many board poses again."""
+    bearings = (-45, -35, -25, -15, -5, 5)
+    camera = PINHOLE.model_copy(update={"count": 1})
+    shown = scenario(
+        board=BOARDS["tags"],
+        companions=(BOARDS["aprilgrid"],),
+        camera=camera,
+        multibeam=LIDAR,
+        bearings=bearings,
+        radii=(1.8,),
+    )
+    rig, recording, truth = staged(shown, seed=3)
+    calibration = calibrated(rig, recording)
+    assert_true(calibration, truth, 25)
+    (edge,) = calibration.edges
+    assert edge.inliers > len(bearings)
