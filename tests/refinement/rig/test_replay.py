@@ -211,7 +211,7 @@ def test_another_npz_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "shown"), [("calgraph-problem/2", "'calgraph-problem/2'"), (None, "nothing"), (1, "1")]
+    ("given", "shown"), [("calgraph-problem/3", "'calgraph-problem/3'"), (None, "nothing"), (1, "1")]
 )
 def test_another_version_is_refused(given: object, shown: str, saved: Path) -> None:
     with pytest.raises(InputError, match=f"format: must be calgraph-problem/2, which this .* reads, got {shown}"):
