@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.detection import BoardCorners, CameraDetector, Rejected, find_boards
+from calgraph.detection.landmarks import landmarks
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
@@ -284,3 +285,20 @@ def test_bent_edges_do_not_shift_the_corners_of_tags(
         depths.append(np.linalg.norm(found.center) - np.linalg.norm(t))
     assert np.sqrt(np.mean(np.concatenate(offsets) ** 2)) < 0.09
     assert abs(np.mean(depths)) < 0.0007
+
+
+@pytest.mark.parametrize("camera", [SMALL, BARREL, FISHEYE], ids=["pinhole", "barrel", "fisheye"])
+@pytest.mark.parametrize("name", ["tags", "charuco", "aprilgrid"])
+def test_a_board_that_leaves_the_image_is_found_by_the_rest(
+    name: str, camera: CameraModel, render: Render, rng: np.random.Generator
+) -> None:
+    """Its centre lies near the image's left edge."""
+    (ray,) = camera.rays(np.array([[70.0, 250.0]]))
+    x, y, z = 1.1 * ray
+    T = a_pose((0.1, np.arctan2(x, z) + 0.2, 0.05), (x, y, z))
+    found = detect(BOARDS[name], render(BOARDS[name], camera, T, rng), camera)
+    whole = landmarks(BOARDS[name]).corners[..., 0].size
+    assert len(found.pixels) < 0.8 * whole
+    error = se3.difference(found.T_camera_board, T)
+    assert np.linalg.norm(error[:3]) < 0.015
+    assert np.degrees(np.linalg.norm(error[3:])) < 1.0
