@@ -15,8 +15,8 @@ import numpy as np
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.refinement.rig.edges import relative_pose_jacobians
-from calgraph.refinement.rig.normal_equations import judged
 from calgraph.refinement.rig.views import Views, relative
+from calgraph.refinement.rig.visits import Visit, visit
 
 # What is believed of a board without any data (m⁻², rad⁻²): it keeps what no view sees from being singular.
 FAINT = 1e-4
@@ -167,6 +167,10 @@ class System:
     """(C, 6)."""
     coupling: Array
     """(C, 6, G) between a board and the sensors."""
+    visits: tuple[Visit, ...]
+    """(K,) where the views' measurements were looked at."""
+    exact: bool
+    """Whether that was at this very state."""
 
     def reduced(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
         """The problem without boards: its matrix (G, G) and gradient (G,), and ``K`` (C, 6, G + 1).
@@ -190,17 +194,24 @@ class Solved:
     converged: bool
 
 
-def linearize(bundle: Bundle, state: State) -> System:
-    """The normal equations at a state."""
+def linearize(bundle: Bundle, state: State, near: Sequence[Visit] = ()) -> System:
+    """The normal equations at a state.
+
+    Args:
+        bundle: the measurements.
+        state: where.
+        near: (K,) visits of the same views: of those near enough, measurements are not looked at again.
+    """
     size, boards = bundle.size, len(state.T_root_board)
     cost, H, g = _believed(bundle, state)
     H_board, g_board, coupling = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
-    equations = []
+    equations, visits = [], []
     for k, views in enumerate(bundle.all_views):
-        T_root_sensor, T_root_board = state.T_root_sensor[bundle.seer(k)], state.T_root_board[views.board]
-        rows = views.linearize(relative(T_root_sensor, T_root_board), state.own[bundle.own(k)])
-        sway = bundle.swaying(k)
-        A, b, costs = judged(rows, views.start, sway).swayed(sway)
+        T_root_board, sway, own = state.T_root_board[views.board], bundle.swaying(k), state.own[bundle.own(k)]
+        T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], T_root_board)
+        sums = near[k].moved(views, T_sensor_board, own) if near else None
+        visits.append(near[k] if sums else visit(views, T_sensor_board, own, sway))
+        A, b, costs = (sums or visits[k].sums).swayed(sway)
         by_sensor, by_board = _chain(bundle, state, bundle.seer(k), T_root_board, views.unknowns)
         equations.append(ViewEquations(A, b, by_sensor, by_board))
         cost += float(costs.sum())
@@ -214,21 +225,24 @@ def linearize(bundle: Bundle, state: State) -> System:
         coupling[np.ix_(views.board, np.arange(6), columns)] += Bt @ A @ G
     for prior in bundle.priors:
         cost += _add_prior(bundle, state, prior, H, g)
-    return System(cost, tuple(equations), H, g, H_board, g_board, coupling)
+    exact = not any(at is before for at, before in zip(visits, near, strict=False))
+    return System(cost, tuple(equations), H, g, H_board, g_board, coupling, tuple(visits), exact)
 
 
-def solve(bundle: Bundle, state: State, *, iterations: int = 50) -> Solved:
+def solve(bundle: Bundle, state: State, near: Sequence[Visit] = (), *, iterations: int = 50) -> Solved:
     """Minimises the robust cost of all views and priors.
 
     Args:
         bundle: the measurements.
         state: start values.
+        near: (K,) visits of the same views near the solution: where views stay near, these are believed. Without,
+            every measurement is looked at where the solver stops.
         iterations: steps at most, rejected ones included.
 
     Raises:
         CalibrationError: the residuals are not finite at the start.
     """
-    system = linearize(bundle, state)
+    system = linearize(bundle, state, near)
     if not np.isfinite(system.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
     damping, growth = 1e-5, 2.0
@@ -237,18 +251,21 @@ def solve(bundle: Bundle, state: State, *, iterations: int = 50) -> Solved:
         step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         boards = -(K[..., :-1] @ step + K[..., -1])
         trial = moved(bundle, state, step, boards)
-        ahead = linearize(bundle, trial)
+        ahead = linearize(bundle, trial, system.visits)
         predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
         gained = system.cost - ahead.cost
-        done = max(predicted, gained) <= _SETTLED + 1e-12 * system.cost
+        done, exact = max(predicted, gained) <= _SETTLED + 1e-12 * system.cost, system.exact or bool(near)
         if gained >= 0:  # False where the trial's residuals are not finite
             gain = min(gained / max(predicted, 1e-300), 1.0)
             state, system = trial, ahead
             damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
         else:
             damping, growth = damping * growth, growth * 2
-        if done:
+        if done and exact:
             return Solved(state, system, iteration, converged=True)
+        if not exact and (done or gained < 0):
+            # What was moved along may be too coarse to judge by.
+            system = linearize(bundle, state)
     return Solved(state, system, iterations, converged=False)
 
 

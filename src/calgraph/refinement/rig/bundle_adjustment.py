@@ -198,7 +198,9 @@ def _without_wrong(bundle: Bundle, solved: Solved, seen: NDArray[np.intp]) -> tu
         for name, views, bad in zip(bundle.names, bundle.views, wrong[: len(bundle.views)], strict=True)
         for board in views.board[bad]
     }
-    left = [views.where(~bad) for views, bad in zip(bundle.all_views, wrong, strict=True)]
+    left = [
+        views.where(~bad) if np.any(bad) else views for views, bad in zip(bundle.all_views, wrong, strict=True)
+    ]
     return bundle.with_views(left), rejected
 
 

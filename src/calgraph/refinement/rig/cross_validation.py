@@ -29,6 +29,7 @@ from calgraph.refinement.rig.bundle import (
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.normal_equations import summed
 from calgraph.refinement.rig.views import Beams, Corners, Views, relative
+from calgraph.refinement.rig.visits import Visit
 from calgraph.result import LeftOut
 from calgraph.result.calibration import rms
 
@@ -83,12 +84,14 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
     _, number = np.unique(adjusted.captures, return_inverse=True)
     fold_of = number % folds
     errors: dict[str, list[_Errors]] = {name: [] for name in bundle.names}
+    visits = adjusted.solved.system.visits
     for fold in range(min(folds, int(number.max()) + 1)):
-        trained = solve(_of_boards(bundle, fold_of != fold), adjusted.solved.state)
+        others, near = _of_boards(bundle, visits, fold_of != fold)
+        trained = solve(others, adjusted.solved.state, near)
         spread = reduced_covariance(trained.system)
         # An outline is what a scanner saw itself: it must not place the board for it.
-        left = _of_boards(bundle.without_outlines(), fold_of == fold)
-        state, system = _placed(left, trained.state)
+        left, near = _of_boards(bundle.without_outlines(), visits[: len(bundle.views)], fold_of == fold)
+        state, system = _placed(left, trained.state, near)
         for s, name in enumerate(bundle.names):
             if len(left.views[s].board):
                 errors[name].append(_errors(left, state, system, spread, s))
@@ -96,18 +99,20 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
     return {name: summary for name, summary in summaries.items() if summary}
 
 
-def _of_boards(bundle: Bundle, kept: NDArray[np.bool_]) -> Bundle:
-    """The bundle with the views of some boards (C,) only."""
-    return bundle.with_views([views.where(kept[views.board]) for views in bundle.all_views])
+def _of_boards(bundle: Bundle, visits: Sequence[Visit], kept: NDArray[np.bool_]) -> tuple[Bundle, list[Visit]]:
+    """The bundle and visits with the views of some boards (C,) only."""
+    keep = [kept[views.board] for views in bundle.all_views]
+    views = [views.where(some) for views, some in zip(bundle.all_views, keep, strict=True)]
+    return bundle.with_views(views), [at.where(some) for at, some in zip(visits, keep, strict=True)]
 
 
-def _placed(bundle: Bundle, state: State) -> tuple[State, System]:
+def _placed(bundle: Bundle, state: State, visits: Sequence[Visit]) -> tuple[State, System]:
     """Boards where all sensors together have them, with sensors held."""
-    held, system = np.zeros(bundle.size), linearize(bundle, state)
+    held, system = np.zeros(bundle.size), linearize(bundle, state, visits)
     for _ in range(_STEPS):
         step = _times(_inverse(system.H_board), -system.g_board)
         state = moved(bundle, state, held, step)
-        system = linearize(bundle, state)
+        system = linearize(bundle, state, visits)
     return state, system
 
 

@@ -14,6 +14,8 @@ from calgraph.refinement.rig.views import Rows
 HUBER = 2.5
 # Times at most that outliers of a view are judged anew about where it then is.
 _REWEIGHTINGS = 3
+# They are not if that is where it was, to such a share of their standard deviations, root mean square.
+_STEADY = 1e-3
 # Directions of a view with less than this share of its information are not measured by it.
 _RANK = 1e-10
 # Directions of a view that the others check with less than this share of its weight are not checked.
@@ -59,11 +61,23 @@ class ViewSums:
         """(V, q) by how much the numbers that measurements depend on are to change to fit each view best."""
         return _times(-_pseudo_inverse(self.core), self.slope)
 
-    def moved(self, step: Array) -> "ViewSums":
-        """The sums after steps (V, p) of poses and own unknowns, to first order in the residuals."""
-        change = _times(self.basis, step)
+    def where(self, keep: NDArray[np.bool_]) -> "ViewSums":
+        """Those of some of the views, a mask (V,)."""
+        parts = (self.core, self.slope, self.basis, self.square, self.held)
+        return ViewSums(*(part[keep] for part in parts), self.count[keep])
+
+    def squared(self, change: Array) -> Array:
+        """(V,) by how much residuals change, squared and summed, as the numbers do that they depend on (V, q)."""
+        return np.asarray(np.einsum("vi,vij,vj->v", change, self.core, change))
+
+    def moved(self, change: Array, basis: Array) -> "ViewSums":
+        """The sums after the numbers that measurements depend on have changed by (V, q), to first order in these.
+
+        Measurements keep the weights that they have; ``basis`` is the new one.
+        """
         slope = self.slope + _times(self.core, change)
-        return replace(self, slope=slope, square=self.square + np.sum(change * (self.slope + slope), axis=-1))
+        square = self.square + np.sum(change * (self.slope + slope), axis=-1)
+        return replace(self, slope=slope, square=square, basis=basis)
 
     def swayed(self, sway: Array) -> tuple[Array, Array, Array]:
         """The views' information, gradients and costs if each saw its board displaced by an unknown of its own.
@@ -101,14 +115,15 @@ def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewS
         fitted: (V, q) from sums, where the views are to be judged.
     """
     columns, residual = _columns(rows), rows.residual.ravel()
-    plain = sums = _plain_sums(columns, residual, rows, start)
+    count = np.diff(start, append=len(rows.residual)) * rows.residual.shape[1]
+    plain = sums = _plain_sums(columns, residual, rows.basis, count)
+    shift = fitted(sums)
     for _ in range(_REWEIGHTINGS):
-        shift = np.repeat(fitted(sums).T, sums.count, axis=1)
-        size = _sizes((residual + np.einsum("in,in->n", columns, shift)).reshape(rows.residual.shape))
-        outlying = np.flatnonzero(size > HUBER)
-        if not len(outlying):
+        off = residual + np.einsum("in,in->n", columns, np.repeat(shift.T, count, axis=1))
+        sums = _without_excess(plain, columns, residual, start, _sizes(off.reshape(rows.residual.shape)))
+        before, shift = shift, fitted(sums)
+        if np.all(plain.squared(shift - before) <= _STEADY**2 * count):
             break
-        sums = _without_excess(plain, rows, outlying, start, size[outlying])
     return sums
 
 
@@ -123,46 +138,46 @@ def _columns(rows: Rows) -> Array:
     return np.ascontiguousarray(rows.jacobian.reshape(-1, rows.jacobian.shape[-1]).T)
 
 
-def _plain_sums(columns: Array, residual: Array, rows: Rows, start: Index) -> ViewSums:
-    """Sums in which all measurements count in full."""
-    q, count = len(columns), np.diff(start, append=len(rows.residual)) * rows.residual.shape[1]
-    core, slope = np.empty((len(start), q, q)), np.empty((len(start), q))
+def _plain_sums(columns: Array, residual: Array, basis: Array, count: Index) -> ViewSums:
+    """Sums of derivatives (q, n) and residuals (n,), so many of each view, all of which count in full."""
+    q = len(columns)
+    core, slope = np.empty((len(count), q, q)), np.empty((len(count), q))
     for i in range(q):
         for j in range(i, q):
             core[:, i, j] = core[:, j, i] = _by_view(columns[i] * columns[j], count)
         slope[:, i] = _by_view(columns[i] * residual, count)
-    return ViewSums(core, slope, rows.basis, _by_view(residual**2, count), np.zeros(len(start)), count)
+    return ViewSums(core, slope, basis, _by_view(residual**2, count), np.zeros(len(count)), count)
+
+
+def _without_excess(plain: ViewSums, columns: Array, residual: Array, start: Index, size: Array) -> ViewSums:
+    """The sums with outliers weighed by ``HUBER / size`` instead of in full.
+
+    Args:
+        plain: in which all count in full.
+        columns: (q, N·k) derivatives.
+        residual: (N·k,).
+        start: (V,) where views begin.
+        size: (N,) how far off measurements are where they are judged.
+    """
+    outlying = np.flatnonzero(size > HUBER)
+    far, k = size[outlying], len(residual) // max(len(size), 1)
+    count = np.bincount(np.searchsorted(start, outlying, side="right") - 1, minlength=len(start))
+    numbers, root = (k * outlying[:, None] + np.arange(k)).ravel(), np.repeat(np.sqrt(1 - HUBER / far), k)
+    excess = _plain_sums(columns[:, numbers] * root, residual[numbers] * root, plain.basis, k * count)
+    return replace(
+        plain,
+        core=plain.core - excess.core,
+        slope=plain.slope - excess.slope,
+        square=plain.square - excess.square,
+        held=_by_view(0.5 * HUBER * (far - HUBER), count),
+    )
 
 
 def _by_view(numbers: Array, count: Index) -> Array:
-    """(V, ...) sums of so many numbers (N, ...) each."""
-    sums = np.zeros((len(count), *numbers.shape[1:]))
-    some = count > 0
-    sums[some] = np.add.reduceat(numbers, (np.cumsum(count) - count)[some], axis=0)
+    """(V,) sums of so many of the numbers (n,) each."""
+    sums, some = np.zeros(len(count)), count > 0
+    sums[some] = np.add.reduceat(numbers, (np.cumsum(count) - count)[some])
     return sums
-
-
-def _without_excess(sums: ViewSums, rows: Rows, outlying: Index, start: Index, size: Array) -> ViewSums:
-    """The sums with M measurements weighed by ``HUBER / size`` instead of in full.
-
-    Args:
-        sums: in which all count in full.
-        rows: of N measurements.
-        outlying: (M,) which of them, in ascending order.
-        start: (V,) where views begin.
-        size: (M,) how far off they are where they are judged.
-    """
-    view = np.searchsorted(start, outlying, side="right") - 1
-    count = np.bincount(view, minlength=len(start))
-    excess, J, r = 1 - HUBER / size, rows.jacobian[outlying], rows.residual[outlying]
-    Jt = excess[:, None, None] * np.swapaxes(J, -1, -2)
-    return replace(
-        sums,
-        core=sums.core - _by_view(Jt @ J, count),
-        slope=sums.slope - _by_view(_times(Jt, r), count),
-        square=sums.square - _by_view(excess * np.sum(r**2, axis=-1), count),
-        held=sums.held + _by_view(0.5 * HUBER * (size - HUBER), count),
-    )
 
 
 def _sizes(residual: Array) -> Array:

@@ -197,22 +197,36 @@ class Beams:
 
         Of the board's pose, ranges know the plane: they change by ``u @ (n dh - h dn) / (n @ u)²``.
         """
-        n, h, cosine = self._meet(T_sensor_board)
+        h, cosine = self._meet(T_sensor_board)
         # Column by column, as they are computed.
         columns = np.empty((3 + self.unknowns, len(self.ranges)))
         np.multiply(self.directions.T, 1 / (cosine**2 * self.sigma), out=columns[:3])
         columns[3:] = 1 / self.sigma
         residual = (np.repeat(h, self._counts) / cosine + own.sum() - self.ranges) / self.sigma
+        return Rows(residual[:, None], columns.T[:, None], self.basis(T_sensor_board))
+
+    def basis(self, T_sensor_board: Array) -> Array:
+        """(V, 3 + e, 6 + e): how ``n dh - h dn`` moves with the pose; then the sensor's own unknowns."""
+        n, h = _planes(T_sensor_board)
         basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
         basis[:, :3, :3] = n[:, :, None] * n[:, None]
         lever = np.cross(n, T_sensor_board[:, :3, 3])
         basis[:, :3, 3:6] = h[:, None, None] * so3.hat(n) + n[:, :, None] * lever[:, None]
         basis[:, 3:, 6:] = np.eye(self.unknowns)
-        return Rows(residual[:, None], columns.T[:, None], basis)
+        return basis
+
+    def change(self, T_before: Array, T_sensor_board: Array, own: Array) -> Array:
+        """(V, 3 + e) by how much ``n dh - h dn`` and own unknowns differ, the latter by (e,).
+
+        Ranges change by ``u @ (n dh - h dn)`` over both cosines, however large the step.
+        """
+        (n, h), (n_after, h_after) = _planes(T_before), _planes(T_sensor_board)
+        planes = n * (h_after - h)[:, None] - h[:, None] * (n_after - n)
+        return np.concatenate([planes, np.broadcast_to(own, (len(n), len(own)))], axis=-1)
 
     def weighed(self, T_sensor_board: Array, scale: float) -> "Beams":
         """See :class:`Views`: an error of the beam's direction counts the more, the flatter it meets the board."""
-        _, _, cosine = self._meet(T_sensor_board)
+        _, cosine = self._meet(T_sensor_board)
         tangent2 = np.maximum(1 / cosine**2 - 1, 0)
         sigma = scale * np.sqrt(self.noise.range**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
         return replace(self, sigma=sigma, scale=scale)
@@ -234,12 +248,17 @@ class Beams:
         """(V,) how many beams each view has."""
         return np.diff(self.start, append=len(self.ranges))
 
-    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array, Array]:
-        """Normals (V, 3) of the planes, their offsets along these (V,), and cosines (N,) of beams and normals."""
-        n = T_sensor_board[:, :3, 2]
-        h = np.sum(n * T_sensor_board[:, :3, 3], axis=-1)
+    def _meet(self, T_sensor_board: Array) -> tuple[Array, Array]:
+        """Offsets of the planes (V,), and cosines (N,) of beams and normals."""
+        n, h = _planes(T_sensor_board)
         cosine = np.einsum("in,in->n", self.directions.T, np.repeat(n.T, self._counts, axis=1))
-        return n, h, np.copysign(np.maximum(np.abs(cosine), _GRAZING), cosine)
+        return h, np.copysign(np.maximum(np.abs(cosine), _GRAZING), cosine)
+
+
+def _planes(T_sensor_board: Array) -> tuple[Array, Array]:
+    """Normals (V, 3) of boards, and their offsets along these (V,): ``n @ x = h``."""
+    n = T_sensor_board[:, :3, 2]
+    return n, np.sum(n * T_sensor_board[:, :3, 3], axis=-1)
 
 
 def relative(T_root_sensor: Array, T_root_board: Array) -> Array:

@@ -1,0 +1,60 @@
+"""Sums over views whose measurements are looked at one by one now and then, and that are moved along in between.
+
+A scanner's views have a hundred thousand beams, and a solver asks at a dozen states what they say. Near a state
+where every beam was looked at, the sums tell it: of a board ranges know the plane, and are almost linear in it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.refinement.rig.normal_equations import ViewSums, judged
+from calgraph.refinement.rig.views import Beams, Views
+
+# Sums are moved as long as, in every view, ranges change by less than this, root mean square, in standard
+# deviations,
+_SHIFT = 0.3
+# and the board turns by less than this, rad.
+_TURN = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """What one sensor's views say where their measurements were looked at."""
+
+    T_sensor_board: Array
+    """(V, 4, 4)."""
+    own: Array
+    """(e,) the sensor's own unknowns."""
+    sums: ViewSums
+
+    def moved(self, views: Views, T_sensor_board: Array, own: Array) -> ViewSums | None:
+        """The sums at other poses (V, 4, 4) and own unknowns (e,).
+
+        None if that is too far away, and of views other than beams, which have too few measurements to be spared.
+        """
+        if not isinstance(views, Beams):
+            return None
+        cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
+        change = views.change(self.T_sensor_board, T_sensor_board, own - self.own)
+        near = (self.sums.squared(change) <= _SHIFT**2 * self.sums.count) & (cosine >= 1 - _TURN**2 / 2)
+        return self.sums.moved(change, views.basis(T_sensor_board)) if np.all(near) else None
+
+    def where(self, keep: NDArray[np.bool_]) -> "Visit":
+        """The visit of some of the views, a mask (V,)."""
+        return Visit(self.T_sensor_board[keep], self.own, self.sums.where(keep))
+
+
+def visit(views: Views, T_sensor_board: Array, own: Array, sway: Array) -> Visit:
+    """Looks at every measurement of the views.
+
+    Args:
+        views: of one sensor.
+        T_sensor_board: (V, 4, 4) where.
+        own: (e,) the sensor's own unknowns.
+        sway: (6 + e,) variances of the displacement of one view, along the sensor's axes.
+    """
+    rows = views.linearize(T_sensor_board, own)
+    return Visit(T_sensor_board, own, judged(rows, views.start, sway))
