@@ -62,7 +62,8 @@ def _bars(values: Array) -> Figure:
     return figure(
         [bars, curve],
         showlegend=False, bargap=0, margin={"l": 44, "r": 8, "t": 6, "b": 36},
-        xaxis={**axis, "title": {"text": "residual / σ"}, "range": [-_LIMIT - _STEP, _LIMIT + _STEP], "dtick": 1},
+        xaxis={**axis, "title": {"text": "residual / σ"}, "range": [-_LIMIT - _STEP, _LIMIT + _STEP],
+               "tickvals": [-4, -2, 0, 2, 4]},
         yaxis={**axis, "rangemode": "tozero"},
     )  # fmt: skip
 
