@@ -97,9 +97,8 @@ def without_wrong_outlines(bundle: Bundle, solved: Solved) -> Bundle:
         growth, doubt = float(solved.state.own[own].sum()), float(spread[own].sum())
         why = ""
         if abs(growth) > _WRONG_SIZE and abs(growth) > _SURE * doubt:
-            why = (
-                f"on average {1000 * abs(growth):.0f} mm {'outside' if growth > 0 else 'inside'} the target's size"
-            )
+            where = "outside" if growth > 0 else "inside"
+            why = f"{1000 * abs(growth):.0f} mm {where} the target's size on average"
         elif outline.scale > _SHAPELESS:
             why = f"{outline.scale:.1f} times as far from its sides as their noise explains"
         if why:

@@ -1,0 +1,63 @@
+"""Sheets are laid where scanners saw them end; ends that are not those of such sheets are not used."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.detection import BoardCorners, Detection
+from calgraph.geometry import se3
+from calgraph.rig import Board
+from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs
+from seen_rigs import QUICK, seen
+
+FINE = QUICK.model_copy(
+    update={
+        "laser": LaserKnobs(count=1, resolution=0.5),
+        "multibeam": MultibeamKnobs(count=1, resolution=0.4),
+        "radii": (1.5, 2.2),
+    }
+)
+BLIND = FINE.model_copy(update={"camera": CameraKnobs(count=0)})
+
+
+def without_edges(_: str, detection: Detection) -> Detection:
+    if isinstance(detection, BoardCorners):
+        return detection
+    return replace(detection, edges=np.empty((0, 2, 3)))
+
+
+def test_without_cameras_sheets_lie_where_they_were_seen_to_end() -> None:
+    one = seen(BLIND)
+    adjusted = one.solved().adjusted
+    assert adjusted is not None
+    boards = {i: board.T_root_board for i, board in enumerate(one.truth.boards)}
+    T_truth = np.array([boards[int(capture)] for capture in adjusted.captures])
+    off = se3.inverse(T_truth) @ adjusted.solved.state.T_root_board
+    centers, turns = np.linalg.norm(off[:, :2, 3], axis=1), np.abs(off[:, 0, 1])
+    # Turned by half a turn a sheet looks the same; a few cannot be laid.
+    assert np.mean((centers < 0.01) & (turns < 0.02)) > 0.8
+
+
+def test_outlines_make_every_axis_surer() -> None:
+    one = seen(BLIND)
+    blunt = one.changed(without_edges)
+    with_edges, without = (np.diag(rig.solved().covariance["laser_front"]) for rig in (one, blunt))
+    assert np.all(with_edges < without)
+    assert np.sqrt(np.prod(with_edges / without)) < 0.5
+
+
+def test_sheets_of_another_size_than_stated_are_named_and_bend_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    one = seen(FINE)
+    blunt = one.changed(without_edges).solved()
+    board = one.rig.boards[0]
+    large = Board.model_validate({**board.model_dump(), "size": (board.size[0] + 0.08, board.size[1] + 0.08)})
+    wrong = replace(one, rig=one.rig.model_copy(update={"target": large}))
+    with caplog.at_level(logging.WARNING):
+        joint = wrong.solved()
+    assert "lidar sees the board's edges 40 mm inside the target's size on average" in caplog.text
+    # Sway is relative to the stated size, too: nothing else differs.
+    for name in ("camera", "laser_front"):
+        error = se3.difference(joint.T_root_sensor[name], blunt.T_root_sensor[name])
+        assert np.all(np.abs(error) < 0.2 * np.sqrt(np.diag(blunt.covariance[name])))
