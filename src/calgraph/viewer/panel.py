@@ -135,16 +135,21 @@ class Panel:
         self.coloring.on_update(lambda _: self.refresh())
         factors = {("none" if f == 0 else f"× {f}"): f for f in EXAGGERATIONS}
         uncertainty = self._gui.add_dropdown("95 % ellipsoids", list(factors), initial_value="none")
-        uncertainty.on_update(lambda _: self._stage.show_uncertainty(factors[uncertainty.value]))
+        uncertainty.on_update(lambda _: self._change(self._stage.show_uncertainty, factors[uncertainty.value]))
         points = self._gui.add_slider("points, mm", 2, 60, 1, 35 if network else 12)
-        points.on_update(lambda _: self._stage.show_points(points.value / 1000))
+        points.on_update(lambda _: self._change(self._stage.show_points, points.value / 1000))
         for layer in LAYERS:
             if (layer == "walks") <= network and (layer in ("camera views", "boards", "beams")) <= (not network):
                 self._add_toggle(layer, partial(self._stage.show_layer, layer))
 
     def _add_toggle(self, words: str, show: Callable[[bool], None]) -> None:
         box = self._gui.add_checkbox(words, True)
-        box.on_update(lambda _: show(box.value))
+        box.on_update(lambda _: self._change(show, box.value))
+
+    def _change(self, show: Callable[[Any], None], value: bool | float) -> None:
+        """Shows something else: one after the other, as controls call from threads of their own."""
+        with self._changing:
+            show(value)
 
     def _in_words(self, choice: Choice) -> str:
         """What is shown, and how well it fits."""
