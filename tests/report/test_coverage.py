@@ -93,6 +93,15 @@ def test_a_network_tells_where_people_walked(network: Calibration, network_rig: 
     assert "Somebody walked 2.0 to 5.5 m away." in said
 
 
+def test_numbers_that_are_none_are_not_counted(calibration: Calibration, rig: Rig) -> None:
+    gaps = np.where(np.arange(240)[:, None] % 2, around(-60, 60, 2.0), np.nan)
+    seen = with_views(calibration, "laser", gaps, np.full((3, 3), np.inf), np.empty((0, 3)))
+    found = coverage(seen, rig, calibration["laser"])
+    assert found is not None
+    assert found.counts.max() == 1
+    assert "2.0 to 2.0 m away" in " ".join(found.remarks)
+
+
 def test_nothing_known_is_said(bare: Calibration, rig: Rig) -> None:
     assert "is not part of this result" in coverages(bare, rig, BOARD)
 

@@ -1,6 +1,6 @@
 """Which part of each sensor's field of view the target was in, and in words what is missing."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -61,23 +61,29 @@ def coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage
 
 def _seen(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """What was used of what the sensor saw of boards: of all, if it has no part in the solution."""
-    own = [view for view in calibration.board_views if view.sensor == sensor.name and len(view.seen)]
-    return [view.seen for view in own if view.used] or [view.seen for view in own]
+    own = [view for view in calibration.board_views if view.sensor == sensor.name]
+    return _finite(view.seen for view in own if view.used) or _finite(view.seen for view in own)
 
 
 def _field(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    own = [s.points for s in calibration.snapshots if s.sensor == sensor.name and len(s.points)]
-    return [points.astype(np.float64) for points in own]
+    return _finite(s.points.astype(np.float64) for s in calibration.snapshots if s.sensor == sensor.name)
 
 
 def _walks(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """Where a scanner of a network saw people, in its frame."""
     views = [view for view in calibration.floor if view.sensor == sensor.name]
-    return [_in_sensor(walk, sensor) for view in views for walk in view.walks if len(walk)]
+    return _finite(_in_sensor(walk, sensor) for view in views for walk in view.walks)
 
 
 def _background(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    return [_in_sensor(view.background, sensor) for view in calibration.floor if view.sensor == sensor.name]
+    views = [view for view in calibration.floor if view.sensor == sensor.name]
+    return _finite(_in_sensor(view.background, sensor) for view in views)
+
+
+def _finite(seen: Iterable[Array]) -> list[Array]:
+    """The finite ones of points (N, k) each, where there are any."""
+    finite = (points[np.isfinite(points).all(axis=1)] for points in seen)
+    return [points for points in finite if len(points)]
 
 
 def _in_sensor(points: Array, sensor: SensorPose) -> Array:
