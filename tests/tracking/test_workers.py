@@ -1,13 +1,10 @@
 """Scanners followed by several processes."""
 
 import multiprocessing
-import os
-import signal
 from collections.abc import Mapping, Sequence
 
 import pytest
 
-from calgraph.errors import CalibrationError, InputError
 from calgraph.rig import People, RangeNoise
 from calgraph.tracking import ScanRun, Tracked, Untracked, in_runs, track_scanners, workers
 from walking_scenes import World, along, circling
@@ -65,29 +62,3 @@ def test_progress_is_told_of_every_scanner(scans: dict[str, Sequence[ScanRun]]) 
 def test_no_process_is_left_behind(scans: dict[str, Sequence[ScanRun]]) -> None:
     followed(scans, 2)
     assert multiprocessing.active_children() == []
-
-
-def refused(*_arguments: object) -> Untracked:
-    raise InputError("sensors.one: is upside down")
-
-
-def killed(*_arguments: object) -> Untracked:
-    os.kill(os.getpid(), signal.SIGKILL)
-    return Untracked("never said")
-
-
-def test_an_error_keeps_its_kind_and_words(
-    scans: dict[str, Sequence[ScanRun]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(workers, "track_runs", refused)
-    with pytest.raises(InputError, match=r"^sensors\.one: is upside down$"):
-        followed(scans, 2)
-    assert multiprocessing.active_children() == []
-
-
-def test_a_process_that_is_killed_is_said(
-    scans: dict[str, Sequence[ScanRun]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(workers, "track_runs", killed)
-    with pytest.raises(CalibrationError, match=r"killed.*--jobs 1"):
-        followed(scans, 2)

@@ -73,7 +73,12 @@ def calibrate_tracks(
     tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
     depth = DEPTHS[options.feature]
     pairs = estimate_network_pairs(
-        tracked, rng, icp=options.icp, depth=depth, progress=lambda done: progress("pairing", done)
+        tracked,
+        rng,
+        icp=options.icp,
+        depth=depth,
+        jobs=options.jobs,
+        progress=lambda done: progress("pairing", done),
     )
     known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
     graph, names = network_graph(rig.root, known)

@@ -7,7 +7,7 @@ import typer
 
 JobsOption = Annotated[
     int | None,
-    typer.Option("--jobs", min=1, help="People: follow them in so many processes; as many as cores if left out."),
+    typer.Option("--jobs", min=1, help="People: share the work among so many processes; all cores if left out."),
 ]
 
 

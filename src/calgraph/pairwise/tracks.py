@@ -17,6 +17,7 @@ from calgraph.geometry import Array, se2
 from calgraph.pairwise import icp as scan_matching
 from calgraph.pairwise.agreement import DEPTH, GATE, Agreement, agree, costs, information
 from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
+from calgraph.processes import side_by_side
 from calgraph.tracking import Tracked
 
 # Two walks are compared in stretches of so many ticks, and as a whole: a stretch outlives a confusion of people.
@@ -47,6 +48,8 @@ _SHARE = 0.4
 # A scanner sees people at a place if it saw them so often within this distance of it, m.
 _SEEN_HERE = 0.4
 _SEEN_TIMES = 3
+# Fewer pairs than these are judged before other processes have begun.
+_WORTHWHILE = 6
 # Positions at most that are asked for their neighbours.
 _ASKED = 300
 
@@ -97,6 +100,7 @@ def estimate_network_pairs(
     *,
     icp: bool = True,
     depth: float = DEPTH,
+    jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], TrackPair | Rejected]:
     """Estimates the relative pose of every pair of scanners, as :func:`estimate_network_pair` does.
@@ -107,15 +111,19 @@ def estimate_network_pairs(
         icp: whether to match the static background, too.
         depth: distance (m) of objects' true centres from those that tracks show, along the beam, standard
             deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
+        jobs: processes at most, see :func:`calgraph.processes.side_by_side`; the result does not depend on it.
         progress: told how much is done, 0..1.
     """
     samples = {name: sample(known) for name, known in tracked.items()}
+    still = {name: replace(known, tracks=()) for name, known in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
-    pairs: dict[tuple[str, str], TrackPair | Rejected] = {}
-    for done, (a, b) in enumerate(names, start=1):
-        pairs[a, b] = _estimate(a, b, samples[a], samples[b], tracked[a], tracked[b], rng, icp, depth)
-        progress(done / len(names))
-    return pairs
+    # Random numbers are drawn here, pair by pair, whoever judges then what they propose.
+    work = [
+        (a, b, samples[a], samples[b], still[a], still[b], _proposed(samples[a], samples[b], rng), icp, depth)
+        for a, b in names
+    ]
+    found = side_by_side(_judged, work, jobs if len(work) >= _WORTHWHILE else 1, progress)
+    return dict(zip(names, found, strict=True))
 
 
 def estimate_network_pair(
@@ -143,20 +151,12 @@ def estimate_network_pair(
     Returns:
         The best few hypotheses, or the reason why there is none.
     """
-    return _estimate(name_a, name_b, sample(a), sample(b), a, b, rng, icp, depth)
+    of_a, of_b = sample(a), sample(b)
+    return _judged(name_a, name_b, of_a, of_b, a, b, _proposed(of_a, of_b, rng), icp, depth)
 
 
-def _estimate(
-    name_a: str,
-    name_b: str,
-    a: Samples,
-    b: Samples,
-    tracked_a: Tracked,
-    tracked_b: Tracked,
-    rng: np.random.Generator,
-    icp: bool,
-    depth: float,
-) -> TrackPair | Rejected:
+def _proposed(a: Samples, b: Samples, rng: np.random.Generator) -> Array | Rejected:
+    """Poses (K, 3, 3) to be judged."""
     met = meetings(a, b)
     seconds = len(np.unique(a.tick[met.row_a])) * TICK
     if seconds < _ENOUGH * TICK:
@@ -164,6 +164,24 @@ def _estimate(
     guesses = _guesses(met, rng)
     if not len(guesses):
         return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
+    return guesses
+
+
+def _judged(
+    name_a: str,
+    name_b: str,
+    a: Samples,
+    b: Samples,
+    tracked_a: Tracked,
+    tracked_b: Tracked,
+    guesses: Array | Rejected,
+    icp: bool,
+    depth: float,
+) -> TrackPair | Rejected:
+    """The hypotheses that some guesses lead to; of what is tracked, static backgrounds matter."""
+    if isinstance(guesses, Rejected):
+        return guesses
+    met = meetings(a, b)
     coarse, fine = _thinned(met, _COARSE), _thinned(met, _FINE)
     guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
     found = [fit for T in guesses if (fit := agree(T, coarse, depth=depth, steps=3)) is not None]
