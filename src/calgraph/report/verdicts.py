@@ -39,8 +39,9 @@ def cards(calibration: Calibration, words: Words) -> str:
         key=lambda sensor: order[sensor.verdict.grade],
     )
     advice = words.advice
+    lost = advice["unconnected"]
     shown = [
-        *(_card("unconnected", name, "no pose", why or advice["unconnected"])
+        *(_card("unconnected", name, "no pose", f"{why}. {lost}" if why else lost)
           for name, why in calibration.unconnected.items()),
         *(_card(s.verdict.grade, s.name, _facts(s), s.verdict.reason or advice.get(s.verdict.grade, ""))
           for s in sensors),
