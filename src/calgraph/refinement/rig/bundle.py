@@ -194,13 +194,13 @@ class Solved:
     converged: bool
 
 
-def linearize(bundle: Bundle, state: State, near: Sequence[Visit] = ()) -> System:
+def linearize(bundle: Bundle, state: State, near: Sequence[Visit | None] = ()) -> System:
     """The normal equations at a state.
 
     Args:
         bundle: the measurements.
         state: where.
-        near: (K,) visits of the same views: of those near enough, measurements are not looked at again.
+        near: (K,) visits of the same views, if there are: near enough, measurements are not looked at again.
     """
     size, boards = bundle.size, len(state.T_root_board)
     cost, H, g = _believed(bundle, state)
@@ -209,8 +209,9 @@ def linearize(bundle: Bundle, state: State, near: Sequence[Visit] = ()) -> Syste
     for k, views in enumerate(bundle.all_views):
         T_root_board, sway, own = state.T_root_board[views.board], bundle.swaying(k), state.own[bundle.own(k)]
         T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], T_root_board)
-        sums = near[k].moved(views, T_sensor_board, own) if near else None
-        visits.append(near[k] if sums else visit(views, T_sensor_board, own, sway))
+        before = near[k] if near else None
+        sums = before.moved(views, T_sensor_board, own) if before else None
+        visits.append(before if before and sums else visit(views, T_sensor_board, own, sway))
         A, b, costs = (sums or visits[k].sums).swayed(sway)
         by_sensor, by_board = _chain(bundle, state, bundle.seer(k), T_root_board, views.unknowns)
         equations.append(ViewEquations(A, b, by_sensor, by_board))
@@ -229,14 +230,14 @@ def linearize(bundle: Bundle, state: State, near: Sequence[Visit] = ()) -> Syste
     return System(cost, tuple(equations), H, g, H_board, g_board, coupling, tuple(visits), exact)
 
 
-def solve(bundle: Bundle, state: State, near: Sequence[Visit] = (), *, iterations: int = 50) -> Solved:
+def solve(bundle: Bundle, state: State, near: Sequence[Visit | None] = (), *, iterations: int = 50) -> Solved:
     """Minimises the robust cost of all views and priors.
 
     Args:
         bundle: the measurements.
         state: start values.
-        near: (K,) visits of the same views near the solution: where views stay near, these are believed. Without,
-            every measurement is looked at where the solver stops.
+        near: (K,) visits of the same views, if there are, near the solution: where views stay near, these are
+            believed. Without, every measurement is looked at where the solver stops.
         iterations: steps at most, rejected ones included.
 
     Raises:

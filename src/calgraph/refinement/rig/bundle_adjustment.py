@@ -180,7 +180,9 @@ def _settled(bundle: Bundle, solved: Solved, rounds: int) -> tuple[Bundle, Solve
         rejected |= wrong
         if _alike(before, bundle):
             break
-        solved = solve(bundle, solved.state, iterations=_STEPS)
+        kept = zip(solved.system.visits, before.all_views, bundle.all_views, strict=True)
+        near = [at if views is was else None for at, was, views in kept]
+        solved = solve(bundle, solved.state, near, iterations=_STEPS)
     return bundle, solved, rejected
 
 

@@ -12,6 +12,8 @@ from calgraph.refinement.rig.bundle import Bundle, State, System, view_spreads
 from calgraph.refinement.rig.normal_equations import huber_scatter, misfit, summed
 from calgraph.refinement.rig.views import relative
 
+# Noise that has changed by less than this share has not changed.
+_SAME = 1e-3
 # How firmly the stated noise is believed, in measured numbers.
 _FIRM = 10
 # By which share of its Fisher information each sway holds on to what it is.
@@ -31,7 +33,7 @@ def with_measured_noise(bundle: Bundle, state: State) -> Bundle:
         squares, freedom = summed(rows, own.start).scatter()
         squared = squares.sum() / huber_scatter(rows.residual.shape[1]) * own.scale**2
         scale = float(np.sqrt((squared + _FIRM) / (freedom.sum() + _FIRM)))
-        views.append(own.weighed(T_sensor_board, scale))
+        views.append(own if abs(scale / own.scale - 1) < _SAME else own.weighed(T_sensor_board, scale))
     return bundle.with_views(views)
 
 
