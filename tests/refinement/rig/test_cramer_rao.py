@@ -1,6 +1,7 @@
 """The Cramér–Rao bound against one computed apart from it: by numerical derivatives, and with dense matrices."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,11 +69,24 @@ def derivatives(
     return central(*sensors), central(*boards)
 
 
+def without_edges(captured: Captured) -> Captured:
+    """What the numbers above know of: planes and prints, not where sheets end."""
+    blunt = {
+        name: {
+            capture: tuple(d if isinstance(d, BoardCorners) else replace(d, edges=d.edges[:0]) for d in found)
+            for capture, found in by_capture.items()
+        }
+        for name, by_capture in captured.detections.items()
+    }
+    return replace(captured, detections=blunt)
+
+
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])
 def test_bound_is_that_of_numerical_derivatives(model: str) -> None:
     camera = CameraKnobs.model_validate({"model": model, "width": 640, "height": 480, "texels_per_mm": 0.5})
     stage = set_stage(RigScenario(camera=camera, samples=1), 3)
     rig, captured, truth = simulate_detections(stage, 0)
+    captured = without_edges(captured)
     T_root_sensor = {rig.root: np.eye(4), **truth.T_root_sensor}
     T_root_board = {i: board.T_root_board for i, board in enumerate(truth.boards)}
     bound = cramer_rao(rig, captured, T_root_sensor, T_root_board)
