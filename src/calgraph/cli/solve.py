@@ -36,7 +36,8 @@ def solve(
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
 
-    Writes the same files as calibrate into OUT; with the same options and on the same machine, to the last bit.
+    Writes the same files as calibrate into OUT; with the same options and on the same machine, to the last bit,
+    but for images, scans and clouds, of which there are none.
 
     Exit codes are those of calibrate.
     """
