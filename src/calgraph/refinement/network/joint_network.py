@@ -48,6 +48,9 @@ _GRAZING = 0.35
 _NORMAL = 1.4826
 # By how much paths and sizes are off in the beginning, round after round, m.
 _ROUGH = (0.05, 0.02)
+# Arms are before a torso or beside it, never behind. While paths are rough, beams that end before the outline are
+# out of it so many times sooner; an outline that took arms in once would keep them.
+_BEFORE = 2.5
 # A body's place strays from its smooth path by so much to begin with, m; and its heading, rad.
 _SWAY, _TWIST = 0.005, 0.05
 # Nobody is an ellipse to better than this, m.
@@ -135,18 +138,19 @@ def solve_network(
     scanners = network.sigma
     network = replace(network, walls=_bridging(network, (), edges))
     for rough in _ROUGH:
-        blurred = _with_beams(replace(network, sigma=np.hypot(network.sigma, rough)), state)
+        blurred = _with_beams(replace(network, sigma=np.hypot(network.sigma, rough)), state, _BEFORE)
         state, _ = solve(blurred, state, iterations=_STEPS)
         state = with_best_headings(blurred, state)
+    measured = np.inf
     for _ in range(_ROUNDS):
-        before = network.sway[0]
         network = _with_beams(_with_noise(network, state, scanners), state)
         network = _with_sway(network, state)
         walls = _walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
         state, system = solve(network, state, iterations=_STEPS)
-        if abs(network.sway[0] / before - 1) < _SETTLED:
+        if abs(network.sway[0] / measured - 1) < _SETTLED:
             break
+        measured = network.sway[0]
     return JointNetwork(
         state.T_root_scanner,
         state.offset,
@@ -223,21 +227,27 @@ def _first_motion(walker: Walker, target: People | Cylinder, T_root_scanner: Arr
     return Motion(np.column_stack([path, heading]), _radii(target))
 
 
-def _with_beams(network: Network, state: State) -> Network:
-    """The network with weights of beams: none where they do not meet their body well, or are not of it."""
+def _with_beams(network: Network, state: State, before: float = 1.0) -> Network:
+    """The network with weights of beams: none where they do not meet their body well, or are not of it.
+
+    ``before`` as in :func:`robust_weights`.
+    """
     bodies = []
     for body, motion in zip(network.bodies, state.motions, strict=True):
-        glimpses = tuple(replace(one, weight=_weight(network, state, body, motion, one)) for one in body.glimpses)
+        glimpses = tuple(
+            replace(one, weight=_weight(network, state, body, motion, one, before)) for one in body.glimpses
+        )
         bodies.append(replace(body, glimpses=glimpses))
     return replace(network, bodies=tuple(bodies))
 
 
-def _weight(network: Network, state: State, body: Body, motion: Motion, one: Glimpses) -> Array:
+def _weight(network: Network, state: State, body: Body, motion: Motion, one: Glimpses, before: float) -> Array:
     """(N,)."""
     _, _, pose, rate = along(state, body, motion, one)
     hits = outlines(state, motion, one, pose, rate)
     used = hits.incidence > _GRAZING
-    return robust_weights(*residuals(network, one, hits), used, one.start, network.sway[[0, 0, 1]])
+    residual, _ = residuals(network, one, hits)
+    return robust_weights(residual, used, before)
 
 
 def _with_noise(network: Network, state: State, sigma: Array) -> Network:

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
 
-# Times that outlying beams are judged anew about where their scan then has the body.
-_REWEIGHTINGS = 2
 # Beams farther off than so many standard deviations are of arms, or of somebody else (Beaton and Tukey, 1974). The
 # textbook's 4.685 would lose less of Gaussian noise, but takes arms that swing by for the torso.
 _TUKEY = 2.5
@@ -47,10 +45,6 @@ class Scans:
             self.cost - 0.5 * np.sum(b[:, :3] * shift[..., 0], axis=-1),
         )
 
-    def shift(self, sway: Array) -> Array:
-        """(V, 3) minus the likeliest displacement of the body's pose."""
-        return np.asarray((self._displaced(sway) @ self.gradient[:, :3, None])[..., 0])
-
     def _displaced(self, sway: Array) -> Array:
         """(V, 3, 3) covariance of the displacement, the path being as it is."""
         return _inverse3(self.information[:, :3, :3] + np.diag(1 / sway))
@@ -67,26 +61,19 @@ def summed(residual: Array, jacobian: Array, weight: Array, start: Index) -> Sca
     return Scans(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
 
 
-def robust_weights(residual: Array, jacobian: Array, used: NDArray[np.bool_], start: Index, sway: Array) -> Array:
+def robust_weights(residual: Array, used: NDArray[np.bool_], before: float = 1.0) -> Array:
     """(N,) how much each beam counts: the less, the farther off, and nothing beyond what noise explains (Tukey).
 
-    Where a scan sees its body displaced as a whole, all of its beams are off, and none of them is wrong: beams are
-    judged about where their own scan has the body.
+    Beams are judged about where the path has the body. Were each scan to say first where it sees the body, arms
+    would pass for a body that is displaced.
 
     Args:
-        residual: (N,) whitened.
-        jacobian: (N, 5).
+        residual: (N,) whitened, positive for beams that end before the outline.
         used: (N,) whether a beam counts at all.
-        start: (V,) where scans begin.
-        sway: (3,) variances of the displacement.
+        before: by how much nearer the limit is for beams that end before the outline than for those behind it.
     """
-    weight = used.astype(np.float64)
-    view = np.repeat(np.arange(len(start)), np.diff(start, append=len(residual)))
-    for _ in range(_REWEIGHTINGS):
-        shift = summed(residual, jacobian, weight, start).shift(sway)
-        about = residual - np.sum(jacobian.T[:3] * shift.T[:, view], axis=0)
-        weight = used * np.maximum(1 - (about / _TUKEY) ** 2, 0) ** 2
-    return weight
+    off = np.where(residual > 0, residual * before, residual) / _TUKEY
+    return np.asarray(used * np.maximum(1 - off**2, 0) ** 2)
 
 
 def _inverse3(A: Array) -> Array:
