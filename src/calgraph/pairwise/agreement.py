@@ -130,7 +130,7 @@ def _differences(T: Array, nuisance: Array, x_a: Array, x_b: Array, v_b: Array) 
     """(M, 2) from what a saw to what b saw, in a's frame, clocks and depths put right; all arrays (M, 2)."""
     late, behind_a, behind_b = nuisance
     seen_by_b = x_b + late * v_b + behind_b * _unit(x_b)
-    return se2.apply(T, seen_by_b) - (x_a + behind_a * _unit(x_a))
+    return np.asarray(se2.apply(T, seen_by_b) - (x_a + behind_a * _unit(x_a)))
 
 
 def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array, depth: float) -> tuple[Array, Array]:
