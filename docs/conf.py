@@ -30,6 +30,7 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = "calgraph"
 html_static_path = ["_static"]
+templates_path = ["_templates"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_math_renderer = "mathml"

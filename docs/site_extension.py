@@ -1,8 +1,9 @@
-"""What the site needs beside Sphinx: formulas without scripts, and plotly's figures in the gallery.
+"""What the site needs beside Sphinx: formulas without scripts, signatures to be read, figures in the gallery.
 
 Formulas become MathML while the site is built, and plotly's script is part of the site: pages work offline.
 """
 
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ _SHOWN = "figure"
 def setup(app: Sphinx) -> dict[str, bool]:
     """Registers everything with Sphinx."""
     app.add_html_math_renderer("mathml", (_inline_formula, None), (_formula, None))
-    app.add_js_file(_SCRIPT)
+    app.connect("autodoc-process-signature", _fields_say_it)
     app.connect("build-finished", _write_script)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -36,6 +37,14 @@ def _formula(writer: HTML5Translator, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _fields_say_it(
+    _app: Sphinx, _what: str, _name: str, documented: Any, _options: Any, signature: str, returned: str
+) -> tuple[str, str]:
+    """No signature for classes that are made of their fields, which are listed below it with their types."""
+    fields = isinstance(documented, type) and (is_dataclass(documented) or hasattr(documented, "model_fields"))
+    return ("", "") if fields else (signature, returned)
+
+
 def _write_script(app: Sphinx, error: Exception | None) -> None:
     if error is None:
         (Path(app.outdir) / "_static" / _SCRIPT).write_text(get_plotlyjs(), encoding="utf-8")
@@ -46,6 +55,7 @@ def figure_scraper(block: Any, block_vars: dict[str, Any], _gallery_conf: dict[s
     figure = block_vars["example_globals"].get(_SHOWN)
     if not isinstance(figure, go.Figure) or block[1].strip().splitlines()[-1] != _SHOWN:
         return ""
-    html = figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False})
+    script = f"../_static/{_SCRIPT}"
+    html = figure.to_html(full_html=False, include_plotlyjs=script, config={"displayModeBar": False})
     indented = "\n".join(f"    {line}" for line in html.splitlines())
     return f"\n.. raw:: html\n\n{indented}\n\n"

@@ -5,6 +5,8 @@ Fusing a cloud: points in the colours of the camera
 Once poses are known, every point has a place in the camera's image, and takes its colour from there.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/example_fuse.png'
+
 # %%
 # A calibrated rig, and one more moment of it
 # -------------------------------------------

@@ -5,6 +5,8 @@ A network of scanners, from people walking through
 Five 2-D scanners in an L-shaped lab, half a minute of scans at hand as arrays, and no recording.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/example_network.png'
+
 # %%
 # Scans
 # -----

@@ -6,6 +6,8 @@ If your program already finds the board (corners in images, points in clouds, be
 the arrays.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/recording_places.svg'
+
 # %%
 # The rig
 # -------

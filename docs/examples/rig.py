@@ -5,6 +5,8 @@ A rig, from a recording to its poses
 Simulates the recording of a robot with a camera, a 2-D scanner and a LiDAR, calibrates it and reads the result.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/example_rig.png'
+
 # %%
 # A recording
 # -----------

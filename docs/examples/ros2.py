@@ -5,6 +5,8 @@ Reading the result in ROS 2
 The tree of transforms as a launch file, as tf, and as URDF. No ROS is needed to write them, nor to run this page.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/example_rig.png'
+
 # %%
 # A result
 # --------
