@@ -20,7 +20,7 @@ BOARD = np.array([-np.cos(0.3), -np.sin(0.3), 0.0, 2.0])
 def on_board(rng: np.random.Generator, directions: Array, sigma: float) -> Array:
     """Where beams end on BOARD, with noise along them."""
     ranges = -BOARD[3] / (directions @ BOARD[:3]) + rng.normal(0, sigma, len(directions))
-    return ranges[:, None] * directions
+    return np.asarray(ranges[:, None] * directions)
 
 
 def fan(first: float, last: float, count: int) -> Array:
