@@ -12,6 +12,9 @@ from calgraph.refinement.network.trajectories import Body, Motion, Network, Stat
 
 # Two steps of a walk, s.
 _STRIDE = 1.0
+# Beams count the less the farther they are off (Tukey, at 2.5 standard deviations). Of normal ones, the weights
+# mean 0.755, and what they pull by has a mean square of 0.248: so much less than its information does a scan pull.
+_PULLED = 0.248 / 0.755
 
 
 def contradiction(network: Network, state: State) -> float:
@@ -21,7 +24,7 @@ def contradiction(network: Network, state: State) -> float:
     """
     each = [_of_body(network, state, *own) for own in zip(network.bodies, state.motions, strict=True)]
     shown, explained = np.sum([np.zeros(2), *each], axis=0)
-    return float(shown / explained) if explained > 0 else 1.0
+    return float(shown / (_PULLED * explained)) if explained > 0 else 1.0
 
 
 def _of_body(network: Network, state: State, body: Body, motion: Motion) -> Array:
