@@ -63,8 +63,14 @@ class ViewSums:
 
     def where(self, keep: NDArray[np.bool_]) -> "ViewSums":
         """Those of some of the views, a mask (V,)."""
-        parts = (self.core, self.slope, self.basis, self.square, self.held)
-        return ViewSums(*(part[keep] for part in parts), self.count[keep])
+        return ViewSums(
+            self.core[keep],
+            self.slope[keep],
+            self.basis[keep],
+            self.square[keep],
+            self.held[keep],
+            self.count[keep],
+        )
 
     def squared(self, change: Array) -> Array:
         """(V,) by how much residuals change, squared and summed, as the numbers do that they depend on (V, q)."""
