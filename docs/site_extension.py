@@ -17,12 +17,17 @@ from sphinx.writers.html5 import HTML5Translator
 _SCRIPT = "plotly.min.js"
 _SHOWN = "figure"
 """Examples show what they drew by ending a block in this name."""
+_FIELDS = ("attribute", "data", "property")
+_COLON = "\ue000"
+"""Stands for a colon, from the range of characters that mean nothing."""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Registers everything with Sphinx."""
     app.add_html_math_renderer("mathml", (_inline_formula, None), (_formula, None))
     app.connect("autodoc-process-signature", _fields_say_it)
+    app.connect("autodoc-process-docstring", _colons_hidden, priority=400)
+    app.connect("autodoc-process-docstring", _colons_back, priority=600)
     app.connect("build-finished", _write_script)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -43,6 +48,17 @@ def _fields_say_it(
     """No signature for classes that are made of their fields, which are listed below it with their types."""
     fields = isinstance(documented, type) and (is_dataclass(documented) or hasattr(documented, "model_fields"))
     return ("", "") if fields else (signature, returned)
+
+
+def _colons_hidden(_app: Sphinx, what: str, _name: str, _of: Any, _options: Any, lines: list[str]) -> None:
+    """Keeps napoleon, which comes next, from taking what is before a colon in a field's docstring for its type."""
+    if what in _FIELDS:
+        lines[:] = [line.replace(":", _COLON) for line in lines]
+
+
+def _colons_back(_app: Sphinx, what: str, _name: str, _of: Any, _options: Any, lines: list[str]) -> None:
+    if what in _FIELDS:
+        lines[:] = [line.replace(_COLON, ":") for line in lines]
 
 
 def _write_script(app: Sphinx, error: Exception | None) -> None:
