@@ -70,7 +70,9 @@ def solve_bundle(
     bundle, solved, rejected = _settled(bundle, solve(bundle, state), _ROUNDS)
     # Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
     bundle, state = with_outlines(bundle, solved.state, rig, captured.detections, boards, _SWAY**2)
-    bundle, solved, more = _settled(bundle, solve(bundle, state, iterations=_STEPS), _OUTLINE_ROUNDS)
+    near = (*solved.system.visits, *[None] * len(bundle.outlines))
+    solved = solve(bundle, state, near, iterations=_STEPS)
+    bundle, solved, more = _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
     rejected |= more
     bundle = without_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
@@ -169,13 +171,18 @@ def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) 
     return Beams.of(indices, surfaces, spec.noise)
 
 
-def _settled(bundle: Bundle, solved: Solved, rounds: int) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
-    """The bundle with its noise and sway measured and wrong views left out; and those, by board and sensor."""
+def _settled(
+    bundle: Bundle, solved: Solved, rounds: int, first: int = 0
+) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
+    """The bundle with its noise and sway measured and wrong views left out; and those, by board and sensor.
+
+    Noise is measured of the views from the first on: what others scatter about their own boards does not change.
+    """
     rejected: set[tuple[int, str]] = set()
     seen = np.array([len(views.board) for views in bundle.all_views])
     for _ in range(rounds):
         before = bundle
-        bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
+        bundle = with_measured_sway(with_measured_noise(bundle, solved.state, first), solved.system)
         bundle, wrong = _without_wrong(bundle, solved, seen)
         rejected |= wrong
         if _alike(before, bundle):

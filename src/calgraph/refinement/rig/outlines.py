@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calgraph.detection import PlanePatch, Segment
 from calgraph.detection.sheet_edges import BLUR
 from calgraph.geometry import Array, Index, se3
-from calgraph.refinement.rig.views import Rows, selected, starts, view_of
+from calgraph.refinement.rig.views import Rows, selected, starts, step, view_of
 
 # Beams that are farther apart on the board than this, m, say too little of where it ends.
 _COARSE = 0.05
@@ -90,13 +90,21 @@ class Outline:
             slide * y, -slide * x, n[:, 0] * y - n[:, 1] * x,
             *[-np.ones_like(x)] * self.unknowns,
         ])  # fmt: skip
+        sigma = self.sigma[used, None]
+        return Rows(distance[:, None] / sigma, by_board[:, None] / sigma[..., None], self.basis(T_sensor_board))
+
+    def basis(self, T_sensor_board: Array) -> Array:
+        """See :class:`Views`: the pose along the board's axes."""
         size = 6 + self.unknowns
         basis = np.zeros((len(self.board), size, size))
-        axes = np.swapaxes(T_sensor_board[:, :3, :3], -1, -2)
-        basis[:, :3, :3] = basis[:, 3:6, 3:6] = axes
+        basis[:, :3, :3] = basis[:, 3:6, 3:6] = np.swapaxes(T_sensor_board[:, :3, :3], -1, -2)
         basis[:, 6:, 6:] = np.eye(self.unknowns)
-        sigma = self.sigma[used, None]
-        return Rows(distance[:, None] / sigma, by_board[:, None] / sigma[..., None], basis)
+        return basis
+
+    def change(self, T_before: Array, T_sensor_board: Array, own: Array) -> Array:
+        """See :class:`Views`."""
+        along_sensor = step(T_before, T_sensor_board, own)[..., None]
+        return np.asarray((self.basis(T_before) @ along_sensor)[..., 0])
 
     def weighed(self, T_sensor_board: Array, scale: float) -> "Outline":
         """See :class:`Views`: the outline is anywhere between the two beams, and no sharper than beams are."""

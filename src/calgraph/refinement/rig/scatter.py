@@ -24,10 +24,16 @@ _CHANCE = 1e-5
 _WAITING = 0.25
 
 
-def with_measured_noise(bundle: Bundle, state: State) -> Bundle:
-    """The bundle with each sensor's noise as its measurements scatter about the board that fits each view best."""
-    views = []
-    for k, own in enumerate(bundle.all_views):
+def with_measured_noise(bundle: Bundle, state: State, first: int = 0) -> Bundle:
+    """The bundle with each sensor's noise as its measurements scatter about the board that fits each view best.
+
+    Args:
+        bundle: sensors' and outlines' views.
+        state: where.
+        first: of the views to measure; those before it keep their noise.
+    """
+    views = list(bundle.all_views[:first])
+    for k, own in enumerate(bundle.all_views[first:], start=first):
         T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board])
         rows = own.linearize(T_sensor_board, state.own[bundle.own(k)])
         squares, freedom = summed(rows, own.start).scatter()

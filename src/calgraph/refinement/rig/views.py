@@ -61,6 +61,12 @@ class Views(Protocol):
     def linearize(self, T_sensor_board: Array, own: Array) -> Rows:
         """Residuals and derivatives at poses (V, 4, 4) and the sensor's own unknowns (e,)."""
 
+    def basis(self, T_sensor_board: Array) -> Array:
+        """(V, q, 6 + e): how the q numbers that measurements depend on move with pose and own unknowns."""
+
+    def change(self, T_before: Array, T_sensor_board: Array, own: Array) -> Array:
+        """(V, q) by how much those numbers differ between two poses, and own unknowns by (e,)."""
+
     def weighed(self, T_sensor_board: Array, scale: float) -> Self:
         """The same views with noise as it is at these poses, ``scale`` times that stated."""
 
@@ -122,9 +128,18 @@ class Corners:
             parts.append(camera.project_by_intrinsics(points))
         if len(places):
             parts.append(by_point @ R @ by_places)
-        sigma, size = self.scale * self.noise.pixel, 6 + self.unknowns
-        basis = np.broadcast_to(np.eye(size), (len(self.board), size, size))
-        return Rows((pixels - self.pixels) / sigma, np.concatenate(parts, axis=-1) / sigma, basis)
+        sigma = self.scale * self.noise.pixel
+        residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(parts, axis=-1) / sigma
+        return Rows(residual, jacobian, self.basis(T_sensor_board))
+
+    def basis(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
+        """See :class:`Views`: corners depend on all of the pose."""
+        size = 6 + self.unknowns
+        return np.broadcast_to(np.eye(size), (len(self.board), size, size))
+
+    def change(self, T_before: Array, T_sensor_board: Array, own: Array) -> Array:
+        """See :class:`Views`."""
+        return step(T_before, T_sensor_board, own)
 
     def _placed(self, places: Array) -> tuple[Array, Array]:
         """Corners (N, 3) with their tags moved by ``places`` (M, 3), and derivatives (N, 3, 3 M) by those."""
@@ -206,7 +221,7 @@ class Beams:
         return Rows(residual[:, None], columns.T[:, None], self.basis(T_sensor_board))
 
     def basis(self, T_sensor_board: Array) -> Array:
-        """(V, 3 + e, 6 + e): how ``n dh - h dn`` moves with the pose; then the sensor's own unknowns."""
+        """See :class:`Views`: (V, 3 + e, 6 + e), how ``n dh - h dn`` moves with the pose."""
         n, h = _planes(T_sensor_board)
         basis = np.zeros((len(self.board), 3 + self.unknowns, 6 + self.unknowns))
         basis[:, :3, :3] = n[:, :, None] * n[:, None]
@@ -216,7 +231,7 @@ class Beams:
         return basis
 
     def change(self, T_before: Array, T_sensor_board: Array, own: Array) -> Array:
-        """(V, 3 + e) by how much ``n dh - h dn`` and own unknowns differ, the latter by (e,).
+        """See :class:`Views`: (V, 3 + e) of ``n dh - h dn`` and own unknowns.
 
         Ranges change by ``u @ (n dh - h dn)`` over both cosines, however large the step.
         """
@@ -264,6 +279,13 @@ def _planes(T_sensor_board: Array) -> tuple[Array, Array]:
 def relative(T_root_sensor: Array, T_root_board: Array) -> Array:
     """``T_sensor_board`` (V, 4, 4) of boards (V, 4, 4) before one sensor (4, 4)."""
     return np.asarray(se3.inverse(T_root_sensor) @ T_root_board)
+
+
+def step(T_before: Array, T_sensor_board: Array, own: Array) -> Array:
+    """(V, 6 + e) from poses to poses (V, 4, 4), along the sensor's axes, and of own unknowns (e,)."""
+    return np.concatenate(
+        [se3.difference(T_sensor_board, T_before), np.broadcast_to(own, (len(T_before), len(own)))], axis=-1
+    )
 
 
 def starts(counts: Sequence[int]) -> Index:

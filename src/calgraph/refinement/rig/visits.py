@@ -1,7 +1,8 @@
 """Sums over views whose measurements are looked at one by one now and then, and that are moved along in between.
 
 A scanner's views have a hundred thousand beams, and a solver asks at a dozen states what they say. Near a state
-where every beam was looked at, the sums tell it: of a board ranges know the plane, and are almost linear in it.
+where all were looked at, the sums tell it: ranges are almost linear in the board's plane, corners and outlines in
+its pose.
 """
 
 from dataclasses import dataclass
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 from calgraph.refinement.rig.normal_equations import ViewSums, judged
-from calgraph.refinement.rig.views import Beams, Views
+from calgraph.refinement.rig.views import Views
 
-# Sums are moved as long as, in every view, ranges change by less than this, root mean square, in standard
+# Sums are moved as long as, in every view, measurements change by less than this, root mean square, in standard
 # deviations,
 _SHIFT = 0.3
 # and the board turns by less than this, rad.
@@ -31,12 +32,7 @@ class Visit:
     sums: ViewSums
 
     def moved(self, views: Views, T_sensor_board: Array, own: Array) -> ViewSums | None:
-        """The sums at other poses (V, 4, 4) and own unknowns (e,).
-
-        None if that is too far away, and of views other than beams, which have too few measurements to be spared.
-        """
-        if not isinstance(views, Beams):
-            return None
+        """The sums at other poses (V, 4, 4) and own unknowns (e,); None if that is too far away."""
         cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
         change = views.change(self.T_sensor_board, T_sensor_board, own - self.own)
         near = (self.sums.squared(change) <= _SHIFT**2 * self.sums.count) & (cosine >= 1 - _TURN**2 / 2)
