@@ -1,5 +1,6 @@
 """The default joint estimator of a rig: all sensors and boards at once, in the units that the sensors measure."""
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from calgraph.refinement.rig.hypergraph import Filter, believed
 from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.rig.known import PosePrior, RigidGroup, free, with_groups, with_known
 from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
-from calgraph.refinement.rig.sheets import with_outlines, without_wrong_outlines
+from calgraph.refinement.rig.sheets import contradict, with_outlines, without_wrong_outlines
 from calgraph.refinement.rig.unknowns import Estimable, estimated_values, with_unknowns
 from calgraph.refinement.rig.views import Beams, Corners, Views, relative
 from calgraph.rig import CameraSpec, Rig
@@ -30,6 +31,7 @@ _ROUNDS = 12
 _OUTLINE_ROUNDS = 4
 _STEPS = 4
 _SETTLED = 0.02
+_log = logging.getLogger(__name__)
 _CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
 
 
@@ -68,13 +70,15 @@ def solve_bundle(
     if estimate:
         bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
     bundle, solved, rejected = _settled(bundle, solve(bundle, state), _ROUNDS)
-    # Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
-    bundle, state = with_outlines(bundle, solved.state, rig, captured.detections, boards, _SWAY**2)
-    near = (*solved.system.visits, *[None] * len(bundle.outlines))
-    solved = solve(bundle, state, near, iterations=_STEPS)
-    bundle, solved, more = _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
-    rejected |= more
-    bundle = without_wrong_outlines(bundle, solved)
+    outlined, outlined_solved, more = _outlined(bundle, solved, rig, captured, boards)
+    if contradict((bundle, solved), (outlined, outlined_solved)):
+        _log.warning(
+            "where scanners see the board end contradicts planes and prints: outlines are not used; is size the "
+            "sheet's, and does nothing but the sheet stand out beside it?"
+        )
+    else:
+        bundle, solved, rejected = outlined, outlined_solved, rejected | more
+        bundle = without_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
     bundle = with_known(bundle, priors, groups)
     solved = solve(bundle, with_groups(solved.state, bundle.names, groups))
@@ -169,6 +173,19 @@ def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) 
         return Corners.of(indices, corners, captured.cameras[name], spec.noise)
     surfaces = [d for _, d in seen if not isinstance(d, BoardCorners)]
     return Beams.of(indices, surfaces, spec.noise)
+
+
+def _outlined(
+    plain: Bundle, solved: Solved, rig: Rig, captured: Captured, boards: Sequence[Sighting]
+) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
+    """The bundle with outlines, settled, and the views that it leaves out.
+
+    Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
+    """
+    bundle, state = with_outlines(plain, solved.state, rig, captured.detections, boards, _SWAY**2)
+    near = (*solved.system.visits, *[None] * len(bundle.outlines))
+    solved = solve(bundle, state, near, iterations=_STEPS)
+    return _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
 
 
 def _settled(

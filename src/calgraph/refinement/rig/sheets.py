@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.pairwise import Candidates
 from calgraph.refinement.rig.boards import Sighting, seen_in
-from calgraph.refinement.rig.bundle import Bundle, Solved, State, Unknown, reduced_covariance
+from calgraph.refinement.rig.bundle import Bundle, Solved, State, Unknown, covariance, reduced_covariance
 from calgraph.refinement.rig.outlines import Outline, middles
 from calgraph.refinement.rig.views import Beams, relative
 from calgraph.rig import Rig
@@ -24,6 +25,10 @@ _WRONG_SIZE, _SURE = 0.012, 4.0
 _SHAPELESS = 3.0
 # So many edges are needed to lay a sheet by them alone.
 _ENOUGH = 6
+# Directions of which outlines take less than this share of the variance are not told by them.
+_TOLD = 0.05
+# Outlines contradict planes and prints if chance would have them differ so once in so many.
+_CHANCE = 1e-4
 _TURNS = np.radians(np.arange(0.0, 180.0, 5.0))
 _FINE = np.radians(np.arange(-4.0, 4.5, 1.0))
 _SHIFTS = 6
@@ -105,6 +110,30 @@ def without_wrong_outlines(bundle: Bundle, solved: Solved) -> Bundle:
             _log.warning("%s sees the board's edges %s: they are not used; is size the sheet's?", name, why)
         outlines.append(outline.where(np.full(len(outline.board), not why)))
     return bundle.with_views([*bundle.views, *outlines])
+
+
+def contradict(plain: tuple[Bundle, Solved], outlined: tuple[Bundle, Solved]) -> bool:
+    """Whether outlines have sensors elsewhere than planes and prints do, by more than chance explains.
+
+    A solution from fewer measurements differs from one that also has others by ``d``, which has the covariance
+    ``P - Q`` of the two; it is tested in those directions in which outlines tell something.
+
+    Source: Hausman, "Specification tests in econometrics", Econometrica 1978.
+
+    Args:
+        plain: the bundle without outlines, solved.
+        outlined: the same one with them, solved.
+    """
+    (P, T), (Q, T_outlined) = (
+        (covariance(b, s.state, s.system), s.state.T_root_sensor) for b, s in (plain, outlined)
+    )
+    d = se3.difference(T_outlined, T).ravel()
+    free = np.diag(P) > 0
+    whiten = np.linalg.inv(np.linalg.cholesky(P[np.ix_(free, free)]))
+    kept, directions = np.linalg.eigh(whiten @ Q[np.ix_(free, free)] @ whiten.T)
+    told = kept < 1 - _TOLD
+    squares = (directions.T @ whiten @ d[free])[told] ** 2 / (1 - kept[told])
+    return bool(np.sum(squares) > chdtri(max(np.sum(told), 1), _CHANCE))
 
 
 def _surface(seen: Mapping[str, Candidates], board: Sighting, name: str) -> PlanePatch | Segment:
