@@ -45,6 +45,8 @@ def board_outlines(rig: Rig, captured: Captured, used: Used, joint: Joint) -> tu
 def _of_bundle(adjusted: Adjusted) -> Iterator[BoardView]:
     bundle, state = adjusted.bundle, adjusted.solved.state
     for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
+        if not len(views.board):  # placed by what is known of it
+            continue
         T_sensor_board = relative(state.T_root_sensor[s], state.T_root_board[views.board])
         residual = views.linearize(T_sensor_board, state.own[bundle.own(s)]).residual
         if isinstance(views, Corners):

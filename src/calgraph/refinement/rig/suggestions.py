@@ -62,6 +62,8 @@ def suggest(
     for _ in range(_CHOICES):
         before = _deviations(axes, V) / limits
         worst = int(np.argmax(before))
+        if before[worst] == 0:  # all poses are taken for exact
+            break
         own = axes[6 * (worst // 6) :][:6] / limits[:6, None] / min(before[worst], 1.0)
         beside = np.asarray(np.linalg.solve(np.eye(len(V)) + V @ gains, V))
         volume = _log_volume(own, beside)
