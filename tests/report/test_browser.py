@@ -134,7 +134,8 @@ def test_the_dark_has_dark_figures_and_paper_is_white(network_page: Opened) -> N
     network_page.wait_for_figures("rgb(255, 255, 255)")
     # A4 within its margins is 182 mm wide, at 96 pixels an inch.
     page.wait_for_function(
-        "[...document.querySelectorAll('.figure .main-svg')].every((svg) => svg.clientWidth <= 182 / 25.4 * 96 + 1)",
+        "width => [...document.querySelectorAll('.figure .main-svg')].every(svg => svg.clientWidth <= width)",
+        arg=182 / 25.4 * 96 + 1,
         timeout=_PATIENCE,
     )
     page.evaluate("window.dispatchEvent(new Event('afterprint'))")

@@ -61,3 +61,25 @@ def test_sheets_of_another_size_than_stated_are_named_and_bend_nothing(caplog: p
     for name in ("camera", "laser_front"):
         error = se3.difference(joint.T_root_sensor[name], blunt.T_root_sensor[name])
         assert np.all(np.abs(error) < 0.2 * np.sqrt(np.diag(blunt.covariance[name])))
+
+
+def print_aside(_: str, detection: Detection) -> Detection:
+    """As if the print were 3 cm to the left of where it is said to be on the sheet."""
+    if not isinstance(detection, BoardCorners):
+        return detection
+    aside = np.array([0.03, 0.0, 0.0])
+    T_aside = se3.pose(np.eye(3), -aside)
+    return replace(
+        detection,
+        corners_board=detection.corners_board + aside,
+        T_camera_board=detection.T_camera_board @ T_aside,
+    )
+
+
+def test_outlines_that_contradict_the_print_are_not_used(caplog: pytest.LogCaptureFixture) -> None:
+    one = seen(FINE).changed(print_aside)
+    blunt = one.changed(without_edges).solved()
+    with caplog.at_level(logging.WARNING):
+        joint = one.solved()
+    assert "contradicts planes and prints" in caplog.text
+    np.testing.assert_allclose(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"], atol=1e-9)
