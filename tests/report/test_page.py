@@ -155,6 +155,12 @@ def test_the_pose_table_has_the_clock_offset(page: Page) -> None:
     assert "12.30 ms ± 0.40 ms" in page.words
 
 
+def test_without_clock_offsets_there_is_no_column_of_them(calibration: Calibration, rig: Rig) -> None:
+    synchronous = tuple(dataclasses.replace(s, clock_offset=None) for s in calibration.sensors)
+    page = Page(report_html(dataclasses.replace(calibration, sensors=synchronous), rig))
+    assert "clock offset" not in page.words
+
+
 def test_tree_edges_are_bold_and_failed_ones_dashed(page: Page) -> None:
     assert (page.count("line", "tree"), page.count("line", "other"), page.count("line", "failed")) == (4, 2, 1)
 

@@ -16,10 +16,11 @@ _IN_PLANE = ((0, 1), (2,))
 def pose_table(calibration: Calibration) -> str:
     """All poses in the frame of the root: positions with σ below them, rotations with σ beside them."""
     shown = _IN_PLANE if calibration.planar else _IN_SPACE
-    rows = "".join(_row(sensor, calibration.root, *shown) for sensor in calibration.sensors)
+    clocks = any(sensor.clock_offset is not None for sensor in calibration.sensors)
+    rows = "".join(_row(sensor, calibration.root, *shown, clocks=clocks) for sensor in calibration.sensors)
     return (
         f"<p>{_about(escaped(calibration.root), calibration.planar)}</p>"
-        f'<div class="wide"><table class="poses">{_head(*shown)}<tbody>{rows}</tbody></table></div>'
+        f'<div class="wide"><table class="poses">{_head(*shown, clocks=clocks)}<tbody>{rows}</tbody></table></div>'
     )
 
 
@@ -53,17 +54,18 @@ def _about(root: str, planar: bool) -> str:
     )
 
 
-def _head(axes: tuple[int, ...], turns: tuple[int, ...]) -> str:
+def _head(axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str:
     groups = f'<th colspan="{len(axes)}">position, m</th><th colspan="{len(turns)}">rotation</th>'
     names = [_AXES[i] for i in axes] + [_TURNS[i] for i in turns] + [_AXES[i] for i in turns]
+    clock = '<th rowspan="2">clock<br>offset</th>' if clocks else ""
     return (
         '<thead><tr><th rowspan="2">sensor</th><th rowspan="2">verdict</th>'
-        f'{groups}<th colspan="{len(turns)}">σ of the rotation about</th><th rowspan="2">clock<br>offset</th></tr>'
+        f'{groups}<th colspan="{len(turns)}">σ of the rotation about</th>{clock}</tr>'
         f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr></thead>"
     )
 
 
-def _row(sensor: SensorPose, root: str, axes: tuple[int, ...], turns: tuple[int, ...]) -> str:
+def _row(sensor: SensorPose, root: str, axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str:
     T = sensor.T_root_sensor
     rpy = roll_pitch_yaw(T[:3, :3])
     with np.errstate(invalid="ignore"):
@@ -78,7 +80,7 @@ def _row(sensor: SensorPose, root: str, axes: tuple[int, ...], turns: tuple[int,
     return (
         f"<tr><th scope='row'>{escaped(sensor.name)}<small>{escaped(below)}<br>frame {escaped(sensor.frame_id)}"
         f"</small></th><td>{badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"
-        f"{''.join(deviations)}<td>{_clock(sensor)}</td></tr>"
+        f"{''.join(deviations)}{f'<td>{_clock(sensor)}</td>' if clocks else ''}</tr>"
     )
 
 
