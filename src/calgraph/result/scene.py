@@ -79,7 +79,7 @@ def load_scene(path: Path, calibration: Calibration) -> Calibration:
     try:
         names = _names(content)
         snapshots = tuple(
-            Snapshot(**row | {"image": row["image"].tobytes()}) for row in _rows(_SNAPSHOTS, arrays, names)
+            Snapshot(**row | {"image": row["image"].tobytes()}) for row in _SNAPSHOTS.unpack_named(arrays, names)
         )
         outlines = tuple(
             BoardOutline(**row | {"board": None if row["board"] == _NO_BOARD else row["board"]})
@@ -115,20 +115,10 @@ def _names(content: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def _rows(table: Table, arrays: Arrays, names: Sequence[str]) -> list[dict[str, Any]]:
-    """The records of a table, with names in place of the sensors' numbers."""
-    rows = table.unpack(arrays)
-    for row in rows:
-        if not 0 <= row["sensor"] < len(names):
-            raise InputError(f"{table.name}/sensor: must be below the {len(names)} sensors, got {row['sensor']}")
-        row["sensor"] = names[row["sensor"]]
-    return rows
-
-
 def _board_views(arrays: Arrays, names: Sequence[str]) -> tuple[BoardView, ...]:
     views = []
     for table in (_CORNERS, _BEAMS):
-        for row in _rows(table, arrays, names):
+        for row in table.unpack_named(arrays, names):
             if len(row["off"]) != len(row["seen"]):
                 raise InputError(f"{table.name}/off: each view must have as many as {table.name}/seen")
             unknown = len(row["off"]) > 0 and np.isnan(row["off"]).all()
@@ -138,7 +128,7 @@ def _board_views(arrays: Arrays, names: Sequence[str]) -> tuple[BoardView, ...]:
 
 def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:
     walks: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-    for walk in _rows(_WALKS, arrays, names):
+    for walk in _WALKS.unpack_named(arrays, names):
         if len(walk["times"]) != len(walk["positions"]):
             raise InputError("walks/times: each walk must have as many as positions")
         walks[walk["sensor"]].append(walk)
@@ -148,5 +138,5 @@ def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:
             walks=tuple(walk["positions"] for walk in walks[row["sensor"]]),
             times=tuple(walk["times"] for walk in walks[row["sensor"]]),
         )
-        for row in _rows(_FLOOR, arrays, names)
+        for row in _FLOOR.unpack_named(arrays, names)
     )

@@ -64,6 +64,21 @@ class Table:
                 )
         return [dict(zip(fields, record, strict=True)) for record in zip(*fields.values(), strict=True)]
 
+    def unpack_named(self, arrays: Arrays, sensors: Sequence[str]) -> list[dict[str, Any]]:
+        """The records of columns, as :meth:`unpack` has them, with names in place of the sensors' numbers.
+
+        Raises:
+            InputError: as :meth:`unpack`, or there is no sensor of such a number.
+        """
+        rows = self.unpack(arrays)
+        for row in rows:
+            if not 0 <= row["sensor"] < len(sensors):
+                raise InputError(
+                    f"{self.name}/sensor: must be below the {len(sensors)} sensors, got {row['sensor']}"
+                )
+            row["sensor"] = sensors[row["sensor"]]
+        return rows
+
 
 INDEX = Column(dtype=np.int64)
 NUMBER = Column()

@@ -173,25 +173,15 @@ def _decoded(structure: _Structure, arrays: Arrays) -> Problem:
         misses={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
         cameras=_cameras(structure, arrays),
     )
-    poses = {row["sensor"]: row["T_root_sensor"] for row in _rows(_TREE, arrays, sensors)}
+    poses = {row["sensor"]: row["T_root_sensor"] for row in _TREE.unpack_named(arrays, sensors)}
     tree = SpanningTree(structure.rig.root, structure.parents, poses)
     return Problem(structure.rig, captured, _pairs(structure, arrays), tree, structure.solver)
-
-
-def _rows(table: Table, arrays: Arrays, sensors: Sequence[str]) -> list[dict[str, Any]]:
-    """The records of a table, with names in place of the sensors' numbers."""
-    rows = table.unpack(arrays)
-    for row in rows:
-        if not 0 <= row["sensor"] < len(sensors):
-            raise InputError(f"{table.name}/sensor: must be below the {len(sensors)} sensors, got {row['sensor']}")
-        row["sensor"] = sensors[row["sensor"]]
-    return rows
 
 
 def _holds(sensors: Sequence[str], arrays: Arrays) -> tuple[Hold, ...]:
     holds = [Hold(**row, stamps={}) for row in _HOLDS.unpack(arrays)]
     stamps: list[dict[str, Array]] = [{} for _ in holds]
-    for row in _rows(_STAMPS, arrays, sensors):
+    for row in _STAMPS.unpack_named(arrays, sensors):
         if not 0 <= row["hold"] < len(holds):
             raise InputError(f"stamps/hold: must be below the {len(holds)} holds, got {row['hold']}")
         stamps[row["hold"]][row["sensor"]] = row["stamps"]
@@ -201,7 +191,7 @@ def _holds(sensors: Sequence[str], arrays: Arrays) -> tuple[Hold, ...]:
 def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, tuple[Detection, ...]]]:
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in sensors}
     for kind, table in DETECTIONS.items():
-        for row in _rows(table, arrays, sensors):
+        for row in table.unpack_named(arrays, sensors):
             by_capture, capture, candidate = (
                 detections[row.pop("sensor")],
                 row.pop("capture"),
