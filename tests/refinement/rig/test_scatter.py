@@ -19,7 +19,7 @@ def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, Solv
     """The bundle after rounds of solving and measuring both noise and sway."""
     solved = solve(bundle, exact.truth)
     for _ in range(rounds):
-        bundle = with_measured_sway(with_measured_noise(bundle, solved.state), solved.system)
+        bundle = with_measured_sway(with_measured_noise(bundle, solved), solved.system)
         solved = solve(bundle, solved.state, iterations=3)
     return bundle, solved
 
@@ -32,7 +32,7 @@ def test_noise_stated_wrongly_is_measured(noise: float) -> None:
         bundle = exact.measured(np.random.default_rng(seed), noise)
         solved = solve(bundle, exact.truth)
         for _ in range(3):
-            bundle = with_measured_noise(bundle, solved.state)
+            bundle = with_measured_noise(bundle, solved)
             solved = solve(bundle, solved.state, iterations=3)
         found.append([views.scale for views in bundle.views])
     # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as ten more.

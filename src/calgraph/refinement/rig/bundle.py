@@ -22,8 +22,11 @@ from calgraph.refinement.rig.visits import Visit, visit
 FAINT = 1e-4
 # What is believed of a sensor without any data: m and rad.
 _BELIEF = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
-# A step that gains less than this (half squared standard deviations) moves nothing by a thousandth of its own.
-_SETTLED = 1e-6
+# Where the next step would gain less than this (half squared standard deviations), nothing is off by more than 5 %
+# of its own,
+SETTLED = 1e-3
+# nor by more than a thousandth.
+_SETTLED_FINELY = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +233,14 @@ def linearize(bundle: Bundle, state: State, near: Sequence[Visit | None] = ()) -
     return System(cost, tuple(equations), H, g, H_board, g_board, coupling, tuple(visits), exact)
 
 
-def solve(bundle: Bundle, state: State, near: Sequence[Visit | None] = (), *, iterations: int = 50) -> Solved:
+def solve(
+    bundle: Bundle,
+    state: State,
+    near: Sequence[Visit | None] = (),
+    *,
+    iterations: int = 50,
+    settled: float = _SETTLED_FINELY,
+) -> Solved:
     """Minimises the robust cost of all views and priors.
 
     Args:
@@ -239,6 +249,7 @@ def solve(bundle: Bundle, state: State, near: Sequence[Visit | None] = (), *, it
         near: (K,) visits of the same views, if there are, near the solution: where views stay near, these are
             believed. Without, every measurement is looked at where the solver stops.
         iterations: steps at most, rejected ones included.
+        settled: what the next step would gain (half squared standard deviations) where the solver stops.
 
     Raises:
         CalibrationError: the residuals are not finite at the start.
@@ -247,25 +258,27 @@ def solve(bundle: Bundle, state: State, near: Sequence[Visit | None] = (), *, it
     if not np.isfinite(system.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
     damping, growth = 1e-5, 2.0
-    for iteration in range(1, iterations + 1):
+    for iteration in range(iterations):
         H, g, K = system.reduced(damping)
         step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         boards = -(K[..., :-1] @ step + K[..., -1])
+        predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
+        if predicted <= settled + 1e-12 * system.cost:
+            if system.exact or near:
+                return Solved(state, system, iteration, converged=True)
+            # What was moved along is too coarse to judge by.
+            system = linearize(bundle, state)
+            continue
         trial = moved(bundle, state, step, boards)
         ahead = linearize(bundle, trial, system.visits)
-        predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
         gained = system.cost - ahead.cost
-        done, exact = max(predicted, gained) <= _SETTLED + 1e-12 * system.cost, system.exact or bool(near)
         if gained >= 0:  # False where the trial's residuals are not finite
-            gain = min(gained / max(predicted, 1e-300), 1.0)
+            gain = min(gained / predicted, 1.0)
             state, system = trial, ahead
             damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
-        else:
-            damping, growth = damping * growth, growth * 2
-        if done and exact:
-            return Solved(state, system, iteration, converged=True)
-        if not exact and (done or gained < 0):
-            # What was moved along may be too coarse to judge by.
+            continue
+        damping, growth = damping * growth, growth * 2
+        if not system.exact and not near:
             system = linearize(bundle, state)
     return Solved(state, system, iterations, converged=False)
 

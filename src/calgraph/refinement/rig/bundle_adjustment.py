@@ -12,7 +12,7 @@ from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, Index
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.rig.boards import Sighting, placed, seen_in, sightings
-from calgraph.refinement.rig.bundle import Bundle, Solved, State, covariance, linearize, solve, stacked
+from calgraph.refinement.rig.bundle import SETTLED, Bundle, Solved, State, covariance, linearize, solve, stacked
 from calgraph.refinement.rig.contradictions import doubts_of_known
 from calgraph.refinement.rig.hypergraph import Filter, believed
 from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
@@ -69,7 +69,7 @@ def solve_bundle(
     bundle = free(bundle)
     if estimate:
         bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
-    bundle, solved, rejected = _settled(bundle, solve(bundle, state), _ROUNDS)
+    bundle, solved, rejected = _settled(bundle, solve(bundle, state, settled=SETTLED), _ROUNDS)
     outlined, outlined_solved, more = _outlined(bundle, solved, rig, captured, boards)
     if contradict((bundle, solved), (outlined, outlined_solved)):
         _log.warning(
@@ -81,7 +81,7 @@ def solve_bundle(
         bundle = without_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
     bundle = with_known(bundle, priors, groups)
-    solved = solve(bundle, with_groups(solved.state, bundle.names, groups))
+    solved = solve(bundle, with_groups(solved.state, bundle.names, groups), settled=SETTLED)
     names = bundle.names
     return Joint(
         estimator="bundle",
@@ -184,7 +184,7 @@ def _outlined(
     """
     bundle, state = with_outlines(plain, solved.state, rig, captured.detections, boards, _SWAY**2)
     near = (*solved.system.visits, *[None] * len(bundle.outlines))
-    solved = solve(bundle, state, near, iterations=_STEPS)
+    solved = solve(bundle, state, near, iterations=_STEPS, settled=SETTLED)
     return _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
 
 
@@ -199,14 +199,14 @@ def _settled(
     seen = np.array([len(views.board) for views in bundle.all_views])
     for _ in range(rounds):
         before = bundle
-        bundle = with_measured_sway(with_measured_noise(bundle, solved.state, first), solved.system)
+        bundle = with_measured_sway(with_measured_noise(bundle, solved, first), solved.system)
         bundle, wrong = _without_wrong(bundle, solved, seen)
         rejected |= wrong
         if _alike(before, bundle):
             break
         kept = zip(solved.system.visits, before.all_views, bundle.all_views, strict=True)
         near = [at if views is was else None for at, was, views in kept]
-        solved = solve(bundle, solved.state, near, iterations=_STEPS)
+        solved = solve(bundle, solved.state, near, iterations=_STEPS, settled=SETTLED)
     return bundle, solved, rejected
 
 

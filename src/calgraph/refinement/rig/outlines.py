@@ -6,6 +6,7 @@ the sheet's size is known, so each such pair of beams is a measurement across on
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,7 @@ class Outline:
     scale: float = 1.0
     unknowns: int = 1
     """How much too far out the scanner sees each side, m: half its beams' footprint, or a board cut too large."""
+    numbers: ClassVar[int] = 1
 
     @classmethod
     def of(cls, board: Sequence[int], found: Sequence[PlanePatch | Segment], half: Array) -> "Outline":

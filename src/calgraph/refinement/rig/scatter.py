@@ -8,8 +8,8 @@ from scipy.optimize import nnls
 from scipy.special import chdtri
 
 from calgraph.geometry import Array
-from calgraph.refinement.rig.bundle import Bundle, State, System, view_spreads
-from calgraph.refinement.rig.normal_equations import huber_scatter, misfit, summed
+from calgraph.refinement.rig.bundle import Bundle, Solved, System, view_spreads
+from calgraph.refinement.rig.normal_equations import huber_scatter, misfit
 from calgraph.refinement.rig.views import relative
 
 # Noise that has changed by less than this share has not changed.
@@ -24,22 +24,22 @@ _CHANCE = 1e-5
 _WAITING = 0.25
 
 
-def with_measured_noise(bundle: Bundle, state: State, first: int = 0) -> Bundle:
+def with_measured_noise(bundle: Bundle, solved: Solved, first: int = 0) -> Bundle:
     """The bundle with each sensor's noise as its measurements scatter about the board that fits each view best.
 
     Args:
         bundle: sensors' and outlines' views.
-        state: where.
+        solved: its solution.
         first: of the views to measure; those before it keep their noise.
     """
-    views = list(bundle.all_views[:first])
+    state, views = solved.state, list(bundle.all_views[:first])
     for k, own in enumerate(bundle.all_views[first:], start=first):
-        T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board])
-        rows = own.linearize(T_sensor_board, state.own[bundle.own(k)])
-        squares, freedom = summed(rows, own.start).scatter()
-        squared = squares.sum() / huber_scatter(rows.residual.shape[1]) * own.scale**2
+        squares, freedom = solved.system.visits[k].sums.scatter()
+        squared = squares.sum() / huber_scatter(own.numbers) * own.scale**2
         scale = float(np.sqrt((squared + _FIRM) / (freedom.sum() + _FIRM)))
-        views.append(own if abs(scale / own.scale - 1) < _SAME else own.weighed(T_sensor_board, scale))
+        if abs(scale / own.scale - 1) >= _SAME:
+            own = own.weighed(relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board]), scale)
+        views.append(own)
     return bundle.with_views(views)
 
 

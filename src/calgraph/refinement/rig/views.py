@@ -55,6 +55,10 @@ class Views(Protocol):
         """How many times larger than stated the noise is taken to be."""
 
     @property
+    def numbers(self) -> int:
+        """How many numbers each measurement has, k."""
+
+    @property
     def unknowns(self) -> int:
         """How many unknowns the sensor has besides its pose, e."""
 
@@ -93,6 +97,7 @@ class Corners:
     """(M, 2) centres of the tags whose places on the board are unknown, m."""
     tag: Index | None = None
     """(N,) on which of ``tags`` each corner is; -1 on none. Needed where there are any."""
+    numbers: ClassVar[int] = 2
 
     @classmethod
     def of(
@@ -189,6 +194,7 @@ class Beams:
     scale: float = 1.0
     unknowns: int = 0
     """1 if the scanner's ranges have an unknown bias, m."""
+    numbers: ClassVar[int] = 1
 
     @classmethod
     def of(
