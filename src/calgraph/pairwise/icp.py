@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.agreement import rigid_spread
+from calgraph.pairwise.open_view import looks_past
 
 # Neighbours on either side that make a line, how far apart two neighbours of one wall are at most (m, and as a
 # share of their range), and how far (m) the points of a line may stray from it.
@@ -111,7 +112,8 @@ def align(
             break
         reach = max(_CLOSE, reach * _SHRINK)
     found = _match(T, a, b, tree, _CLOSE)
-    through = _looked_through(T, background_a, b.points) + _looked_through(se2.inverse(T), background_b, a.points)
+    through = int(looks_past(background_a, se2.apply(T, b.points), _THROUGH).sum())
+    through += int(looks_past(background_b, se2.apply(se2.inverse(T), a.points), _THROUGH).sum())
     if len(found[0]) < _ENOUGH or len(found[0]) < _SHARE * (len(found[0]) + through):
         return Rejected(f"{through} static points of one lie in space that the other looks through")
     H, _ = _normal_equations(T, a, b, found, noise2, _CLOSE)
@@ -192,17 +194,3 @@ def _common_error(T_a_b: Array, a: _Lines, of_a: NDArray[np.intp]) -> Array:
     off = x - center
     along = float(np.sqrt(np.mean((normal[:, 1] * off[:, 0] - normal[:, 0] * off[:, 1]) ** 2)))
     return rigid_spread(T_a_b, center, _WALL, _WALL / max(along, 0.1))
-
-
-def _looked_through(T_a_b: Array, background_a: Array, points_b: Array) -> int:
-    """How many of b's static points lie where a looks through to something farther away."""
-    seen = background_a[np.isfinite(background_a).all(axis=1)]
-    bearing = np.arctan2(seen[:, 1], seen[:, 0])
-    order = np.argsort(bearing)
-    bearing, ranges = bearing[order], np.linalg.norm(seen, axis=1)[order]
-    x = se2.apply(T_a_b, points_b)
-    at, r = np.arctan2(x[:, 1], x[:, 0]), np.linalg.norm(x, axis=1)
-    k = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
-    # Between two beams that hit things at different depths nobody knows.
-    known = (at - bearing[k - 1] < np.radians(2)) & (bearing[k] - at < np.radians(2))
-    return int(np.sum(known & (r < np.minimum(ranges[k - 1], ranges[k]) - _THROUGH)))

@@ -6,7 +6,7 @@ them. Its truncation at the scanner's range, which mixes metres with Mahalanobis
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import icp as scan_matching
 from calgraph.pairwise.agreement import DEPTH, GATE, Agreement, agree, costs, information
+from calgraph.pairwise.open_view import OpenView, open_view, refuted
 from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
 from calgraph.processes import side_by_side
 from calgraph.tracking import Tracked
@@ -27,9 +28,10 @@ _STRETCHES = (30, 80, 1_000_000)
 _TICKS = 6
 _EXTENT = 0.15
 _FIT = 0.3
-# Hypotheses judged, combinations of samples on which they are judged coarsely and finely, how many hypotheses are
-# refined coarsely and finely, and how many samples of a there must be to judge by.
+# Hypotheses judged, combinations of samples on which they are judged roughly, coarsely and finely, how many
+# hypotheses are refined coarsely and finely, and how many samples of a there must be to judge by.
 _JUDGED = 200
+_ROUGH = 300
 _COARSE = 1200
 _FINE = 6_000
 _REFINED = 6
@@ -37,6 +39,10 @@ _KEPT = 4
 _FEWEST = 20
 # A stretch's pose strays at its far end: what it explains coarsely may be off by this standard deviation, m.
 _STRAY = 0.3
+# Another scanner sees somebody within this distance of where he is under a right pose, m; and positions that both
+# should see, so that a pose is judged by them.
+_THERE = 0.5
+_EXPECTED = 20
 # Two hypotheses are one if they differ by less than this in metres and in radians.
 _SAME = (0.5, np.radians(8))
 # Ticks that must agree: at least, as a share of those that should, as a multiple of what chance explains, and as a
@@ -72,6 +78,21 @@ class Hypothesis:
     """Mean truncated squared distance of all that a saw while b saw somebody, in units of the gate, 0..1."""
     icp: bool
     """Whether the static background contributes."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Scanner:
+    """What one scanner knows, as all its pairs need it."""
+
+    samples: Samples
+    view: OpenView
+    still: Tracked
+    """Without its tracks."""
+
+    @classmethod
+    def of(cls, tracked: Tracked) -> "_Scanner":
+        samples = sample(tracked)
+        return cls(samples, open_view(tracked.background, samples), replace(tracked, tracks=()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +135,11 @@ def estimate_network_pairs(
         jobs: processes at most, see :func:`calgraph.processes.side_by_side`; the result does not depend on it.
         progress: told how much is done, 0..1.
     """
-    samples = {name: sample(known) for name, known in tracked.items()}
-    still = {name: replace(known, tracks=()) for name, known in tracked.items()}
+    scanners = {name: _Scanner.of(known) for name, known in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
     # Random numbers are drawn here, pair by pair, whoever judges then what they propose.
     work = [
-        (a, b, samples[a], samples[b], still[a], still[b], _proposed(samples[a], samples[b], rng), icp, depth)
+        (a, b, scanners[a], scanners[b], _proposed(scanners[a].samples, scanners[b].samples, rng), icp, depth)
         for a, b in names
     ]
     found = side_by_side(_judged, work, jobs if len(work) >= _WORTHWHILE else 1, progress)
@@ -151,8 +171,8 @@ def estimate_network_pair(
     Returns:
         The best few hypotheses, or the reason why there is none.
     """
-    of_a, of_b = sample(a), sample(b)
-    return _judged(name_a, name_b, of_a, of_b, a, b, _proposed(of_a, of_b, rng), icp, depth)
+    of_a, of_b = _Scanner.of(a), _Scanner.of(b)
+    return _judged(name_a, name_b, of_a, of_b, _proposed(of_a.samples, of_b.samples, rng), icp, depth)
 
 
 def _proposed(a: Samples, b: Samples, rng: np.random.Generator) -> Array | Rejected:
@@ -170,25 +190,30 @@ def _proposed(a: Samples, b: Samples, rng: np.random.Generator) -> Array | Rejec
 def _judged(
     name_a: str,
     name_b: str,
-    a: Samples,
-    b: Samples,
-    tracked_a: Tracked,
-    tracked_b: Tracked,
+    scanner_a: _Scanner,
+    scanner_b: _Scanner,
     guesses: Array | Rejected,
     icp: bool,
     depth: float,
 ) -> TrackPair | Rejected:
-    """The hypotheses that some guesses lead to; of what is tracked, static backgrounds matter."""
+    """The hypotheses that some guesses lead to."""
     if isinstance(guesses, Rejected):
         return guesses
+    a, b = scanner_a.samples, scanner_b.samples
+    views = scanner_a.view, scanner_b.view
     met = meetings(a, b)
-    coarse, fine = _thinned(met, _COARSE), _thinned(met, _FINE)
+    rough, coarse, fine = (_thinned(met, wanted) for wanted in (_ROUGH, _COARSE, _FINE))
+    guesses = guesses[~refuted(guesses, rough, *views, _THERE + _STRAY, _EXPECTED * len(rough) / len(met))]
     guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
     found = [fit for T in guesses if (fit := agree(T, coarse, depth=depth, steps=3)) is not None]
+    missed = refuted(_poses(found), coarse, *views, _THERE, _EXPECTED * len(coarse) / len(met))
+    found = [fit for fit, passed_by in zip(found, missed, strict=True) if not passed_by]
+    if not found:
+        return Rejected("under every pose that explains some of what both saw, people pass one of them unnoticed")
     shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
     value = np.array([len(fit.pairs) for fit in found]) * shares
     promising = (shares >= _LEAST_SHARE) & (value >= _SHARE * np.max(value, initial=0.0))
-    poses = _best(np.array([fit.T_a_b for fit in found]).reshape(-1, 3, 3)[promising], -value[promising], _KEPT)
+    poses = _best(_poses(found)[promising], -value[promising], _KEPT)
     agreements = [agree(T, fine, depth=depth, steps=3, misfit=0.1) for T in poses]
     hypotheses = [_hypothesis(fit, fine, a, b, len(met), depth) for fit in agreements if fit is not None]
     hypotheses.sort(key=lambda h: -h.observations * h.share)
@@ -198,8 +223,13 @@ def _judged(
         return Rejected(f"no pose explains what both saw; the best agrees for {most * TICK:.1f} s, as by chance")
     kept = [h for h in kept if h.observations * h.share >= _SHARE * kept[0].observations * kept[0].share]
     if icp:
-        kept = [_aligned(h, tracked_a, tracked_b) for h in kept]
+        kept = [_aligned(h, scanner_a.still, scanner_b.still) for h in kept]
     return TrackPair(name_a, name_b, tuple(kept))
+
+
+def _poses(fits: Sequence[Agreement]) -> Array:
+    """(K, 3, 3)."""
+    return np.array([fit.T_a_b for fit in fits]).reshape(-1, 3, 3)
 
 
 def _credible(h: Hypothesis) -> bool:

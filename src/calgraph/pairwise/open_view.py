@@ -1,0 +1,117 @@
+"""Where a stationary scanner would not have overlooked anybody, and which poses that refutes.
+
+What two scanners saw together speaks for a pose; what one of them should have seen, and did not, speaks against
+it. People who walk alike are matched for some seconds under many a wrong pose. Hardly one of these explains why
+all others whom one scanner saw went through the other's open view unnoticed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve
+
+from calgraph.geometry import Array, se2
+from calgraph.pairwise.samples import Meetings, Samples
+
+Flags = NDArray[np.bool_]
+
+# Side of a map's cells; how far before what stands still somebody surely stands out; and how near is too near, m.
+_CELL = 0.2
+_CLEAR = 0.5
+_NEAREST = 0.4
+# Nobody is overlooked up to the range beyond which only this share of the sights lies.
+_RARE = 0.05
+# Nor where the scanner saw somebody so often, in a cell or those around it.
+_SEEN = 3
+# Between two beams farther apart nobody knows, rad.
+_NEXT = np.radians(2)
+# A pose is refuted if more than this share of what should have been seen was not.
+_MISSED = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class OpenView:
+    """A map of the places at which a scanner does not overlook anybody."""
+
+    open: Flags
+    """(N, N) by x and y in cells of the scanner's frame, the scanner in the middle; nothing along the border."""
+
+    def covers(self, x: Array) -> Flags:
+        """(...) whether positions (..., 2), m, are open to the scanner."""
+        size = len(self.open)
+        cell = np.clip(x * (1 / _CELL) + size / 2, 0, size - 1).astype(np.intp)
+        return np.asarray(self.open.ravel()[cell[..., 0] * size + cell[..., 1]])
+
+
+def open_view(background: Array, samples: Samples) -> OpenView:
+    """The open view of a scanner: before what stands still, up to where it usually sees people; and where it did.
+
+    Args:
+        background: (N, 2) its static points, m; NaN rows are breaks.
+        samples: what it saw moving.
+    """
+    ranges = np.linalg.norm(samples.positions, axis=1)
+    reach = float(np.quantile(ranges, 1 - _RARE)) if len(ranges) else 0.0
+    half = int(np.ceil(reach / _CELL)) + 1
+    middles = (np.arange(-half, half) + 0.5) * _CELL
+    x = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    r = np.linalg.norm(x, axis=1)
+    within = (r > _NEAREST) & (r < reach) & looks_past(background, x, _CLEAR)
+    cells = np.clip(samples.positions / _CELL + half, 0, 2 * half - 1).astype(np.intp)
+    sights = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
+    often = convolve(sights, np.ones((3, 3)), mode="constant") >= _SEEN
+    is_open = within.reshape(sights.shape) | often
+    is_open[[0, -1]] = is_open[:, [0, -1]] = False
+    return OpenView(is_open)
+
+
+def looks_past(background: Array, x: Array, margin: float) -> Flags:
+    """(M,) whether a scanner looks past points (M, 2) of its frame to something farther by more than a margin, m.
+
+    Args:
+        background: (N, 2) its static points, m; NaN rows are breaks.
+        x: the points, m.
+        margin: m.
+    """
+    seen = background[np.isfinite(background).all(axis=1)]
+    if len(seen) < 2:
+        return np.zeros(len(x), dtype=np.bool_)
+    bearing = np.arctan2(seen[:, 1], seen[:, 0])
+    order = np.argsort(bearing)
+    bearing, ranges = bearing[order], np.linalg.norm(seen, axis=1)[order]
+    at, r = np.arctan2(x[:, 1], x[:, 0]), np.linalg.norm(x, axis=1)
+    k = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
+    # Between two beams that hit things at different depths nobody knows.
+    known = (at - bearing[k - 1] < _NEXT) & (bearing[k] - at < _NEXT)
+    return np.asarray(known & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
+
+
+def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, near: float, fewest: float) -> Flags:
+    """(K,) which poses let most of what one scanner saw in the other's open view pass unnoticed.
+
+    Args:
+        T_a_b: (K, 3, 3).
+        met: all simultaneous observations.
+        view_a: of scanner a.
+        view_b: of scanner b.
+        near: how far from a position the other scanner may have seen it, m.
+        fewest: positions that should have been seen, at least.
+    """
+    a, b = met.a, met.b
+    moved = se2.apply(T_a_b, b.positions)
+    sights_a = view_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & _meanwhile(a, b)
+    sights_b = view_a.covers(moved) & _meanwhile(b, a)
+    expected = np.concatenate([sights_a, sights_b], axis=1)
+    off = moved[:, met.row_b] - met.x_a
+    pose, together = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 < near**2)
+    noticed = np.zeros_like(expected)
+    noticed[pose, met.row_a[together]] = noticed[pose, len(a.tick) + met.row_b[together]] = True
+    count = np.count_nonzero(expected, axis=1)
+    missed = np.count_nonzero(expected & ~noticed, axis=1)
+    return np.asarray((count >= fewest) & (missed > _MISSED * count))
+
+
+def _meanwhile(seen: Samples, other: Samples) -> Flags:
+    """(S,) which samples are of a time at which the other scanner measured, as far as its samples tell."""
+    return np.asarray((seen.tick >= other.tick.min()) & (seen.tick <= other.tick.max()))
