@@ -10,7 +10,7 @@ from bundle_scenes import Scene, remeasured, scene
 from calgraph.geometry import se3
 from calgraph.refinement.rig.bundle import Bundle, Solved, covariance, solve
 from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
-from calgraph.refinement.rig.views import relative
+from calgraph.refinement.rig.views import Beams, Views, relative
 
 SEEDS = 20
 
@@ -24,7 +24,7 @@ def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, Solv
     return bundle, solved
 
 
-@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("noise", [0.1, 0.5, 1.0, 2.0])
 def test_noise_stated_wrongly_is_measured(noise: float) -> None:
     exact = scene(boards=6)
     found = []
@@ -35,11 +35,39 @@ def test_noise_stated_wrongly_is_measured(noise: float) -> None:
             bundle = with_measured_noise(bundle, solved)
             solved = solve(bundle, solved.state, iterations=3)
         found.append([views.scale for views in bundle.views])
-    # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as ten more.
+    # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as three more.
     freedom = np.array([6 * 108 - 18, 108, len(exact.bundle.views[2].start) * 50])
     spread = noise / np.sqrt(2 * freedom * SEEDS)
-    pull = 10 / freedom * abs(1 - noise**2) / noise
+    pull = 3 / freedom * abs(np.log(noise)) * noise
     assert np.all(np.abs(np.mean(found, axis=0) - noise) < 3 * spread + pull)
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_noise_is_measured_where_no_view_tells_it_alone(noise: float) -> None:
+    exact = scene(("lidar", "camera", "laser"), boards=15)
+    found = []
+    for seed in range(SEEDS):
+        measured = exact.measured(np.random.default_rng(seed), noise)
+        # Two beams on a board fit it, however wrong they are.
+        bundle = replace(measured, views=(*measured.views[:2], with_two_beams(measured.views[2])))
+        found.append(settled(exact, bundle, rounds=6)[0].views[2].scale)
+    freedom = 2 * 15 - 6
+    spread = noise / np.sqrt(2 * freedom * SEEDS)
+    pull = 3 / freedom * abs(np.log(noise)) * noise
+    assert abs(np.mean(found) - noise) < 3 * spread + pull
+
+
+def with_two_beams(views: Views) -> Views:
+    """The views with the first and the last beam of each."""
+    assert isinstance(views, Beams)
+    ends = np.stack([views.start, np.append(views.start[1:], len(views.ranges)) - 1], axis=-1).ravel()
+    return replace(
+        views,
+        start=2 * np.arange(len(views.start)),
+        directions=views.directions[ends],
+        ranges=views.ranges[ends],
+        sigma=views.sigma[ends],
+    )
 
 
 def test_the_noise_of_one_sensor_is_not_anothers() -> None:

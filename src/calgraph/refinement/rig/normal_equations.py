@@ -206,6 +206,15 @@ def _times(A: Array, x: Array) -> Array:
     return np.asarray((A @ x[..., None])[..., 0])
 
 
+def whitening(information: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """``L`` (V, p, p) with ``L @ A @ L.T`` of information A the identity where it is measured, (V, p)."""
+    unit, size = _normalised(information)
+    values, vectors = np.linalg.eigh(unit)
+    seen = values > _RANK * values[..., -1:]
+    root = np.where(seen, values, 1.0) ** -0.5 * seen
+    return root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :], seen
+
+
 def misfit(information: Array, spread: Array, gradient: Array) -> tuple[Array, NDArray[np.intp]]:
     """How badly views fit the solution that they are part of, for the covariance of what they say.
 
@@ -220,13 +229,9 @@ def misfit(information: Array, spread: Array, gradient: Array) -> tuple[Array, N
         Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,):
         directions that other views hardly check do not count.
     """
-    unit, size = _normalised(information)
-    values, vectors = np.linalg.eigh(unit)
-    seen = values > _RANK * values[..., -1:]
-    root = np.where(seen, values, 1.0) ** -0.5 * seen
-    whiten = root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :]
+    whiten, seen = whitening(information)
     forced = whiten @ information
-    redundancy = seen[..., :, None] * np.eye(values.shape[-1]) - forced @ spread @ np.swapaxes(forced, -1, -2)
+    redundancy = seen[..., :, None] * np.eye(seen.shape[-1]) - forced @ spread @ np.swapaxes(forced, -1, -2)
     free, axes = np.linalg.eigh((redundancy + np.swapaxes(redundancy, -1, -2)) / 2)
     checked = free > _CHECKED
     along = (np.swapaxes(axes, -1, -2) @ whiten @ gradient[..., None])[..., 0]

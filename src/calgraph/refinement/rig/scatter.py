@@ -8,14 +8,16 @@ from scipy.optimize import nnls
 from scipy.special import chdtri
 
 from calgraph.geometry import Array
-from calgraph.refinement.rig.bundle import Bundle, Solved, System, view_spreads
-from calgraph.refinement.rig.normal_equations import huber_scatter, misfit
+from calgraph.refinement.rig.bundle import Bundle, Solved, System, ViewEquations, view_spreads
+from calgraph.refinement.rig.normal_equations import huber_scatter, misfit, whitening
 from calgraph.refinement.rig.views import relative
 
 # Noise that has changed by less than this share has not changed.
 _SAME = 1e-3
-# How firmly the stated noise is believed, in measured numbers.
-_FIRM = 10
+# How firmly the stated noise is believed, in measured numbers: it is off by a factor of 1.5, more or less.
+_FIRM = 3
+# Measurements are never taken to be more precise than this share of what is stated.
+_SHARPEST = 0.01
 # By which share of its Fisher information each sway holds on to what it is.
 _INERT = 0.01
 # A view is wrong if it is as far from the others as chance would have it once in so many.
@@ -25,22 +27,50 @@ _WAITING = 0.25
 
 
 def with_measured_noise(bundle: Bundle, solved: Solved, first: int = 0) -> Bundle:
-    """The bundle with each sensor's noise as its measurements scatter about the board that fits each view best.
+    """The bundle with each sensor's noise as its measurements scatter: in each view, and with the views.
+
+    In a view, they scatter about the board that fits it best. Where views have few measurements, as where a line
+    of a scan leaves a sheet twice, that tells little: their gradients have the covariance ``W`` of
+    :func:`with_measured_sway`, and so scatter with the noise, too. Their sum of squares is set against what is
+    expected of it, a step towards the largest restricted likelihood.
+
+    Source: Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", Allgemeine
+    Vermessungs-Nachrichten 1979.
 
     Args:
         bundle: sensors' and outlines' views.
         solved: its solution.
         first: of the views to measure; those before it keep their noise.
     """
-    state, views = solved.state, list(bundle.all_views[:first])
+    state, system, views = solved.state, solved.system, list(bundle.all_views[:first])
+    spreads = view_spreads(bundle, system)
     for k, own in enumerate(bundle.all_views[first:], start=first):
-        squares, freedom = solved.system.visits[k].sums.scatter()
-        squared = squares.sum() / huber_scatter(own.numbers) * own.scale**2
-        scale = float(np.sqrt((squared + _FIRM) / (freedom.sum() + _FIRM)))
-        if abs(scale / own.scale - 1) >= _SAME:
-            own = own.weighed(relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board]), scale)
-        views.append(own)
+        sums, at = system.visits[k].sums, system.views[k]
+        squares, freedom = sums.scatter()
+        whiten, _ = whitening(sums.information)
+        between = np.sum((whiten @ at.gradient[..., None]) ** 2)
+        expected = np.trace(whiten @ _scatter(at, spreads[k]) @ np.swapaxes(whiten, -1, -2), axis1=-2, axis2=-1)
+        squared = (squares.sum() / huber_scatter(own.numbers) + between) * own.scale**2
+        scale = _scale(squared, float(freedom.sum() + expected.sum()))
+        T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board])
+        views.append(own if abs(scale / own.scale - 1) < _SAME else own.weighed(T_sensor_board, scale))
     return bundle.with_views(views)
+
+
+def _scale(squared: float, numbers: float) -> float:
+    """How many times larger than stated noise is, told by a sum of squares of so many numbers.
+
+    What is stated is off by a factor, if it is: logarithms are averaged. In a mean of squares, one stated ten
+    times too large would count as a hundred numbers do.
+    """
+    measured = max(squared / max(numbers, 1.0), _SHARPEST**2)
+    return float(np.sqrt(measured) ** (numbers / (numbers + _FIRM)))
+
+
+def _scatter(at: ViewEquations, spread: Array) -> Array:
+    """Covariance ``A - A P A`` (V, p, p) of views' gradients, if ``spread`` (V, p, r) has the factors of ``P``."""
+    Y = at.information @ spread
+    return np.asarray(at.information - Y @ np.swapaxes(Y, -1, -2))
 
 
 def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
@@ -55,11 +85,11 @@ def with_measured_sway(bundle: Bundle, system: System) -> Bundle:
     """
     sensors, views = range(len(bundle.sway)), bundle.all_views
     shapes = [replace(bundle, sway=np.ones(len(sensors))).swaying(s) for s in sensors]
-    A = [at.information for at in system.views]
-    Y = [information @ F for information, F in zip(A, view_spreads(bundle, system), strict=True)]
+    spreads = view_spreads(bundle, system)
+    Y = [at.information @ F for at, F in zip(system.views, spreads, strict=True)]
     score, fisher = np.zeros(len(sensors)), np.zeros((len(sensors), len(sensors)))
     for s in sensors:
-        W = A[s] - Y[s] @ np.swapaxes(Y[s], -1, -2)
+        W = _scatter(system.views[s], spreads[s])
         score[s] = shapes[s] @ (system.views[s].gradient ** 2 - np.diagonal(W, axis1=-2, axis2=-1)).sum(axis=0)
         fisher[s, s] = shapes[s] @ np.sum(W**2, axis=0) @ shapes[s]
         for t in sensors[:s]:
