@@ -6,6 +6,7 @@ import pytest
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.open_view import OpenView, looks_past, open_view, refuted
 from calgraph.pairwise.samples import Samples, meetings
+from calgraph.tracking import Tracked
 
 NOBODY = Samples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)))
 
@@ -23,14 +24,16 @@ def walks(positions: Array, first: int = 0) -> Samples:
     return Samples(ticks, np.zeros(len(positions), np.intp), positions, np.gradient(positions, 0.1, axis=0), S)
 
 
+def still(background: Array, watched: Array | None = None) -> Tracked:
+    return Tracked((), background, 0.01, watched)
+
+
 def circle(radius: float, ticks: int = 100) -> Array:
     angle = np.linspace(0, 2 * np.pi, ticks)
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-@pytest.mark.parametrize(
-    ("distance", "past"), [(0.5, True), (4.0, True), (4.8, False), (9.0, False)]
-)
+@pytest.mark.parametrize(("distance", "past"), [(0.5, True), (4.0, True), (4.8, False), (9.0, False)])
 def test_a_scanner_looks_past_what_is_nearer_than_the_wall(distance: float, past: bool) -> None:
     assert looks_past(wall(5.0), distance * circle(1.0), 0.3).all() == past
     assert looks_past(wall(5.0), distance * circle(1.0), 0.3).any() == past
@@ -49,24 +52,24 @@ def test_beams_on_either_side_of_an_edge_show_only_what_is_before_both() -> None
 
 
 def test_the_view_is_open_as_far_as_people_are_usually_seen() -> None:
-    view = open_view(wall(9.0), walks(circle(4.0)))
+    view = open_view(still(wall(9.0)), walks(circle(4.0)))
     assert view.covers(circle(3.7)).all()
     assert not view.covers(circle(5.0)).any()
 
 
 def test_the_view_is_open_where_somebody_was_seen_even_with_nothing_behind() -> None:
-    view = open_view(np.zeros((0, 2)), walks(circle(4.0, ticks=300)))
+    view = open_view(still(np.zeros((0, 2))), walks(circle(4.0, ticks=300)))
     assert view.covers(circle(4.0, ticks=300)).mean() > 0.95
     assert not view.covers(circle(3.0)).any()
 
 
 def test_nothing_is_open_to_a_scanner_that_saw_nobody() -> None:
-    view = open_view(wall(9.0), NOBODY)
+    view = open_view(still(wall(9.0)), NOBODY)
     assert not view.covers(np.concatenate([circle(r) for r in (0.0, 0.1, 1.0, 1e6)])).any()
 
 
 def test_what_is_far_out_of_the_map_is_not_open() -> None:
-    view = OpenView(np.pad(np.ones((20, 20), dtype=np.bool_), 1))
+    view = OpenView(np.pad(np.ones((20, 20), dtype=np.bool_), 1), np.zeros((0, 2)))
     assert view.covers(np.array([[0.0, 0.0], [1.9, -1.9]])).all()
     assert not view.covers(np.array([[2.1, 0.0], [-1e9, 0.0], [0.0, 1e9]])).any()
 
@@ -76,7 +79,7 @@ def test_a_pose_is_refuted_by_people_who_pass_the_other_scanner_unnoticed() -> N
     T_a_b = se2.pose(0.0, np.array([2.0, 0.0]))
     b = walks(circle(3.0))
     a = walks(se2.apply(T_a_b, b.positions))
-    views = open_view(wall(12.0), a), open_view(wall(12.0), b)
+    views = open_view(still(wall(12.0)), a), open_view(still(wall(12.0)), b)
     wrong = se2.pose(np.pi, np.array([2.0, 0.0]))  # the other half of the circle at every time
     found = refuted(np.array([T_a_b, wrong]), meetings(a, b), *views, near=0.5, fewest=20)
     assert found.tolist() == [False, True]
@@ -84,7 +87,7 @@ def test_a_pose_is_refuted_by_people_who_pass_the_other_scanner_unnoticed() -> N
 
 def test_poses_with_views_apart_are_refuted_by_nobody() -> None:
     a, b = walks(circle(3.0)), walks(circle(3.0))
-    views = open_view(wall(4.0), a), open_view(wall(4.0), b)
+    views = open_view(still(wall(4.0)), a), open_view(still(wall(4.0)), b)
     far = se2.pose(0.3, np.array([20.0, 0.0]))
     assert refuted(far[None], meetings(a, b), *views, near=0.5, fewest=20).tolist() == [False]
     assert refuted(np.zeros((0, 3, 3)), meetings(a, b), *views, near=0.5, fewest=20).shape == (0,)
@@ -94,5 +97,19 @@ def test_nobody_is_missed_while_the_other_scanner_did_not_measure() -> None:
     # What b saw ended before a's second half, under a pose that is right.
     x = circle(3.0, ticks=200)
     a, b = walks(x), walks(x[:60])
-    views = open_view(wall(12.0), a), open_view(wall(12.0), b)
+    views = open_view(still(wall(12.0)), a), open_view(still(wall(12.0)), b)
     assert refuted(np.eye(3)[None], meetings(a, b), *views, near=0.5, fewest=20).tolist() == [False]
+
+
+def test_who_passes_while_the_other_scanner_measured_and_saw_nobody_is_missed() -> None:
+    x = np.concatenate([circle(3.0, ticks=60), circle(2.0, ticks=140)])
+    a, b = walks(x), walks(x[:60])
+    watched = np.array([[0.0, 20.0]])
+    views = open_view(still(wall(12.0), watched), a), open_view(still(wall(12.0), watched), b)
+    assert refuted(np.eye(3)[None], meetings(a, b), *views, near=0.5, fewest=20).tolist() == [True]
+
+
+@pytest.mark.parametrize(("time", "there"), [(0.9, False), (1.0, True), (2.5, False), (3.5, True), (4.1, False)])
+def test_a_scanner_watches_but_not_in_its_breaks(time: float, there: bool) -> None:
+    view = open_view(still(wall(9.0), np.array([[1.0, 2.0], [3.0, 4.0]])), NOBODY)
+    assert view.watches(np.array([time])).tolist() == [there]

@@ -13,6 +13,7 @@ from scipy.ndimage import convolve
 
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.samples import Meetings, Samples
+from calgraph.tracking import Tracked
 
 Flags = NDArray[np.bool_]
 
@@ -36,6 +37,8 @@ class OpenView:
 
     open: Flags
     """(N, N) by x and y in cells of the scanner's frame, the scanner in the middle; nothing along the border."""
+    watched: Array
+    """(W, 2) from when to when the scanner measured, s, ascending."""
 
     def covers(self, x: Array) -> Flags:
         """(...) whether positions (..., 2), m, are open to the scanner."""
@@ -43,13 +46,18 @@ class OpenView:
         cell = np.clip(x * (1 / _CELL) + size / 2, 0, size - 1).astype(np.intp)
         return np.asarray(self.open.ravel()[cell[..., 0] * size + cell[..., 1]])
 
+    def watches(self, times: Array) -> Flags:
+        """(M,) whether the scanner measured at some times (M,), s."""
+        stretch = np.searchsorted(self.watched[:, 0], times, "right") - 1
+        return np.asarray((stretch >= 0) & (times <= np.append(self.watched[:, 1], -np.inf)[stretch]))
 
-def open_view(background: Array, samples: Samples) -> OpenView:
+
+def open_view(tracked: Tracked, samples: Samples) -> OpenView:
     """The open view of a scanner: before what stands still, up to where it usually sees people; and where it did.
 
     Args:
-        background: (N, 2) its static points, m; NaN rows are breaks.
-        samples: what it saw moving.
+        tracked: what the scanner knows.
+        samples: of what it saw moving.
     """
     ranges = np.linalg.norm(samples.positions, axis=1)
     reach = float(np.quantile(ranges, 1 - _RARE)) if len(ranges) else 0.0
@@ -57,13 +65,18 @@ def open_view(background: Array, samples: Samples) -> OpenView:
     middles = (np.arange(-half, half) + 0.5) * _CELL
     x = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
     r = np.linalg.norm(x, axis=1)
-    within = (r > _NEAREST) & (r < reach) & looks_past(background, x, _CLEAR)
+    within = (r > _NEAREST) & (r < reach) & looks_past(tracked.background, x, _CLEAR)
     cells = np.clip(samples.positions / _CELL + half, 0, 2 * half - 1).astype(np.intp)
     sights = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
     often = convolve(sights, np.ones((3, 3)), mode="constant") >= _SEEN
     is_open = within.reshape(sights.shape) | often
     is_open[[0, -1]] = is_open[:, [0, -1]] = False
-    return OpenView(is_open)
+    return OpenView(is_open, _own_times(samples) if tracked.watched is None else tracked.watched)
+
+
+def _own_times(samples: Samples) -> Array:
+    """(W, 2) from the first sample to the last one, s."""
+    return samples.times[[0, -1]][None] if len(samples.tick) else np.zeros((0, 2))
 
 
 def looks_past(background: Array, x: Array, margin: float) -> Flags:
@@ -100,8 +113,8 @@ def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, nea
     """
     a, b = met.a, met.b
     moved = se2.apply(T_a_b, b.positions)
-    sights_a = view_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & _meanwhile(a, b)
-    sights_b = view_a.covers(moved) & _meanwhile(b, a)
+    sights_a = view_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & view_b.watches(a.times)
+    sights_b = view_a.covers(moved) & view_a.watches(b.times)
     expected = np.concatenate([sights_a, sights_b], axis=1)
     off = moved[:, met.row_b] - met.x_a
     pose, together = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 < near**2)
@@ -110,8 +123,3 @@ def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, nea
     count = np.count_nonzero(expected, axis=1)
     missed = np.count_nonzero(expected & ~noticed, axis=1)
     return np.asarray((count >= fewest) & (missed > _MISSED * count))
-
-
-def _meanwhile(seen: Samples, other: Samples) -> Flags:
-    """(S,) which samples are of a time at which the other scanner measured, as far as its samples tell."""
-    return np.asarray((seen.tick >= other.tick.min()) & (seen.tick <= other.tick.max()))

@@ -45,6 +45,11 @@ class Samples:
     covariances: Array
     """(S, 2, 2) of the positions, m²."""
 
+    @property
+    def times(self) -> Array:
+        """(S,) s."""
+        return np.asarray(self.tick * TICK, dtype=np.float64)
+
     @cached_property
     def places(self) -> cKDTree:
         """Where the scanner saw somebody, at whatever time."""

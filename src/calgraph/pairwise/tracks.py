@@ -92,7 +92,7 @@ class _Scanner:
     @classmethod
     def of(cls, tracked: Tracked) -> "_Scanner":
         samples = sample(tracked)
-        return cls(samples, open_view(tracked.background, samples), replace(tracked, tracks=()))
+        return cls(samples, open_view(tracked, samples), replace(tracked, tracks=()))
 
 
 @dataclass(frozen=True, eq=False)

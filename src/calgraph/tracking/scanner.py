@@ -13,7 +13,7 @@ from calgraph.tracking.background import learn_static_scene
 from calgraph.tracking.clusters import Clusters, clusters, foreground
 from calgraph.tracking.features import Centres, Feature, Walks, centres, radii_of, width_of
 from calgraph.tracking.periods import Piece, cut_into_periods
-from calgraph.tracking.scans import ScanRun, in_runs
+from calgraph.tracking.scans import ScanRun, in_runs, watched
 from calgraph.tracking.smoothing import smooth_all, with_unmodelled_noise
 from calgraph.tracking.track import Hits, Track, Tracked, Untracked
 
@@ -69,7 +69,7 @@ def track_runs(
             f"could be followed for {_SHORTEST:g} s and {_TRAVEL:g} m"
         )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
-    return Tracked(tracks, scene.points, sigma)
+    return Tracked(tracks, scene.points, sigma, watched(runs))
 
 
 def _walks(found: Clusters, members: NDArray[np.intp]) -> bool:

@@ -1,12 +1,15 @@
 """All scans of one scanner in arrays: what is done to every scan is then done to hundreds at once."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan
+
+# Who passes within a longer break between two scans may pass unseen, s.
+_BREAK = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,3 +66,10 @@ def in_runs(scans: Iterable[LaserScan]) -> tuple[ScanRun, ...]:
     for scan in scans:
         gathering.add(scan)
     return gathering.runs()
+
+
+def watched(runs: Sequence[ScanRun]) -> Array:
+    """(W, 2) from when to when a scanner measured without a break, s."""
+    stamps = np.concatenate([run.stamps for run in runs])
+    breaks = np.flatnonzero(np.diff(stamps) > _BREAK)
+    return np.column_stack([stamps[[0, *breaks + 1]], stamps[[*breaks, -1]]])

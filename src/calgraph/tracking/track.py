@@ -51,6 +51,8 @@ class Tracked:
     """(M, 2) static points, sensor frame, m, in order of angle; NaN rows between breaks are not used."""
     sigma: float
     """Range noise seen on the background, m."""
+    watched: Array | None = None
+    """(W, 2) from when to when it measured without a break, s; without, from its first track to its last one."""
 
 
 @dataclass(frozen=True)
