@@ -39,11 +39,12 @@ class SparseProblem:
         data, columns = [], []
         for r, J, sensor, board in self._views(x):
             stretch = stretched(r, J)[1].reshape(-1, J.shape[-1])
-            own = np.broadcast_to(self.bundle.columns(sensor)[:6], (len(r), 6))
-            of_board = self.bundle.size + 6 * board[:, None] + np.arange(6)
-            column = np.repeat(np.concatenate([np.maximum(own, 0), of_board], axis=1), r.shape[1], axis=0)
+            moving = self.bundle.moving(sensor)
             # The root's columns do not exist: zeros in those of another sensor.
-            stretch[:, :6] *= own[0, 0] >= 0
+            stretch[:, :6] *= len(moving) > 0
+            own = np.broadcast_to(moving if len(moving) else np.arange(6), (len(r), 6))
+            of_board = self.bundle.size + 6 * board[:, None] + np.arange(6)
+            column = np.repeat(np.concatenate([own, of_board], axis=1), r.shape[1], axis=0)
             for part in (slice(3, 6), slice(9, 12)):
                 turn = turns[column[:, part.start] // 3]
                 stretch[:, part] = (stretch[:, None, part] @ turn)[:, 0]

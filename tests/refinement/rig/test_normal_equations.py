@@ -18,7 +18,10 @@ def random_rows(rng: np.random.Generator, k: int, q: int, p: int, size: float = 
 
 
 def swayed(rows: Rows, start: Index, sway: Array) -> tuple[Array, Array, Array]:
-    return judged(rows, start, sway).swayed(sway)
+    """Along the sensor's axes."""
+    information, gradient, costs = judged(rows, start, sway).swayed(sway)
+    turned = np.swapaxes(rows.basis, -1, -2)
+    return turned @ information @ rows.basis, (turned @ gradient[..., None])[..., 0], costs
 
 
 def dense(rows: Rows, view: int) -> tuple[Array, Array]:

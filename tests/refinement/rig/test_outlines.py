@@ -10,7 +10,7 @@ from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.detection import PlanePatch
 from calgraph.geometry import Array, se3, so3
 from calgraph.refinement.rig.bundle import Unknown, covariance, linearize, solve
-from calgraph.refinement.rig.outlines import Outline, middles
+from calgraph.refinement.rig.outlines import Outline
 from calgraph.refinement.rig.views import relative
 
 HALF = np.array([WIDTH, HEIGHT]) / 2
@@ -112,7 +112,9 @@ def test_some_of_the_outlines_say_what_they_said_among_all() -> None:
 
 def test_middles_are_where_the_sheet_was_seen_to_end() -> None:
     places = crossings(np.random.default_rng(3))
-    np.testing.assert_allclose(middles(BEFORE, edges_of(BEFORE, places)), places.mean(axis=1), atol=1e-9)
+    views, found = outline(BEFORE[None], [edges_of(BEFORE, places)]).middles(BEFORE[None])
+    np.testing.assert_allclose(found, places.mean(axis=1), atol=1e-9)
+    assert not views.any()
 
 
 def test_outlines_place_a_lidar_by_as_much_as_they_say() -> None:

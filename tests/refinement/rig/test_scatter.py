@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bundle_scenes import Scene, remeasured, scene
 from calgraph.geometry import se3
-from calgraph.refinement.rig.bundle import Bundle, Solved, covariance, solve
+from calgraph.refinement.rig.bundle import Bundle, Solved, covariance, solve, view_spreads
 from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
 from calgraph.refinement.rig.views import Beams, Views, relative
 
@@ -19,9 +20,14 @@ def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, Solv
     """The bundle after rounds of solving and measuring both noise and sway."""
     solved = solve(bundle, exact.truth)
     for _ in range(rounds):
-        bundle = with_measured_sway(with_measured_noise(bundle, solved), solved.system)
+        spreads = view_spreads(bundle, solved.system)
+        bundle = with_measured_sway(with_measured_noise(bundle, solved, spreads), solved.system, spreads)
         solved = solve(bundle, solved.state, iterations=3)
     return bundle, solved
+
+
+def contradicting(bundle: Bundle, solved: Solved) -> list[NDArray[np.bool_]]:
+    return wrong_views(bundle, solved.system, view_spreads(bundle, solved.system))
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.5, 1.0, 2.0])
@@ -32,7 +38,7 @@ def test_noise_stated_wrongly_is_measured(noise: float) -> None:
         bundle = exact.measured(np.random.default_rng(seed), noise)
         solved = solve(bundle, exact.truth)
         for _ in range(3):
-            bundle = with_measured_noise(bundle, solved)
+            bundle = with_measured_noise(bundle, solved, view_spreads(bundle, solved.system))
             solved = solve(bundle, solved.state, iterations=3)
         found.append([views.scale for views in bundle.views])
     # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as three more.
@@ -128,7 +134,7 @@ def named(exact: Scene, bundle: Bundle, rounds: int = 3) -> list[tuple[int, int]
     """Sensors and boards of the views called wrong, left out round by round."""
     found = []
     for _ in range(rounds):
-        wrong = wrong_views(bundle, solve(bundle, exact.truth).system)
+        wrong = contradicting(bundle, solve(bundle, exact.truth))
         found += [(s, int(board)) for s, bad in enumerate(wrong) for board in bundle.views[s].board[bad]]
         left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
         bundle = replace(bundle, views=left)
@@ -154,7 +160,7 @@ def test_right_views_are_not_called_wrong() -> None:
     wrong = 0
     for seed in range(SEEDS):
         bundle, solved = settled(exact, exact.measured(np.random.default_rng(seed)))
-        wrong += sum(int(bad.sum()) for bad in wrong_views(bundle, solved.system))
+        wrong += sum(int(bad.sum()) for bad in contradicting(bundle, solved))
     # One in 100,000 by chance, of 1,200 that were looked at.
     assert wrong <= 1
 
@@ -162,5 +168,5 @@ def test_right_views_are_not_called_wrong() -> None:
 def test_of_one_board_only_the_worst_view_is_called_wrong() -> None:
     exact, rng = scene(("lidar", "camera", "lidar2", "laser"), boards=10), np.random.default_rng(0)
     bundle = moved_views(exact, moved_views(exact, exact.measured(rng), 1, [3], rng), 3, [3], rng)
-    found = wrong_views(bundle, solve(bundle, exact.truth).system)
+    found = contradicting(bundle, solve(bundle, exact.truth))
     assert sum(bool(bad[3]) for bad in found) == 1

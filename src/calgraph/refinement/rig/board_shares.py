@@ -13,8 +13,7 @@ def board_shares(bundle: Bundle, system: System) -> Array:
     """
     H = np.zeros((len(system.H_board), bundle.size, bundle.size))
     for k, (views, at) in enumerate(zip(bundle.all_views, system.views, strict=True)):
-        columns = bundle.columns(k)
-        G, columns = at.by_sensor[..., columns >= 0], columns[columns >= 0]
+        columns, G = bundle.columns(k), at.by_sensor
         H[np.ix_(views.board, columns, columns)] += np.swapaxes(G, -1, -2) @ at.information @ G
     K = np.linalg.solve(system.H_board + FAINT * np.eye(6), system.coupling)
     return np.asarray(H - np.swapaxes(system.coupling, -1, -2) @ K)

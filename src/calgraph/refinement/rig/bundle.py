@@ -27,6 +27,8 @@ _BELIEF = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
 SETTLED = 1e-3
 # nor by more than a thousandth.
 _SETTLED_FINELY = 1e-7
+# What sums were moved along by steps that gained less than so many times that, they are as exact: to second order.
+_SHORT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +105,13 @@ class Bundle:
         return np.array([i for i, one in enumerate(self.unknowns) if k in one.sensors], dtype=np.intp)
 
     def columns(self, k: int) -> Index:
-        """(6 + e,) columns of a sensor's body and own unknowns in the reduced problem; -1 where it is fixed."""
-        body = 6 * (self.body[self.seer(k)] - 1) + np.arange(6)
-        return np.concatenate([np.maximum(body, -1), self.own(k) + 6 * self.bodies])
+        """(n,) columns of the reduced problem that views depend on: of the sensor's body, and own unknowns."""
+        return np.concatenate([self.moving(self.seer(k)), self.own(k) + 6 * self.bodies])
+
+    def moving(self, sensor: int) -> Index:
+        """(6,) columns of the body that a sensor is on, in the reduced problem; (0,) of the root's."""
+        body = int(self.body[sensor])
+        return np.arange(6 * (body - 1), 6 * body) if body > 0 else np.zeros(0, dtype=np.intp)
 
     @property
     def bodies(self) -> int:
@@ -145,13 +151,15 @@ class ViewEquations:
     """One sensor's views, or an outline's, at a state."""
 
     information: Array
-    """(V, p, p) on the pose of the board before the sensor, and the sensor's own unknowns."""
+    """(V, q, q) on the numbers that measurements depend on."""
     gradient: Array
-    """(V, p)."""
+    """(V, q)."""
+    basis: Array
+    """(V, q, 6 + e) how these move with the pose of the board before the sensor, and the sensor's own unknowns,"""
     by_sensor: Array
-    """(V, p, 6 + e) how they move with the sensor's body and own unknowns."""
+    """(V, q, n) with the n columns of the reduced problem that they depend on,"""
     by_board: Array
-    """(V, p, 6) and with the board."""
+    """(V, q, 6) and with the board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,18 +223,20 @@ def linearize(bundle: Bundle, state: State, near: Sequence[Visit | None] = ()) -
         before = near[k] if near else None
         sums = before.moved(views, T_sensor_board, own) if before else None
         visits.append(before if before and sums else visit(views, T_sensor_board, own, sway))
-        A, b, costs = (sums or visits[k].sums).swayed(sway)
-        by_sensor, by_board = _chain(bundle, state, bundle.seer(k), T_root_board, views.unknowns)
-        equations.append(ViewEquations(A, b, by_sensor, by_board))
+        sums = sums or visits[k].sums
+        A, b, costs = sums.swayed(sway)
+        by_sensor, by_board = (sums.basis @ J for J in relative_jacobians(bundle, state, k))
+        equations.append(ViewEquations(A, b, sums.basis, by_sensor, by_board))
         cost += float(costs.sum())
-        columns = bundle.columns(k)
-        G, columns = by_sensor[..., columns >= 0], columns[columns >= 0]
-        Gt, Bt = np.swapaxes(G, -1, -2), np.swapaxes(by_board, -1, -2)
-        H[np.ix_(columns, columns)] += np.sum(Gt @ A @ G, axis=0)
-        g[columns] += np.sum(Gt @ b[..., None], axis=0)[:, 0]
-        H_board[views.board] += Bt @ A @ by_board
-        g_board[views.board] += (Bt @ b[..., None])[..., 0]
-        coupling[np.ix_(views.board, np.arange(6), columns)] += Bt @ A @ G
+        columns, n = bundle.columns(k), by_sensor.shape[-1]
+        J = np.concatenate([by_sensor, by_board], axis=-1)
+        Jt = np.swapaxes(J, -1, -2)
+        both, slope = Jt @ A @ J, (Jt @ b[..., None])[..., 0]
+        H[np.ix_(columns, columns)] += both[:, :n, :n].sum(axis=0)
+        g[columns] += slope[:, :n].sum(axis=0)
+        H_board[views.board] += both[:, n:, n:]
+        g_board[views.board] += slope[:, n:]
+        coupling[np.ix_(views.board, np.arange(6), columns)] += both[:, n:, :n]
     for prior in bundle.priors:
         cost += _add_prior(bundle, state, prior, H, g)
     exact = not any(at is before for at, before in zip(visits, near, strict=False))
@@ -240,16 +250,18 @@ def solve(
     *,
     iterations: int = 50,
     settled: float = _SETTLED_FINELY,
+    exact: bool = True,
 ) -> Solved:
     """Minimises the robust cost of all views and priors.
 
     Args:
         bundle: the measurements.
         state: start values.
-        near: (K,) visits of the same views, if there are, near the solution: where views stay near, these are
-            believed. Without, every measurement is looked at where the solver stops.
+        near: (K,) visits of the same views, if there are, near the solution.
         iterations: steps at most, rejected ones included.
         settled: what the next step would gain (half squared standard deviations) where the solver stops.
+        exact: whether measurements are looked at where the solver stops; else those of views that stay near are
+            believed to change as they did when they were.
 
     Raises:
         CalibrationError: the residuals are not finite at the start.
@@ -257,30 +269,49 @@ def solve(
     system = linearize(bundle, state, near)
     if not np.isfinite(system.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
+    # What was gained since measurements were looked at.
+    since = 0.0 if system.exact else np.inf
     damping, growth = 1e-5, 2.0
     for iteration in range(iterations):
         H, g, K = system.reduced(damping)
         step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         boards = -(K[..., :-1] @ step + K[..., -1])
         predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
-        if predicted <= settled + 1e-12 * system.cost:
-            if system.exact or near:
+        if done := predicted <= settled + 1e-12 * system.cost:
+            if not exact or since <= _SHORT * settled:
                 return Solved(state, system, iteration, converged=True)
+        else:
+            trial = moved(bundle, state, step, boards)
+            ahead = linearize(bundle, trial, system.visits)
+            gained = system.cost - ahead.cost
+        if done or (exact and gained < 0 and since > 0):
             # What was moved along is too coarse to judge by.
-            system = linearize(bundle, state)
-            continue
-        trial = moved(bundle, state, step, boards)
-        ahead = linearize(bundle, trial, system.visits)
-        gained = system.cost - ahead.cost
-        if gained >= 0:  # False where the trial's residuals are not finite
+            system, since = linearize(bundle, state), 0.0
+        elif gained >= 0:  # False where the trial's residuals are not finite
             gain = min(gained / predicted, 1.0)
-            state, system = trial, ahead
+            state, system, since = trial, ahead, 0.0 if ahead.exact else since + gained
             damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
-            continue
-        damping, growth = damping * growth, growth * 2
-        if not system.exact and not near:
-            system = linearize(bundle, state)
+        else:
+            damping, growth = damping * growth, growth * 2
     return Solved(state, system, iterations, converged=False)
+
+
+def relative_jacobians(bundle: Bundle, state: State, k: int) -> tuple[Array, Array]:
+    """How boards before a sensor, and its own unknowns, move with the reduced problem's, and with the boards.
+
+    Returns:
+        (V, 6 + e, n), by ``bundle.columns(k)``, and (V, 6 + e, 6).
+    """
+    views, sensor = bundle.all_views[k], bundle.seer(k)
+    count, own = len(views.board), views.unknowns
+    T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (count, 4, 4))
+    by_pose, of_board = relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
+    moving = len(bundle.moving(sensor))
+    by_sensor, by_board = np.zeros((count, 6 + own, moving + own)), np.zeros((count, 6 + own, 6))
+    by_sensor[:, :6, :moving] = (by_pose @ _on_body(bundle, state, sensor))[..., :moving]
+    by_sensor[:, 6:, moving:] = np.eye(own)
+    by_board[:, :6] = of_board
+    return by_sensor, by_board
 
 
 def moved(bundle: Bundle, state: State, step: Array, boards: Array) -> State:
@@ -288,7 +319,7 @@ def moved(bundle: Bundle, state: State, step: Array, boards: Array) -> State:
     T = state.T_root_sensor.copy()
     for s in np.flatnonzero(bundle.body > 0):
         lever = _on_body(bundle, state, int(s))
-        T[s] = se3.retract(T[s], lever @ step[bundle.columns(int(s))[:6]])
+        T[s] = se3.retract(T[s], lever @ step[bundle.moving(int(s))])
     own = state.own + step[len(step) - len(state.own) :]
     return State(_rigid(bundle, state, T), se3.retract(state.T_root_board, boards), own)
 
@@ -302,10 +333,8 @@ def covariance(bundle: Bundle, state: State, system: System) -> Array:
 def pose_jacobian(bundle: Bundle, state: State) -> Array:
     """(S·6, G) how all sensors' poses move with the unknowns of the reduced problem, in the root's fixed axes."""
     by_unknowns = np.zeros((6 * len(bundle.names), bundle.size))
-    for s in range(len(bundle.names)):
-        columns = bundle.columns(s)[:6]
-        if columns[0] >= 0:
-            by_unknowns[6 * s : 6 * s + 6, columns] = _on_body(bundle, state, s)
+    for s in np.flatnonzero(bundle.body > 0):
+        by_unknowns[6 * s : 6 * s + 6, bundle.moving(int(s))] = _on_body(bundle, state, int(s))
     return by_unknowns
 
 
@@ -316,7 +345,7 @@ def reduced_covariance(system: System) -> Array:
 
 
 def view_spreads(bundle: Bundle, system: System) -> list[Array]:
-    """By sensor and outline, how far off the solution may have each board before it: factors ``F`` (V, p, G + 6).
+    """By sensor and outline, how far off the solution may have what views measure: factors ``F`` (V, q, G + 6).
 
     Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
     board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
@@ -325,26 +354,10 @@ def view_spreads(bundle: Bundle, system: System) -> list[Array]:
     inner, of_board = _inverse_root(H), _inverse_root(system.H_board + FAINT * np.eye(6))
     found = []
     for k, (views, at) in enumerate(zip(bundle.all_views, system.views, strict=True)):
-        columns = bundle.columns(k)
         by_unknowns = -at.by_board @ K[views.board, :, :-1]
-        by_unknowns[..., columns[columns >= 0]] += at.by_sensor[..., columns >= 0]
+        by_unknowns[..., bundle.columns(k)] += at.by_sensor
         found.append(np.concatenate([by_unknowns @ inner, at.by_board @ of_board[views.board]], axis=-1))
     return found
-
-
-def _chain(bundle: Bundle, state: State, sensor: int, T_root_board: Array, own: int) -> tuple[Array, Array]:
-    """How boards before a sensor, and its own unknowns, move with its body and those, and with the boards.
-
-    Returns:
-        (V, 6 + e, 6 + e) and (V, 6 + e, 6).
-    """
-    count = len(T_root_board)
-    T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (count, 4, 4))
-    by_pose, of_board = relative_pose_jacobians(T_root_sensor, T_root_board)
-    by_sensor = np.zeros((count, 6 + own, 6 + own))
-    by_sensor[:, :6, :6] = by_pose @ _on_body(bundle, state, sensor)
-    by_sensor[:, 6:, 6:] = np.eye(own)
-    return by_sensor, np.concatenate([of_board, np.zeros((count, own, 6))], axis=1)
 
 
 def _on_body(bundle: Bundle, state: State, sensor: int) -> Array:
@@ -380,8 +393,7 @@ def _add_prior(bundle: Bundle, state: State, prior: Prior, H: Array, g: Array) -
     J = np.eye(6)
     J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
     J = J @ _on_body(bundle, state, prior.sensor)
-    columns = bundle.columns(prior.sensor)[:6]
-    if columns[0] >= 0:
+    if len(columns := bundle.moving(prior.sensor)):
         H[np.ix_(columns, columns)] += J.T @ prior.information @ J
         g[columns] += J.T @ prior.information @ error
     return 0.5 * float(error @ prior.information @ error)

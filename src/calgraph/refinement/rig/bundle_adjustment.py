@@ -1,6 +1,5 @@
 """The default joint estimator of a rig: all sensors and boards at once, in the units that the sensors measure."""
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -12,7 +11,17 @@ from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, Index
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.rig.boards import Sighting, placed, seen_in, sightings
-from calgraph.refinement.rig.bundle import SETTLED, Bundle, Solved, State, covariance, linearize, solve, stacked
+from calgraph.refinement.rig.bundle import (
+    SETTLED,
+    Bundle,
+    Solved,
+    State,
+    covariance,
+    linearize,
+    solve,
+    stacked,
+    view_spreads,
+)
 from calgraph.refinement.rig.contradictions import doubts_of_known
 from calgraph.refinement.rig.hypergraph import Filter, believed
 from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
@@ -30,8 +39,8 @@ _ROUNDS = 12
 # Outlines come to a solution that has settled.
 _OUTLINE_ROUNDS = 4
 _STEPS = 4
-_SETTLED = 0.02
-_log = logging.getLogger(__name__)
+# That share of noises, and of sways, which are told by few views and never as surely.
+_SETTLED, _SETTLED_SWAY = 0.02, 0.05
 _CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
 
 
@@ -69,16 +78,16 @@ def solve_bundle(
     bundle = free(bundle)
     if estimate:
         bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
-    bundle, solved, rejected = _settled(bundle, solve(bundle, state, settled=SETTLED), _ROUNDS)
+    bundle, solved, rejected = _settled(bundle, solve(bundle, state, settled=SETTLED, exact=False), _ROUNDS)
     outlined, outlined_solved, more = _outlined(bundle, solved, rig, captured, boards)
     if contradict((bundle, solved), (outlined, outlined_solved)):
-        _log.warning(
+        remarks: tuple[str, ...] = (
             "where scanners see the board end contradicts planes and prints: outlines are not used; is size the "
-            "sheet's, and does nothing but the sheet stand out beside it?"
+            "sheet's, and does nothing but the sheet stand out beside it?",
         )
     else:
         bundle, solved, rejected = outlined, outlined_solved, rejected | more
-        bundle = without_wrong_outlines(bundle, solved)
+        bundle, remarks = without_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
     bundle = with_known(bundle, priors, groups)
     solved = solve(bundle, with_groups(solved.state, bundle.names, groups), settled=SETTLED)
@@ -90,6 +99,7 @@ def solve_bundle(
         residuals=dict(_residuals(bundle, solved)),
         converged=solved.converged,
         doubts=doubts_of_known(bundle, solved, groups),
+        remarks=remarks,
         rejected={(boards[i].capture, name): _CONTRADICTS for i, name in sorted(rejected)},
         noise={
             name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
@@ -184,7 +194,7 @@ def _outlined(
     """
     bundle, state = with_outlines(plain, solved.state, rig, captured.detections, boards, _SWAY**2)
     near = (*solved.system.visits, *[None] * len(bundle.outlines))
-    solved = solve(bundle, state, near, iterations=_STEPS, settled=SETTLED)
+    solved = solve(bundle, state, near, iterations=_STEPS, settled=SETTLED, exact=False)
     return _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
 
 
@@ -193,32 +203,33 @@ def _settled(
 ) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
     """The bundle with its noise and sway measured and wrong views left out; and those, by board and sensor.
 
-    Noise is measured of the views from the first on: what others scatter about their own boards does not change.
+    Noise and sway are measured, and wrong views sought, from the first ones on: what is before has settled.
     """
     rejected: set[tuple[int, str]] = set()
     seen = np.array([len(views.board) for views in bundle.all_views])
     for _ in range(rounds):
-        before = bundle
-        bundle = with_measured_sway(with_measured_noise(bundle, solved, first), solved.system)
-        bundle, wrong = _without_wrong(bundle, solved, seen)
+        before, spreads = bundle, view_spreads(bundle, solved.system)
+        contradicting = wrong_views(bundle, solved.system, spreads, first)
+        bundle = with_measured_noise(bundle, solved, spreads, first)
+        bundle = with_measured_sway(bundle, solved.system, spreads, first)
+        bundle, wrong = _without(bundle, contradicting, seen)
         rejected |= wrong
         if _alike(before, bundle):
             break
         kept = zip(solved.system.visits, before.all_views, bundle.all_views, strict=True)
         near = [at if views is was else None for at, was, views in kept]
-        solved = solve(bundle, solved.state, near, iterations=_STEPS, settled=SETTLED)
+        solved = solve(bundle, solved.state, near, iterations=_STEPS, settled=SETTLED, exact=False)
     return bundle, solved, rejected
 
 
-def _without_wrong(bundle: Bundle, solved: Solved, seen: NDArray[np.intp]) -> tuple[Bundle, set[tuple[int, str]]]:
-    """The bundle without the views that contradict the others; and those, by board and sensor.
+def _without(
+    bundle: Bundle, contradicting: Sequence[NDArray[np.bool_]], seen: NDArray[np.intp]
+) -> tuple[Bundle, set[tuple[int, str]]]:
+    """The bundle without the views that contradict the others, (K,) masks; and those, by board and sensor.
 
-    A sensor that would lose more than half of the views (S,) it had keeps them: not they, its model is wrong.
+    A sensor that would lose more than half of the views (K,) it had keeps them: not they, its model is wrong.
     """
-    wrong = [
-        bad & (len(bad) - bad.sum() > count / 2)
-        for bad, count in zip(wrong_views(bundle, solved.system), seen, strict=True)
-    ]
+    wrong = [bad & (len(bad) - bad.sum() > count / 2) for bad, count in zip(contradicting, seen, strict=True)]
     rejected = {
         (int(board), name)
         for name, views, bad in zip(bundle.names, bundle.views, wrong[: len(bundle.views)], strict=True)
@@ -235,7 +246,7 @@ def _alike(a: Bundle, b: Bundle) -> bool:
     same_views = all(len(p.board) == len(q.board) for p, q in zip(a.all_views, b.all_views, strict=True))
     same_noise = all(abs(p.scale / q.scale - 1) < _SETTLED for p, q in zip(a.all_views, b.all_views, strict=True))
     smallest = np.minimum(a.sway, b.sway)
-    same_sway = bool(np.all(np.abs(a.sway - b.sway) <= 2 * _SETTLED * smallest + 1e-9))
+    same_sway = bool(np.all(np.abs(a.sway - b.sway) <= 2 * _SETTLED_SWAY * smallest + 1e-9))
     return same_views and same_noise and same_sway
 
 

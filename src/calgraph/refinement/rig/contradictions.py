@@ -76,7 +76,7 @@ def _pull(bundle: Bundle, solved: Solved, sensor: int) -> tuple[float, Array]:
     system = linearize(free, solved.state)
     _, g, _ = system.reduced()
     step = -reduced_covariance(system) @ g
-    return float(-g @ step), step[free.columns(sensor)[:6]]
+    return float(-g @ step), step[free.moving(sensor)]
 
 
 def _far(squared: float, error: Array) -> str:

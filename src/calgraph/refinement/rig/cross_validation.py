@@ -18,12 +18,14 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.refinement.rig.bundle import (
     FAINT,
+    SETTLED,
     Bundle,
     State,
     System,
     linearize,
     moved,
     reduced_covariance,
+    relative_jacobians,
     solve,
 )
 from calgraph.refinement.rig.joint import Adjusted
@@ -87,7 +89,7 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
     visits = adjusted.solved.system.visits
     for fold in range(min(folds, int(number.max()) + 1)):
         others, near = _of_boards(bundle, visits, fold_of != fold)
-        trained = solve(others, adjusted.solved.state, near)
+        trained = solve(others, adjusted.solved.state, near, settled=SETTLED, exact=False)
         spread = reduced_covariance(trained.system)
         # An outline is what a scanner saw itself: it must not place the board for it.
         left, near = _of_boards(bundle.without_outlines(), visits[: len(bundle.views)], fold_of == fold)
@@ -133,7 +135,7 @@ def _errors(bundle: Bundle, state: State, system: System, spread: Array, sensor:
     said = summed(views.linearize(T_placed, own), views.start)
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.unknowns])
     A, b = said.information / meters / meters[:, None], said.gradient / meters
-    x, X = _prediction(bundle, system, spread, sensor)
+    x, X = _prediction(bundle, state, system, spread, sensor)
     X, free = _placing(X * meters * meters[:, None])
     X += np.diag(bundle.swaying(sensor) * meters**2)
     # Where the others leave the board free, it is where the sensor itself has it.
@@ -156,16 +158,18 @@ def _errors(bundle: Bundle, state: State, system: System, spread: Array, sensor:
     return _Errors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], freedom[tested])
 
 
-def _prediction(bundle: Bundle, system: System, spread: Array, sensor: int) -> tuple[Array, Array]:
+def _prediction(bundle: Bundle, state: State, system: System, spread: Array, sensor: int) -> tuple[Array, Array]:
     """By how much the other sensors move each board before this one, (V, p), and its covariance (V, p, p)."""
-    at, board, columns = system.views[sensor], bundle.views[sensor].board, bundle.columns(sensor)
-    G = np.zeros((*at.by_sensor.shape[:-1], bundle.size))
-    G[..., columns[columns >= 0]] = at.by_sensor[..., columns >= 0]
-    B, Bt = at.by_board, np.swapaxes(at.by_board, -1, -2)
-    L = _inverse(system.H_board[board] - Bt @ at.information @ B)
-    step = -_times(L, system.g_board[board] - _times(Bt, at.gradient))
-    by_sensors = G - B @ L @ (system.coupling[board] - Bt @ at.information @ G)
-    return _times(B, step), B @ L @ Bt + by_sensors @ spread @ np.swapaxes(by_sensors, -1, -2)
+    at, board = system.views[sensor], bundle.views[sensor].board
+    of_sensor, B = relative_jacobians(bundle, state, sensor)
+    Jt = np.swapaxes(at.by_board, -1, -2)
+    L = _inverse(system.H_board[board] - Jt @ at.information @ at.by_board)
+    step = -_times(L, system.g_board[board] - _times(Jt, at.gradient))
+    coupling = system.coupling[board]
+    coupling[..., bundle.columns(sensor)] -= Jt @ at.information @ at.by_sensor
+    by_sensors = -B @ L @ coupling
+    by_sensors[..., bundle.columns(sensor)] += of_sensor
+    return _times(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ spread @ np.swapaxes(by_sensors, -1, -2)
 
 
 def _placing(X: Array) -> tuple[Array, Array]:

@@ -46,6 +46,7 @@ def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joi
         edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
         captures=tuple(_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors),
         unconnected=_unconnected(rig, captured, pairs, connected),
+        remarks=joint.remarks,
         residuals=joint.residuals,
         outlines=board_outlines(rig, captured, used, joint),
         board_views=board_views(captured, used, joint),

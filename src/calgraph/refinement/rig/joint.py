@@ -46,6 +46,8 @@ class Joint:
     converged: bool
     doubts: Mapping[str, str] = field(default_factory=dict)
     """By sensor, why its pose cannot be trusted however small its covariance."""
+    remarks: tuple[str, ...] = ()
+    """What was seen and yet not used, and why."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
     """By capture and sensor, why what it saw was left out although it agreed with another sensor."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)

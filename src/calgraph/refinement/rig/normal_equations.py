@@ -15,7 +15,7 @@ HUBER = 2.5
 # Times at most that outliers of a view are judged anew about where it then is.
 _REWEIGHTINGS = 3
 # They are not if that is where it was, to such a share of their standard deviations, root mean square.
-_STEADY = 1e-3
+_STEADY = 1e-2
 # Directions of a view with less than this share of its information are not measured by it.
 _RANK = 1e-10
 # Directions of a view that the others check with less than this share of its weight are not checked.
@@ -54,12 +54,14 @@ class ViewSums:
 
         They tell the noise of single measurements, however wrong sensors and board are placed.
         """
-        explained = np.einsum("vi,vij,vj->v", self.slope, _pseudo_inverse(self.core), self.slope)
-        return self.square - explained, self.count - _rank(self.core)
+        whiten, seen = whitening(self.core)
+        explained = np.sum(_times(whiten, self.slope) ** 2, axis=-1)
+        return self.square - explained, self.count - np.sum(seen, axis=-1)
 
     def fit(self) -> Array:
         """(V, q) by how much the numbers that measurements depend on are to change to fit each view best."""
-        return _times(-_pseudo_inverse(self.core), self.slope)
+        whiten, _ = whitening(self.core)
+        return -_times(np.swapaxes(whiten, -1, -2), _times(whiten, self.slope))
 
     def where(self, keep: NDArray[np.bool_]) -> "ViewSums":
         """Those of some of the views, a mask (V,)."""
@@ -96,13 +98,15 @@ class ViewSums:
             sway: (p,) variances Q of the displacement along the sensor's axes; 0 for the sensor's own unknowns.
 
         Returns:
-            (V, p, p), (V, p) and (V,).
+            (V, q, q), (V, q) and (V,).
         """
+        if not np.any(sway):
+            return self.core, self.slope, self.held + 0.5 * self.square
         spread = _spread(self.basis, sway)
-        shrink, Bt = _shrink(self.core, spread), np.swapaxes(self.basis, -1, -2)
-        A, slope = Bt @ shrink @ self.core @ self.basis, _times(shrink, self.slope)
-        explained = np.einsum("vi,vij,vj->v", self.slope, spread, slope)
-        return (A + np.swapaxes(A, -1, -2)) / 2, _times(Bt, slope), self.held + 0.5 * (self.square - explained)
+        shrink = _shrink(self.core, spread)
+        A, slope = shrink @ self.core, _times(shrink, self.slope)
+        explained = np.sum(_times(spread, slope) * self.slope, axis=-1)
+        return (A + np.swapaxes(A, -1, -2)) / 2, slope, self.held + 0.5 * (self.square - explained)
 
     def displaced(self, spread: Array) -> Array:
         """(V, q) the likeliest displacement, if it has the covariance ``spread`` (V, q, q)."""
@@ -126,7 +130,10 @@ def summed(rows: Rows, start: Index, fitted: Callable[[ViewSums], Array] = ViewS
     shift = fitted(sums)
     for _ in range(_REWEIGHTINGS):
         off = residual + np.einsum("in,in->n", columns, np.repeat(shift.T, count, axis=1))
-        sums = _without_excess(plain, columns, residual, start, _sizes(off.reshape(rows.residual.shape)))
+        size = _sizes(off.reshape(rows.residual.shape))
+        if not np.any(size > HUBER):
+            return plain
+        sums = _without_excess(plain, columns, residual, start, size)
         before, shift = shift, fitted(sums)
         if np.all(plain.squared(shift - before) <= _STEADY**2 * count):
             break
@@ -208,8 +215,10 @@ def _times(A: Array, x: Array) -> Array:
 
 def whitening(information: Array) -> tuple[Array, NDArray[np.bool_]]:
     """``L`` (V, p, p) with ``L @ A @ L.T`` of information A the identity where it is measured, (V, p)."""
-    unit, size = _normalised(information)
-    values, vectors = np.linalg.eigh(unit)
+    # Metres and radians do not compare: first to a unit diagonal.
+    size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(information / size[..., :, None] / size[..., None, :])
     seen = values > _RANK * values[..., -1:]
     root = np.where(seen, values, 1.0) ** -0.5 * seen
     return root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :], seen
@@ -245,22 +254,3 @@ def huber_scatter(dimension: int) -> float:
     inside = d * chdtr(d + 2, h**2)
     outside = h * np.sqrt(2) * np.exp(gammaln((d + 1) / 2) - gammaln(d / 2)) * chdtrc(d + 1, h**2)
     return float((inside + outside) / d)
-
-
-def _normalised(A: Array) -> tuple[Array, Array]:
-    """Matrices with unit diagonal, so that metres and radians compare; and what they were divided by."""
-    size = np.sqrt(np.maximum(np.diagonal(A, axis1=-2, axis2=-1), 0))
-    size = np.where(size > 0, size, 1.0)
-    return A / size[..., :, None] / size[..., None, :], size
-
-
-def _pseudo_inverse(A: Array) -> Array:
-    unit, size = _normalised(A)
-    inverse = np.linalg.pinv(unit, rcond=_RANK, hermitian=True)
-    return np.asarray(inverse / size[..., :, None] / size[..., None, :])
-
-
-def _rank(A: Array) -> NDArray[np.intp]:
-    unit, _ = _normalised(A)
-    values = np.abs(np.linalg.eigvalsh(unit))
-    return np.asarray(np.sum(values > _RANK * values[..., -1:], axis=-1), dtype=np.intp)

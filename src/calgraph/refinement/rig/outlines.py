@@ -149,16 +149,16 @@ class Outline:
             sigma=self.sigma[kept],
         )
 
+    def middles(self, T_sensor_board: Array) -> tuple[Index, Array]:
+        """By the edges that tell, which view each is of (N,), and where its board ends, in its plane (N, 2), m."""
+        T = se3.inverse(T_sensor_board)[self._view]
+        on, past = (np.stack(_meet(T, self.edges[:, i])[0], axis=-1) for i in (0, 1))
+        telling = np.linalg.norm(past - on, axis=1) < _COARSE
+        return self._view[telling], (on + past)[telling] / 2
+
     @property
     def _view(self) -> Index:
         return view_of(self.first, len(self.edges))
-
-
-def middles(T_sensor_board: Array, edges: Array) -> Array:
-    """(N, 2) where a board (4, 4) is seen to end, in its frame, m, by those of (M, 2, 3) that tell."""
-    T = np.broadcast_to(se3.inverse(T_sensor_board), (len(edges), 4, 4))
-    on, past = (np.stack(_meet(T, edges[:, i])[0], axis=-1) for i in (0, 1))
-    return np.asarray((on + past)[np.linalg.norm(past - on, axis=1) < _COARSE] / 2)
 
 
 def _meet(T_board_sensor: Array, directions: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

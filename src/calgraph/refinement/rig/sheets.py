@@ -1,19 +1,18 @@
 """Lays the sheets of boards where scanners saw them end, and hangs these ends on a bundle as outlines."""
 
-import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.detection import BoardCorners, PlanePatch, Segment
-from calgraph.geometry import Array, Index, se3, so3
+from calgraph.geometry import Array, Index, se3
 from calgraph.pairwise import Candidates
 from calgraph.refinement.rig.boards import Sighting, seen_in
 from calgraph.refinement.rig.bundle import Bundle, Solved, State, Unknown, covariance, reduced_covariance
-from calgraph.refinement.rig.outlines import Outline, middles
+from calgraph.refinement.rig.laying import laid
+from calgraph.refinement.rig.outlines import Outline
 from calgraph.refinement.rig.views import Beams, relative
 from calgraph.rig import Rig
 
@@ -23,21 +22,10 @@ _GROWTH = 0.01
 _WRONG_SIZE, _SURE = 0.012, 4.0
 # Edges that scatter by so many times their noise are not those of a rectangle of this size.
 _SHAPELESS = 3.0
-# So many edges are needed to lay a sheet by them alone.
-_ENOUGH = 6
 # Directions of which outlines take less than this share of the variance are not told by them.
 _TOLD = 0.05
 # Outlines contradict planes and prints if chance would have them differ so once in so many.
 _CHANCE = 1e-4
-_TURNS = np.radians(np.arange(0.0, 180.0, 5.0))
-_FINE = np.radians(np.arange(-4.0, 4.5, 1.0))
-_SHIFTS = 6
-# Of an edge the distance counts up to this, m.
-_FAR = 0.05
-# A sheet is laid right if edges are on average as near to its sides as this, m; turned otherwise, so much worse.
-_NEAR, _WORSE = 0.02, 1.5
-
-_log = logging.getLogger(__name__)
 
 
 def with_outlines(
@@ -57,46 +45,44 @@ def with_outlines(
         sway: that outlines begin with, m².
     """
     size = np.array([board.size for board in rig.boards]) / 2
-    half, lies, T_root_board = (
-        np.zeros((len(boards), 2)),
-        np.zeros(len(boards), dtype=bool),
-        state.T_root_board.copy(),
-    )
-    for i, board in enumerate(boards):
-        prints = [d.board for _, d in seen_in(board, seen) if isinstance(d, BoardCorners)]
-        if prints:
-            half[i], lies[i] = size[prints[0]], True
-        elif len(size) == 1:
-            T = _laid(T_root_board[i], list(_edges_of(board, seen, bundle, state)), size[0])
-            half[i], lies[i] = size[0], T is not None
-            T_root_board[i] = T_root_board[i] if T is None else T
+    printed = np.array([_printed(board, seen) for board in boards], dtype=np.intp)
+    lies, half = printed >= 0, size[np.maximum(printed, 0)]
+    ends = {
+        s: Outline.of(
+            views.board.tolist(), [_surface(seen, boards[i], name) for i in views.board], half[views.board]
+        )
+        for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True))
+        if isinstance(views, Beams)
+    }
+    T_root_board = state.T_root_board.copy()
+    if len(size) == 1:
+        lost = np.flatnonzero(~lies)
+        in_planes, lies[lost] = laid(_seen_to_end(ends, state, lost), size[0])
+        T_root_board[lost] = T_root_board[lost] @ in_planes
     placed = replace(state, T_root_board=T_root_board)
     outlines: list[Outline] = []
-    outlined: list[int] = []
     unknowns: list[Unknown] = []
-    for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
-        if isinstance(views, Beams):
-            own = views.board[lies[views.board]]
-            found = [_surface(seen, boards[i], name) for i in own]
-            outline = Outline.of(own.tolist(), found, half[own])
-            outline = outline.weighed(relative(state.T_root_sensor[s], T_root_board[own]), 1.0)
-            unknowns.append(Unknown(name, "outline", "m", 0.0, _GROWTH, (len(bundle.names) + len(outlines),)))
-            outlined.append(s)
-            outlines.append(outline)
+    for s, seen_ends in ends.items():
+        outline = seen_ends.where(lies[seen_ends.board])
+        T_sensor_board = relative(state.T_root_sensor[s], T_root_board[outline.board])
+        unknowns.append(
+            Unknown(bundle.names[s], "outline", "m", 0.0, _GROWTH, (len(bundle.names) + len(outlines),))
+        )
+        outlines.append(outline.weighed(T_sensor_board, 1.0))
     several = replace(
         bundle,
         outlines=tuple(outlines),
-        outlined=tuple(outlined),
+        outlined=tuple(ends),
         sway=np.append(bundle.sway, np.full(len(outlines), sway)),
         unknowns=(*bundle.unknowns, *unknowns),
     )
     return several, replace(placed, own=np.append(state.own, np.zeros(len(unknowns))))
 
 
-def without_wrong_outlines(bundle: Bundle, solved: Solved) -> Bundle:
-    """The bundle without the outlines that are not those of sheets of the stated size; each is logged."""
+def without_wrong_outlines(bundle: Bundle, solved: Solved) -> tuple[Bundle, tuple[str, ...]]:
+    """The bundle without the outlines that are not those of sheets of the stated size; and of each, why."""
     spread = np.sqrt(np.diag(reduced_covariance(solved.system)))[6 * bundle.bodies :]
-    outlines = []
+    outlines, remarks = [], []
     for k, outline in enumerate(bundle.outlines, start=len(bundle.views)):
         name, own = bundle.names[bundle.seer(k)], bundle.own(k)
         growth, doubt = float(solved.state.own[own].sum()), float(spread[own].sum())
@@ -107,9 +93,9 @@ def without_wrong_outlines(bundle: Bundle, solved: Solved) -> Bundle:
         elif outline.scale > _SHAPELESS:
             why = f"{outline.scale:.1f} times as far from its sides as their noise explains"
         if why:
-            _log.warning("%s sees the board's edges %s: they are not used; is size the sheet's?", name, why)
+            remarks.append(f"{name} sees the board's edges {why}: they are not used; is size the sheet's?")
         outlines.append(outline.where(np.full(len(outline.board), not why)))
-    return bundle.with_views([*bundle.views, *outlines])
+    return bundle.with_views([*bundle.views, *outlines]), tuple(remarks)
 
 
 def contradict(plain: tuple[Bundle, Solved], outlined: tuple[Bundle, Solved]) -> bool:
@@ -142,63 +128,17 @@ def _surface(seen: Mapping[str, Candidates], board: Sighting, name: str) -> Plan
     return found
 
 
-def _edges_of(
-    board: Sighting, seen: Mapping[str, Candidates], bundle: Bundle, state: State
-) -> Iterator[tuple[Array, Array]]:
-    """``T_root_sensor`` (4, 4) of the scanners that saw a board, and where they saw it end (M, 2, 3)."""
-    for name, detection in seen_in(board, seen):
-        if not isinstance(detection, BoardCorners):
-            yield state.T_root_sensor[bundle.names.index(name)], detection.edges
+def _printed(board: Sighting, seen: Mapping[str, Candidates]) -> int:
+    """Which of the rig's boards cameras saw; -1 where none did."""
+    return next((d.board for _, d in seen_in(board, seen) if isinstance(d, BoardCorners)), -1)
 
 
-def _laid(T_root_board: Array, edges: Sequence[tuple[Array, Array]], half: Array) -> Array | None:
-    """The pose (4, 4) with the sheet turned and shifted in its plane to where it was seen to end.
-
-    Args:
-        T_root_board: its plane, and about its centre.
-        edges: ``T_root_sensor`` (4, 4) and pairs of beams (M, 2, 3), of each sensor.
-        half: (2,) half its size, m.
-    """
-    points = np.concatenate([np.empty((0, 2)), *(middles(relative(T, T_root_board), pairs) for T, pairs in edges)])
-    if len(points) < _ENOUGH:
-        return None
-    centers, misses = _shifted(points, _TURNS, half)
-    best = int(np.argmin(misses))
-    apart = np.abs((_TURNS - _TURNS[best] + np.pi / 2) % np.pi - np.pi / 2)
-    if misses[best] > _NEAR or misses[apart > np.radians(20)].min() < _WORSE * misses[best]:
-        return None
-    turns = _TURNS[best] + _FINE
-    centers, misses = _shifted(points, turns, half)
-    best = int(np.argmin(misses))
-    R = so3.exp(np.array([0.0, 0.0, turns[best]]))
-    return np.asarray(T_root_board @ se3.pose(R, R @ np.append(centers[best], 0.0)))
-
-
-def _shifted(points: Array, turns: Array, half: Array) -> tuple[Array, Array]:
-    """Where rectangles turned by (A,) are nearest to points (M, 2) on their outlines.
-
-    Returns:
-        Centres (A, 2) along the turned axes, and mean distances (A,) of the points from the outlines, m.
-    """
-    c, s = np.cos(turns)[:, None], np.sin(turns)[:, None]
-    turned = np.stack([c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]], axis=-1)
-    centers = (turned.min(axis=1) + turned.max(axis=1)) / 2
-    for _ in range(_SHIFTS):
-        off, nearest = _from_sides(turned - centers[:, None], half)
-        centers = centers + np.stack([_mean(off[..., axis], nearest == axis) for axis in (0, 1)], axis=-1)
-    off, nearest = _from_sides(turned - centers[:, None], half)
-    distance = np.abs(np.take_along_axis(off, nearest[..., None], axis=-1)[..., 0])
-    return centers, np.minimum(distance, _FAR).mean(axis=1)
-
-
-def _from_sides(points: Array, half: Array) -> tuple[Array, Index]:
-    """Offsets (..., 2) of points from the nearer of two parallel sides, and across which axis the nearest is."""
-    off = points - np.copysign(half, points)
-    beside = np.maximum(np.abs(points) - half, 0)[..., ::-1]
-    return off, np.argmin(np.hypot(off, beside), axis=-1)
-
-
-def _mean(values: Array, counted: NDArray[np.bool_]) -> Array:
-    """Means (A,) of the counted ones of values (A, M), limited in size; 0 where there are none."""
-    limited = np.clip(values, -_FAR, _FAR)
-    return np.asarray(np.sum(limited * counted, axis=1) / np.maximum(counted.sum(axis=1), 1))
+def _seen_to_end(ends: Mapping[int, Outline], state: State, boards: Index) -> list[Array]:
+    """Of some boards (n,), the points (M, 2) in their planes where scanners, by number, saw them end."""
+    board, points = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
+    for s, outline in ends.items():
+        view, found = outline.middles(relative(state.T_root_sensor[s], state.T_root_board[outline.board]))
+        board.append(outline.board[view])
+        points.append(found)
+    of, all_points = np.concatenate(board), np.concatenate(points)
+    return [all_points[of == i] for i in boards]
