@@ -17,7 +17,7 @@ from calgraph.refinement.network.headings import with_best_headings
 from calgraph.refinement.network.prior import ScannerPrior
 from calgraph.refinement.network.scans import robust_weights
 from calgraph.refinement.network.splines import Knots
-from calgraph.refinement.network.sway import contradiction
+from calgraph.refinement.network.sway import measured_sway
 from calgraph.refinement.network.trajectories import (
     AGILITY,
     Body,
@@ -53,8 +53,6 @@ _ROUGH = (0.05, 0.02)
 _BEFORE = 2.5
 # A body's place strays from its smooth path by so much to begin with, m; and its heading, rad.
 _SWAY, _TWIST = 0.005, 0.05
-# Nobody is an ellipse to better than this, m.
-_LEAST_SWAY = 0.0005
 # Rounds of choosing beams, matching walls anew, measuring the sway and solving, until the sway changes by less
 # than a share of itself; and steps in each.
 _ROUNDS = 5
@@ -141,16 +139,16 @@ def solve_network(
         blurred = _with_beams(replace(network, sigma=np.hypot(network.sigma, rough)), state, _BEFORE)
         state, _ = solve(blurred, state, iterations=_STEPS)
         state = with_best_headings(blurred, state)
-    measured = np.inf
+    measured = np.full(2, np.inf)
     for _ in range(_ROUNDS):
         network = _with_beams(_with_noise(network, state, scanners), state)
-        network = _with_sway(network, state)
+        network = replace(network, sway=measured_sway(network, state))
         walls = _walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
         state, system = solve(network, state, iterations=_STEPS)
-        if abs(network.sway[0] / measured - 1) < _SETTLED:
+        if np.all(np.abs(network.sway / measured - 1) < _SETTLED):
             break
-        measured = network.sway[0]
+        measured = network.sway
     return JointNetwork(
         state.T_root_scanner,
         state.offset,
@@ -260,12 +258,6 @@ def _with_noise(network: Network, state: State, sigma: Array) -> Network:
             off[one.scanner].append(np.abs(hits.ranges - one.ranges)[hits.incidence > _GRAZING])
     scatter = [_NORMAL * np.median(np.concatenate([*own, [0.0]])) for own in off]
     return replace(network, sigma=np.maximum(sigma, scatter))
-
-
-def _with_sway(network: Network, state: State) -> Network:
-    """The network with the sway that explains how scanners contradict each other about bodies."""
-    place = network.sway[0] * np.clip(contradiction(network, state), 0.1, 10)
-    return replace(network, sway=np.array([max(place, _LEAST_SWAY**2), network.sway[1]]))
 
 
 def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[Wall, ...]:

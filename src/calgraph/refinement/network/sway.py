@@ -5,50 +5,116 @@ side see something else. So scans are compared by strides, not one by one: as in
 them to be, so much are they then allowed to scatter that a stride is told as well as it really is.
 """
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from calgraph.geometry import Array
+import numpy as np
+from scipy.optimize import brentq
+
+from calgraph.geometry import Array, Index
+from calgraph.refinement.network.scans import PULLED, Scans
 from calgraph.refinement.network.trajectories import Body, Motion, Network, State, along, says
 
 # Two steps of a walk, s.
 _STRIDE = 1.0
-# Beams count the less the farther they are off (Tukey, at 2.5 standard deviations). Of normal ones, the weights
-# mean 0.755, and what they pull by has a mean square of 0.248: so much less than its information does a scan pull.
-_PULLED = 0.248 / 0.755
+# The sway is found to so much of itself, as a logarithm of its variance.
+_PRECISE = 0.02
+# Information (1/m², 1/rad²) that is as good as none.
+_NONE = 1e-6
 
 
-def contradiction(network: Network, state: State) -> float:
-    """Squared contradiction of scanners about bodies' places, over what the network's sway and noise explain.
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """What of a pose sways by one variance."""
 
-    Where no two scanners see a body within one stride, there is nothing to compare, and it is 1.
+    rows: Index
+    """Of the pose."""
+    least: float
+    """Nobody is an ellipse to a smaller standard deviation, m or rad; what sways less does no harm."""
+    most: float
+    """Nobody strays farther."""
+
+
+# Place and heading, in the order of :attr:`Network.sway`.
+_KINDS = (_Kind(np.array([0, 1]), 0.0005, 0.1), _Kind(np.array([2]), 0.002, 0.5))
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What one scanner says of one body, which does not sway yet."""
+
+    scans: Scans
+    stride: Index
+    """(V,) of each scan."""
+
+
+def measured_sway(network: Network, state: State) -> Array:
+    """(2,) variances of places (m²) and headings (rad²) that explain how scanners contradict each other.
+
+    Each is searched for, the other being as it is: to multiply it by how many times more than explained the
+    contradiction is leads there, too, but the slower, the smaller the sway is beside the noise of a scan.
+    Where no two scanners see a body within one stride, there is nothing to compare, and it stays as it is.
     """
-    each = [_of_body(network, state, *own) for own in zip(network.bodies, state.motions, strict=True)]
-    shown, explained = np.sum([np.zeros(2), *each], axis=0)
-    return float(shown / (_PULLED * explained)) if explained > 0 else 1.0
+    bodies = [_of_body(network, state, *own) for own in zip(network.bodies, state.motions, strict=True)]
+    sway = network.sway.copy()
+    for which, kind in enumerate(_KINDS):
+        sway[which] = _explaining(bodies, sway, which, kind)
+    return sway
 
 
-def _of_body(network: Network, state: State, body: Body, motion: Motion) -> Array:
-    """(2,) squared contradiction, and what is explained of it.
+def _explaining(bodies: Sequence[tuple[_Seen, ...]], sway: Array, which: int, kind: _Kind) -> float:
+    """The variance of one kind, the other being as in ``sway`` (2,)."""
 
-    Each scanner's beams of one stride pull the body by ``b``, with covariance ``A``, which is their information on
-    its place. Where all pulls together hold the body, those of single scanners have the covariance
-    ``A - A (Σ A)⁻¹ A``.
-    """
-    strides = int((body.knots.count - 3) * body.knots.step / _STRIDE) + 1
-    A, b = np.zeros((strides, len(body.glimpses), 3, 3)), np.zeros((strides, len(body.glimpses), 3))
-    for k, seen in enumerate(body.glimpses):
+    def shown_and_explained(log_variance: float) -> Array:
+        trial = sway.copy()
+        trial[which] = np.exp(log_variance)
+        return np.sum([np.zeros(2), *(_contradiction(own, trial, kind) for own in bodies)], axis=0)
+
+    def excess(log_variance: float) -> float:
+        shown, explained = shown_and_explained(log_variance)
+        return float(np.log(shown / (PULLED * explained)))
+
+    low, high = 2 * np.log([kind.least, kind.most])
+    if shown_and_explained(low)[1] < kind.most**-2:
+        return float(sway[which])
+    if excess(low) <= 0:
+        return kind.least**2
+    if excess(high) >= 0:
+        return kind.most**2
+    return float(np.exp(brentq(excess, low, high, xtol=_PRECISE)))
+
+
+def _of_body(network: Network, state: State, body: Body, motion: Motion) -> tuple[_Seen, ...]:
+    """By scanner."""
+    found = []
+    for seen in body.glimpses:
         _, _, pose, rate = along(state, body, motion, seen)
-        scans = says(network, state, motion, seen, pose, rate).swayed(network.sway[[0, 0, 1]])
-        when = (seen.times - state.offset[seen.scanner] - body.knots.start) / _STRIDE
-        stride = np.clip(when.astype(np.intp), 0, strides - 1)
-        np.add.at(A[:, k], stride, scans.information[:, :3, :3])
-        np.add.at(b[:, k], stride, scans.gradient[:, :3])
-    # Each scanner may see the heading as it likes.
-    turn = A[..., :2, 2:] / np.maximum(A[..., 2:, 2:], 1e-9)
-    A, b = A[..., :2, :2] - turn @ A[..., 2:, :2], b[..., :2] - turn[..., 0] * b[..., 2:]
-    scanners = np.sum(np.trace(A, axis1=-2, axis2=-1) > 0, axis=1)
-    A, b = A[scanners > 1], b[scanners > 1]
-    spread = np.linalg.inv(A.sum(axis=1) + 1e-9 * np.eye(2))
+        stride = (seen.times - state.offset[seen.scanner] - body.knots.start) / _STRIDE
+        found.append(_Seen(says(network, state, motion, seen, pose, rate), np.maximum(stride, 0).astype(np.intp)))
+    return tuple(found)
+
+
+def _contradiction(body: tuple[_Seen, ...], sway: Array, kind: _Kind) -> Array:
+    """(2,) squared contradiction of scanners about a body that sways (2,), and what is explained of it.
+
+    Each scanner's beams of one stride pull the body by ``b``, with covariance ``A``, which is their information.
+    What is not of this kind each scanner may see as it likes. Where all pulls together hold the body, those of
+    single scanners have the covariance ``A - A (Σ A)⁻¹ A``.
+    """
+    strides = 1 + max(int(seen.stride.max(initial=0)) for seen in body)
+    A, b = np.zeros((strides, len(body), 3, 3)), np.zeros((strides, len(body), 3))
+    for k, seen in enumerate(body):
+        scans = seen.scans.swayed(sway[[0, 0, 1]])
+        np.add.at(A[:, k], seen.stride, scans.information[:, :3, :3])
+        np.add.at(b[:, k], seen.stride, scans.gradient[:, :3])
+    own, other = kind.rows, np.setdiff1d(np.arange(3), kind.rows)
+    mixed = A[..., own[:, None], other]
+    gain = mixed @ np.linalg.inv(A[..., other[:, None], other] + _NONE * np.eye(len(other)))
+    A = A[..., own[:, None], own] - gain @ np.swapaxes(mixed, -1, -2)
+    b = b[..., own] - (gain @ b[..., other, None])[..., 0]
+    several = np.sum(np.trace(A, axis1=-2, axis2=-1) > 0, axis=1) > 1
+    A, b = A[several], b[several]
+    spread = np.linalg.inv(A.sum(axis=1) + _NONE * np.eye(len(own)))
     held = b - (A @ (spread @ b.sum(axis=1)[..., None])[:, None])[..., 0]
     left = A - A @ spread[:, None] @ A
     return np.array([np.sum(held**2), np.sum(np.trace(left, axis1=-2, axis2=-1))])
