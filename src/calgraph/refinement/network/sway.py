@@ -68,7 +68,7 @@ def _explaining(bodies: Sequence[tuple[_Seen, ...]], sway: Array, which: int, ki
     def shown_and_explained(log_variance: float) -> Array:
         trial = sway.copy()
         trial[which] = np.exp(log_variance)
-        return np.sum([np.zeros(2), *(_contradiction(own, trial, kind) for own in bodies)], axis=0)
+        return np.asarray(np.sum([np.zeros(2), *(_contradiction(own, trial, kind) for own in bodies)], axis=0))
 
     def excess(log_variance: float) -> float:
         shown, explained = shown_and_explained(log_variance)
