@@ -138,6 +138,13 @@ def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibrati
     assert "1 not connected." in page.words
 
 
+def test_what_was_not_used_is_remarked_beside_the_verdicts(calibration: Calibration, rig: Rig) -> None:
+    remarked = dataclasses.replace(calibration, remarks=("lidar sees the board's edges <40 mm inside",))
+    words = Page(report_html(remarked, rig)).words
+    assert "Not used lidar sees the board's edges <40 mm inside" in words[: words.index("Sensor graph A line")]
+    assert "Not used" not in Page(report_html(calibration, rig)).words
+
+
 def test_a_verdict_without_words_still_says_what_to_do(calibration: Calibration, rig: Rig) -> None:
     sensors = (calibration.sensors[0], dataclasses.replace(calibration["laser"], verdict=Verdict("unobservable")))
     page = Page(report_html(dataclasses.replace(calibration, sensors=sensors), rig))

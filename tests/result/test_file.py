@@ -72,6 +72,12 @@ def test_root_estimator_unconnected_and_rms_come_back(calibration: Calibration, 
     assert loaded.residual_rms == pytest.approx(calibration.residual_rms, rel=1e-3)
 
 
+def test_remarks_come_back(calibration: Calibration, tmp_path: Path) -> None:
+    remarks = ("lidar sees the board's edges 40 mm inside the target's size: they are not used",)
+    save_calibration(dataclasses.replace(calibration, remarks=remarks), tmp_path / "calibration.yaml")
+    assert load_calibration(tmp_path / "calibration.yaml").remarks == remarks
+
+
 def test_writing_what_was_read_gives_the_same_file(saved: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.yaml"
     save_calibration(load_calibration(saved), again)

@@ -15,6 +15,7 @@ from calgraph.cli.calibrate import write_results
 from calgraph.cli.console import console
 from calgraph.cli.cores import cores
 from calgraph.cli.progress import progress_bars
+from calgraph.cli.tables import print_remarks
 from calgraph.errors import InputError
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, KnownPoses, read_poses
@@ -78,6 +79,7 @@ def check(
         typer.echo(content)
     else:
         _print(audit, against, rig.root)
+        print_remarks(calibration)
     if audit.outcome == "fail":
         raise typer.Exit(1)
 

@@ -49,9 +49,16 @@ def print_calibration(calibration: Calibration) -> None:
             paper.print(
                 f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
             )
+    print_remarks(calibration)
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.suggestions, start=1):
             paper.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
+
+
+def print_remarks(calibration: Calibration) -> None:
+    """Prints what is to be known of the whole result, one line each."""
+    for remark in calibration.remarks:
+        console().print(f"[yellow]![/] {escape(remark)}")
 
 
 def _print_left_out(paper: Console, calibration: Calibration) -> None:

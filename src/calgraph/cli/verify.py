@@ -13,6 +13,7 @@ from rich.table import Table
 from calgraph.cli.calibrate import fail_if_unconnected
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
+from calgraph.cli.tables import print_remarks
 from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.rig import load_rig
@@ -52,6 +53,7 @@ def verify(
         typer.echo(_content(scatter, kinds, rounds))
     else:
         _print(scatter, kinds, rounds)
+        print_remarks(calibration)
     fail_if_unconnected(calibration)
     optimistic = [name for name, found in scatter.items() if found.verdict == "optimistic"]
     if optimistic:

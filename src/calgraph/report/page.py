@@ -18,7 +18,7 @@ from calgraph.report.pose_table import estimated_table, pose_table
 from calgraph.report.residual_view import histograms, spreads
 from calgraph.report.rig_view import rig_view
 from calgraph.report.text import counted, escaped
-from calgraph.report.verdicts import cards, headline
+from calgraph.report.verdicts import cards, headline, remark_list
 from calgraph.report.words import NETWORK, Words, words_for
 from calgraph.result import Calibration
 from calgraph.rig import Rig, write_text
@@ -52,7 +52,7 @@ def report_html(calibration: Calibration, rig: Rig) -> str:
         title=escaped(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
         headline=escaped(headline(calibration)),
         facts=_facts(calibration, words),
-        cards=cards(calibration, words) + suggestion_list(calibration),
+        cards=cards(calibration, words) + remark_list(calibration) + suggestion_list(calibration),
         about_graph=words.graph,
         graph=graph(calibration, words),
         edges=edge_table(calibration, words),

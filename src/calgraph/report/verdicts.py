@@ -49,6 +49,14 @@ def cards(calibration: Calibration, words: Words) -> str:
     return f'<div class="cards">{"".join(shown)}</div>'
 
 
+def remark_list(calibration: Calibration) -> str:
+    """What is to be known of the whole result; nothing where there is nothing."""
+    if not calibration.remarks:
+        return ""
+    items = "".join(f"<li>{escaped(remark)}</li>" for remark in calibration.remarks)
+    return f'<div class="next"><h3>Not used</h3><ul>{items}</ul></div>'
+
+
 def badge(grade: str) -> str:
     """A grade as a coloured word with a sign."""
     css, sign, word = _BADGES[grade]

@@ -185,7 +185,8 @@ class Calibration:
     """Cross-validation by sensor; none for those that no other sensor predicts, and where it was not asked for."""
     suggestions: tuple[Suggestion, ...] = ()
     """Further captures that would help most, the first one first."""
-
+    remarks: tuple[str, ...] = ()
+    """What else is to be known of the whole result: what was seen and yet not used, and why."""
     estimated: tuple[Estimated, ...] = ()
     """What was estimated besides poses."""
     board_views: tuple[BoardView, ...] = ()

@@ -94,6 +94,7 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
         "estimator": calibration.estimator,
         "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
         "unconnected": dict(calibration.unconnected),
+        **({"remarks": list(calibration.remarks)} if calibration.remarks else {}),
         "residual_rms": {kind: _digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
         "cross_validation": {name: _left_out(one) for name, one in calibration.left_out.items()},
         "suggestions": [_suggestion(one) for one in calibration.suggestions],

@@ -115,6 +115,8 @@ class _Quality(StrictModel):
     verdicts: dict[str, _Verdict]
     """How far each sensor's pose can be relied on."""
     unconnected: dict[str, str] = Field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    """What was seen and yet not used, and why."""
     residual_rms: dict[str, Positive] = Field(default_factory=dict)
     cross_validation: dict[str, _LeftOut] = Field(default_factory=dict)
     """Errors in captures that were left out, by sensor."""
@@ -231,6 +233,7 @@ def load_calibration(path: Path) -> Calibration:
         edges=tuple(_edge(edge) for edge in file.quality.edges),
         captures=_rows(file.quality.captures),
         unconnected=file.quality.unconnected,
+        remarks=file.quality.remarks,
         estimator=file.quality.estimator,
         left_out={name: _left_out(one) for name, one in file.quality.cross_validation.items()},
         suggestions=tuple(_suggestion(one) for one in file.quality.suggestions),

@@ -24,6 +24,7 @@ def to_json(calibration: Calibration) -> str:
         "estimated": [asdict(one) for one in calibration.estimated],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(calibration.unconnected),
+        "remarks": list(calibration.remarks),
         "cross_validation": {name: asdict(one) for name, one in calibration.left_out.items()},
         "suggestions": [
             {**vars(one), "T_root_board": _plain(one.T_root_board)} for one in calibration.suggestions
