@@ -117,6 +117,7 @@ def main() -> None:
     )
     print(f"  standard deviations {(1000 * spread[:3]).round(1).tolist()} mm,", end=" ")
     print(f"{np.degrees(spread[3:]).round(2).tolist()} degrees; {camera.verdict.grade}")
+    print("".join(f"  {remark}\n" for remark in found.remarks), end="")
     with TemporaryDirectory() as folder:
         found = wall(data, Path(folder))
     laser, edge = found["laser"], found.edges[0]
