@@ -18,6 +18,8 @@ _SCALES = (0.05, 20.0)
 _HALVINGS = 16
 # Positions that agree (every 0.1 s), times their share of those that should, at which a pair is half trusted.
 _DOUBTFUL = 50.0
+# Such positions that matching walls are worth.
+_WALLS = 100.0
 
 
 def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tuple[str, ...]]:
@@ -84,8 +86,21 @@ def trust(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
         names: the scanners of the graph.
         pairs: as handed to :func:`network_graph`.
     """
-    evidence = np.array([h.observations * h.share for p in pairs if p.sensor_a in names for h in p.hypotheses])
-    return np.asarray(evidence / (evidence + _DOUBTFUL))
+    known = evidence(names, pairs)
+    return np.asarray(known / (known + _DOUBTFUL))
+
+
+def evidence(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
+    """Evidence (E,) of the edges of :func:`network_graph`: what agrees, times its share of what should.
+
+    Walls that match, too, are worth as much as many of these: of wrong poses hardly one brings them together.
+
+    Args:
+        names: the scanners of the graph.
+        pairs: as handed to :func:`network_graph`.
+    """
+    kept = [h for p in pairs if p.sensor_a in names for h in p.hypotheses]
+    return np.array([h.observations * h.share + _WALLS * h.icp for h in kept])
 
 
 def _connected(root: str, pairs: Sequence[TrackPair]) -> tuple[str, ...]:

@@ -6,8 +6,11 @@ those of edges that fit into cycles more often; the best by truncated residuals 
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.special import chdtri
 
+from calgraph.consensus import best_of_groups
 from calgraph.geometry import Array
 from calgraph.graph.adjustment import adjusted, robustly_adjusted
 from calgraph.graph.cycles import cycle_basis, cycles_through_edges, support
@@ -28,6 +31,8 @@ _FEWEST_FINALISTS, _MOST_FINALISTS = 1, 6
 _CYCLE_ROUNDS = 6
 # An edge's cost is its support to this power, inverted, in the first trees; to ever lower powers in the next.
 _BIAS = 2.0
+# No path goes over an edge that costs so many times more, if there is another one.
+_CLOSED = 1e9
 # Whatever nobody trusts still holds together what nothing else does.
 _LEAST_TRUST = 1e-3
 # Rounds of least squares over the inliers, until they stay the same.
@@ -83,12 +88,28 @@ def consensus_trees(
 def _costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator) -> Array:
     """(count, E) costs of edges: at first small for trusted ones that cycles support, at last blindly random.
 
-    Wrong edges that agree with each other in a triangle look better than right ones in a long cycle.
+    Wrong edges that agree with each other in a triangle look better than right ones in a long cycle. The first
+    tree is the one of the best edges, however long its paths: in a large graph, paths of few edges lead over wrong
+    ones.
     """
     cycles = (*cycle_basis(graph.count, graph.edges), *cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
     chance = np.linspace(0, 1, count)[:, None]
     expensive = (trust * support(graph, cycles)) ** (-_BIAS * (1 - chance))
-    return np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
+    costs = np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
+    costs[0] *= np.where(_strongest(graph, 1 / trust), 1.0, _CLOSED)
+    return costs
+
+
+def _strongest(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
+    """(E,) the edges of the tree of least costs (E,) in all."""
+    # Of alternatives of one pair the cheapest; SciPy would add them up.
+    best = best_of_groups(costs / costs.max(), graph.pairs)
+    i, j = graph.edges[best].T
+    tree = minimum_spanning_tree(coo_array((costs[best], (i, j)), shape=(graph.count, graph.count))).tocoo()
+    chosen = np.isin(i * graph.count + j, tree.row * graph.count + tree.col)
+    within = np.zeros(len(costs), dtype=np.bool_)
+    within[np.flatnonzero(best)[chosen]] = True
+    return within
 
 
 def _improved(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:

@@ -2,7 +2,7 @@
 
 from calgraph.refinement.audit import Audit, AxisAudit, Misfit, SensorAudit, Tolerance
 from calgraph.refinement.network.audit import audit_network
-from calgraph.refinement.network.evidence import assemble_network
+from calgraph.refinement.network.evidence import NetworkPairs, assemble_network
 from calgraph.refinement.network.extension import agreed_prior, earlier_poses, extended, without
 from calgraph.refinement.network.joint_network import JointNetwork, solve_network
 from calgraph.refinement.network.prior import ScannerPrior
@@ -31,6 +31,7 @@ __all__ = [
     "JointNetwork",
     "MeasuredNoise",
     "Misfit",
+    "NetworkPairs",
     "PosePrior",
     "PriorFile",
     "Problem",

@@ -144,10 +144,9 @@ def _why_alone(name: str, followed: Mapping[str, Tracked | Untracked], pairs: Ne
     own = followed[name]
     if isinstance(own, Untracked):
         return own.reason
-    reasons = {
-        b if a == name else a: found.reason
-        for (a, b), found in pairs.items()
-        if name in (a, b) and isinstance(found, Rejected)
-    }
-    said = "; ".join(f"{other}: {why}" for other, why in reasons.items())
+    reasons: dict[str, list[str]] = {}
+    for (a, b), found in pairs.items():
+        if name in (a, b) and isinstance(found, Rejected):
+            reasons.setdefault(found.reason, []).append(b if a == name else a)
+    said = "; ".join(f"{', '.join(others)}: {why}" for why, others in reasons.items())
     return f"followed {len(own.tracks)} tracks, but {said or 'no other scanner did'}"

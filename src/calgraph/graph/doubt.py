@@ -1,0 +1,70 @@
+"""Scanners whose place in a network is not the only one that fits: better evidence would put them elsewhere.
+
+People who walk alike are taken for one by several scanners at once, so that wrong pairs agree with each other:
+their number says little. Whether a part of the network is held by the best that is known of it says more.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
+from calgraph.geometry import Array, se2
+from calgraph.graph.network import evidence
+from calgraph.graph.pose_graph import Averaged, PoseGraph
+from calgraph.pairwise import TrackPair
+
+# A hypothesis farther from the pose that was found puts the scanner elsewhere, m and rad.
+_ELSEWHERE = (0.5, np.radians(8))
+
+
+def doubtful(
+    graph: PoseGraph, names: Sequence[str], pairs: Sequence[TrackPair], averaged: Averaged
+) -> dict[str, str]:
+    """Scanners that better evidence would put elsewhere, and which.
+
+    Every tie of the tree of best evidence cuts the network in two, and is the best that holds the two together. If
+    a hypothesis across the cut has more evidence and contradicts, the part without the root is in doubt.
+
+    Args:
+        graph: of :func:`network_graph`.
+        names: its scanners.
+        pairs: as handed to :func:`network_graph`.
+        averaged: the poses found, and the edges that agree.
+
+    Returns:
+        The reason, by scanner.
+    """
+    worth = evidence(names, pairs)
+    i, j = graph.edges.T
+    off = se2.difference(se2.inverse(averaged.T_root_node[i]) @ averaged.T_root_node[j], graph.T_i_j)
+    apart = np.linalg.norm(off[:, :2], axis=1)
+    rivals = ~averaged.inliers & ((apart > _ELSEWHERE[0]) | (np.abs(off[:, 2]) > _ELSEWHERE[1]))
+    found: dict[str, str] = {}
+    for tie, far in _cuts(graph, np.where(averaged.inliers, worth, 0.0)):
+        against = np.flatnonzero(rivals & (far[i] != far[j]) & (worth > worth[tie]))
+        if not len(against):
+            continue
+        best = against[np.argmax(worth[against])]
+        rival, own = (" and ".join(names[int(k)] for k in graph.edges[edge]) for edge in (best, tie))
+        said = f"{rival} put it {apart[best]:.1f} m elsewhere, with better evidence than {own} have for its place"
+        found |= dict.fromkeys((names[int(k)] for k in np.flatnonzero(far)), said)
+    return found
+
+
+def _cuts(graph: PoseGraph, worth: Array) -> list[tuple[int, NDArray[np.bool_]]]:
+    """The edges of the tree of greatest worth, and the nodes (N,) that each holds to the root."""
+    used = np.flatnonzero(worth)
+    costs = coo_array((1 / worth[used], graph.edges[used].T), shape=(graph.count, graph.count))
+    tree = minimum_spanning_tree(costs).tocoo()
+    number = {(int(a), int(b)): int(edge) for (a, b), edge in zip(graph.edges[used], used, strict=True)}
+    cuts = []
+    for k, ends in enumerate(zip(map(int, tree.row), map(int, tree.col), strict=True)):
+        others = np.arange(tree.nnz) != k
+        rest = coo_array((tree.data[others], (tree.row[others], tree.col[others])), shape=tree.shape)
+        part = connected_components(rest, directed=False)[1]
+        far = ends[0] if part[ends[0]] != part[graph.root] else ends[1]
+        cuts.append((number[ends], part == part[far]))
+    return cuts

@@ -1,0 +1,75 @@
+"""Parts of a network that better evidence would put elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.geometry import Array, se2
+from calgraph.graph import Averaged, doubtful, network_graph
+from calgraph.pairwise import Hypothesis, TrackPair
+
+NAMES = ("a", "b", "c", "d")
+T = {name: se2.pose(0.3 * k, np.array([5.0 * k, 1.0])) for k, name in enumerate(NAMES)}
+"""T_a_scanner, but for a common shift."""
+
+
+def found(a: str, b: str, observations: int, shift: float = 0.0, *, icp: bool = False) -> Hypothesis:
+    """A hypothesis that is right, or off by a shift, m."""
+    T_a_b = se2.retract(se2.inverse(T[a]) @ T[b], np.array([shift, 0.0, 0.0]))
+    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, icp)
+
+
+def doubts(*pairs: TrackPair) -> dict[str, str]:
+    """What is in doubt if all hypotheses that are right agree with the poses found."""
+    graph, names = network_graph("a", pairs)
+    poses: Array = np.array([se2.inverse(T["a"]) @ T[name] for name in names])
+    i, j = graph.edges.T
+    off = se2.difference(se2.inverse(poses[i]) @ poses[j], graph.T_i_j)
+    return doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
+
+
+AB = TrackPair("a", "b", (found("a", "b", 200),))
+BC = TrackPair("b", "c", (found("b", "c", 200),))
+CD = TrackPair("c", "d", (found("c", "d", 30),))
+
+
+def test_nothing_is_in_doubt_where_all_agrees() -> None:
+    assert doubts(AB, BC, CD) == {}
+
+
+def test_a_scanner_is_in_doubt_if_better_evidence_puts_it_elsewhere() -> None:
+    said = doubts(AB, BC, CD, TrackPair("b", "d", (found("b", "d", 40, 8.0),)))
+    assert list(said) == ["d"]
+    assert said["d"] == "b and d put it 8.0 m elsewhere, with better evidence than c and d have for its place"
+
+
+def test_so_is_all_that_hangs_from_it() -> None:
+    weak = replace(BC, hypotheses=(found("b", "c", 30),))
+    strong = replace(CD, hypotheses=(found("c", "d", 200),))
+    assert set(doubts(AB, weak, strong, TrackPair("a", "d", (found("a", "d", 40, 8.0),)))) == {"c", "d"}
+
+
+def test_so_it_is_by_another_hypothesis_of_one_pair() -> None:
+    assert list(doubts(AB, BC, replace(CD, hypotheses=(found("c", "d", 40, 8.0), found("c", "d", 30))))) == ["d"]
+
+
+def test_weaker_evidence_casts_no_doubt() -> None:
+    assert doubts(AB, BC, CD, TrackPair("b", "d", (found("b", "d", 25, 8.0),))) == {}
+
+
+def test_nor_does_what_is_wrong_between_scanners_that_are_sure() -> None:
+    cycle = TrackPair("a", "c", (found("a", "c", 150, 8.0),))
+    assert doubts(AB, BC, CD, cycle) == {}
+
+
+def test_nor_what_puts_it_nearly_there() -> None:
+    assert doubts(AB, BC, CD, TrackPair("b", "d", (found("b", "d", 40, 0.3),))) == {}
+
+
+def test_walls_that_match_outweigh_some_seconds() -> None:
+    walls = replace(CD, hypotheses=(found("c", "d", 30, icp=True),))
+    assert doubts(AB, BC, walls, TrackPair("b", "d", (found("b", "d", 60, 8.0),))) == {}
+
+
+def test_a_root_alone_is_not_in_doubt() -> None:
+    assert doubts() == {}
