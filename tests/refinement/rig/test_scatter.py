@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from bundle_scenes import Scene, remeasured, scene
 from calgraph.geometry import se3
 from calgraph.refinement.rig.bundle import Bundle, Solved, covariance, solve, view_spreads
-from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
+from calgraph.refinement.rig.scatter import with_measured_scatter, wrong_views
 from calgraph.refinement.rig.views import Beams, Views, relative
 
 SEEDS = 20
@@ -21,7 +21,7 @@ def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, Solv
     solved = solve(bundle, exact.truth)
     for _ in range(rounds):
         spreads = view_spreads(bundle, solved.system)
-        bundle = with_measured_sway(with_measured_noise(bundle, solved, spreads), solved.system, spreads)
+        bundle = with_measured_scatter(bundle, solved, spreads)
         solved = solve(bundle, solved.state, iterations=3)
     return bundle, solved
 
@@ -38,7 +38,7 @@ def test_noise_stated_wrongly_is_measured(noise: float) -> None:
         bundle = exact.measured(np.random.default_rng(seed), noise)
         solved = solve(bundle, exact.truth)
         for _ in range(3):
-            bundle = with_measured_noise(bundle, solved, view_spreads(bundle, solved.system))
+            bundle = with_measured_scatter(bundle, solved, view_spreads(bundle, solved.system))
             solved = solve(bundle, solved.state, iterations=3)
         found.append([views.scale for views in bundle.views])
     # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as three more.
@@ -60,7 +60,9 @@ def test_noise_is_measured_where_no_view_tells_it_alone(noise: float) -> None:
     freedom = 2 * 15 - 6
     spread = noise / np.sqrt(2 * freedom * SEEDS)
     pull = 3 / freedom * abs(np.log(noise)) * noise
-    assert abs(np.mean(found) - noise) < 3 * spread + pull
+    # There is no sway, and none can be less: in every other run, some is taken from the noise (half a normal).
+    taken = np.std(found) / np.sqrt(2 * np.pi)
+    assert abs(np.mean(found) - noise) < 3 * spread + pull + taken
 
 
 def with_two_beams(views: Views) -> Views:

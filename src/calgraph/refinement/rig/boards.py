@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.detection import BoardCorners, Detection, PlanePatch
-from calgraph.geometry import Array, plane, se3
+from calgraph.geometry import Array, plane, se3, so3
 from calgraph.pairwise import Candidates, PairwiseEstimate
 
 Node = tuple[int, str, int]
@@ -63,17 +63,19 @@ def placed(sighting: Sighting, detections: Mapping[str, Candidates], T_root_sens
         T, best = min(cameras, key=lambda seen: float(np.trace(seen[1].covariance)))
         return np.asarray(T @ best.T_camera_board)
     points = np.concatenate([se3.apply(T, d.points) for T, d in found if not isinstance(d, BoardCorners)])
+    center = points.mean(axis=0)
     patches = [(T, d) for T, d in found if isinstance(d, PlanePatch)]
     T, n = (
         (patches[0][0], patches[0][0][:3, :3] @ patches[0][1].plane[:3])
         if patches
         else (found[0][0], plane.fit(points)[:3])
     )
-    n = n if n @ (T[:3, 3] - points.mean(axis=0)) >= 0 else -n
-    # The board's y as far up as its plane allows: what the sensors see does not depend on it.
-    up = np.eye(3)[int(np.argmin(np.abs(n)))]
-    x = np.cross(up, n) / np.linalg.norm(np.cross(up, n))
-    return se3.pose(np.column_stack([x, np.cross(n, x), n]), points.mean(axis=0))
+    n = n if n @ (T[:3, 3] - center) >= 0 else -n
+    # The board's y as far as its plane allows along the axis across it: what sensors see does not depend on it.
+    across = so3.hat(n)
+    x = -across[:, np.argmin(np.abs(n))]
+    x /= np.linalg.norm(x)
+    return se3.pose(np.stack([x, across @ x, n], axis=-1), center)
 
 
 def seen_in(sighting: Sighting, detections: Mapping[str, Candidates]) -> Iterator[tuple[str, Detection]]:

@@ -26,7 +26,7 @@ from calgraph.refinement.rig.contradictions import doubts_of_known
 from calgraph.refinement.rig.hypergraph import Filter, believed
 from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.rig.known import PosePrior, RigidGroup, free, with_groups, with_known
-from calgraph.refinement.rig.scatter import with_measured_noise, with_measured_sway, wrong_views
+from calgraph.refinement.rig.scatter import with_measured_scatter, wrong_views
 from calgraph.refinement.rig.sheets import contradict, with_outlines, without_wrong_outlines
 from calgraph.refinement.rig.unknowns import Estimable, estimated_values, with_unknowns
 from calgraph.refinement.rig.views import Beams, Corners, Views, relative
@@ -210,8 +210,7 @@ def _settled(
     for _ in range(rounds):
         before, spreads = bundle, view_spreads(bundle, solved.system)
         contradicting = wrong_views(bundle, solved.system, spreads, first)
-        bundle = with_measured_noise(bundle, solved, spreads, first)
-        bundle = with_measured_sway(bundle, solved.system, spreads, first)
+        bundle = with_measured_scatter(bundle, solved, spreads, first)
         bundle, wrong = _without(bundle, contradicting, seen)
         rejected |= wrong
         if _alike(before, bundle):

@@ -1,15 +1,15 @@
 """How large errors are, told from their scatter: of measurements, of whole views; and which views are wrong."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import chdtri
 
-from calgraph.geometry import Array
-from calgraph.refinement.rig.bundle import Bundle, Solved, System, ViewEquations
+from calgraph.geometry import Array, Index
+from calgraph.refinement.rig.bundle import Bundle, Solved, System
 from calgraph.refinement.rig.normal_equations import huber_scatter, misfit, whitening
 from calgraph.refinement.rig.views import relative
 
@@ -19,63 +19,22 @@ _SAME = 5e-3
 _FIRM = 3
 # Measurements are never taken to be more precise than this share of what is stated.
 _SHARPEST = 0.01
-# By which share of its Fisher information each sway holds on to what it is.
+# By which share of its Fisher information each noise and sway holds on to what it is.
 _INERT = 0.01
+# Views' scatter changes a noise's variance by this factor at most, at once.
+_STRIDE = 4.0
 # A view is wrong if it is as far from the others as chance would have it once in so many.
 _CHANCE = 1e-5
 # Views less wrong than this share of the worst wait until that is left out.
 _WAITING = 0.25
 
 
-def with_measured_noise(bundle: Bundle, solved: Solved, spreads: Sequence[Array], first: int = 0) -> Bundle:
-    """The bundle with each sensor's noise as its measurements scatter: in each view, and with the views.
+def with_measured_scatter(bundle: Bundle, solved: Solved, spreads: Sequence[Array], first: int = 0) -> Bundle:
+    """The bundle with all noises and sways one step nearer to what scatters: measurements in views, and views.
 
-    In a view, they scatter about the board that fits it best. Where views have few measurements, as where a line
-    of a scan leaves a sheet twice, that tells little: their gradients have the covariance ``W`` of
-    :func:`with_measured_sway`, and so scatter with the noise, too. Their sum of squares is set against what is
-    expected of it, a step towards the largest restricted likelihood.
-
-    Source: Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", Allgemeine
-    Vermessungs-Nachrichten 1979.
-
-    Args:
-        bundle: sensors' and outlines' views.
-        solved: its solution.
-        spreads: (K,) as of :func:`calgraph.refinement.rig.bundle.view_spreads`.
-        first: of the views to measure; those before it keep their noise.
-    """
-    state, system, views = solved.state, solved.system, list(bundle.all_views[:first])
-    for k, own in enumerate(bundle.all_views[first:], start=first):
-        sums, at = system.visits[k].sums, system.views[k]
-        squares, freedom = sums.scatter()
-        whiten, _ = whitening(sums.core)
-        between = np.sum((whiten @ at.gradient[..., None]) ** 2)
-        expected = np.trace(whiten @ _scatter(at, spreads[k]) @ np.swapaxes(whiten, -1, -2), axis1=-2, axis2=-1)
-        squared = (squares.sum() / huber_scatter(own.numbers) + between) * own.scale**2
-        scale = _scale(squared, float(freedom.sum() + expected.sum()))
-        T_sensor_board = relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board])
-        views.append(own if abs(scale / own.scale - 1) < _SAME else own.weighed(T_sensor_board, scale))
-    return bundle.with_views(views)
-
-
-def _scale(squared: float, numbers: float) -> float:
-    """How many times larger than stated noise is, told by a sum of squares of so many numbers.
-
-    What is stated is off by a factor, if it is: logarithms are averaged. In a mean of squares, one stated ten
-    times too large would count as a hundred numbers do.
-    """
-    measured = max(squared / max(numbers, 1.0), _SHARPEST**2)
-    return float(np.sqrt(measured) ** (numbers / (numbers + _FIRM)))
-
-
-def _scatter(at: ViewEquations, spread: Array) -> Array:
-    """Covariance ``A - A P A`` (V, q, q) of views' gradients, if ``spread`` (V, q, r) has the factors of ``P``."""
-    Y = at.information @ spread
-    return np.asarray(at.information - Y @ np.swapaxes(Y, -1, -2))
-
-
-def with_measured_sway(bundle: Bundle, system: System, spreads: Sequence[Array], first: int = 0) -> Bundle:
-    """The bundle with all sensors' and outlines' sway one step nearer to what the scatter of their views says.
+    In a view, measurements scatter about the board that fits it best. Where views have few of them, as where a
+    line of a scan leaves a sheet twice, that tells little; but then views scatter with the noise, too, not only
+    with the sway, so both are told together.
 
     Fisher scoring of the restricted likelihood: views' gradients have the covariance ``W = A - A P A`` if noise
     and sway are right. Views of one board explain each other's scatter, so sensors are scored together; that of
@@ -86,40 +45,95 @@ def with_measured_sway(bundle: Bundle, system: System, spreads: Sequence[Array],
 
     Args:
         bundle: sensors' and outlines' views.
-        system: their equations at the solution.
+        solved: its solution.
         spreads: (K,) as of :func:`calgraph.refinement.rig.bundle.view_spreads`.
-        first: of those to measure; those before it keep their sway.
+        first: of the views to measure; those before it keep their noise and sway.
     """
-    measured = range(first, len(bundle.sway))
-    unit = replace(bundle, sway=np.ones_like(bundle.sway))
-    view_of = np.full((len(bundle.sway), len(system.H_board)), -1)
-    for s in measured:
-        view_of[s, bundle.all_views[s].board] = np.arange(len(bundle.all_views[s].board))
-    to_axes = {s: np.swapaxes(system.views[s].basis, -1, -2) for s in measured}
-    pulls = {s: to_axes[s] @ system.views[s].information @ spreads[s] for s in measured}
-    score, fisher = np.zeros(len(measured)), np.zeros((len(measured), len(measured)))
-    for s in measured:
-        shape, at = unit.swaying(s), system.views[s]
-        W = to_axes[s] @ _scatter(at, spreads[s]) @ at.basis
-        gradient = (to_axes[s] @ at.gradient[..., None])[..., 0]
-        score[s - first] = shape @ (gradient**2 - np.diagonal(W, axis1=-2, axis2=-1)).sum(axis=0)
-        fisher[s - first, s - first] = shape @ np.sum(W**2, axis=0) @ shape
-        for t in range(first, s):
-            i, j = view_of[[s, t]][:, np.all(view_of[[s, t]] >= 0, axis=0)]
-            W = pulls[s][i] @ np.swapaxes(pulls[t][j], -1, -2)
-            fisher[s - first, t - first] = fisher[t - first, s - first] = (
-                shape @ np.sum(W**2, axis=0) @ unit.swaying(t)
-            )
-    return replace(bundle, sway=np.append(bundle.sway[:first], _ascended(bundle.sway[first:], score, fisher)))
+    told = [_of_views(bundle, solved.system, k, spreads[k]) for k in range(first, len(spreads))]
+    # Noise and sway of each in turn.
+    score = np.concatenate([one.score for one in told])
+    fisher = np.zeros((len(score), len(score)))
+    for i, one in enumerate(told):
+        fisher[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = one.fisher
+        for j, other in enumerate(told[:i]):
+            _, here, there = np.intersect1d(one.board, other.board, assume_unique=True, return_indices=True)
+            W = one.pulls[here] @ np.swapaxes(other.pulls[there], -1, -2)
+            between = _blocks(np.sum(W**2, axis=0), one.noises, other.noises)
+            fisher[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = between
+            fisher[2 * j : 2 * j + 2, 2 * i : 2 * i + 2] = between.T
+    before = np.column_stack([np.ones(len(told)), bundle.sway[first:]]).ravel()
+    least = np.array([[one.bounds[0], 0.0] for one in told]).ravel()
+    most = np.array([[one.bounds[1], np.inf] for one in told]).ravel()
+    noise, sway = np.minimum(_ascended(before, score, fisher, least), most).reshape(-1, 2).T
+    numbers, state = fisher.diagonal()[::2], solved.state
+    views = list(bundle.all_views)
+    for i, own in enumerate(bundle.all_views[first:]):
+        scale = _scale(own.scale**2 * noise[i], numbers[i])
+        if abs(scale / own.scale - 1) >= _SAME:
+            T_root_sensor = state.T_root_sensor[bundle.seer(first + i)]
+            views[first + i] = own.weighed(relative(T_root_sensor, state.T_root_board[own.board]), scale)
+    return replace(bundle.with_views(views), sway=np.append(bundle.sway[:first], sway))
 
 
-def _ascended(variances: Array, score: Array, fisher: Array) -> Array:
-    """Variances one step of Fisher scoring up the likelihood, none of them negative."""
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What the views of one sensor or outline tell of their noise, as a share of what it is, and of their sway."""
+
+    board: Index
+    """(V,)."""
+    noises: int
+    """So many of m directions, the first ones, are those of noise with unit covariance; the others are of sway."""
+    pulls: Array
+    """(V, m, r) factors of what the solution takes of the gradients' covariance, along these directions."""
+    score: Array
+    """(2,) twice the slope of the logarithmic likelihood by noise and sway."""
+    fisher: Array
+    """(2, 2) twice their Fisher information."""
+    bounds: tuple[float, float]
+    """Between which the noise is believed to be: what scatters among views is, in one step, up to a factor."""
+
+
+def _of_views(bundle: Bundle, system: System, k: int, spread: Array) -> _Told:
+    """What the views of one sensor or outline tell, whose factors of :func:`view_spreads` are ``spread``."""
+    sums, at, own = system.visits[k].sums, system.views[k], bundle.all_views[k]
+    squares, freedom = sums.scatter()
+    unit = np.sqrt(replace(bundle, sway=np.ones_like(bundle.sway)).swaying(k))
+    along = np.concatenate([whitening(sums.core)[0], unit[:, None] * np.swapaxes(at.basis, -1, -2)], axis=1)
+    pulls, noises = along @ at.information @ spread, sums.core.shape[-1]
+    W = along @ at.information @ np.swapaxes(along, -1, -2) - pulls @ np.swapaxes(pulls, -1, -2)
+    among = np.sum((along @ at.gradient[..., None])[..., 0] ** 2, axis=0)
+    expected = np.diagonal(W.sum(axis=0))
+    score = np.add.reduceat(among - expected, [0, noises])
+    fisher = _blocks(np.sum(W**2, axis=0), noises, noises)
+    within, freedom = squares.sum() / huber_scatter(own.numbers), freedom.sum()
+    score[0] += within - freedom
+    fisher[0, 0] += freedom
+    others = expected[:noises].sum()
+    low, high = ((within + share * others) / max(freedom + others, 1.0) for share in (1 / _STRIDE, _STRIDE))
+    return _Told(own.board, noises, pulls, score, fisher, (float(low), float(high)))
+
+
+def _blocks(squares: Array, rows: int, columns: int) -> Array:
+    """(2, 2) sums over the blocks of a matrix: of the first rows and columns, and of the others."""
+    return np.asarray(np.add.reduceat(np.add.reduceat(squares, [0, rows], axis=0), [0, columns], axis=1))
+
+
+def _scale(squared: float, numbers: float) -> float:
+    """How many times larger than stated noise is, if its square is told to be ``squared`` by so many numbers.
+
+    What is stated is off by a factor, if it is: logarithms are averaged. In a mean of squares, one stated ten
+    times too large would count as a hundred numbers do.
+    """
+    return float(np.sqrt(max(squared, _SHARPEST**2)) ** (numbers / (numbers + _FIRM)))
+
+
+def _ascended(variances: Array, score: Array, fisher: Array, least: Array) -> Array:
+    """Variances one step of Fisher scoring up the likelihood, none of them below the least."""
     # Of two sensors alone only the sum is known: what the scatter does not tell stays.
     firm = fisher + np.diag(_INERT * np.diag(fisher) + np.finfo(float).tiny)
     root = np.linalg.cholesky(firm).T
-    best, _ = nnls(root, root @ variances + np.linalg.solve(root.T, score))
-    return np.asarray(best)
+    above, _ = nnls(root, root @ (variances - least) + np.linalg.solve(root.T, score))
+    return np.asarray(least + above)
 
 
 def wrong_views(
