@@ -46,6 +46,9 @@ _CLOCKS = 0.1
 _GRAZING = 0.35
 # Standard deviations of Gaussian noise in one median of absolute values.
 _NORMAL = 1.4826
+# So many beams tell the noise of a scanner to a few percent. Its background does not: there, medians take steps as
+# coarse as ranges are sent in. But paths bend to follow noise a little, and ranges may have none at all.
+_MEASURED, _LEAST_NOISE = 300, 0.5
 # By how much paths and sizes are off in the beginning, round after round, m.
 _ROUGH = (0.05, 0.02)
 # Arms are before a torso or beside it, never behind. While paths are rough, beams that end before the outline are
@@ -249,15 +252,19 @@ def _weight(network: Network, state: State, body: Body, motion: Motion, one: Gli
 
 
 def _with_noise(network: Network, state: State, sigma: Array) -> Network:
-    """The network with ranges as noisy as they scatter about bodies, and at least as scanners are, (S,) m."""
+    """The network with ranges as noisy as they scatter about bodies; ``sigma`` (S,) m is that of backgrounds."""
     off: list[list[Array]] = [[] for _ in sigma]
     for body, motion in zip(network.bodies, state.motions, strict=True):
         for one in body.glimpses:
             _, _, pose, rate = along(state, body, motion, one)
             hits = outlines(state, motion, one, pose, rate)
             off[one.scanner].append(np.abs(hits.ranges - one.ranges)[hits.incidence > _GRAZING])
-    scatter = [_NORMAL * np.median(np.concatenate([*own, [0.0]])) for own in off]
-    return replace(network, sigma=np.maximum(sigma, scatter))
+    beams = [np.concatenate([np.zeros(0), *own]) for own in off]
+    scatter = [
+        _NORMAL * np.median(own) if len(own) >= _MEASURED else stated
+        for own, stated in zip(beams, sigma, strict=True)
+    ]
+    return replace(network, sigma=np.maximum(_LEAST_NOISE * sigma, scatter))
 
 
 def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[Wall, ...]:
