@@ -1,6 +1,7 @@
 """Writing calibration.yaml, which other programs read, and captures.csv, one row a capture and sensor."""
 
 import csv
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,13 +40,13 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
+    text = yaml_text(content, _HEADER) + _edges(calibration.edges)
     if calibration.estimated:
-        content["estimated"] = [_estimated(one) for one in calibration.estimated]
-    rows = ""
+        text += yaml_text({"estimated": [_estimated(one) for one in calibration.estimated]})
     if calibration.joint_covariance is not None:
-        content["joint_covariance"] = {"order": on_one_line(sensor.name for sensor in calibration.sensors)}
-        rows = _matrix(calibration.joint_covariance)
-    write_text(path, yaml_text(content, _HEADER) + rows)
+        order = on_one_line(sensor.name for sensor in calibration.sensors)
+        text += yaml_text({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
+    write_text(path, text)
 
 
 def save_captures(calibration: Calibration, path: Path) -> None:
@@ -98,7 +99,6 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
         "residual_rms": {kind: _digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
         "cross_validation": {name: _left_out(one) for name, one in calibration.left_out.items()},
         "suggestions": [_suggestion(one) for one in calibration.suggestions],
-        "edges": [_edge(edge) for edge in calibration.edges],
         "captures": _captures(calibration.captures),
     }
 
@@ -128,18 +128,28 @@ def _verdict(sensor: SensorPose) -> dict[str, str]:
     return {"grade": sensor.verdict.grade, **reason}
 
 
-def _edge(edge: Edge) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "sensors": on_one_line([edge.sensor_a, edge.sensor_b]),
-        "captures": edge.captures,
-        "inliers": edge.inliers,
-        "in_tree": edge.in_tree,
+def _edges(edges: Sequence[Edge]) -> str:
+    """The end of ``quality``: pairs by the thousand, which a YAML library takes half a minute to write."""
+    return "  edges:\n" + "".join(f"  - {{{_edge(edge)}}}\n" for edge in edges) if edges else "  edges: []\n"
+
+
+def _edge(edge: Edge) -> str:
+    entry = {
+        "sensors": f"[{_quoted(edge.sensor_a)}, {_quoted(edge.sensor_b)}]",
+        "captures": str(edge.captures),
+        "inliers": str(edge.inliers),
+        "in_tree": str(edge.in_tree).lower(),
     }
     if edge.residual_rms is not None:
-        entry["residual_rms"] = _digits([edge.residual_rms], 4)[0]
+        entry["residual_rms"] = number_text(_digits([edge.residual_rms], 4)[0])
     if edge.note:
-        entry["note"] = edge.note
-    return entry
+        entry["note"] = _quoted(edge.note)
+    return ", ".join(f"{key}: {value}" for key, value in entry.items())
+
+
+def _quoted(text: str) -> str:
+    """A text as JSON has it, which is YAML, too."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _captures(rows: Sequence[CaptureRow]) -> dict[str, Any]:
