@@ -19,7 +19,6 @@ from calgraph.refinement.network.scans import robust_weights
 from calgraph.refinement.network.splines import Knots
 from calgraph.refinement.network.sway import measured_sway
 from calgraph.refinement.network.trajectories import (
-    AGILITY,
     Body,
     Glimpses,
     Motion,
@@ -31,6 +30,7 @@ from calgraph.refinement.network.trajectories import (
     outlines,
     residuals,
     solve,
+    straightness,
 )
 from calgraph.refinement.network.walkers import Walker, scanners_of, walkers
 from calgraph.rig import Cylinder, People
@@ -213,10 +213,10 @@ def _first_motion(walker: Walker, target: People | Cylinder, T_root_scanner: Arr
         np.add.at(right, first + i, weights[:, i, None] * places / _NOISE**2)
         for j in range(i, 4):
             np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / _NOISE**2)
-    bend, straight = np.array([1.0, -2.0, 1.0]), 1 / (_KNOTS**3 * AGILITY)
+    straight = straightness(_KNOTS)
     for i in range(3):
         for j in range(i, 3):
-            band[j - i, i : knots.count - 2 + i] += straight * bend[i] * bend[j]
+            band[j - i, i : knots.count - 2 + i] += straight[i, j]
     band[0] += 1e-9
     path = solveh_banded(band, right, lower=True)
     velocity = np.gradient(path, _KNOTS, axis=0)

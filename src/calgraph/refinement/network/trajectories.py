@@ -19,7 +19,9 @@ from calgraph.refinement.network.scans import Scans, summed
 from calgraph.refinement.network.splines import Knots, evaluate
 
 # Spectral densities of a walker's acceleration, m²/s³, and of its turning, rad²/s: about within a second.
-AGILITY, TURNING = 0.5, 5.0
+_AGILITY, TURNING = 0.5, 5.0
+# What three control points in a row are bent by.
+_BEND = np.array([1.0, -2.0, 1.0])
 # People face where they walk, give or take so much, rad, if they walk at least so fast, m/s.
 _FACING = 0.3
 _STROLL = 0.5
@@ -311,24 +313,28 @@ def _by_scanner(T_root_scanner: Array, pose: Array, rate: Array) -> Array:
     return G
 
 
+def straightness(step: float) -> Array:
+    """(3, 3) information on three control points in a row, ``step`` (s) apart: accelerations are white noise."""
+    return np.outer(_BEND, _BEND) / (step**3 * _AGILITY)
+
+
 def _prior(body: Body, motion: Motion) -> tuple[Array, Array, float]:
     """Smoothness of the path, and facing where one walks: band, gradient and cost."""
     control, h = motion.control, body.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
-    straight, steady = 1 / (h**3 * AGILITY), 1 / (h * TURNING)
+    straight, steady = straightness(h), 1 / (h * TURNING)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
-    difference = np.array([1.0, -2.0, 1.0])
     for i in range(3):
-        gradient[i : len(control) - 2 + i, :2] += straight * difference[i] * bend
+        gradient[i : len(control) - 2 + i, :2] += straight[i, 0] * bend
         for j in range(i, 3):
-            band[i : len(control) - 2 + i, j - i, [0, 1], [0, 1]] += straight * difference[i] * difference[j]
+            band[i : len(control) - 2 + i, j - i, [0, 1], [0, 1]] += straight[i, j]
     turn = np.diff(control[:, 2])
     gradient[:-1, 2] -= steady * turn
     gradient[1:, 2] += steady * turn
     band[:-1, 0, 2, 2] += steady
     band[1:, 0, 2, 2] += steady
     band[:-1, 1, 2, 2] -= steady
-    cost = 0.5 * (straight * float(np.sum(bend**2)) + steady * float(turn @ turn))
+    cost = 0.5 * (straight[0, 0] * float(np.sum(bend**2)) + steady * float(turn @ turn))
     if not body.faces:
         band[:, 0, 2, 2] += 1.0
         return band, gradient, cost
