@@ -63,8 +63,8 @@ class ViewSums:
         whiten, _ = whitening(self.core)
         return -_times(np.swapaxes(whiten, -1, -2), _times(whiten, self.slope))
 
-    def where(self, keep: NDArray[np.bool_]) -> "ViewSums":
-        """Those of some of the views, a mask (V,)."""
+    def where(self, keep: NDArray[np.bool_] | Index) -> "ViewSums":
+        """Those of some of the views: a mask (V,), or their numbers, which may repeat."""
         return ViewSums(
             self.core[keep],
             self.slope[keep],

@@ -13,8 +13,17 @@ from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index, se3
 from calgraph.refinement.rig.board_shares import board_shares
-from calgraph.refinement.rig.bundle import Bundle, State, pose_jacobian, reduced_covariance, solve
+from calgraph.refinement.rig.bundle import (
+    SETTLED,
+    Bundle,
+    State,
+    System,
+    pose_jacobian,
+    reduced_covariance,
+    solve,
+)
 from calgraph.refinement.rig.joint import Adjusted
+from calgraph.refinement.rig.visits import Visit
 
 Honesty = Literal["honest", "optimistic", "pessimistic"]
 
@@ -82,9 +91,8 @@ def resample(
     free = axes[:, 0].any(axis=-1)
     for i in range(rounds):
         often = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
-        solved = solve(
-            *_drawn(bundle, state, np.repeat(np.arange(len(capture)), often[capture])), iterations=_STEPS
-        )
+        drawn, near, at = _drawn(bundle, state, system, np.repeat(np.arange(len(capture)), often[capture]))
+        solved = solve(drawn, at, near, iterations=_STEPS, settled=SETTLED, exact=False)
         both = zip(solved.state.T_root_sensor, state.T_root_sensor, strict=True)
         moves = np.array([se3.difference(T, T_whole) for T, T_whole in both])
         expected = np.maximum(_variances(axes, _move_covariance(shares, V, often)), _LEAST * stated**2)
@@ -98,15 +106,16 @@ def resample(
     }
 
 
-def _drawn(bundle: Bundle, state: State, boards: Index) -> tuple[Bundle, State]:
-    """Bundle and state of some boards, each as often as it was drawn."""
-    views = []
-    for own in bundle.all_views:
+def _drawn(bundle: Bundle, state: State, system: System, boards: Index) -> tuple[Bundle, list[Visit], State]:
+    """Bundle, visits and state of some boards, each as often as it was drawn."""
+    views, visits = [], []
+    for own, visit in zip(bundle.all_views, system.visits, strict=True):
         view_of = np.full(len(state.T_root_board), -1)
         view_of[own.board] = np.arange(len(own.board))
         seen = np.flatnonzero(view_of[boards] >= 0)
         views.append(replace(own.where(view_of[boards[seen]]), board=seen))
-    return bundle.with_views(views), replace(state, T_root_board=state.T_root_board[boards])
+        visits.append(visit.where(view_of[boards[seen]]))
+    return bundle.with_views(views), visits, replace(state, T_root_board=state.T_root_board[boards])
 
 
 def _move_covariance(shares: Array, V: Array, often: Index) -> Array:

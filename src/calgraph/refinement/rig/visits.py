@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.refinement.rig.normal_equations import ViewSums, judged
 from calgraph.refinement.rig.views import Views
 
@@ -38,8 +38,8 @@ class Visit:
         near = (self.sums.squared(change) <= _SHIFT**2 * self.sums.count) & (cosine >= 1 - _TURN**2 / 2)
         return self.sums.moved(change, views.basis(T_sensor_board)) if np.all(near) else None
 
-    def where(self, keep: NDArray[np.bool_]) -> "Visit":
-        """The visit of some of the views, a mask (V,)."""
+    def where(self, keep: NDArray[np.bool_] | Index) -> "Visit":
+        """The visit of some of the views: a mask (V,), or their numbers, which may repeat."""
         return Visit(self.T_sensor_board[keep], self.own, self.sums.where(keep))
 
 
