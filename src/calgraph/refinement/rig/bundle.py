@@ -3,8 +3,7 @@
 Residuals are in the units that sensors measure. Boards do not know each other, so they are eliminated one by one
 (Schur complement), and what is left is a small dense problem over sensors, however many captures there are.
 
-Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6; Levenberg–Marquardt after Madsen,
-Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algorithm 3.16.
+Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
 """
 
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, so3
+from calgraph.refinement.rig.damping import Damping
 from calgraph.refinement.rig.edges import relative_pose_jacobians
 from calgraph.refinement.rig.views import Views, relative
 from calgraph.refinement.rig.visits import Visit, visit
@@ -271,9 +271,9 @@ def solve(
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
     # What was gained since measurements were looked at.
     since = 0.0 if system.exact else np.inf
-    damping, growth = 1e-5, 2.0
+    damping = Damping(1e-5)
     for iteration in range(iterations):
-        H, g, K = system.reduced(damping)
+        H, g, K = system.reduced(damping.value)
         step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         boards = -(K[..., :-1] @ step + K[..., -1])
         predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
@@ -288,11 +288,10 @@ def solve(
             # What was moved along is too coarse to judge by.
             system, since = linearize(bundle, state), 0.0
         elif gained >= 0:  # False where the trial's residuals are not finite
-            gain = min(gained / predicted, 1.0)
             state, system, since = trial, ahead, 0.0 if ahead.exact else since + gained
-            damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
+            damping = damping.eased(gained / predicted)
         else:
-            damping, growth = damping * growth, growth * 2
+            damping = damping.raised()
     return Solved(state, system, iterations, converged=False)
 
 

@@ -1,7 +1,4 @@
-"""Sparse Levenberg–Marquardt on manifolds. It knows blocks of variables and whitened residuals, and no sensor.
-
-Source: Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algorithm 3.16.
-"""
+"""Sparse Levenberg–Marquardt on manifolds. It knows blocks of variables and whitened residuals, and no sensor."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +11,7 @@ from numpy.typing import NDArray
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
+from calgraph.refinement.rig.damping import Damping
 
 Values = Mapping[str, Array]
 """Arrays of variables by block name; the first axis counts the variables of a block."""
@@ -85,11 +83,11 @@ def solve(
     cost, H, g = _normal_equations(values, offsets, size, factors)
     if not np.isfinite(cost):
         raise CalibrationError("the start values give residuals that are not finite")
-    damping, growth = 1e-4, 2.0
+    damping = Damping(1e-4)
     for iteration in range(1, iterations + 1):
         diagonal = H.diagonal()
         # Marquardt's scaling, floored so that a direction no residual sees is damped too.
-        scaled = scipy.sparse.diags(damping * np.maximum(diagonal, 1e-6 * diagonal.max()))
+        scaled = scipy.sparse.diags(damping.value * np.maximum(diagonal, 1e-6 * diagonal.max()))
         step = -scipy.sparse.linalg.splu((H + scaled).tocsc()).solve(g)
         trial = _moved(values, blocks, offsets, step)
         trial_cost, trial_H, trial_g = _normal_equations(trial, offsets, size, factors)
@@ -98,10 +96,10 @@ def solve(
         if gain > 0:
             done = cost - trial_cost <= 1e-10 * cost + 1e-14
             values, cost, H, g = trial, trial_cost, trial_H, trial_g
-            damping, growth = damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 2.0
+            damping = damping.eased(gain)
         else:
             done = predicted <= 1e-10 * cost + 1e-14
-            damping, growth = damping * growth, growth * 2
+            damping = damping.raised()
         if done:
             return Solution(values, cost, iteration, converged=True)
     return Solution(values, cost, iterations, converged=False)
