@@ -90,8 +90,12 @@ def test_scanners_suffice_without_cameras() -> None:
 
 @pytest.mark.parametrize(
     "others",
-    [{"laser": LaserKnobs(count=0)}, {"multibeam": MultibeamKnobs(count=0)}],
-    ids=["camera and 3-D", "camera and 2-D"],
+    [
+        {"laser": LaserKnobs(count=0)},
+        {"multibeam": MultibeamKnobs(count=0)},
+        {"laser": LaserKnobs(count=0), "multibeam": MultibeamKnobs(count=0), "camera": CameraKnobs(count=2)},
+    ],
+    ids=["camera and 3-D", "camera and 2-D", "two cameras"],
 )
 def test_two_sensors_suffice(others: dict[str, object]) -> None:
     pair = seen(QUICK.model_copy(update=others))

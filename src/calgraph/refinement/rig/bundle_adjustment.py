@@ -193,6 +193,8 @@ def _outlined(
     Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
     """
     bundle, state = with_outlines(plain, solved.state, rig, captured.detections, boards, _SWAY**2)
+    if not bundle.outlines:
+        return plain, solved, set()
     near = (*solved.system.visits, *[None] * len(bundle.outlines))
     solved = solve(bundle, state, near, iterations=_STEPS, settled=SETTLED, exact=False)
     return _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
