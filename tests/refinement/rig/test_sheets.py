@@ -86,4 +86,6 @@ def test_outlines_that_contradict_the_print_are_not_used() -> None:
     joint = one.solved()
     (remark,) = joint.remarks
     assert "contradicts planes and prints" in remark
-    np.testing.assert_allclose(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"], atol=1e-9)
+    off = se3.difference(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"])
+    # Solutions are found to a twentieth of their standard deviations.
+    assert np.all(np.abs(off) < 0.05 * np.sqrt(np.diag(joint.covariance["camera"])))
