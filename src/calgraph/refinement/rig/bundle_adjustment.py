@@ -34,10 +34,11 @@ from calgraph.rig import CameraSpec, Rig
 
 # Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
 _SWAY = 0.003
-# Rounds of a step, measuring the noise and leaving out what is wrong, until nothing changes by more than a share.
+# Rounds of solving, measuring the noise and leaving out what is wrong, until nothing changes by more than a share.
 _ROUNDS = 12
 # Outlines come to a solution that has settled.
 _OUTLINE_ROUNDS = 4
+_STEPS = 4
 # That share of noises, and of sways, which are told by few views and never as surely.
 _SETTLED, _SETTLED_SWAY = 0.02, 0.05
 _CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
@@ -195,7 +196,7 @@ def _outlined(
     if not bundle.outlines:
         return plain, solved, set()
     near = (*solved.system.visits, *[None] * len(bundle.outlines))
-    solved = solve(bundle, state, near, iterations=1, settled=SETTLED, exact=False)
+    solved = solve(bundle, state, near, iterations=_STEPS, settled=SETTLED, exact=False)
     return _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
 
 
@@ -218,7 +219,7 @@ def _settled(
             break
         kept = zip(solved.system.visits, before.all_views, bundle.all_views, strict=True)
         near = [at if views is was else None for at, was, views in kept]
-        solved = solve(bundle, solved.state, near, iterations=1, settled=SETTLED, exact=False)
+        solved = solve(bundle, solved.state, near, iterations=_STEPS, settled=SETTLED, exact=False)
     return bundle, solved, rejected
 
 
