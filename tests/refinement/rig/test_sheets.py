@@ -86,6 +86,4 @@ def test_outlines_that_contradict_the_print_are_not_used() -> None:
     joint = one.solved()
     (remark,) = joint.remarks
     assert "contradicts planes and prints" in remark
-    off = se3.difference(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"])
-    # Solutions are found to a twentieth of their standard deviations.
-    assert np.all(np.abs(off) < 0.05 * np.sqrt(np.diag(joint.covariance["camera"])))
+    np.testing.assert_allclose(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"], atol=1e-9)
