@@ -12,7 +12,8 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.refinement.audit import Audit, Tolerance
 from calgraph.refinement.rig.audit import audit
-from calgraph.refinement.rig.bundle import covariance, solve
+from calgraph.refinement.rig.bundle import solve
+from calgraph.refinement.rig.covariances import covariance
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.views import relative
 from calgraph.result import Calibration, KnownPoses, SensorPose, Verdict

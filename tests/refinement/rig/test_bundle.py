@@ -6,20 +6,12 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from bundle_scenes import Scene, scene
+from bundle_scenes import scene
 from calgraph.errors import CalibrationError
-from calgraph.geometry import Array, se3, so3
-from calgraph.refinement.rig.bundle import (
-    Bundle,
-    Prior,
-    State,
-    covariance,
-    linearize,
-    moved,
-    solve,
-    view_spreads,
-)
-from calgraph.refinement.rig.views import relative
+from calgraph.geometry import se3, so3
+from calgraph.refinement.rig.bundle import Bundle, Prior, State, moved, solve
+from calgraph.refinement.rig.covariances import covariance
+from dense_bundles import dense_jacobian, quiet, residuals_after
 
 
 def disturbed(state: State, rng: np.random.Generator, size: float = 0.02) -> State:
@@ -28,35 +20,6 @@ def disturbed(state: State, rng: np.random.Generator, size: float = 0.02) -> Sta
     sensors[0] = 0
     boards = size * rng.normal(size=(len(state.T_root_board), 6))
     return State(se3.retract(state.T_root_sensor, sensors), se3.retract(state.T_root_board, boards), state.own)
-
-
-def residuals(bundle: Bundle, state: State) -> Array:
-    parts = [
-        own.linearize(relative(T, state.T_root_board[own.board]), np.zeros(0)).residual.ravel()
-        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
-    ]
-    return np.concatenate(parts)
-
-
-def residuals_after(bundle: Bundle, state: State, step: Array) -> Array:
-    """After a step of all sensors but the root, and of all boards."""
-    split = bundle.size
-    return residuals(bundle, moved(bundle, state, step[:split], step[split:].reshape(-1, 6)))
-
-
-def dense_jacobian(bundle: Bundle, state: State, at: Array | None = None) -> Array:
-    """By all unknowns, after a step from the state."""
-    size = bundle.size + 6 * len(state.T_root_board)
-    at = np.zeros(size) if at is None else at
-    ahead, behind = (
-        np.stack([residuals_after(bundle, state, at + step) for step in steps], axis=-1)
-        for steps in (1e-6 * np.eye(size), -1e-6 * np.eye(size))
-    )
-    return np.asarray((ahead - behind) / 2e-6)
-
-
-def quiet(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:
-    return scene(kinds, boards).without_sway()
 
 
 def test_exact_measurements_give_the_truth_from_a_poor_start(rng: np.random.Generator) -> None:
@@ -100,43 +63,6 @@ def test_outliers_pull_as_in_scipys_huber(rng: np.random.Generator) -> None:
     assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-4
 
 
-def test_covariance_is_the_dense_inverse() -> None:
-    exact = quiet(boards=6)
-    system = linearize(exact.bundle, exact.truth)
-    J = dense_jacobian(exact.bundle, exact.truth)
-    expected = np.linalg.inv(J.T @ J)[:12, :12]
-    found = covariance(exact.bundle, exact.truth, system)[6:, 6:]
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), atol=1e-4)
-
-
-def test_the_root_has_no_covariance() -> None:
-    exact = quiet()
-    spread = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))
-    assert not spread[:6].any()
-
-
-def test_covariance_where_views_measure_is_the_dense_one() -> None:
-    exact = quiet(boards=4)
-    factor = view_spreads(exact.bundle, linearize(exact.bundle, exact.truth))[1][2]
-    J = dense_jacobian(exact.bundle, exact.truth)
-    everything = np.linalg.inv(J.T @ J)
-    T_root_camera, T_root_board = exact.truth.T_root_sensor[1], exact.truth.T_root_board[2]
-
-    def before(step: Array) -> Array:
-        after = moved(exact.bundle, exact.truth, step[:12], step[12:].reshape(-1, 6))
-        T = relative(after.T_root_sensor[1], after.T_root_board[2])
-        return se3.difference(T, relative(T_root_camera, T_root_board))
-
-    steps = 1e-6 * np.eye(len(everything))
-    by_all = np.stack([(before(s) - before(-s)) / 2e-6 for s in steps], axis=-1)
-    expected = by_all @ everything @ by_all.T
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        factor @ factor.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-3
-    )
-
-
 def test_a_prior_pulls_as_a_kalman_update(rng: np.random.Generator) -> None:
     exact = quiet()
     bundle = exact.measured(rng, noise=0.3)
@@ -174,23 +100,6 @@ def test_sensors_on_one_body_stay_as_far_apart_as_they_are(rng: np.random.Genera
     solved = solve(bundle, replace(exact.truth, T_root_sensor=T)).state.T_root_sensor
     np.testing.assert_allclose(se3.inverse(solved[1]) @ solved[2], se3.inverse(T[1]) @ T[2], atol=1e-12)
     assert np.abs(se3.difference(solved[1], exact.truth.T_root_sensor[1])).max() < 0.01
-
-
-def test_sensors_on_one_body_are_certain_of_each_other() -> None:
-    exact = quiet()
-    bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
-    spread = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:, 6:]
-    apart = se3.relative_covariance(exact.truth.T_root_sensor[1], exact.truth.T_root_sensor[2], spread)
-    assert np.abs(apart).max() < 1e-9 * np.abs(spread).max()
-
-
-def test_a_body_is_as_certain_as_its_sensors_together() -> None:
-    """The laser's views fix the camera, too, and so does the other way round: each adds information."""
-    exact = quiet()
-    alone = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))[6:12, 6:12]
-    bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
-    together = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:12, 6:12]
-    assert np.linalg.eigvalsh(alone - together).min() > 0
 
 
 def test_sensors_on_the_roots_body_do_not_move(rng: np.random.Generator) -> None:

@@ -12,8 +12,9 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.refinement.rig.bundle import Bundle, Prior, Solved, covariance, solve
+from calgraph.refinement.rig.bundle import Bundle, Prior, Solved, solve
 from calgraph.refinement.rig.contradictions import doubts_of_known
+from calgraph.refinement.rig.covariances import covariance
 from calgraph.refinement.rig.known import (
     PosePrior,
     PriorFile,

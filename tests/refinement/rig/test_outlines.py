@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.detection import PlanePatch
 from calgraph.geometry import Array, se3, so3
-from calgraph.refinement.rig.bundle import Unknown, covariance, linearize, solve
+from calgraph.refinement.rig.bundle import Unknown, linearize, solve
+from calgraph.refinement.rig.covariances import covariance
 from calgraph.refinement.rig.outlines import Outline
 from calgraph.refinement.rig.views import relative
 

@@ -9,7 +9,8 @@ from scipy.stats import chi2
 
 from bundle_scenes import Scene, remeasured, scene
 from calgraph.geometry import se3
-from calgraph.refinement.rig.bundle import Bundle, Solved, covariance, solve, view_spreads
+from calgraph.refinement.rig.bundle import Bundle, Solved, solve
+from calgraph.refinement.rig.covariances import covariance, view_spreads
 from calgraph.refinement.rig.scatter import with_measured_scatter, wrong_views
 from calgraph.refinement.rig.views import Beams, Views, relative
 

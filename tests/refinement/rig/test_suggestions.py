@@ -7,7 +7,8 @@ import numpy as np
 from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
 from calgraph.geometry import Array, se3, so3
 from calgraph.refinement.observability import verdict
-from calgraph.refinement.rig.bundle import Bundle, State, covariance, solve
+from calgraph.refinement.rig.bundle import Bundle, State, solve
+from calgraph.refinement.rig.covariances import covariance
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.placing_words import placed_in_words
 from calgraph.refinement.rig.suggestions import suggest

@@ -7,7 +7,8 @@ import pytest
 
 from bundle_scenes import Scene, scene
 from calgraph.geometry import Array, se3, so3
-from calgraph.refinement.rig.bundle import linearize, reduced_covariance, solve
+from calgraph.refinement.rig.bundle import linearize, solve
+from calgraph.refinement.rig.covariances import reduced_covariance
 from calgraph.refinement.rig.normal_equations import ViewSums
 from calgraph.refinement.rig.views import Beams, relative
 from calgraph.refinement.rig.visits import visit

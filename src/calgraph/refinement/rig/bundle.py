@@ -323,40 +323,12 @@ def moved(bundle: Bundle, state: State, step: Array, boards: Array) -> State:
     return State(_rigid(bundle, state, T), se3.retract(state.T_root_board, boards), own)
 
 
-def covariance(bundle: Bundle, state: State, system: System) -> Array:
-    """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
-    by_unknowns = pose_jacobian(bundle, state)
-    return np.asarray(by_unknowns @ reduced_covariance(system) @ by_unknowns.T)
-
-
 def pose_jacobian(bundle: Bundle, state: State) -> Array:
     """(S·6, G) how all sensors' poses move with the unknowns of the reduced problem, in the root's fixed axes."""
     by_unknowns = np.zeros((6 * len(bundle.names), bundle.size))
     for s in np.flatnonzero(bundle.body > 0):
         by_unknowns[6 * s : 6 * s + 6, bundle.moving(int(s))] = _on_body(bundle, state, int(s))
     return by_unknowns
-
-
-def reduced_covariance(system: System) -> Array:
-    """Covariance (G, G) of the sensors' bodies and own unknowns."""
-    H, _, _ = system.reduced()
-    return np.asarray(np.linalg.inv(H))
-
-
-def view_spreads(bundle: Bundle, system: System) -> list[Array]:
-    """By sensor and outline, how far off the solution may have what views measure: factors ``F`` (V, q, G + 6).
-
-    Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
-    board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
-    """
-    H, _, K = system.reduced()
-    inner, of_board = _inverse_root(H), _inverse_root(system.H_board + FAINT * np.eye(6))
-    found = []
-    for k, (views, at) in enumerate(zip(bundle.all_views, system.views, strict=True)):
-        by_unknowns = -at.by_board @ K[views.board, :, :-1]
-        by_unknowns[..., bundle.columns(k)] += at.by_sensor
-        found.append(np.concatenate([by_unknowns @ inner, at.by_board @ of_board[views.board]], axis=-1))
-    return found
 
 
 def _on_body(bundle: Bundle, state: State, sensor: int) -> Array:
@@ -396,13 +368,6 @@ def _add_prior(bundle: Bundle, state: State, prior: Prior, H: Array, g: Array) -
         H[np.ix_(columns, columns)] += J.T @ prior.information @ J
         g[columns] += J.T @ prior.information @ error
     return 0.5 * float(error @ prior.information @ error)
-
-
-def _inverse_root(A: Array) -> Array:
-    """``R`` (..., n, n) with ``R @ R.T`` the inverse of positive definite A, be it almost singular."""
-    values, vectors = np.linalg.eigh(A)
-    least = np.finfo(float).eps * values[..., -1:]
-    return np.asarray(vectors / np.sqrt(np.maximum(values, least))[..., None, :])
 
 
 def _damped(H: Array, damping: float) -> Array:

@@ -11,18 +11,9 @@ from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, Index
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.rig.boards import Sighting, placed, seen_in, sightings
-from calgraph.refinement.rig.bundle import (
-    SETTLED,
-    Bundle,
-    Solved,
-    State,
-    covariance,
-    linearize,
-    solve,
-    stacked,
-    view_spreads,
-)
+from calgraph.refinement.rig.bundle import SETTLED, Bundle, Solved, State, linearize, solve, stacked
 from calgraph.refinement.rig.contradictions import doubts_of_known
+from calgraph.refinement.rig.covariances import covariance, view_spreads
 from calgraph.refinement.rig.hypergraph import Filter, believed
 from calgraph.refinement.rig.joint import Adjusted, Joint, MeasuredNoise
 from calgraph.refinement.rig.known import PosePrior, RigidGroup, free, with_groups, with_known

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, se3
-from calgraph.refinement.rig.bundle import Bundle, Solved, covariance, linearize, reduced_covariance
+from calgraph.refinement.rig.bundle import Bundle, Solved, linearize
+from calgraph.refinement.rig.covariances import covariance, reduced_covariance
 from calgraph.refinement.rig.known import RigidGroup
 from calgraph.refinement.rig.normal_equations import misfit
 

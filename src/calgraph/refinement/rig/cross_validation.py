@@ -24,10 +24,10 @@ from calgraph.refinement.rig.bundle import (
     System,
     linearize,
     moved,
-    reduced_covariance,
     relative_jacobians,
     solve,
 )
+from calgraph.refinement.rig.covariances import reduced_covariance
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.normal_equations import summed
 from calgraph.refinement.rig.views import Beams, Corners, Views, relative

@@ -13,15 +13,8 @@ from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index, se3
 from calgraph.refinement.rig.board_shares import board_shares
-from calgraph.refinement.rig.bundle import (
-    SETTLED,
-    Bundle,
-    State,
-    System,
-    pose_jacobian,
-    reduced_covariance,
-    solve,
-)
+from calgraph.refinement.rig.bundle import SETTLED, Bundle, State, System, pose_jacobian, solve
+from calgraph.refinement.rig.covariances import reduced_covariance
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.visits import Visit
 

@@ -46,7 +46,7 @@ def with_measured_scatter(bundle: Bundle, solved: Solved, spreads: Sequence[Arra
     Args:
         bundle: sensors' and outlines' views.
         solved: its solution.
-        spreads: (K,) as of :func:`calgraph.refinement.rig.bundle.view_spreads`.
+        spreads: (K,) as of :func:`calgraph.refinement.rig.covariances.view_spreads`.
         first: of the views to measure; those before it keep their noise and sway.
     """
     told = [_of_views(bundle, solved.system, k, spreads[k]) for k in range(first, len(spreads))]
@@ -146,7 +146,7 @@ def wrong_views(
     Args:
         bundle: sensors' and outlines' views.
         system: their equations at the solution.
-        spreads: (K,) as of :func:`calgraph.refinement.rig.bundle.view_spreads`.
+        spreads: (K,) as of :func:`calgraph.refinement.rig.covariances.view_spreads`.
         first: of those to judge; those before it are taken to be right.
     """
     excess = [np.zeros(len(views.board)) for views in bundle.all_views]

@@ -10,7 +10,8 @@ from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3
 from calgraph.pairwise import Candidates
 from calgraph.refinement.rig.boards import Sighting, seen_in
-from calgraph.refinement.rig.bundle import Bundle, Solved, State, Unknown, covariance, reduced_covariance
+from calgraph.refinement.rig.bundle import Bundle, Solved, State, Unknown
+from calgraph.refinement.rig.covariances import covariance, reduced_covariance
 from calgraph.refinement.rig.laying import laid
 from calgraph.refinement.rig.outlines import Outline
 from calgraph.refinement.rig.views import Beams, relative

@@ -14,7 +14,8 @@ import numpy as np
 from calgraph.geometry import Array, se3, so3
 from calgraph.refinement.observability import WEAK, axis_names
 from calgraph.refinement.rig.board_shares import board_shares
-from calgraph.refinement.rig.bundle import Bundle, State, linearize, pose_jacobian, reduced_covariance
+from calgraph.refinement.rig.bundle import Bundle, State, linearize, pose_jacobian
+from calgraph.refinement.rig.covariances import reduced_covariance
 from calgraph.refinement.rig.imagined import imagined
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.placing_words import placed_in_words

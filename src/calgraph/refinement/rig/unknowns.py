@@ -14,7 +14,8 @@ from calgraph.detection import landmarks
 from calgraph.detection.landmarks import Landmarks
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index
-from calgraph.refinement.rig.bundle import Bundle, State, System, Unknown, reduced_covariance
+from calgraph.refinement.rig.bundle import Bundle, State, System, Unknown
+from calgraph.refinement.rig.covariances import reduced_covariance
 from calgraph.refinement.rig.views import Beams, Corners, Views
 from calgraph.result import Estimated
 from calgraph.rig import Rig

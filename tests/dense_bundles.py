@@ -1,0 +1,37 @@
+"""Bundles as one dense least-squares problem over sensors and boards: an oracle for what eliminates the boards."""
+
+import numpy as np
+
+from bundle_scenes import Scene, scene
+from calgraph.geometry import Array
+from calgraph.refinement.rig.bundle import Bundle, State, moved
+from calgraph.refinement.rig.views import relative
+
+
+def quiet(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:
+    return scene(kinds, boards).without_sway()
+
+
+def residuals(bundle: Bundle, state: State) -> Array:
+    parts = [
+        own.linearize(relative(T, state.T_root_board[own.board]), np.zeros(0)).residual.ravel()
+        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
+    ]
+    return np.concatenate(parts)
+
+
+def residuals_after(bundle: Bundle, state: State, step: Array) -> Array:
+    """After a step of all sensors but the root, and of all boards."""
+    split = bundle.size
+    return residuals(bundle, moved(bundle, state, step[:split], step[split:].reshape(-1, 6)))
+
+
+def dense_jacobian(bundle: Bundle, state: State, at: Array | None = None) -> Array:
+    """By all unknowns, after a step from the state."""
+    size = bundle.size + 6 * len(state.T_root_board)
+    at = np.zeros(size) if at is None else at
+    ahead, behind = (
+        np.stack([residuals_after(bundle, state, at + step) for step in steps], axis=-1)
+        for steps in (1e-6 * np.eye(size), -1e-6 * np.eye(size))
+    )
+    return np.asarray((ahead - behind) / 2e-6)
