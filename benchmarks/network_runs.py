@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.calibrate import DEPTHS
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, trust
+from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, placed, trust
 from calgraph.graph.trees import tree_poses
 from calgraph.pairwise import TrackPair, estimate_network_pairs
 from calgraph.pairwise.samples import meetings, sample
@@ -182,16 +182,18 @@ def planar(truth: Truth) -> dict[str, Array]:
 def solved(
     rig: Rig, tracked: Mapping[str, Tracked], pairs: Sequence[TrackPair], setup: Setup, rng: np.random.Generator
 ) -> Solved:
-    """Poses of the connected scanners; the published way has one estimate a pair."""
-    if setup.average != "consensus":
-        pairs = [replace(pair, hypotheses=pair.hypotheses[:1]) for pair in pairs]
-    graph, names = network_graph(rig.root, pairs)
-    if setup.average == "none":
-        averaged = chained(graph, pairs, names)
+    """Poses of the connected scanners; the published way has one estimate a pair, and doubts none."""
+    if setup.average == "consensus":
+        sure = placed(rig.root, pairs, rng, weighted=setup.weighted)
+        graph, names, averaged = sure.graph, sure.names, sure.averaged
     else:
-        averaged, graph = average_network(
-            graph, rng, setup.average, trust(names, pairs) if setup.weighted else None
-        )
+        pairs = [replace(pair, hypotheses=pair.hypotheses[:1]) for pair in pairs]
+        graph, names = network_graph(rig.root, pairs)
+        if setup.average == "none":
+            averaged = chained(graph, pairs, names)
+        else:
+            weights = trust(names, pairs) if setup.weighted else None
+            averaged, graph = average_network(graph, rng, setup.average, weights)
     if not setup.joint:
         spread = joint_covariance(graph.where(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))

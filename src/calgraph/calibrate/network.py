@@ -9,7 +9,7 @@ from calgraph.calibrate.following import follow_people, scanner_noise, walking
 from calgraph.calibrate.options import Options, Progress, network_estimator, silent
 from calgraph.detection import Rejected
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import Averaged, PoseGraph, average_network, doubtful, network_graph, trust
+from calgraph.graph import placed
 from calgraph.pairwise import TrackPair, estimate_network_pairs
 from calgraph.recording import Recording
 from calgraph.refinement import (
@@ -82,7 +82,9 @@ def calibrate_tracks(
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
     )
-    judged, graph, names, averaged = _averaged(rig.root, pairs, options, rng)
+    known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
+    sure = placed(rig.root, known, rng, options.average, weighted=options.weights == "weighted")
+    graph, names, averaged = sure.graph, sure.names, sure.averaged
     joint = prior = None
     # A root that nothing is connected to may not even have been followed.
     if estimator == "joint" and len(names) > 1:
@@ -95,26 +97,17 @@ def calibrate_tracks(
         progress("solving", 1.0)
     stated = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first(tracked) if start is None else start
+    judged = _doubted(pairs, sure.doubts)
     found = assemble_network(rig, stated, followed, judged, graph, names, averaged, start, joint)
     return _extended(found, old, prior) if old else found
 
 
-def _averaged(
-    root: str, pairs: NetworkPairs, options: Options, rng: np.random.Generator
-) -> tuple[NetworkPairs, PoseGraph, tuple[str, ...], Averaged]:
-    """Poses of the scanners whose place is not in doubt; the pairs that are left, their graph and its scanners."""
-    while True:
-        known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
-        graph, names = network_graph(root, known)
-        weights = trust(names, known) if options.weights == "weighted" else None
-        averaged, graph = average_network(graph, rng, options.average, weights)
-        doubts = doubtful(graph, names, known, averaged)
-        if not doubts:
-            return pairs, graph, names, averaged
-        pairs = {
-            (a, b): Rejected(doubts.get(a, doubts.get(b, ""))) if {a, b} & doubts.keys() else found
-            for (a, b), found in pairs.items()
-        }
+def _doubted(pairs: NetworkPairs, doubts: Mapping[str, str]) -> NetworkPairs:
+    """The pairs, with those of scanners whose place is in doubt rejected."""
+    return {
+        (a, b): Rejected(doubts.get(a, doubts.get(b, ""))) if {a, b} & doubts.keys() else found
+        for (a, b), found in pairs.items()
+    }
 
 
 def _earlier(rig: Rig, options: Options) -> Calibration | None:

@@ -3,7 +3,7 @@
 from calgraph.graph.adjustment import translations
 from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.doubt import doubtful
+from calgraph.graph.doubt import Placed, doubtful, placed
 from calgraph.graph.network import average_network, covariances, joint_covariance, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
@@ -14,6 +14,7 @@ __all__ = [
     "Averaged",
     "Cycle",
     "Method",
+    "Placed",
     "PoseGraph",
     "SpanningTree",
     "Start",
@@ -30,6 +31,7 @@ __all__ = [
     "joint_covariance",
     "l1mc",
     "network_graph",
+    "placed",
     "pose_graph",
     "spanning_tree",
     "spectral",
