@@ -9,8 +9,6 @@ from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Reader1
@@ -21,6 +19,7 @@ from calgraph.recording.bag_files import BagFiles, check_sqlite, unpacked, unpac
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType, message_type
 from calgraph.recording.recording import (
+    ClosedOnExit,
     TopicInfo,
     blamed_on,
     counted,
@@ -39,7 +38,7 @@ _ADVICE = {
 _MARGIN_NS = 1000
 
 
-class BagRecording:
+class BagRecording(ClosedOnExit):
     """A bag of one or more storage files."""
 
     def __init__(self, path: Path, bag: BagFiles) -> None:
@@ -77,14 +76,6 @@ class BagRecording:
     def close(self) -> None:
         """Closes the storage files and removes uncompressed copies."""
         self._stack.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _open(self, file: Path) -> Reader1 | Reader2:
         if file.stat().st_size == 0:

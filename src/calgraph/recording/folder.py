@@ -1,12 +1,11 @@
 """Plain folders: ``<sensor>/<seconds>.<png|jpg|pcd|ply|npz|csv>`` beside an optional ``camera_info.yaml``."""
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,10 @@ from calgraph.recording.clouds import cloud_of_columns
 from calgraph.recording.decoding import within_limits
 from calgraph.recording.images import decompressed
 from calgraph.recording.intrinsics import camera_of_yaml
+from calgraph.recording.listed import ListedRecording
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
-from calgraph.recording.recording import TopicInfo, blamed_on, wanted_topics
+from calgraph.recording.recording import blamed_on
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
 
 CAMERA_INFO = "camera_info.yaml"
@@ -36,7 +36,7 @@ class _File:
     path: Path
 
 
-class FolderRecording:
+class FolderRecording(ListedRecording):
     """A folder with one folder of files a sensor; its topics are the names of those folders.
 
     A file's name is its stamp and its arrival. A ``camera_info.yaml`` is one message on the topic
@@ -44,46 +44,15 @@ class FolderRecording:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        sensors = {folder.name: _files(folder) for folder in sorted(path.iterdir()) if folder.is_dir()}
-        self._files = sorted(
-            (file for files in sensors.values() for file in files), key=lambda file: (file.stamp, file.topic)
-        )
-        if not self._files:
+        files = [file for folder in sorted(path.iterdir()) if folder.is_dir() for file in _files(folder)]
+        if not files:
             raise InputError(
                 f"{path}: is no recording: it has neither bag files nor folders with files named "
                 f"<seconds>.<{'|'.join(suffix[1:] for suffix in _READERS)}>"
             )
-        self.start, self.end = self._files[0].stamp, self._files[-1].stamp
-        counts: dict[str, int] = {}
-        for file in self._files:
-            counts[file.topic] = counts.get(file.topic, 0) + 1
-        first = {file.topic: file for file in reversed(self._files)}
-        self.topics = tuple(TopicInfo(name, _kind(first[name].path), counts[name]) for name in sorted(counts))
-
-    def records(
-        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
-        """The files in order of their stamps; see :meth:`Recording.records`."""
-        wanted = wanted_topics(self.path, self.topics, topics)
-        return (
-            Record(file.topic, file.stamp, file.stamp, partial(_decode, file))
-            for file in self._files
-            if file.topic in wanted
-            and (start is None or file.stamp >= start)
-            and (end is None or file.stamp <= end)
-        )
-
-    def close(self) -> None:
-        """Does nothing: no file stays open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        first = {file.topic: file for file in sorted(files, key=lambda file: file.stamp, reverse=True)}
+        types = {topic: _kind(file.path) for topic, file in first.items()}
+        super().__init__(path, [Record(f.topic, f.stamp, f.stamp, partial(_decode, f)) for f in files], types)
 
 
 def stamp_of_name(name: str) -> float | None:

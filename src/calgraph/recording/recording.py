@@ -77,7 +77,22 @@ class Recording(Protocol):
     ) -> None: ...
 
 
-class JoinedRecording:
+class ClosedOnExit:
+    """A context manager that closes itself at the end."""
+
+    def close(self) -> None:
+        """Does nothing, where no file stays open."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class JoinedRecording(ClosedOnExit):
     """Several recordings read as one, merged by arrival time."""
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
@@ -102,14 +117,6 @@ class JoinedRecording:
         with ExitStack() as stack:
             for part in self._recordings:
                 stack.callback(part.close)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def joined_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:

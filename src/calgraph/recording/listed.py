@@ -1,0 +1,38 @@
+"""A recording whose records are all known before the first is read."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from calgraph.recording.recording import ClosedOnExit, TopicInfo, wanted_topics
+from calgraph.sensors import Record
+
+
+class ListedRecording(ClosedOnExit):
+    """Records that are listed beforehand, and decoded when asked for.
+
+    Args:
+        path: what messages call it.
+        listed: one record or more, in any order.
+        types: by topic.
+    """
+
+    def __init__(self, path: Path, listed: Sequence[Record], types: Mapping[str, str]) -> None:
+        self.path = path
+        self._records = sorted(listed, key=lambda record: (record.arrival, record.topic))
+        self.start, self.end = self._records[0].arrival, self._records[-1].arrival
+        counts = Counter(record.topic for record in listed)
+        self.topics = tuple(TopicInfo(name, types[name], counts[name]) for name in sorted(counts))
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[Record]:
+        """The records in order of arrival; see :meth:`Recording.records`."""
+        wanted = wanted_topics(self.path, self.topics, topics)
+        return (
+            record
+            for record in self._records
+            if record.topic in wanted
+            and (start is None or record.arrival >= start)
+            and (end is None or record.arrival <= end)
+        )
