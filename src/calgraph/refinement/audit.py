@@ -91,58 +91,70 @@ class Audit:
         return tuple(sensor.sensor for sensor in self.sensors if sensor.outcome == "fail")
 
 
-def seen_from(
-    reference: str,
-    found: Calibration,
-    given: KnownPoses,
-    frames: Mapping[str, str],
-    tolerance: Tolerance,
-    misfits: Mapping[str, Misfit],
-) -> Audit:
-    """The given poses of all sensors in the frame of one, against those found there."""
-    sensors = []
-    for sensor in found.sensors:
-        if sensor.name == reference:
-            continue
-        if sensor.name not in frames:
-            reason = f"{given.path} has neither a frame {sensor.frame_id} nor one called {sensor.name}"
-            sensors.append(SensorAudit(sensor.name, "warn", reason, float("nan")))
-            continue
-        own = _judged(reference, sensor.name, found, given, frames, tolerance)
-        if sensor.verdict.grade != "good" and own.outcome != "fail":
-            parts = [part for part in (own.reason, sensor.verdict.reason) if part]
-            own = replace(own, outcome="warn", reason="; ".join(parts))
-        sensors.append(replace(own, misfit=misfits.get(sensor.name)))
-    alone = [SensorAudit(name, "warn", why, float("nan")) for name, why in found.unconnected.items()]
-    return Audit(reference, (*sensors, *alone), misfits.get(reference))
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Given extrinsics beside those that a recording gives."""
 
+    found: Calibration
+    given: KnownPoses
+    frames: Mapping[str, str]
+    """By sensor that the file knows, its frame there; the root is among them."""
+    tolerance: Tolerance
 
-def _judged(
-    reference: str,
-    name: str,
-    found: Calibration,
-    given: KnownPoses,
-    frames: Mapping[str, str],
-    tolerance: Tolerance,
-) -> SensorAudit:
-    """One sensor's given pose against the one found, in its own axes as found."""
-    T_given, T_found = given.transform(frames[reference], frames[name]), found.transform(reference, name)
-    to_own = np.kron(np.eye(2), T_found[:3, :3].T)
-    offset = to_own @ se3.difference(T_given, T_found)
-    spread = found.covariance(reference, name) + given.covariance(frames[reference], frames[name])
-    covariance = to_own @ spread @ to_own.T + _ROUNDING**2 * np.eye(6)
-    allowed = np.repeat([tolerance.position, tolerance.rotation], 3)
-    outcomes = _outcomes(offset, covariance, allowed)
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    distance = float(np.linalg.norm(whiten @ offset))
-    axes = tuple(
-        AxisAudit(axis, float(x), float(s), outcome)
-        for axis, x, s, outcome in zip(
-            axis_names(found[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
+    @property
+    def T_root_sensor(self) -> dict[str, Array]:
+        """(4, 4) by sensor, as given."""
+        return {name: self.given.transform(self.frames[self.found.root], own) for name, own in self.frames.items()}
+
+    def seen_from(self, reference: str, misfits: Mapping[str, Misfit]) -> Audit:
+        """The given poses of all sensors in the frame of one, against those found there."""
+        sensors = []
+        for sensor in self.found.sensors:
+            if sensor.name == reference:
+                continue
+            if sensor.name not in self.frames:
+                reason = f"{self.given.path} has neither a frame {sensor.frame_id} nor one called {sensor.name}"
+                sensors.append(SensorAudit(sensor.name, "warn", reason, float("nan")))
+                continue
+            own = self._judged(reference, sensor.name)
+            if sensor.verdict.grade != "good" and own.outcome != "fail":
+                parts = [part for part in (own.reason, sensor.verdict.reason) if part]
+                own = replace(own, outcome="warn", reason="; ".join(parts))
+            sensors.append(replace(own, misfit=misfits.get(sensor.name)))
+        alone = [SensorAudit(name, "warn", why, float("nan")) for name, why in self.found.unconnected.items()]
+        return Audit(reference, (*sensors, *alone), misfits.get(reference))
+
+    def _judged(self, reference: str, name: str) -> SensorAudit:
+        """One sensor's given pose against the one found, in its own axes as found."""
+        found, of_both = self.found, (self.frames[reference], self.frames[name])
+        T_given, T_found = self.given.transform(*of_both), found.transform(reference, name)
+        to_own = np.kron(np.eye(2), T_found[:3, :3].T)
+        offset = to_own @ se3.difference(T_given, T_found)
+        spread = found.covariance(reference, name) + self.given.covariance(*of_both)
+        covariance = to_own @ spread @ to_own.T + _ROUNDING**2 * np.eye(6)
+        allowed = np.repeat([self.tolerance.position, self.tolerance.rotation], 3)
+        outcomes = _outcomes(offset, covariance, allowed)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        distance = float(np.linalg.norm(whiten @ offset))
+        axes = tuple(
+            AxisAudit(axis, float(x), float(s), outcome)
+            for axis, x, s, outcome in zip(
+                axis_names(found[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
+            )
         )
-    )
-    outcome = _worst([*outcomes, "warn" if distance**2 > _LIMIT else "pass"])
-    return SensorAudit(name, outcome, _reason(axes, allowed, distance), distance, axes)
+        outcome = _worst([*outcomes, "warn" if distance**2 > _LIMIT else "pass"])
+        return SensorAudit(name, outcome, _reason(axes, allowed, distance), distance, axes)
+
+
+def compare(found: Calibration, given: KnownPoses, tolerance: Tolerance | None) -> Comparison:
+    """Looks up in given extrinsics what a recording has found.
+
+    Raises:
+        InputError: the root or all other sensors are not in the file.
+    """
+    frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
+    given.frame(found.root, frame_ids)
+    return Comparison(found, given, given.frames_of(frame_ids), tolerance or Tolerance())
 
 
 def _outcomes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.errors import InputError
-from calgraph.refinement.audit import CHANCE, Audit, SensorAudit, Tolerance, seen_from
+from calgraph.refinement.audit import CHANCE, Audit, SensorAudit, Tolerance, compare
 from calgraph.refinement.network.displacement import Displacement, displacements
 from calgraph.refinement.network.planar_poses import PlanarPoses, in_plane, planar_poses
 from calgraph.result import Calibration, KnownPoses
@@ -25,21 +25,17 @@ def audit_network(found: Calibration, given: KnownPoses, tolerance: Tolerance | 
     Raises:
         InputError: the root or all other scanners are not in the file, or nothing fixed connects them there.
     """
-    tolerance = tolerance or Tolerance()
-    frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
-    given.frame(found.root, frame_ids)
-    frames = given.frames_of(frame_ids)
-    T = np.array([given.transform(frames[found.root], frame) for frame in frames.values()])
+    compared = compare(found, given, tolerance)
+    frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
     before = PlanarPoses(tuple(frames), in_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
         known = _known(given.calibration).seen_from(frames[found.root])
         before = replace(before, covariance=known.of(tuple(frames.values())).covariance)
     reference, moved = displacements(before, planar_poses(found), CHANCE)
-    seen = seen_from(reference, found, given, frames, tolerance, {})
+    seen = compared.seen_from(reference, {})
     off = {one.name: one for one in moved}
-    return replace(
-        seen, sensors=tuple(_judged(sensor, off.get(sensor.sensor), tolerance) for sensor in seen.sensors)
-    )
+    judged = (_judged(sensor, off.get(sensor.sensor), compared.tolerance) for sensor in seen.sensors)
+    return replace(seen, sensors=tuple(judged))
 
 
 def _known(calibration: Calibration) -> PlanarPoses:

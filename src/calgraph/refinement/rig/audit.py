@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.refinement.audit import Audit, Misfit, Tolerance, seen_from
+from calgraph.refinement.audit import Audit, Misfit, Tolerance, compare
 from calgraph.refinement.rig.bundle import Bundle, State, solve
 from calgraph.refinement.rig.joint import Adjusted
 from calgraph.refinement.rig.views import Beams, Corners, relative
@@ -33,21 +33,13 @@ def audit(
     Raises:
         InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
     """
-    tolerance = tolerance or Tolerance()
-    frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
-    given.frame(found.root, frame_ids)
-    frames = given.frames_of(frame_ids)
-    misfits = _misfits(adjusted, _poses(given, frames, found.root)) if adjusted else {}
-    audits = [seen_from(reference, found, given, frames, tolerance, misfits) for reference in frames]
+    compared = compare(found, given, tolerance)
+    misfits = _misfits(adjusted, compared.T_root_sensor) if adjusted else {}
+    audits = [compared.seen_from(reference, misfits) for reference in compared.frames]
     from_root = next(a for a in audits if a.reference == found.root)
     # One sensor that moved in the frame of another: either did. The root is where people look from.
     best = min(audits, key=lambda a: len(a.failed)) if len(from_root.failed) > 1 else from_root
     return best if len(best.failed) < len(from_root.failed) else from_root
-
-
-def _poses(given: KnownPoses, frames: Mapping[str, str], root: str) -> dict[str, Array]:
-    """``T_root_sensor`` (4, 4) as given."""
-    return {name: given.transform(frames[root], frame) for name, frame in frames.items()}
 
 
 def _misfits(adjusted: Adjusted, T_root_sensor: Mapping[str, Array]) -> dict[str, Misfit]:
