@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import MUTED, ORANGE, PAPER, RULE, VERMILION, chooser, figure, placed, plotly_text
-from calgraph.result import BoardOutline, Calibration, Snapshot
-from calgraph.result.cameras import cameras_of
+from calgraph.result import BoardOutline, Calibration, Snapshot, cameras_of, colored
 from calgraph.rig import Rig
-from calgraph.sensors import CameraModel, painted
 
 # Captures that can be chosen, and points of each that no camera sees: they only show where the others are.
 _MOST, _GREY = 6, 2500
@@ -84,7 +82,8 @@ def _clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
     full = [n for n in both if _detail(by_capture[n]) >= 0.5 * max(map(_detail, by_capture.values()))]
     best = sorted(sorted(full, key=lambda n: (-pictured[n], -used[n]))[:_MOST])
     reach = _reach(calibration, best)
-    clouds = {n: _painted(_fused(by_capture[n], poses, reach), by_capture[n], poses, cameras) for n in best}
+    fused = {n: _fused(by_capture[n], poses, reach) for n in best}
+    clouds = {n: (x, *colored(x, by_capture[n], cameras, poses)) for n, x in fused.items()}
     return {n: cloud for n, cloud in clouds.items() if cloud[2].any()}
 
 
@@ -105,21 +104,6 @@ def _fused(taken: Sequence[Snapshot], poses: Mapping[str, Array], reach: float) 
     clouds = [se3.apply(poses[s.sensor], s.points.astype(np.float64)) for s in taken if len(s.points)]
     points = np.concatenate([np.zeros((0, 3)), *clouds])
     return np.asarray(points[np.linalg.norm(points, axis=1) < reach])
-
-
-def _painted(
-    points: Array,
-    taken: Sequence[Snapshot],
-    poses: Mapping[str, Array],
-    cameras: Mapping[str, CameraModel],
-) -> Cloud:
-    """The points in the colours of the first camera that sees each."""
-    colors, seen = np.zeros((len(points), 3), dtype=np.uint8), np.zeros(len(points), dtype=np.bool_)
-    for s in filter(lambda s: s.image, taken):
-        own, sees = painted(se3.apply(se3.inverse(poses[s.sensor]), points), cameras[s.sensor], s.picture)
-        colors[sees & ~seen] = own[sees & ~seen]
-        seen |= sees
-    return points, colors, seen
 
 
 def _traces(

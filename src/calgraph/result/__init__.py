@@ -12,6 +12,7 @@ from calgraph.result.calibration import (
     Verdict,
 )
 from calgraph.result.cameras import cameras_of
+from calgraph.result.coloring import colored
 from calgraph.result.estimated import Estimated
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.file import save_calibration, save_captures
@@ -24,6 +25,6 @@ from calgraph.result.tree import TransformTree
 __all__ = [
     "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView",
     "KnownPoses", "LeftOut", "SensorPose", "Snapshot", "Suggestion", "TransformTree", "Verdict", "cameras_of",
-    "export", "load_calibration", "load_scene", "read_poses", "save_calibration", "save_captures", "save_scene",
-    "to_json",
+    "colored", "export", "load_calibration", "load_scene", "read_poses", "save_calibration", "save_captures",
+    "save_scene", "to_json",
 ]  # fmt: skip

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, Snapshot
-from calgraph.sensors import CameraModel, painted
+from calgraph.result import Calibration, Snapshot, colored
+from calgraph.sensors import CameraModel
 from calgraph.viewer.choice import Choice, poses, up
 
 Colors = NDArray[np.uint8]
@@ -60,7 +60,8 @@ def clouds(
         # All scanners' points together: each hides what is behind it from the cameras.
         x_root = np.concatenate([in_root(s, T_root_sensor) for s in scans])
         if choice.coloring == "camera":
-            colors = as_seen(x_root, captured, cameras, T_root_sensor)
+            colors, seen = colored(x_root, captured, cameras, T_root_sensor)
+            colors[~seen] = _UNSEEN
         elif choice.coloring == "height":
             colors = by_height(x_root @ up(calibration), heights)
         else:
@@ -89,22 +90,6 @@ def by_height(height: Array, heights: tuple[float, float]) -> Colors:
     level = np.clip(255 * (height - low) / (high - low), 0, 255).astype(np.uint8)
     bgr = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)
     return np.asarray(bgr.reshape(-1, 3)[:, ::-1], dtype=np.uint8)
-
-
-def as_seen(
-    x_root: Array,
-    captured: Sequence[Snapshot],
-    cameras: Mapping[str, CameraModel],
-    T_root_sensor: Mapping[str, Array],
-) -> Colors:
-    """(N, 3) colours of points (N, 3) in the root's frame, m, in pictures of their capture; grey where unseen."""
-    colors = _plain(_UNSEEN, len(x_root))
-    for picture in captured:
-        if picture.image and picture.sensor in cameras and picture.sensor in T_root_sensor:
-            x_camera = se3.apply(se3.inverse(T_root_sensor[picture.sensor]), x_root)
-            own, seen = painted(x_camera, cameras[picture.sensor], picture.picture)
-            colors[seen] = own[seen]
-    return colors
 
 
 def in_root(snapshot: Snapshot, T_root_sensor: Mapping[str, Array]) -> Array:

@@ -1,0 +1,37 @@
+"""Points in the colours in which the cameras saw them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, se3
+from calgraph.result.snapshots import Snapshot
+from calgraph.sensors import CameraModel, painted
+
+
+def colored(
+    x_root: Array,
+    taken: Sequence[Snapshot],
+    cameras: Mapping[str, CameraModel],
+    T_root_sensor: Mapping[str, Array],
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """The colours of points in pictures taken at once, of the first that shows each.
+
+    Args:
+        x_root: (N, 3) in the root's frame, m.
+        taken: of any sensors; pictures of cameras without intrinsics or pose are passed over.
+        cameras: intrinsics by camera.
+        T_root_sensor: (4, 4) by sensor.
+
+    Returns:
+        Red, green and blue (N, 3), 0 where no camera sees; and which points one sees (N,).
+    """
+    colors, seen = np.zeros((len(x_root), 3), dtype=np.uint8), np.zeros(len(x_root), dtype=np.bool_)
+    for s in taken:
+        if s.image and s.sensor in cameras and s.sensor in T_root_sensor:
+            x_camera = se3.apply(se3.inverse(T_root_sensor[s.sensor]), x_root)
+            own, sees = painted(x_camera, cameras[s.sensor], s.picture)
+            colors[sees & ~seen] = own[sees & ~seen]
+            seen |= sees
+    return colors, seen
