@@ -8,30 +8,12 @@ from calgraph.geometry import Array, se2
 from calgraph.refinement.network.extension import earlier_poses, extended, without
 from calgraph.refinement.network.planar_poses import PlanarPoses, planar_poses
 from calgraph.refinement.network.prior import ScannerPrior, prior_of
-from calgraph.result import Calibration, SensorPose, Verdict
-
-
-def known(rng: np.random.Generator) -> PlanarPoses:
-    T = se2.pose(rng.uniform(-3, 3, 4), rng.uniform(-5, 5, (4, 2)))
-    T[0] = np.eye(3)
-    mixed = rng.normal(0, 0.01, (12, 12))
-    mixed[:3] = 0
-    return PlanarPoses(("a", "b", "c", "d"), T, mixed @ mixed.T)
-
-
-def calibration(poses: PlanarPoses) -> Calibration:
-    T, spread = poses.in_space()
-    own = spread.reshape(len(T), 6, len(T), 6)
-    sensors = tuple(
-        SensorPose(n, poses.names[k - 1] if k else None, n, "lidar2d", T[k], own[k, :, k], Verdict("good"))
-        for k, n in enumerate(poses.names)
-    )
-    return Calibration("a", sensors, joint_covariance=spread)
+from known_networks import calibration, four_scanners
 
 
 def test_the_prior_pulls_as_its_cost_says() -> None:
     rng = np.random.default_rng(0)
-    poses = known(rng)
+    poses = four_scanners(rng)
     prior = prior_of(poses, ("a", "x", "c", "b"))
     assert prior.nodes.tolist() == [2, 3]
     T = np.stack([np.eye(3), np.eye(3), poses.T_root_scanner[2], poses.T_root_scanner[1]])
@@ -61,7 +43,7 @@ def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:
 def test_errors_of_kept_scanners_go_together_with_those_found_anew() -> None:
     """Linear theory by sampling: b and c are measured again, d is kept; 4,000 draws tell covariances to 10 %."""
     rng = np.random.default_rng(3)
-    poses = known(rng)
+    poses = four_scanners(rng)
     prior = prior_of(poses, ("a", "b", "c"))
     measured = np.diag(np.tile([0.01, 0.02, 0.005], 2) ** 2)
     posterior = np.linalg.inv(prior.information + np.linalg.inv(measured))
@@ -79,7 +61,7 @@ def test_errors_of_kept_scanners_go_together_with_those_found_anew() -> None:
 
 
 def test_a_kept_scanner_stays_where_it_was_and_says_so() -> None:
-    poses = known(np.random.default_rng(3))
+    poses = four_scanners(np.random.default_rng(3))
     found = calibration(poses.of(("a", "b", "c")))
     both = extended(found, calibration(poses), prior_of(poses, ("a", "b", "c")))
     assert [sensor.name for sensor in both.sensors] == ["a", "b", "c", "d"]
@@ -88,7 +70,7 @@ def test_a_kept_scanner_stays_where_it_was_and_says_so() -> None:
 
 
 def test_a_scanner_that_moved_is_forgotten_and_what_hung_from_it_hangs_from_the_root() -> None:
-    old = without(calibration(known(np.random.default_rng(0))), ("c",))
+    old = without(calibration(four_scanners(np.random.default_rng(0))), ("c",))
     assert [(sensor.name, sensor.parent) for sensor in old.sensors] == [("a", None), ("b", "a"), ("d", "a")]
     assert old.joint_covariance is not None
     assert old.joint_covariance.shape == (18, 18)
@@ -96,10 +78,10 @@ def test_a_scanner_that_moved_is_forgotten_and_what_hung_from_it_hangs_from_the_
 
 def test_another_root_is_refused() -> None:
     with pytest.raises(InputError, match=r"in the frame of a, not b"):
-        earlier_poses(calibration(known(np.random.default_rng(0))), "b")
+        earlier_poses(calibration(four_scanners(np.random.default_rng(0))), "b")
 
 
 @pytest.mark.parametrize(("name", "said"), [("a", "is the root"), ("z", "z is not in what is extended")])
 def test_what_cannot_be_forgotten_is_refused(name: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        without(calibration(known(np.random.default_rng(0))), (name,))
+        without(calibration(four_scanners(np.random.default_rng(0))), (name,))

@@ -5,16 +5,9 @@ import pytest
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se2
-from calgraph.refinement.network.planar_poses import PlanarPoses, planar_poses
+from calgraph.refinement.network.planar_poses import planar_poses
 from calgraph.result import Calibration, SensorPose, Verdict
-
-
-def poses(rng: np.random.Generator) -> PlanarPoses:
-    T = se2.pose(rng.uniform(-3, 3, 4), rng.uniform(-5, 5, (4, 2)))
-    T[0] = np.eye(3)
-    mixed = rng.normal(0, 0.01, (12, 12))
-    mixed[:3] = 0
-    return PlanarPoses(("a", "b", "c", "d"), T, mixed @ mixed.T)
+from known_networks import calibration, four_scanners
 
 
 def from_c(T: Array) -> Array:
@@ -23,7 +16,7 @@ def from_c(T: Array) -> Array:
 
 def test_covariance_from_another_scanner_is_that_of_moved_poses() -> None:
     """Against the numerical derivative of the change of frames."""
-    known = poses(np.random.default_rng(0))
+    known = four_scanners(np.random.default_rng(0))
     step, J = 1e-6, np.zeros((12, 12))
     for k in range(12):
         ahead = se2.retract(known.T_root_scanner, (step * np.eye(12)[k]).reshape(4, 3))
@@ -35,21 +28,15 @@ def test_covariance_from_another_scanner_is_that_of_moved_poses() -> None:
 
 
 def test_there_and_back_changes_nothing() -> None:
-    known = poses(np.random.default_rng(1))
+    known = four_scanners(np.random.default_rng(1))
     back = known.seen_from("d").seen_from("a").of(known.names)
     np.testing.assert_allclose(back.T_root_scanner, known.T_root_scanner, atol=1e-12)
     np.testing.assert_allclose(back.covariance, known.covariance, atol=1e-12)
 
 
 def test_a_calibration_gives_back_the_poses_it_was_made_of() -> None:
-    known = poses(np.random.default_rng(2))
-    T, spread = known.in_space()
-    sensors = tuple(
-        SensorPose(n, None if k == 0 else "a", n, "lidar2d", T[k], spread[6 * k : 6 * k + 6, 6 * k : 6 * k + 6],
-                   Verdict("good"))
-        for k, n in enumerate(known.names)
-    )  # fmt: skip
-    read = planar_poses(Calibration("a", sensors, joint_covariance=spread))
+    known = four_scanners(np.random.default_rng(2))
+    read = planar_poses(calibration(known))
     np.testing.assert_allclose(read.T_root_scanner, known.T_root_scanner, atol=1e-12)
     np.testing.assert_array_equal(read.covariance, known.covariance)
 

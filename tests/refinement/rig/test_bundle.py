@@ -1,6 +1,7 @@
 """The bundle's solver against scipy and dense matrices, and on problems whose answers are known by hand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,19 @@ def disturbed(state: State, rng: np.random.Generator, size: float = 0.02) -> Sta
     return State(se3.retract(state.T_root_sensor, sensors), se3.retract(state.T_root_board, boards), state.own)
 
 
+def solved_by_scipy(bundle: Bundle, start: State, **options: Any) -> tuple[State, float]:
+    """The best state, and its cost."""
+    oracle = scipy.optimize.least_squares(
+        lambda step: residuals_after(bundle, start, step),
+        np.zeros(bundle.size + 6 * len(start.T_root_board)),
+        jac=lambda step: dense_jacobian(bundle, start, step),
+        x_scale="jac",
+        **options,
+    )
+    best = moved(bundle, start, oracle.x[: bundle.size], oracle.x[bundle.size :].reshape(-1, 6))
+    return best, float(oracle.cost)
+
+
 def test_exact_measurements_give_the_truth_from_a_poor_start(rng: np.random.Generator) -> None:
     exact = quiet()
     solved = solve(exact.bundle, disturbed(exact.truth, rng, size=0.1))
@@ -36,14 +50,8 @@ def test_least_squares_of_scipy_are_the_same(rng: np.random.Generator) -> None:
     # So little noise that no residual is held off by the robust loss.
     bundle, start = exact.measured(rng, noise=0.3), disturbed(exact.truth, rng, size=0.003)
     solved = solve(bundle, start)
-    oracle = scipy.optimize.least_squares(
-        lambda step: residuals_after(bundle, start, step),
-        np.zeros(bundle.size + 6 * len(start.T_root_board)),
-        jac=lambda step: dense_jacobian(bundle, start, step),
-        x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
-    )  # fmt: skip
-    best = moved(bundle, start, oracle.x[: bundle.size], oracle.x[bundle.size :].reshape(-1, 6))
-    assert solved.system.cost == pytest.approx(oracle.cost, rel=1e-7)
+    best, cost = solved_by_scipy(bundle, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert solved.system.cost == pytest.approx(cost, rel=1e-7)
     assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-6
 
 
@@ -51,14 +59,10 @@ def test_outliers_pull_as_in_scipys_huber(rng: np.random.Generator) -> None:
     exact = quiet(("lidar", "laser"), boards=6)
     bundle, start = exact.measured(rng, noise=1.5), disturbed(exact.truth, rng, size=0.003)
     solved = solve(bundle, start)
-    oracle = scipy.optimize.least_squares(
-        lambda step: residuals_after(bundle, start, step),
-        np.zeros(bundle.size + 6 * len(start.T_root_board)),
-        jac=lambda step: dense_jacobian(bundle, start, step),
-        loss="huber", f_scale=2.5, x_scale="jac", max_nfev=300, xtol=1e-13, ftol=1e-13, gtol=1e-13,
-    )  # fmt: skip
-    best = moved(bundle, start, oracle.x[: bundle.size], oracle.x[bundle.size :].reshape(-1, 6))
-    assert solved.system.cost <= oracle.cost * (1 + 1e-7)
+    best, cost = solved_by_scipy(
+        bundle, start, loss="huber", f_scale=2.5, max_nfev=300, xtol=1e-13, ftol=1e-13, gtol=1e-13
+    )
+    assert solved.system.cost <= cost * (1 + 1e-7)
     # By small parts of the standard deviations, which are millimetres.
     assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-4
 
