@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from calgraph.cli.arguments import Results, RigFile, WholeJson
 from calgraph.cli.cores import JobsOption, cores
 from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.cli.progress import progress_bars
@@ -91,12 +92,12 @@ class WeightsChoice(StrEnum):
 
 
 def calibrate(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")],
+    rig_file: RigFile,
     recordings: Annotated[
         list[Path],
         typer.Argument(metavar="RECORDING...", help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, or plain folder."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
+    out: Results,
     estimator: Annotated[
         EstimatorChoice | None,
         typer.Option(
@@ -154,7 +155,7 @@ def calibrate(
         Path | None,
         typer.Option("--dump", metavar="FILE", help="Board: write what the solution is made from, for solve."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
+    json: WholeJson = False,
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
 

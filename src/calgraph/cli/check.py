@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.cli.arguments import RigFile
 from calgraph.cli.calibrate import write_results
 from calgraph.cli.console import console
 from calgraph.cli.cores import cores
@@ -30,7 +31,7 @@ _FORMAT = "calgraph-check/1"
 
 
 def check(
-    rig_file: Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")],
+    rig_file: RigFile,
     recordings: Annotated[
         list[Path],
         typer.Argument(metavar="RECORDING...", help="As for calibrate; or what calibrate --dump wrote (.npz)."),

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from calgraph.cli.arguments import OneRecording
 from calgraph.cli.console import console
 from calgraph.errors import InputError
 from calgraph.recording import find_topics, open_recording
@@ -12,7 +13,7 @@ from calgraph.rig import draft_rig, write_text
 
 
 def init(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")],
+    recording: OneRecording,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write.")] = Path("rig.yaml"),
     force: Annotated[bool, typer.Option("--force", help="Overwrite FILE if it exists.")] = False,
 ) -> None:

@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.cli.arguments import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import RecordingError
@@ -18,7 +19,7 @@ from calgraph.recording import SENSORS, Inspection, TopicReport, inspect_recordi
 
 
 def inspect(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")],
+    recording: OneRecording,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Show the topics of a recording: counts, rates, gaps, frames, clocks, and what is odd about them.

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from calgraph.cli.arguments import Results, WholeJson
 from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.rig import replacing_folder
@@ -13,7 +14,7 @@ from calgraph.rig import replacing_folder
 
 def solve(
     file: Annotated[Path, typer.Argument(metavar="DUMP", help="What calibrate --dump wrote.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
+    out: Results,
     estimator: Annotated[
         EstimatorChoice | None,
         typer.Option(
@@ -32,7 +33,7 @@ def solve(
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")] = False,
+    json: WholeJson = False,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
 
