@@ -11,7 +11,7 @@ from calgraph.calibrate import DEPTHS
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, placed, trust
 from calgraph.graph.trees import tree_poses
-from calgraph.pairwise import TrackPair, estimate_network_pairs
+from calgraph.pairwise import Sights, TrackPair, estimate_network_pairs
 from calgraph.pairwise.samples import meetings, sample
 from calgraph.refinement import solve_network
 from calgraph.rig import Cylinder, Lidar2dSpec, People, Rig
@@ -184,7 +184,9 @@ def solved(
 ) -> Solved:
     """Poses of the connected scanners; the published way has one estimate a pair, and doubts none."""
     if setup.average == "consensus":
-        sure = placed(rig.root, pairs, rng, weighted=setup.weighted)
+        sights = {name: Sights.of(known) for name, known in tracked.items()}
+        ends = {(pair.sensor_a, pair.sensor_b): pair for pair in pairs}
+        sure = placed(rig.root, ends, sights, rng, weighted=setup.weighted)
         graph, names, averaged = sure.graph, sure.names, sure.averaged
     else:
         pairs = [replace(pair, hypotheses=pair.hypotheses[:1]) for pair in pairs]

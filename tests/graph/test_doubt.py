@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, doubtful, network_graph, placed
+from calgraph.graph import Averaged, doubtful, network_graph
 from calgraph.pairwise import Hypothesis, TrackPair
 
 NAMES = ("a", "b", "c", "d")
@@ -73,11 +73,3 @@ def test_walls_that_match_outweigh_some_seconds() -> None:
 
 def test_a_root_alone_is_not_in_doubt() -> None:
     assert doubts() == {}
-
-
-def test_scanners_in_doubt_are_left_out_of_the_average(rng: np.random.Generator) -> None:
-    weak = TrackPair("a", "d", (found("a", "d", 30),))
-    rival = TrackPair("b", "d", (found("b", "d", 40, 8.0),))
-    sure = placed("a", (AB, BC, CD, weak, rival), rng)
-    assert sure.names == ("a", "b", "c")
-    assert list(sure.doubts) == ["d"]

@@ -7,13 +7,11 @@ import numpy as np
 
 from calgraph.calibrate.following import follow_people, scanner_noise, walking
 from calgraph.calibrate.options import Options, Progress, network_estimator, silent
-from calgraph.detection import Rejected
 from calgraph.errors import CalibrationError, InputError
 from calgraph.graph import placed
-from calgraph.pairwise import TrackPair, estimate_network_pairs
+from calgraph.pairwise import Sights, estimate_network_pairs
 from calgraph.recording import Recording
 from calgraph.refinement import (
-    NetworkPairs,
     ScannerPrior,
     agreed_prior,
     assemble_network,
@@ -82,8 +80,8 @@ def calibrate_tracks(
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
     )
-    known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
-    sure = placed(rig.root, known, rng, options.average, weighted=options.weights == "weighted")
+    sights = {name: Sights.of(known) for name, known in tracked.items()}
+    sure = placed(rig.root, pairs, sights, rng, options.average, weighted=options.weights == "weighted")
     graph, names, averaged = sure.graph, sure.names, sure.averaged
     joint = prior = None
     # A root that nothing is connected to may not even have been followed.
@@ -97,17 +95,8 @@ def calibrate_tracks(
         progress("solving", 1.0)
     stated = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first(tracked) if start is None else start
-    judged = _doubted(pairs, sure.doubts)
-    found = assemble_network(rig, stated, followed, judged, graph, names, averaged, start, joint)
+    found = assemble_network(rig, stated, followed, sure.pairs, graph, names, averaged, start, joint)
     return _extended(found, old, prior) if old else found
-
-
-def _doubted(pairs: NetworkPairs, doubts: Mapping[str, str]) -> NetworkPairs:
-    """The pairs, with those of scanners whose place is in doubt rejected."""
-    return {
-        (a, b): Rejected(doubts.get(a, doubts.get(b, ""))) if {a, b} & doubts.keys() else found
-        for (a, b), found in pairs.items()
-    }
 
 
 def _earlier(rig: Rig, options: Options) -> Calibration | None:

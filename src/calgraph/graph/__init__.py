@@ -3,8 +3,9 @@
 from calgraph.graph.adjustment import translations
 from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.doubt import Placed, doubtful, placed
+from calgraph.graph.doubt import doubtful
 from calgraph.graph.network import average_network, covariances, joint_covariance, network_graph, trust
+from calgraph.graph.placing import Placed, placed
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
 from calgraph.graph.tree import SpanningTree, grown, spanning_tree

@@ -5,7 +5,6 @@ their number says little. Whether a part of the network is held by the best that
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,55 +12,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from calgraph.geometry import Array, se2
-from calgraph.graph.averaging import Method
-from calgraph.graph.network import average_network, evidence, network_graph, trust
+from calgraph.graph.network import evidence
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.pairwise import TrackPair
 
 # A hypothesis farther from the pose that was found puts the scanner elsewhere, m and rad.
 _ELSEWHERE = (0.5, np.radians(8))
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """Where those scanners of a network are whose place is not in doubt."""
-
-    graph: PoseGraph
-    """Of the pairs that are left, with errors as they are."""
-    names: tuple[str, ...]
-    """The scanners of its nodes, the root first."""
-    averaged: Averaged
-    doubts: dict[str, str]
-    """Why others were left out, by scanner."""
-
-
-def placed(
-    root: str,
-    pairs: Sequence[TrackPair],
-    rng: np.random.Generator,
-    method: Method = "consensus",
-    *,
-    weighted: bool = True,
-) -> Placed:
-    """Averages a network's pairs, without the scanners that better evidence would put elsewhere.
-
-    Args:
-        root: name of the root.
-        pairs: with all their hypotheses.
-        rng: used by ``consensus``.
-        method: as for :func:`average`.
-        weighted: whether pairs count by their evidence; all alike otherwise.
-    """
-    doubts: dict[str, str] = {}
-    while True:
-        graph, names = network_graph(root, pairs)
-        weights = trust(names, pairs) if weighted else None
-        averaged, graph = average_network(graph, rng, method, weights)
-        found = doubtful(graph, names, pairs, averaged)
-        if not found:
-            return Placed(graph, names, averaged, doubts)
-        doubts |= found
-        pairs = [pair for pair in pairs if not {pair.sensor_a, pair.sensor_b} & found.keys()]
 
 
 def doubtful(
@@ -87,7 +43,7 @@ def doubtful(
     apart = np.linalg.norm(off[:, :2], axis=1)
     rivals = ~averaged.inliers & ((apart > _ELSEWHERE[0]) | (np.abs(off[:, 2]) > _ELSEWHERE[1]))
     found: dict[str, str] = {}
-    for tie, far in _cuts(graph, np.where(averaged.inliers, worth, 0.0)):
+    for tie, far in cuts(graph, np.where(averaged.inliers, worth, 0.0)):
         against = np.flatnonzero(rivals & (far[i] != far[j]) & (worth > worth[tie]))
         if not len(against):
             continue
@@ -98,8 +54,13 @@ def doubtful(
     return found
 
 
-def _cuts(graph: PoseGraph, worth: Array) -> list[tuple[int, NDArray[np.bool_]]]:
-    """The edges of the tree of greatest worth, and the nodes (N,) that each holds to the root."""
+def cuts(graph: PoseGraph, worth: Array) -> list[tuple[int, NDArray[np.bool_]]]:
+    """The edges of the tree of greatest worth, and the nodes (N,) that each holds to the root.
+
+    Args:
+        graph: connected by edges that are worth something.
+        worth: (E,) of each edge; of several edges of a pair at most one may be worth anything.
+    """
     used = np.flatnonzero(worth)
     costs = coo_array((1 / worth[used], graph.edges[used].T), shape=(graph.count, graph.count))
     tree = minimum_spanning_tree(costs).tocoo()

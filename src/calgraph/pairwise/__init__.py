@@ -2,6 +2,7 @@
 
 from calgraph.pairwise.estimate import PairwiseEstimate
 from calgraph.pairwise.lines import coplanarity
+from calgraph.pairwise.open_view import Sights
 from calgraph.pairwise.pair import (
     Candidates,
     Pairs,
@@ -15,7 +16,7 @@ from calgraph.pairwise.pair import (
 from calgraph.pairwise.tracks import Hypothesis, TrackPair, estimate_network_pair, estimate_network_pairs
 
 __all__ = [
-    "Candidates", "Hypothesis", "Pairs", "PairwiseEstimate", "TrackPair", "coplanarity", "estimate_network_pair",
-    "estimate_network_pairs", "estimate_pair", "estimate_pairs", "estimated", "match_table",
-    "reconsider", "reconsider_pairs",
+    "Candidates", "Hypothesis", "Pairs", "PairwiseEstimate", "Sights", "TrackPair", "coplanarity",
+    "estimate_network_pair", "estimate_network_pairs", "estimate_pair", "estimate_pairs", "estimated",
+    "match_table", "reconsider", "reconsider_pairs",
 ]  # fmt: skip

@@ -5,14 +5,14 @@ it. People who walk alike are matched for some seconds under many a wrong pose. 
 all others whom one scanner saw went through the other's open view unnoticed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.samples import Meetings, Samples
+from calgraph.pairwise.samples import Meetings, Samples, sample
 from calgraph.tracking import Tracked
 
 Flags = NDArray[np.bool_]
@@ -27,8 +27,8 @@ _RARE = 0.05
 _SEEN = 3
 # Between two beams farther apart nobody knows, rad.
 _NEXT = np.radians(2)
-# A pose is refuted if more than this share of what should have been seen was not.
-_MISSED = 0.5
+MISSED = 0.5
+"""A pose is refuted if more than this share of what should have been seen was not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +46,33 @@ class OpenView:
         cell = np.clip(x * (1 / _CELL) + size / 2, 0, size - 1).astype(np.intp)
         return np.asarray(self.open.ravel()[cell[..., 0] * size + cell[..., 1]])
 
+    @property
+    def reach(self) -> float:
+        """Nothing farther from the scanner is open to it, m."""
+        return float(np.sqrt(0.5) * _CELL * len(self.open))
+
     def watches(self, times: Array) -> Flags:
         """(M,) whether the scanner measured at some times (M,), s."""
         stretch = np.searchsorted(self.watched[:, 0], times, "right") - 1
         return np.asarray((stretch >= 0) & (times <= np.append(self.watched[:, 1], -np.inf)[stretch]))
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """What one scanner saw moving, and where it would have seen anybody."""
+
+    samples: Samples
+    view: OpenView
+
+    @classmethod
+    def of(cls, tracked: Tracked) -> "Sights":
+        """What a scanner followed, at the ticks that all scanners share."""
+        samples = sample(tracked)
+        return cls(samples, open_view(tracked, samples))
+
+    def every(self, step: int) -> "Sights":
+        """Of every ``step``-th tick alone; the view is as it was."""
+        return replace(self, samples=self.samples.every(step))
 
 
 def open_view(tracked: Tracked, samples: Samples) -> OpenView:
@@ -100,6 +123,34 @@ def looks_past(background: Array, x: Array, margin: float) -> Flags:
     return np.asarray(known & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
 
 
+def overlooked(
+    T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, near: float
+) -> tuple[Flags, Flags]:
+    """What each of two scanners should have seen of what the other one saw, and what it did see.
+
+    Args:
+        T_a_b: (K, 3, 3).
+        met: all simultaneous observations.
+        view_a: of scanner a.
+        view_b: of scanner b.
+        near: how far from a position the other scanner may have seen it, m.
+
+    Returns:
+        Of all samples of a, followed by those of b, (K, A + B) each: whether the other scanner should have seen
+        it, under this pose, and whether it saw anything there.
+    """
+    a, b = met.a, met.b
+    moved = se2.apply(T_a_b, b.positions)
+    sights_a = view_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & view_b.watches(a.times)
+    sights_b = view_a.covers(moved) & view_a.watches(b.times)
+    expected = np.concatenate([sights_a, sights_b], axis=1)
+    off = moved[:, met.row_b] - met.x_a
+    pose, together = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 < near**2)
+    noticed = np.zeros_like(expected)
+    noticed[pose, met.row_a[together]] = noticed[pose, len(a.tick) + met.row_b[together]] = True
+    return expected, noticed
+
+
 def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, near: float, fewest: float) -> Flags:
     """(K,) which poses let most of what one scanner saw in the other's open view pass unnoticed.
 
@@ -111,15 +162,7 @@ def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, nea
         near: how far from a position the other scanner may have seen it, m.
         fewest: positions that should have been seen, at least.
     """
-    a, b = met.a, met.b
-    moved = se2.apply(T_a_b, b.positions)
-    sights_a = view_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & view_b.watches(a.times)
-    sights_b = view_a.covers(moved) & view_a.watches(b.times)
-    expected = np.concatenate([sights_a, sights_b], axis=1)
-    off = moved[:, met.row_b] - met.x_a
-    pose, together = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 < near**2)
-    noticed = np.zeros_like(expected)
-    noticed[pose, met.row_a[together]] = noticed[pose, len(a.tick) + met.row_b[together]] = True
+    expected, noticed = overlooked(T_a_b, met, view_a, view_b, near)
     count = np.count_nonzero(expected, axis=1)
     missed = np.count_nonzero(expected & ~noticed, axis=1)
-    return np.asarray((count >= fewest) & (missed > _MISSED * count))
+    return np.asarray((count >= fewest) & (missed > MISSED * count))

@@ -16,8 +16,8 @@ from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import icp as scan_matching
 from calgraph.pairwise.agreement import DEPTH, GATE, Agreement, agree, costs, information
-from calgraph.pairwise.open_view import OpenView, open_view, refuted
-from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings, sample
+from calgraph.pairwise.open_view import Sights, refuted
+from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings
 from calgraph.processes import side_by_side
 from calgraph.tracking import Tracked
 
@@ -84,15 +84,13 @@ class Hypothesis:
 class _Scanner:
     """What one scanner knows, as all its pairs need it."""
 
-    samples: Samples
-    view: OpenView
+    sights: Sights
     still: Tracked
     """Without its tracks."""
 
     @classmethod
     def of(cls, tracked: Tracked) -> "_Scanner":
-        samples = sample(tracked)
-        return cls(samples, open_view(tracked, samples), replace(tracked, tracks=()))
+        return cls(Sights.of(tracked), replace(tracked, tracks=()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +137,15 @@ def estimate_network_pairs(
     names = list(itertools.combinations(tracked, 2))
     # Random numbers are drawn here, pair by pair, whoever judges then what they propose.
     work = [
-        (a, b, scanners[a], scanners[b], _proposed(scanners[a].samples, scanners[b].samples, rng), icp, depth)
+        (
+            a,
+            b,
+            scanners[a],
+            scanners[b],
+            _proposed(scanners[a].sights, scanners[b].sights, rng),
+            icp,
+            depth,
+        )
         for a, b in names
     ]
     found = side_by_side(_judged, work, jobs if len(work) >= _WORTHWHILE else 1, progress)
@@ -172,13 +178,13 @@ def estimate_network_pair(
         The best few hypotheses, or the reason why there is none.
     """
     of_a, of_b = _Scanner.of(a), _Scanner.of(b)
-    return _judged(name_a, name_b, of_a, of_b, _proposed(of_a.samples, of_b.samples, rng), icp, depth)
+    return _judged(name_a, name_b, of_a, of_b, _proposed(of_a.sights, of_b.sights, rng), icp, depth)
 
 
-def _proposed(a: Samples, b: Samples, rng: np.random.Generator) -> Array | Rejected:
+def _proposed(a: Sights, b: Sights, rng: np.random.Generator) -> Array | Rejected:
     """Poses (K, 3, 3) to be judged."""
-    met = meetings(a, b)
-    seconds = len(np.unique(a.tick[met.row_a])) * TICK
+    met = meetings(a.samples, b.samples)
+    seconds = len(np.unique(met.a.tick[met.row_a])) * TICK
     if seconds < _ENOUGH * TICK:
         return Rejected(f"only {seconds:.1f} s in which both saw somebody, {_ENOUGH * TICK:.1f} s are needed")
     guesses = _guesses(met, rng)
@@ -199,8 +205,8 @@ def _judged(
     """The hypotheses that some guesses lead to."""
     if isinstance(guesses, Rejected):
         return guesses
-    a, b = scanner_a.samples, scanner_b.samples
-    views = scanner_a.view, scanner_b.view
+    a, b = scanner_a.sights.samples, scanner_b.sights.samples
+    views = scanner_a.sights.view, scanner_b.sights.view
     met = meetings(a, b)
     rough, coarse, fine = (_thinned(met, wanted) for wanted in (_ROUGH, _COARSE, _FINE))
     guesses = guesses[~refuted(guesses, rough, *views, _THERE + _STRAY, _EXPECTED * len(rough) / len(met))]
