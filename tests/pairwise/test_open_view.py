@@ -81,7 +81,7 @@ def test_a_pose_is_refuted_by_people_who_pass_the_other_scanner_unnoticed() -> N
     a = walks(se2.apply(T_a_b, b.positions))
     views = open_view(still(wall(12.0)), a), open_view(still(wall(12.0)), b)
     wrong = se2.pose(np.pi, np.array([2.0, 0.0]))  # the other half of the circle at every time
-    found = refuted(np.array([T_a_b, wrong]), meetings(a, b), *views, near=0.5, fewest=20)
+    found = refuted(np.array([T_a_b, wrong]), meetings(a, b), *views, near=0.5, fewest=20, missed=0.5)
     assert found.tolist() == [False, True]
 
 
@@ -89,8 +89,8 @@ def test_poses_with_views_apart_are_refuted_by_nobody() -> None:
     a, b = walks(circle(3.0)), walks(circle(3.0))
     views = open_view(still(wall(4.0)), a), open_view(still(wall(4.0)), b)
     far = se2.pose(0.3, np.array([20.0, 0.0]))
-    assert refuted(far[None], meetings(a, b), *views, near=0.5, fewest=20).tolist() == [False]
-    assert refuted(np.zeros((0, 3, 3)), meetings(a, b), *views, near=0.5, fewest=20).shape == (0,)
+    assert refuted(far[None], meetings(a, b), *views, near=0.5, fewest=20, missed=0.5).tolist() == [False]
+    assert refuted(np.zeros((0, 3, 3)), meetings(a, b), *views, near=0.5, fewest=20, missed=0.5).shape == (0,)
 
 
 def test_nobody_is_missed_while_the_other_scanner_did_not_measure() -> None:
@@ -98,7 +98,7 @@ def test_nobody_is_missed_while_the_other_scanner_did_not_measure() -> None:
     x = circle(3.0, ticks=200)
     a, b = walks(x), walks(x[:60])
     views = open_view(still(wall(12.0)), a), open_view(still(wall(12.0)), b)
-    assert refuted(np.eye(3)[None], meetings(a, b), *views, near=0.5, fewest=20).tolist() == [False]
+    assert refuted(np.eye(3)[None], meetings(a, b), *views, near=0.5, fewest=20, missed=0.5).tolist() == [False]
 
 
 def test_who_passes_while_the_other_scanner_measured_and_saw_nobody_is_missed() -> None:
@@ -106,7 +106,7 @@ def test_who_passes_while_the_other_scanner_measured_and_saw_nobody_is_missed() 
     a, b = walks(x), walks(x[:60])
     watched = np.array([[0.0, 20.0]])
     views = open_view(still(wall(12.0), watched), a), open_view(still(wall(12.0), watched), b)
-    assert refuted(np.eye(3)[None], meetings(a, b), *views, near=0.5, fewest=20).tolist() == [True]
+    assert refuted(np.eye(3)[None], meetings(a, b), *views, near=0.5, fewest=20, missed=0.5).tolist() == [True]
 
 
 @pytest.mark.parametrize(("time", "there"), [(0.9, False), (1.0, True), (2.5, False), (3.5, True), (4.1, False)])

@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se2
 from calgraph.graph.doubt import cuts
 from calgraph.graph.pose_graph import Averaged, PoseGraph
-from calgraph.pairwise.open_view import MISSED, Sights, overlooked
+from calgraph.pairwise.open_view import Sights, overlooked
 from calgraph.pairwise.samples import meetings
 
 Flags = NDArray[np.bool_]
 
-# A scanner sees somebody within this distance of where another one saw him, m; positions (every 0.1 s) that should
-# be seen, several scanners each, so that a place is judged by them; and of so many ticks at most a sample is taken.
+# A scanner sees somebody within this distance of where another one saw him, m.
 _THERE = 0.5
-_EXPECTED = 50
+# A place is refuted if more than this share of what should have been seen was not, of so many positions at least
+# (every 0.1 s, of each scanner).
+_MISSED, _EXPECTED = 0.5, 50
+# Of so many ticks at most positions are compared.
 _TICKS = 1000
 
 
@@ -59,7 +61,7 @@ def unnoticed(graph: PoseGraph, sights: Sequence[Sights], averaged: Averaged, wo
     for _, far in cuts(graph, np.where(averaged.inliers, worth, 0.0)):
         expected, missed = seen.across(far)
         share = missed / max(expected, 1)
-        if step * expected >= _EXPECTED and share > (worst.missed if worst else MISSED):
+        if step * expected >= _EXPECTED and share > (worst.missed if worst else _MISSED):
             worst = Refuted(far, averaged.inliers & (far[i] != far[j]), share)
     return worst
 

@@ -27,8 +27,6 @@ _RARE = 0.05
 _SEEN = 3
 # Between two beams farther apart nobody knows, rad.
 _NEXT = np.radians(2)
-MISSED = 0.5
-"""A pose is refuted if more than this share of what should have been seen was not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +149,17 @@ def overlooked(
     return expected, noticed
 
 
-def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, near: float, fewest: float) -> Flags:
-    """(K,) which poses let most of what one scanner saw in the other's open view pass unnoticed.
+def refuted(
+    T_a_b: Array,
+    met: Meetings,
+    view_a: OpenView,
+    view_b: OpenView,
+    *,
+    near: float,
+    fewest: float,
+    missed: float,
+) -> Flags:
+    """(K,) which poses let too much of what one scanner saw in the other's open view pass unnoticed.
 
     Args:
         T_a_b: (K, 3, 3).
@@ -161,8 +168,9 @@ def refuted(T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, nea
         view_b: of scanner b.
         near: how far from a position the other scanner may have seen it, m.
         fewest: positions that should have been seen, at least.
+        missed: share of them that may have been missed.
     """
     expected, noticed = overlooked(T_a_b, met, view_a, view_b, near)
     count = np.count_nonzero(expected, axis=1)
-    missed = np.count_nonzero(expected & ~noticed, axis=1)
-    return np.asarray((count >= fewest) & (missed > MISSED * count))
+    unseen = np.count_nonzero(expected & ~noticed, axis=1)
+    return np.asarray((count >= fewest) & (unseen > missed * count))

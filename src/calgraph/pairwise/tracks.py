@@ -43,6 +43,9 @@ _STRAY = 0.3
 # should see, so that a pose is judged by them.
 _THERE = 0.5
 _EXPECTED = 20
+# A pose is refuted if more than this share of what should have been seen was not: of a stretch's, and once it is
+# fitted to all that both saw. Of right ones hardly a fifth is missed.
+_MISSED_AT_FIRST, _MISSED = 0.5, 0.35
 # Two hypotheses are one if they differ by less than this in metres and in radians.
 _SAME = (0.5, np.radians(8))
 # Ticks that must agree: at least, as a share of those that should, as a multiple of what chance explains, and as a
@@ -209,11 +212,21 @@ def _judged(
     views = scanner_a.sights.view, scanner_b.sights.view
     met = meetings(a, b)
     rough, coarse, fine = (_thinned(met, wanted) for wanted in (_ROUGH, _COARSE, _FINE))
-    guesses = guesses[~refuted(guesses, rough, *views, _THERE + _STRAY, _EXPECTED * len(rough) / len(met))]
+    passed_by = refuted(
+        guesses,
+        rough,
+        *views,
+        near=_THERE + _STRAY,
+        fewest=_EXPECTED * len(rough) / len(met),
+        missed=_MISSED_AT_FIRST,
+    )
+    guesses = guesses[~passed_by]
     guesses = _best(guesses, costs(guesses, coarse, _STRAY), _REFINED)
     found = [fit for T in guesses if (fit := agree(T, coarse, depth=depth, steps=3)) is not None]
-    missed = refuted(_poses(found), coarse, *views, _THERE, _EXPECTED * len(coarse) / len(met))
-    found = [fit for fit, passed_by in zip(found, missed, strict=True) if not passed_by]
+    passed_by = refuted(
+        _poses(found), coarse, *views, near=_THERE, fewest=_EXPECTED * len(coarse) / len(met), missed=_MISSED
+    )
+    found = [fit for fit, wrong in zip(found, passed_by, strict=True) if not wrong]
     if not found:
         return Rejected("under every pose that explains some of what both saw, people pass one of them unnoticed")
     shares = np.array([len(fit.pairs) / max(_expected(fit.T_a_b, coarse, a, b), 1) for fit in found])
