@@ -3,7 +3,7 @@
     python benchmarks/msg_cal.py --seeds 20
 
 ``pairwise`` are the paper's pairs along the spanning tree, ``global`` its hypergraph; ``default`` is what calgraph
-does: pairs polished on their inliers, which are selected once more under the joint solution.
+does: pairs polished on their inliers, then the bundle.
 
 Each seed is another robot, room and walk of 120 captures, a tenth of them disturbed as on a real robot, where
 operators slip. Errors are means over the sensors; tables give mean and standard deviation over the seeds.
