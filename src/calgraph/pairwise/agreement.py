@@ -101,7 +101,7 @@ def costs(T_a_b: Array, met: Meetings, misfit: float = _MISFIT) -> Array:
 
 def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> tuple[NDArray[np.intp], Array]:
     """The meetings (P,) of mutual nearest neighbours within the gate, and their squared Mahalanobis distances."""
-    apart = _differences(T_a_b, nuisance, met.x_a, met.x_b, met.v_b)
+    apart = _differences(T_a_b, nuisance, met)
     rough = np.sum(apart**2, axis=1) / (met.variance + misfit**2)
     # The exact covariance matters for the gate alone; who is nearest is clear without it.
     near = np.flatnonzero(rough < 4 * GATE)
@@ -116,21 +116,21 @@ def _associated(T_a_b: Array, nuisance: Array, met: Meetings, misfit: float) -> 
 def _linearized(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp]) -> tuple[Array, Array, Array]:
     """Differences (P, 2) of positions in a's frame, Jacobians (P, 2, 6) by pose, clock, depths, covariances."""
     R = T[:2, :2]
-    x_a, x_b, v_b = met.x_a[pairs], met.x_b[pairs], met.v_b[pairs]
-    turned = x_b @ R.T
+    turned = met.x_b[pairs] @ R.T
     J = np.zeros((len(pairs), 2, 6))
     J[:, 0, 0] = J[:, 1, 1] = 1
     J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
-    J[:, :, 3], J[:, :, 4], J[:, :, 5] = v_b @ R.T, -_unit(x_a), _unit(turned)
+    J[:, :, 3], J[:, :, 4], J[:, :, 5] = met.v_b[pairs] @ R.T, -met.sight_a[pairs], met.sight_b[pairs] @ R.T
     S = met.a.covariances[met.row_a[pairs]] + R @ met.b.covariances[met.row_b[pairs]] @ R.T
-    return _differences(T, nuisance, x_a, x_b, v_b), J, S
+    return _differences(T, nuisance, met, pairs), J, S
 
 
-def _differences(T: Array, nuisance: Array, x_a: Array, x_b: Array, v_b: Array) -> Array:
-    """(M, 2) from what a saw to what b saw, in a's frame, clocks and depths put right; all arrays (M, 2)."""
+def _differences(T: Array, nuisance: Array, met: Meetings, pairs: NDArray[np.intp] | slice = slice(None)) -> Array:
+    """(P, 2) from what a saw to what b saw, in a's frame, clocks and depths put right."""
     late, behind_a, behind_b = nuisance
-    seen_by_b = x_b + late * v_b + behind_b * _unit(x_b)
-    return np.asarray(se2.apply(T, seen_by_b) - (x_a + behind_a * _unit(x_a)))
+    seen_by_a = met.x_a[pairs] + behind_a * met.sight_a[pairs]
+    seen_by_b = met.x_b[pairs] + late * met.v_b[pairs] + behind_b * met.sight_b[pairs]
+    return np.asarray(se2.apply(T, seen_by_b) - seen_by_a)
 
 
 def _normal_equations(r: Array, J: Array, W: Array, nuisance: Array, depth: float) -> tuple[Array, Array]:
@@ -211,10 +211,6 @@ def correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp]
         total += 2 * term
         previous = term
     return max(total, 1.0)
-
-
-def _unit(x: Array) -> Array:
-    return np.asarray(x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-6))
 
 
 def _squared(r: Array, W: Array) -> Array:

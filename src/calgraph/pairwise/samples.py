@@ -98,14 +98,24 @@ class Meetings:
         return np.asarray(self.b.velocities[self.row_b])
 
     @cached_property
+    def sight_a(self) -> Array:
+        """(M, 2) unit vectors from a to what it saw."""
+        return _unit(self.x_a)
+
+    @cached_property
+    def sight_b(self) -> Array:
+        """(M, 2) unit vectors from b to what it saw, in its frame."""
+        return _unit(self.x_b)
+
+    @cached_property
     def variance(self) -> Array:
         """(M,) variances of a coordinate's difference, m², averaged over all directions."""
         traces = [np.trace(s.covariances, axis1=1, axis2=2) for s in (self.a, self.b)]
         return np.asarray((traces[0][self.row_a] + traces[1][self.row_b]) / 2)
 
     def mutual(self, rows: Indices, d2: Array) -> NDArray[np.bool_]:
-        """(n,) which of some combinations, at squared distances ``d2`` (n,), are each other's nearest."""
-        return _is_least(self.row_a[rows], d2) & _is_least(self.row_b[rows], d2)
+        """(n,) which of some combinations, ascending, are each other's nearest, ``d2`` (n,) being squared."""
+        return _is_least_of_run(self.row_a[rows], d2) & _is_least(self.row_b[rows], d2)
 
 
 def meetings(a: Samples, b: Samples) -> Meetings:
@@ -191,14 +201,24 @@ def _at_ticks(walk: Sequence[Track], number: int) -> tuple[Indices, Indices, Arr
     return tick, np.full(len(tick), number, dtype=np.intp), positions, velocities, covariances
 
 
+def _unit(x: Array) -> Array:
+    return np.asarray(x / np.maximum(np.hypot(x[:, :1], x[:, 1:]), 1e-6))
+
+
 def _is_least(group: Indices, value: Array) -> NDArray[np.bool_]:
     order = np.argsort(group, kind="stable")
-    starts = _starts(group[order])
-    least = np.minimum.reduceat(value[order], starts)
     out = np.empty(len(group), dtype=bool)
-    out[order] = value[order] == np.repeat(least, np.diff(starts, append=len(group)))
+    out[order] = _is_least_of_run(group[order], value[order])
     return out
 
 
+def _is_least_of_run(ascending: Indices, value: Array) -> NDArray[np.bool_]:
+    starts = _starts(ascending)
+    least = np.minimum.reduceat(value, starts)
+    return np.asarray(value == np.repeat(least, np.diff(starts, append=len(value))))
+
+
 def _starts(ascending: Indices) -> Indices:
-    return np.flatnonzero(np.diff(ascending, prepend=-1))
+    begins = np.ones(len(ascending), dtype=np.bool_)
+    np.not_equal(ascending[1:], ascending[:-1], out=begins[1:])
+    return np.flatnonzero(begins)
