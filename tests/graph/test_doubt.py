@@ -25,7 +25,8 @@ def doubts(*pairs: TrackPair) -> dict[str, str]:
     poses: Array = np.array([se2.inverse(T["a"]) @ T[name] for name in names])
     i, j = graph.edges.T
     off = se2.difference(se2.inverse(poses[i]) @ poses[j], graph.T_i_j)
-    return doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
+    doubt = doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
+    return {names[k]: doubt.said for k in np.flatnonzero(doubt.part)} if doubt else {}
 
 
 AB = TrackPair("a", "b", (found("a", "b", 200),))

@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, network_graph, placed
+from calgraph.graph import Averaged, Placed, network_graph, placed
 from calgraph.graph.unnoticed import Refuted, unnoticed
 from calgraph.pairwise import Hypothesis, Sights, TrackPair
 from calgraph.tracking import Track, Tracked
@@ -24,7 +24,7 @@ def sights(seconds: float = 20.0) -> dict[str, Sights]:
 def followed(name: str, seconds: float) -> Tracked:
     """What a scanner followed of a walk to and fro through the hall."""
     times = np.arange(0.0, seconds, 0.1)
-    places = np.column_stack([4 + 5 * np.sin(0.3 * times), 3 * np.sin(0.7 * times + 0.5)])
+    places = np.column_stack([4 + 3 * np.sin(0.3 * times), 2 * np.sin(0.7 * times + 0.5)])
     x = se2.apply(se2.inverse(T[name]), places)
     track = Track(times, x, np.gradient(x, 0.1, axis=0), np.tile(0.02**2 * np.eye(2), (len(x), 1, 1)), period=0)
     angle = np.linspace(-np.pi, np.pi, 720)
@@ -85,10 +85,32 @@ def test_a_scanner_whose_only_place_is_refuted_is_left_out_and_told_why(rng: np.
     assert "of the people in open view of other scanners pass unnoticed" in why.reason
 
 
-def test_a_scanner_in_doubt_is_left_out(rng: np.random.Generator) -> None:
-    # Two weak pairs agree; a single one with better evidence contradicts. d saw too little to refute either place.
-    weak = {(a, "d"): TrackPair(a, "d", (right(a, "d", 30),)) for a in ("a", "c")}
-    rival = TrackPair("b", "d", (hypothesis(se2.inverse(T["b"]) @ ELSEWHERE, 40),))
-    sure = placed("a", {**ROW, **weak, ("b", "d"): rival}, sights(0.8), rng)
+MIDDLE = se2.pose(0.0, np.array([4.0, 0.0]))
+TURNED = MIDDLE @ se2.pose(np.radians(9), np.zeros(2)) @ se2.inverse(MIDDLE) @ T["d"]
+"""A wrong T_a_d under which d saw others about where they were: turned about the middle of the walk."""
+
+
+def outvoted(weak: Array, better: Array, seen: dict[str, Sights], rng: np.random.Generator) -> Placed:
+    """Two weak pairs agree on ``T_a_d``; a single one with better evidence contradicts."""
+    two = {(a, "d"): TrackPair(a, "d", (hypothesis(se2.inverse(T[a]) @ weak, 30),)) for a in ("a", "c")}
+    rival = TrackPair("b", "d", (hypothesis(se2.inverse(T["b"]) @ better, 40),))
+    return placed("a", {**ROW, **two, ("b", "d"): rival}, seen, rng)
+
+
+def test_a_scanner_is_put_where_better_evidence_has_it_if_others_saw_the_same_there(
+    rng: np.random.Generator,
+) -> None:
+    sure = outvoted(TURNED, T["d"], sights(), rng)
+    found = dict(zip(sure.names, sure.averaged.T_root_node, strict=True))
+    np.testing.assert_allclose(found["d"], T["d"], atol=1e-6)
+    assert sure.pairs["a", "d"] == sure.pairs["c", "d"] == Rejected("contradicts better evidence")
+
+
+def test_it_is_left_out_if_they_did_not(rng: np.random.Generator) -> None:
+    sure = outvoted(T["d"], ELSEWHERE, sights(), rng)
     assert sure.names == ("a", "b", "c")
     assert {type(sure.pairs[a, "d"]) for a in ("a", "b", "c")} == {Rejected}
+
+
+def test_so_it_is_if_too_little_was_seen(rng: np.random.Generator) -> None:
+    assert outvoted(TURNED, T["d"], sights(0.8), rng).names == ("a", "b", "c")

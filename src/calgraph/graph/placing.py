@@ -1,6 +1,6 @@
 """Where the scanners of a network are, as far as their places are not in doubt."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from calgraph.graph.averaging import Method
 from calgraph.graph.doubt import doubtful
 from calgraph.graph.network import average_network, evidence, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
-from calgraph.graph.unnoticed import unnoticed
+from calgraph.graph.unnoticed import confirmed, unnoticed
 from calgraph.pairwise import Sights, TrackPair
 
 Pairs = Mapping[tuple[str, str], TrackPair | Rejected]
@@ -41,8 +41,9 @@ def placed(
 ) -> Placed:
     """Averages a network's pairs, until nothing speaks against any scanner's place.
 
-    Hypotheses are dropped under which people would have passed unnoticed (:func:`unnoticed`), and scanners are
-    left out that better evidence would put elsewhere (:func:`doubtful`).
+    Hypotheses are dropped under which people would have passed unnoticed (:func:`unnoticed`). Scanners that better
+    evidence would put elsewhere (:func:`doubtful`) are put there if what others saw there confirms it; they are
+    left out otherwise.
 
     Args:
         root: name of the root.
@@ -61,20 +62,24 @@ def placed(
         seen = [sights[name] for name in names if name in sights]
         wrong = unnoticed(graph, seen, averaged, evidence(names, known))
         if wrong:
-            pairs = _without(pairs, names, wrong.edges, wrong.missed)
+            why = f"under its pose {wrong.missed:.0%} of the people in open view of other scanners pass unnoticed"
+            pairs = _without(pairs, names, wrong.edges, Rejected(why))
             continue
-        doubts = doubtful(graph, names, known, averaged)
-        if not doubts:
+        doubt = doubtful(graph, names, known, averaged)
+        if not doubt:
             return Placed(pairs, graph, names, averaged)
-        pairs = {
-            (a, b): Rejected(doubts.get(a, doubts.get(b, ""))) if {a, b} & doubts.keys() else found
-            for (a, b), found in pairs.items()
-        }
+        if confirmed(seen, doubt.T_root_node, doubt.part):
+            pairs = _without(pairs, names, doubt.weaker, Rejected("contradicts better evidence"))
+        else:
+            pairs = _left_out(pairs, {names[k] for k in np.flatnonzero(doubt.part)}, Rejected(doubt.said))
 
 
-def _without(pairs: Pairs, names: Sequence[str], dropped: NDArray[np.bool_], missed: float) -> Pairs:
+def _left_out(pairs: Pairs, scanners: Set[str], why: Rejected) -> Pairs:
+    return {ends: why if scanners & set(ends) else found for ends, found in pairs.items()}
+
+
+def _without(pairs: Pairs, names: Sequence[str], dropped: NDArray[np.bool_], why: Rejected) -> Pairs:
     """The pairs without the hypotheses (E,) that are dropped, in the order of :func:`network_graph`."""
-    why = Rejected(f"under its pose {missed:.0%} of the people in open view of other scanners pass unnoticed")
     edges = iter(dropped)
     left: dict[tuple[str, str], TrackPair | Rejected] = {}
     for ends, found in pairs.items():

@@ -52,18 +52,27 @@ def unnoticed(graph: PoseGraph, sights: Sequence[Sights], averaged: Averaged, wo
         averaged: the poses found, and the edges that agree.
         worth: (E,) evidence of each edge.
     """
-    last = max((int(own.samples.tick[-1]) for own in sights if len(own.samples.tick)), default=0)
-    first = min((int(own.samples.tick[0]) for own in sights if len(own.samples.tick)), default=0)
-    step = max(1, (last - first) // _TICKS)
-    seen = _seen([own.every(step) for own in sights], averaged.T_root_node)
+    seen = _seen(sights, averaged.T_root_node)
     i, j = graph.edges.T
     worst: Refuted | None = None
-    for _, far in cuts(graph, np.where(averaged.inliers, worth, 0.0)):
-        expected, missed = seen.across(far)
+    for _, part in cuts(graph, np.where(averaged.inliers, worth, 0.0)):
+        expected, missed = seen.across(part)
         share = missed / max(expected, 1)
-        if step * expected >= _EXPECTED and share > (worst.missed if worst else _MISSED):
-            worst = Refuted(far, averaged.inliers & (far[i] != far[j]), share)
+        if expected >= _EXPECTED and share > (worst.missed if worst else _MISSED):
+            worst = Refuted(part, averaged.inliers & (part[i] != part[j]), share)
     return worst
+
+
+def confirmed(sights: Sequence[Sights], T_root_node: Array, part: Flags) -> bool:
+    """Whether a part (N,) of a network is at its place by what it and the others saw of each other's people.
+
+    Args:
+        sights: of the scanners, node by node.
+        T_root_node: (N, 3, 3) their poses.
+        part: (N,) some of them.
+    """
+    expected, missed = _seen(sights, T_root_node).across(part)
+    return expected >= _EXPECTED and missed <= _MISSED * expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +81,25 @@ class _Seen:
 
     count: int
     """Samples of all scanners."""
+    step: int
+    """Which are of every so many ticks."""
     pairs: tuple[tuple[int, int, NDArray[np.intp], Flags, Flags], ...]
     """Two scanners, numbers (M,) of their samples, and whether the other one should have seen each, and did."""
 
     def across(self, far: Flags) -> tuple[int, int]:
-        """How many samples a part (N,) and the rest should have seen of each other's, and how many nobody did."""
+        """How many of each other's positions a part (N,) and the rest should have seen, and how many none did."""
         expected, noticed = np.zeros((2, self.count), dtype=np.bool_)
         for a, b, samples, should, did in self.pairs:
             if far[a] != far[b]:
                 expected[samples] |= should
                 noticed[samples] |= did
-        return int(np.count_nonzero(expected)), int(np.count_nonzero(expected & ~noticed))
+        return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~noticed))
 
 
 def _seen(sights: Sequence[Sights], T_root_node: Array) -> _Seen:
+    ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(own.samples.tick for own in sights)])
+    step = max(1, int(np.ptp(ticks)) // _TICKS) if len(ticks) else 1
+    sights = [own.every(step) for own in sights]
     sizes = [len(own.samples.tick) for own in sights]
     begin = np.cumsum(sizes) - sizes
     numbers = [first + np.arange(size) for first, size in zip(begin, sizes, strict=True)]
@@ -99,4 +113,4 @@ def _seen(sights: Sequence[Sights], T_root_node: Array) -> _Seen:
         (should,), (did,) = overlooked(T_a_b[None], met, sights[a].view, sights[b].view, _THERE)
         if should.any():
             pairs.append((a, b, np.concatenate([numbers[a], numbers[b]]), should, did))
-    return _Seen(sum(sizes), tuple(pairs))
+    return _Seen(sum(sizes), step, tuple(pairs))
