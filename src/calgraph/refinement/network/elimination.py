@@ -53,6 +53,37 @@ def eliminated(equations: BodyEquations, damping: float) -> tuple[Array, Array, 
     return H, g, np.concatenate([along, radii])
 
 
+def path_covariance(band: Array) -> Array:
+    """(K, 4, 3, 3) covariances of each control point with itself and the three after it; zero beyond the last.
+
+    Three points in a row depend on the three before and after them only. Of the inverse of such a matrix, what
+    stands in its band follows from itself, backwards, without the rest (Takahashi, Fagan and Chen, 1973).
+    """
+    count, rows = len(band), -(-len(band) // 3)
+    padded = np.zeros((3 * rows, 4, 3, 3))
+    padded[:count], padded[count:, 0] = band, np.eye(3)
+    own, ahead = np.zeros((2, rows, 3, 3, 3, 3))
+    for a in range(3):
+        for b in range(3):
+            if a <= b:
+                own[:, a, :, b] = padded[a::3, b - a]
+                own[:, b, :, a] = np.swapaxes(padded[a::3, b - a], -1, -2)
+            if b <= a:
+                ahead[:, a, :, b] = padded[a::3, 3 + b - a]
+    own, ahead = own.reshape(rows, 9, 9), ahead.reshape(rows, 9, 9)
+    gain = np.zeros_like(own)
+    for i in range(rows):
+        # What points before have left of these.
+        own[i] = np.linalg.inv(own[i] - (ahead[i - 1].T @ gain[i - 1] if i else 0.0))
+        gain[i] = own[i] @ ahead[i]
+    for i in reversed(range(rows - 1)):
+        ahead[i] = -gain[i] @ own[i + 1]
+        own[i] -= ahead[i] @ gain[i].T
+    both = np.concatenate([own.reshape(rows, 3, 3, 3, 3), ahead.reshape(rows, 3, 3, 3, 3)], axis=3)
+    found = np.stack([both[:, a, :, a : a + 4].swapaxes(1, 2) for a in range(3)], axis=1)
+    return np.asarray(found.reshape(-1, 4, 3, 3)[:count])
+
+
 def _banded(band: Array, damping: float) -> Array:
     """The lower band (12, 3K) of a path's matrix, as LAPACK stores it."""
     count = len(band)

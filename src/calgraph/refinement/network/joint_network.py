@@ -14,6 +14,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph
 from calgraph.pairwise import icp
 from calgraph.refinement.network.headings import with_best_headings
+from calgraph.refinement.network.noise import measured_noise
 from calgraph.refinement.network.prior import ScannerPrior
 from calgraph.refinement.network.scans import robust_weights
 from calgraph.refinement.network.splines import Knots
@@ -42,13 +43,6 @@ _KNOTS = 0.2
 _BODIES, _CYLINDER = 0.3, 1e-4
 # Clocks that nobody set are off by about this, s.
 _CLOCKS = 0.1
-# Beams flatter than this on the outline, a cosine, do not count.
-_GRAZING = 0.35
-# Standard deviations of Gaussian noise in one median of absolute values.
-_NORMAL = 1.4826
-# So many beams tell the noise of a scanner to a few percent. Its background does not: there, medians take steps as
-# coarse as ranges are sent in. But paths bend to follow noise a little, and ranges may have none at all.
-_MEASURED, _LEAST_NOISE = 300, 0.5
 # By how much paths and sizes are off in the beginning, round after round, m.
 _ROUGH = (0.05, 0.02)
 # Arms are before a torso or beside it, never behind. While paths are rough, beams that end before the outline are
@@ -127,24 +121,25 @@ def solve_network(
         np.zeros(len(tracked)),
         tuple(_first_motion(walker, target, T_root_scanner) for walker in bodies),
     )
+    background = np.array([known.sigma for known in tracked])
     network = Network(
         len(tracked),
         tuple(_body(walker, target) for walker in bodies),
         (),
-        sigma=np.array([known.sigma for known in tracked]),
+        sigma=background,
         sway=np.array([_SWAY, _TWIST]) ** 2,
         clock_sigma=_CLOCKS if clocks else 0.0,
         prior=prior,
     )
-    scanners = network.sigma
     network = replace(network, walls=_bridging(network, (), edges))
     for rough in _ROUGH:
-        blurred = _with_beams(replace(network, sigma=np.hypot(network.sigma, rough)), state, _BEFORE)
-        state, _ = solve(blurred, state, iterations=_STEPS)
-        state = with_best_headings(blurred, state)
+        network = _with_beams(replace(network, sigma=np.hypot(background, rough)), state, _BEFORE)
+        state, system = solve(network, state, iterations=_STEPS)
+        state = with_best_headings(network, state)
     measured = np.full(2, np.inf)
     for _ in range(_ROUNDS):
-        network = _with_beams(_with_noise(network, state, scanners), state)
+        sigma = measured_noise(network, state, system, background)
+        network = _with_beams(replace(network, sigma=sigma), state)
         network = replace(network, sway=measured_sway(network, state))
         walls = _walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
@@ -246,25 +241,8 @@ def _weight(network: Network, state: State, body: Body, motion: Motion, one: Gli
     """(N,)."""
     _, _, pose, rate = along(state, body, motion, one)
     hits = outlines(state, motion, one, pose, rate)
-    used = hits.incidence > _GRAZING
     residual, _ = residuals(network, one, hits)
-    return robust_weights(residual, used, before)
-
-
-def _with_noise(network: Network, state: State, sigma: Array) -> Network:
-    """The network with ranges as noisy as they scatter about bodies; ``sigma`` (S,) m is that of backgrounds."""
-    off: list[list[Array]] = [[] for _ in sigma]
-    for body, motion in zip(network.bodies, state.motions, strict=True):
-        for one in body.glimpses:
-            _, _, pose, rate = along(state, body, motion, one)
-            hits = outlines(state, motion, one, pose, rate)
-            off[one.scanner].append(np.abs(hits.ranges - one.ranges)[hits.incidence > _GRAZING])
-    beams = [np.concatenate([np.zeros(0), *own]) for own in off]
-    scatter = [
-        _NORMAL * np.median(own) if len(own) >= _MEASURED else stated
-        for own, stated in zip(beams, sigma, strict=True)
-    ]
-    return replace(network, sigma=np.maximum(_LEAST_NOISE * sigma, scatter))
+    return robust_weights(residual, hits.squarely, before)
 
 
 def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[Wall, ...]:

@@ -3,8 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.geometry import Array
+
+# Beams flatter than this on the outline, a cosine, do not count.
+_GRAZING = 0.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +21,11 @@ class Outlines:
     """(N,) cosines of the angles between beams and outlines' normals, 0..1; NaN likewise."""
     jacobian: Array
     """(N, 5) of the ranges by the ellipse's place (2, m) and turn (rad) before the scanner, and its radii (m)."""
+
+    @property
+    def squarely(self) -> NDArray[np.bool_]:
+        """(N,) whether beams meet their ellipses squarely enough to count."""
+        return np.asarray(self.incidence > _GRAZING)
 
 
 def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> Outlines:

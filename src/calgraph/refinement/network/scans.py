@@ -21,6 +21,12 @@ _WEIGHT, _SLOPE, _PULL2 = 0.755, 0.399, 0.248
 _INFORMED = _SLOPE**2 / (_PULL2 * _WEIGHT)
 # Squared pulls of beams over the information that is in their weights.
 PULLED = _INFORMED * _PULL2 / _WEIGHT
+# What normal beams count on average.
+COUNTED = _INFORMED * _WEIGHT
+# The median of normal residuals, without sign. Where beams have a leverage on what is fitted to them, it becomes
+# smaller by so many times that leverage: by what a beam pulls there itself, less what the noise of others adds.
+_MEDIAN = 0.6745
+SHRUNK = (1 - (_MEDIAN / _TUKEY) ** 2) ** 2 / _SLOPE - _PULL2 / _SLOPE**2 / 2
 # Numbers that a beam's range depends on: the body's pose and its radii.
 _ROWS, _COLUMNS = np.triu_indices(6)
 _UPPER = np.triu_indices(3)

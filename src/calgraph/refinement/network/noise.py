@@ -1,0 +1,76 @@
+"""How noisy ranges are: measured by how they scatter about bodies.
+
+A scanner's background tells its noise, too, but by medians that take steps as coarse as ranges are sent in, and
+clothes are no walls. Paths follow the noise, though, the more so the fewer beams they have: how much the scatter
+has become smaller is known from how much the beams hold the path, which is their leverage (Huber, "Robust
+statistics", 1981, section 7.2).
+"""
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.refinement.network.elimination import path_covariance
+from calgraph.refinement.network.scans import COUNTED, SHRUNK
+from calgraph.refinement.network.trajectories import (
+    Body,
+    Glimpses,
+    Motion,
+    Network,
+    State,
+    System,
+    along,
+    outlines,
+    says,
+)
+
+# Standard deviations of Gaussian noise in one median of absolute values.
+_NORMAL = 1.4826
+# So many beams tell the noise of a scanner to a few percent. But ranges may have none at all.
+_ENOUGH, _LEAST = 300, 0.5
+# Where beams tell hardly more than the path, what is left of their noise is not trusted to tell it.
+_MOST_HELD = 0.3
+
+
+def measured_noise(network: Network, state: State, system: System, background: Array) -> Array:
+    """(S,) noise of ranges, m: as they scatter about bodies, and as much more as paths followed it.
+
+    Args:
+        network: as it was solved last, with the weights of then.
+        state: where bodies are.
+        system: of that solution.
+        background: (S,) noise of each scanner's background, m: where few beams meet bodies, and never under half.
+    """
+    off: list[list[Array]] = [[] for _ in background]
+    held, told = np.zeros((2, len(background)))
+    for body, motion, equations in zip(network.bodies, state.motions, system.bodies, strict=True):
+        spread = path_covariance(equations.band)
+        for one in body.glimpses:
+            off[one.scanner].append(_off(state, body, motion, one))
+            held[one.scanner] += _held(network, state, body, motion, one, spread)
+            told[one.scanner] += one.weight.sum() / COUNTED
+    beams = [np.concatenate([np.zeros(0), *own]) for own in off]
+    followed = SHRUNK * np.minimum(held / np.maximum(told, 1), _MOST_HELD)
+    scatter = [
+        _NORMAL * np.median(own) / (1 - share) if len(own) >= _ENOUGH else stated
+        for own, share, stated in zip(beams, followed, background, strict=True)
+    ]
+    return np.maximum(_LEAST * background, scatter)
+
+
+def _off(state: State, body: Body, motion: Motion, one: Glimpses) -> Array:
+    """How far from the outline those beams end that meet it squarely, m."""
+    _, _, pose, rate = along(state, body, motion, one)
+    hits = outlines(state, motion, one, pose, rate)
+    return np.asarray(np.abs(hits.ranges - one.ranges)[hits.squarely])
+
+
+def _held(network: Network, state: State, body: Body, motion: Motion, one: Glimpses, spread: Array) -> float:
+    """The sum of the leverages that one scanner's beams have on a path whose control points vary by ``spread``."""
+    first, weights, pose, rate = along(state, body, motion, one)
+    A = says(network, state, motion, one, pose, rate).swayed(network.sway[[0, 0, 1]]).information[:, :3, :3]
+    held = 0.0
+    for i in range(4):
+        for j in range(i, 4):
+            own = np.einsum("vij,vji->v", A, spread[first + i, j - i])
+            held += (1 + (i < j)) * float((weights[:, i] * weights[:, j]) @ own)
+    return held
