@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.icp import Alignment, align
+from calgraph.pairwise.icp import Alignment, Background, align
 
 SIGMA = 0.01
 Wall = tuple[tuple[float, float], tuple[float, float]]
@@ -19,8 +19,8 @@ T_A_B = se2.inverse(A) @ B
 LOOSE = np.diag([0.1, 0.1, 0.05]) ** 2
 
 
-def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8.0) -> Array:
-    """Points (N, 2) in the sensor's frame on the nearest wall of each beam; NaN where there is none."""
+def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8.0) -> Background:
+    """Points in the sensor's frame on the nearest wall of each beam; NaN where there is none."""
     bearing = np.radians(np.arange(-135, 135, 0.5))
     heading = bearing + se2.angle(T)
     d = np.column_stack([np.cos(heading), np.sin(heading)])
@@ -33,7 +33,7 @@ def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8
             u = (offset[0] * d[:, 1] - offset[1] * d[:, 0]) / denominator
         nearest = np.where((r > 0) & (u >= 0) & (u <= 1) & (r < nearest), r, nearest)
     r = np.where(nearest < reach, nearest + rng.normal(size=len(d)) * SIGMA, np.nan)
-    return np.column_stack([np.cos(bearing), np.sin(bearing)]) * r[:, None]
+    return Background(np.column_stack([np.cos(bearing), np.sin(bearing)]) * r[:, None])
 
 
 def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Generator) -> Alignment:
@@ -116,5 +116,5 @@ def test_the_two_sides_of_a_thin_wall_are_not_matched(rng: np.random.Generator) 
 
 
 def test_hardly_any_background_is_rejected() -> None:
-    few = np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]])
+    few = Background(np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]]))
     assert align(np.eye(3), LOOSE, few, few, SIGMA) == Rejected("too little static background")

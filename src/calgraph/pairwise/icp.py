@@ -7,6 +7,7 @@ Source: Censi, "An ICP variant using a point-to-line metric", ICRA 2008.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,34 +74,51 @@ class _Lines:
     normals: Array
     """Unit, towards the scanner."""
 
+    @cached_property
+    def places(self) -> cKDTree:
+        """The points, to be asked for the nearest."""
+        return cKDTree(self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """The static surroundings of a scanner, as all its pairs need them."""
+
+    points: Array
+    """(N, 2) in order of angle, m, scanner frame; NaN rows are breaks."""
+
+    @cached_property
+    def lines(self) -> _Lines:
+        """Those points that lie on lines."""
+        return _lines(self.points)
+
 
 def align(
-    T_a_b: Array, covariance: Array, background_a: Array, background_b: Array, sigma: float
+    T_a_b: Array, covariance: Array, background_a: Background, background_b: Background, sigma: float
 ) -> Alignment | Rejected:
     """Aligns b's static background to a's, from a first guess.
 
     Args:
         T_a_b: (3, 3) first guess.
         covariance: (3, 3) of its error in the fixed axes of a.
-        background_a: (N, 2) static points of a in order of angle, m; NaN rows are breaks.
-        background_b: (M, 2) those of b.
+        background_a: of a.
+        background_b: of b.
         sigma: standard deviation of a point's distance from the other scanner's line, m.
 
     Returns:
         The alignment; rejected if too little overlaps, if nothing is determined, or if walls and guess contradict
         each other.
     """
-    a, b = _lines(background_a), _lines(background_b)
+    a, b = background_a.lines, background_b.lines
     if min(len(a.points), len(b.points)) < _ENOUGH:
         return Rejected("too little static background")
-    tree = cKDTree(a.points)
     lever = float(np.median(np.linalg.norm(b.points, axis=1)))
     stray = np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2])) + lever**2 * covariance[2, 2])
     reach = float(np.clip(3 * stray, *_REACH))
     noise2 = sigma**2 + _WALL**2
     T = T_a_b
     for _ in range(_STEPS):
-        found = _match(T, a, b, tree, reach)
+        found = _match(T, a, b, reach)
         if len(found[0]) < _ENOUGH:
             return Rejected(f"only {len(found[0])} points of the static background overlap")
         H, g = _normal_equations(T, a, b, found, noise2, reach)
@@ -111,9 +129,9 @@ def align(
         if settled and reach <= _CLOSE:
             break
         reach = max(_CLOSE, reach * _SHRINK)
-    found = _match(T, a, b, tree, _CLOSE)
-    through = int(looks_past(background_a, se2.apply(T, b.points), _THROUGH).sum())
-    through += int(looks_past(background_b, se2.apply(se2.inverse(T), a.points), _THROUGH).sum())
+    found = _match(T, a, b, _CLOSE)
+    through = int(looks_past(background_a.points, se2.apply(T, b.points), _THROUGH).sum())
+    through += int(looks_past(background_b.points, se2.apply(se2.inverse(T), a.points), _THROUGH).sum())
     if len(found[0]) < _ENOUGH or len(found[0]) < _SHARE * (len(found[0]) + through):
         return Rejected(f"{through} static points of one lie in space that the other looks through")
     H, _ = _normal_equations(T, a, b, found, noise2, _CLOSE)
@@ -156,10 +174,10 @@ def _lines(background: Array) -> _Lines:
 _Matches = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
-def _match(T: Array, a: _Lines, b: _Lines, tree: cKDTree, reach: float) -> _Matches:
+def _match(T: Array, a: _Lines, b: _Lines, reach: float) -> _Matches:
     """Indices of points of b and of the nearest points of a, whose lines run alike, within reach."""
     x = se2.apply(T, b.points)
-    distance, nearest = tree.query(x, distance_upper_bound=reach + _APART[0])
+    distance, nearest = a.places.query(x, distance_upper_bound=reach + _APART[0])
     of_b = np.flatnonzero(np.isfinite(distance))
     of_a = nearest[of_b]
     normal = a.normals[of_a]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import icp as scan_matching
 from calgraph.pairwise.agreement import DEPTH, GATE, Agreement, agree, costs, information
+from calgraph.pairwise.icp import Background, align
 from calgraph.pairwise.open_view import Sights, refuted
 from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings
 from calgraph.processes import side_by_side
@@ -88,12 +88,13 @@ class _Scanner:
     """What one scanner knows, as all its pairs need it."""
 
     sights: Sights
-    still: Tracked
-    """Without its tracks."""
+    background: Background
+    sigma: float
+    """Of the background's ranges, m."""
 
     @classmethod
     def of(cls, tracked: Tracked) -> "_Scanner":
-        return cls(Sights.of(tracked), replace(tracked, tracks=()))
+        return cls(Sights.of(tracked), Background(tracked.background), tracked.sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +243,7 @@ def _judged(
         return Rejected(f"no pose explains what both saw; the best agrees for {most * TICK:.1f} s, as by chance")
     kept = [h for h in kept if h.observations * h.share >= _SHARE * kept[0].observations * kept[0].share]
     if icp:
-        kept = [_aligned(h, scanner_a.still, scanner_b.still) for h in kept]
+        kept = [_aligned(h, scanner_a, scanner_b) for h in kept]
     return TrackPair(name_a, name_b, tuple(kept))
 
 
@@ -378,11 +379,11 @@ def _neighbours(x: Array, T: Array, samples: Samples, radius: float) -> NDArray[
     return np.asarray(near, dtype=np.intp)
 
 
-def _aligned(h: Hypothesis, a: Tracked, b: Tracked) -> Hypothesis:
+def _aligned(h: Hypothesis, a: _Scanner, b: _Scanner) -> Hypothesis:
     """The hypothesis with what the static background adds, unless it contradicts or has nothing to say."""
     covariance = np.asarray(np.linalg.inv(h.information), dtype=np.float64)
     sigma = float(np.hypot(a.sigma, b.sigma))
-    matched = scan_matching.align(h.T_a_b, covariance, a.background, b.background, sigma)
+    matched = align(h.T_a_b, covariance, a.background, b.background, sigma)
     if isinstance(matched, Rejected):
         return h
     T_a_b, both = matched.fused(h.T_a_b, h.information)
