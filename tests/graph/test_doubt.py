@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, doubtful, network_graph
+from calgraph.graph import Averaged, PoseGraph, network_graph
+from calgraph.graph.doubt import Doubt, doubtful
 from calgraph.pairwise import Hypothesis, TrackPair
 
 NAMES = ("a", "b", "c", "d")
@@ -20,13 +21,18 @@ def found(a: str, b: str, observations: int, shift: float = 0.0, *, icp: bool = 
 
 
 def doubts(*pairs: TrackPair) -> dict[str, str]:
-    """What is in doubt if all hypotheses that are right agree with the poses found."""
+    """Why which scanners are in doubt if all hypotheses that are right agree with the poses found."""
+    _, names, doubt = doubted(*pairs)
+    return {names[k]: doubt.said for k in np.flatnonzero(doubt.part)} if doubt else {}
+
+
+def doubted(*pairs: TrackPair) -> tuple[PoseGraph, tuple[str, ...], Doubt | None]:
+    """The graph of some pairs, its nodes, and what is in doubt."""
     graph, names = network_graph("a", pairs)
     poses: Array = np.array([se2.inverse(T["a"]) @ T[name] for name in names])
     i, j = graph.edges.T
     off = se2.difference(se2.inverse(poses[i]) @ poses[j], graph.T_i_j)
-    doubt = doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
-    return {names[k]: doubt.said for k in np.flatnonzero(doubt.part)} if doubt else {}
+    return graph, names, doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
 
 
 AB = TrackPair("a", "b", (found("a", "b", 200),))
@@ -74,3 +80,21 @@ def test_walls_that_match_outweigh_some_seconds() -> None:
 
 def test_a_root_alone_is_not_in_doubt() -> None:
     assert doubts() == {}
+
+
+def test_what_contradicts_better_evidence_is_told_from_what_agrees_with_it() -> None:
+    rival = TrackPair("b", "d", (found("b", "d", 60, 8.0),))
+    agrees = TrackPair("a", "d", (found("a", "d", 40, 0.0),))
+    graph, names, doubt = doubted(AB, BC, CD, rival, agrees)
+    assert doubt
+    weaker = {tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker].tolist()}
+    assert weaker == {("c", "d"), ("a", "d")}
+    moved = se2.inverse(doubt.T_root_node[names.index("b")]) @ doubt.T_root_node[names.index("d")]
+    np.testing.assert_allclose(moved, rival.T_a_b, atol=1e-12)
+
+
+def test_what_holds_a_scanner_goes_even_if_better_evidence_hardly_contradicts_it() -> None:
+    near = TrackPair("b", "d", (found("b", "d", 40, 0.55),))
+    graph, names, doubt = doubted(AB, BC, replace(CD, hypotheses=(found("c", "d", 30, 0.09),)), near)
+    assert doubt
+    assert [tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker].tolist()] == [("c", "d")]

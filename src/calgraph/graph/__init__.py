@@ -3,7 +3,6 @@
 from calgraph.graph.adjustment import translations
 from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.doubt import doubtful
 from calgraph.graph.network import average_network, covariances, joint_covariance, network_graph, trust
 from calgraph.graph.placing import Placed, placed
 from calgraph.graph.pose_graph import Averaged, PoseGraph
@@ -26,7 +25,6 @@ __all__ = [
     "consensus_trees",
     "covariances",
     "cycle_basis",
-    "doubtful",
     "grown",
     "irls_l1",
     "joint_covariance",

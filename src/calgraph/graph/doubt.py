@@ -63,7 +63,9 @@ def doubtful(
         T = _put(graph, averaged.T_root_node, part, int(best))
         rival, own = (" and ".join(names[int(k)] for k in graph.edges[edge]) for edge in (best, tie))
         said = f"{rival} put it {apart[best]:.1f} m elsewhere, with better evidence than {own} have for its place"
-        return Doubt(part, T, across & _elsewhere(graph, T)[0] & (worth < worth[best]), said)
+        weaker = across & _elsewhere(graph, T)[0] & (worth < worth[best])
+        weaker[tie] = True  # even if it is so far from the poses that it hardly contradicts
+        return Doubt(part, T, weaker, said)
     return None
 
 
