@@ -1,6 +1,6 @@
 """Tables I-IV of the network's paper on simulated counterparts of its recordings, beside the estimators here.
 
-Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders", ICRA 2016.
+Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders", 2016.
 Errors are of all scanners but the root, over all seeds, against the truth; scanners without a pose have none, and
 are counted as grossly wrong, as are those off by more than 0.5 m or 5 degrees.
 

@@ -30,7 +30,7 @@ _LINEARISATIONS = 4
 def l1mc(
     graph: PoseGraph, weights: Array | None = None, transitivity: Literal["cycles", "triangles"] = "cycles"
 ) -> Array:
-    """Robust rotation averaging without a start (Quenzel, Papenberg, Behnke, ICRA 2016, Algorithm 1).
+    """Robust rotation averaging without a start (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
 
     Relative rotations are corrected so that they agree around cycles, with the least weighted sum of absolute
     corrections: a linear program. Corrected ones are then chained. Each pair is one unknown here, and alternatives

@@ -1,7 +1,7 @@
 """Relative poses of stationary scanners from what both saw moving at the same time.
 
 Source: Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders",
-ICRA 2016, section III.D: every combination of two tracks gives hypotheses, and all tracks of all periods judge
+2016, section III.D: every combination of two tracks gives hypotheses, and all tracks of all periods judge
 them. Its truncation at the scanner's range, which mixes metres with Mahalanobis distances, is a χ² gate here.
 """
 
