@@ -1,6 +1,7 @@
 """Two stationary scanners and people whose walks are known: do they find each other, and do they know how well?"""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -142,6 +143,17 @@ def test_a_pair_with_little_overlap_is_found(rng: np.random.Generator) -> None:
     walks = [wander(rng, size=12.0) for _ in range(3)]
     A, B = se2.pose(np.pi, np.array([-1.0, 0.0])), se2.pose(0.0, np.array([0.0, 1.0]))
     assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.15, 2.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_scanner_from_which_furniture_hides_half_of_all_walks_is_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    walks = [wander(rng, size=6.0) for _ in range(2)]
+    A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
+    seen = observe(walks, B, rng, background=room(B, rng))
+    some = tuple(track for track in seen.tracks if rng.random() < 0.5)
+    pair = estimate_network_pair("a", "b", observe(walks, A, rng), replace(seen, tracks=some), rng)
+    assert error(pair, se2.inverse(A) @ B)[0] < 0.1
 
 
 def test_clocks_may_differ_by_thirty_milliseconds(
