@@ -134,7 +134,7 @@ def test_the_stated_size_of_people_is_forgotten() -> None:
         )
         way = se2.difference(small.T_root_scanner, right.T_root_scanner)[1:].ravel()
         ways.append(way @ np.linalg.solve(right.pose_covariance[3:, 3:], way) / way.size)
-    # Rounds end near each other, not in one place: weights that follow residuals have many. Unprolonged, it is 0.56.
+    # Rounds end near each other, not in one place: weights that follow residuals have many. Before, it was 0.56.
     assert np.sqrt(np.mean(ways)) < 0.45
 
 
