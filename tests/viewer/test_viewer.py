@@ -36,17 +36,22 @@ class Shown:
     complaints: list[str] = field(default_factory=list)
 
     def picture(self) -> Picture:
-        """The part of the page where the scene is, clear of the panel and of notices."""
+        """The part of the page where the scene is, clear of the panel and of notices; blurred.
+
+        A page that is slow draws the same scene with fewer pixels.
+        """
         png = self.page.screenshot(clip={"x": 0, "y": 120, "width": 470, "height": 380}, timeout=_PATIENCE)
-        return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), dtype=np.int16)
+        sharp = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
+        return np.asarray(cv2.GaussianBlur(sharp, (0, 0), 6), dtype=np.int16)
 
     def settled(self, good: Callable[[Picture], bool] = lambda _: True) -> Picture:
-        """The scene once it has stopped changing, and is good."""
-        before = self.picture()
-        for _ in range(40):
+        """The scene once it has stopped changing for a second, and is good: it is drawn piece by piece."""
+        before, still = self.picture(), 0
+        for _ in range(80):
             self.page.wait_for_timeout(250)
             now = self.picture()
-            if different(before, now) < 1e-3 and good(now):
+            still = still + 1 if different(before, now) < 1e-3 and good(now) else 0
+            if still == 4:
                 return now
             before = now
         raise AssertionError("the scene never came to rest as it should")
@@ -101,7 +106,7 @@ def network_page(browser: Browser, network: Calibration) -> Iterator[Shown]:
 
 def lit(picture: Picture) -> bool:
     """Whether there is more to see than background."""
-    return float(np.mean(picture.max(axis=-1) > 100)) > 0.003
+    return float(np.mean(picture.max(axis=-1) > 40)) > 0.003
 
 
 def test_a_rig_is_explored(rig_page: Shown) -> None:
@@ -121,8 +126,8 @@ def test_a_rig_is_explored(rig_page: Shown) -> None:
     rig_page.page.get_by_text("200.0 mm").wait_for(timeout=_PATIENCE)
 
     rig_page.page.get_by_text("put it back").click(timeout=_PATIENCE)
-    again = rig_page.settled(lambda now: different(moved, now) > 2e-3)
-    assert different(second, again) < 2e-3
+    again = rig_page.settled(lambda now: different(second, now) < 2e-3)
+    assert different(moved, again) > 2e-3
     assert rig_page.complaints == []
 
 
