@@ -25,14 +25,10 @@ from calgraph.refinement.network.trajectories import (
     Motion,
     Network,
     State,
-    System,
     Wall,
     along,
     covariance,
-    free,
     outlines,
-    prolonged,
-    reduced,
     residuals,
     solve,
     straightness,
@@ -54,14 +50,11 @@ _ROUGH = (0.05, 0.02)
 _BEFORE = 2.5
 # A body's place strays from its smooth path by so much to begin with, m; and its heading, rad.
 _SWAY, _TWIST = 0.005, 0.05
-# Rounds of choosing beams, matching walls anew, measuring noise and sway and solving, until the sway changes by
-# less than a share of itself, and scanners move by less than this, in standard deviations; and steps in each.
-_ROUNDS = 12
-_SETTLED, _STILL = 0.3, 0.1
+# Rounds of choosing beams, matching walls anew, measuring the sway and solving, until the sway changes by less
+# than a share of itself; and steps in each.
+_ROUNDS = 5
+_SETTLED = 0.3
 _STEPS = 4
-# Weights hold beams twice as fast as they will once they have followed: a round goes about half the way to where
-# rounds end, so each way is prolonged.
-_PROLONGED = 1.5
 # First guess of a path: noise of tracked places, m.
 _NOISE = 0.03
 
@@ -143,18 +136,17 @@ def solve_network(
         network = _with_beams(replace(network, sigma=np.hypot(background, rough)), state, _BEFORE)
         state, system = solve(network, state, iterations=_STEPS)
         state = with_best_headings(network, state)
-    measured, begin = np.full(2, np.inf), state
+    measured = np.full(2, np.inf)
     for _ in range(_ROUNDS):
-        sigma = measured_noise(network, begin, system, background)
-        network = _with_beams(replace(network, sigma=sigma), begin)
-        network = replace(network, sway=measured_sway(network, begin))
-        walls = _walls(tracked, network, begin)
+        sigma = measured_noise(network, state, system, background)
+        network = _with_beams(replace(network, sigma=sigma), state)
+        network = replace(network, sway=measured_sway(network, state))
+        walls = _walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
-        state, system = solve(network, begin, iterations=_STEPS)
-        settled = np.all(np.abs(network.sway / measured - 1) < _SETTLED)
-        if settled and _way(network, system, begin, state) < _STILL:
+        state, system = solve(network, state, iterations=_STEPS)
+        if np.all(np.abs(network.sway / measured - 1) < _SETTLED):
             break
-        measured, begin = network.sway, prolonged(begin, state, _PROLONGED)
+        measured = network.sway
     return JointNetwork(
         state.T_root_scanner,
         state.offset,
@@ -162,16 +154,6 @@ def solve_network(
         clocks,
         float(np.sqrt(network.sway[0])),
     )
-
-
-def _way(network: Network, system: System, before: State, after: State) -> float:
-    """How far scanners and clocks have moved, root mean square, in standard deviations."""
-    steps = np.zeros((network.count, 4))
-    steps[:, :3] = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    steps[:, 3] = after.offset - before.offset
-    H, _, _ = reduced(network, system)
-    step = steps.ravel()[free(network)]
-    return float(np.sqrt(step @ H @ step / max(len(step), 1)))
 
 
 def _body(walker: Walker, target: People | Cylinder) -> Body:

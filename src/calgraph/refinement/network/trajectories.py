@@ -206,18 +206,6 @@ def moved(system: System, state: State, step: Array, follow: Sequence[Array]) ->
     return State(se2.retract(state.T_root_scanner, steps[:, :3]), state.offset + steps[:, 3], tuple(motions))
 
 
-def prolonged(before: State, after: State, factor: float) -> State:
-    """The way from one state to another one, times a factor."""
-    more = factor - 1
-    motions = [
-        Motion(b.control + more * (b.control - a.control), np.maximum(b.radii + more * (b.radii - a.radii), 0.02))
-        for a, b in zip(before.motions, after.motions, strict=True)
-    ]
-    steps = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    offset = after.offset + more * (after.offset - before.offset)
-    return State(se2.retract(after.T_root_scanner, more * steps), offset, tuple(motions))
-
-
 def covariance(network: Network, system: System) -> Array:
     """Covariance (4S, 4S) of poses in the root's fixed axes and clock offsets; zero where they are known."""
     H, _, _ = reduced(network, system)
