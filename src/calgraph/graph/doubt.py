@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from calgraph.geometry import Array, se2
+from calgraph.graph.cuts import cuts
 from calgraph.graph.network import evidence
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.pairwise import TrackPair
@@ -85,24 +84,3 @@ def _put(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: in
     moved = T_root_node.copy()
     moved[part] = T_root_node[here] @ T_here_there @ se2.inverse(T_root_node[there]) @ T_root_node[part]
     return moved
-
-
-def cuts(graph: PoseGraph, worth: Array) -> list[tuple[int, NDArray[np.bool_]]]:
-    """The edges of the tree of greatest worth, and the nodes (N,) that each holds to the root.
-
-    Args:
-        graph: connected by edges that are worth something.
-        worth: (E,) of each edge; of several edges of a pair at most one may be worth anything.
-    """
-    used = np.flatnonzero(worth)
-    costs = coo_array((1 / worth[used], graph.edges[used].T), shape=(graph.count, graph.count))
-    tree = minimum_spanning_tree(costs).tocoo()
-    number = {(int(a), int(b)): int(edge) for (a, b), edge in zip(graph.edges[used], used, strict=True)}
-    cuts = []
-    for k, ends in enumerate(zip(map(int, tree.row), map(int, tree.col), strict=True)):
-        others = np.arange(tree.nnz) != k
-        rest = coo_array((tree.data[others], (tree.row[others], tree.col[others])), shape=tree.shape)
-        part = connected_components(rest, directed=False)[1]
-        far = ends[0] if part[ends[0]] != part[graph.root] else ends[1]
-        cuts.append((number[ends], part == part[far]))
-    return cuts

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.graph.doubt import cuts
+from calgraph.graph.cuts import cuts
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.pairwise.open_view import Sights, overlooked
 from calgraph.pairwise.samples import meetings

@@ -8,20 +8,10 @@ statistics", 1981, section 7.2).
 
 import numpy as np
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.refinement.network.elimination import path_covariance
-from calgraph.refinement.network.scans import COUNTED, SHRUNK
-from calgraph.refinement.network.trajectories import (
-    Body,
-    Glimpses,
-    Motion,
-    Network,
-    State,
-    System,
-    along,
-    outlines,
-    says,
-)
+from calgraph.refinement.network.scans import COUNTED, SHRUNK, Scans, summed
+from calgraph.refinement.network.trajectories import Network, State, System, along, outlines, residuals
 
 # Standard deviations of Gaussian noise in one median of absolute values.
 _NORMAL = 1.4826
@@ -45,8 +35,11 @@ def measured_noise(network: Network, state: State, system: System, background: A
     for body, motion, equations in zip(network.bodies, state.motions, system.bodies, strict=True):
         spread = path_covariance(equations.band)
         for one in body.glimpses:
-            off[one.scanner].append(_off(state, body, motion, one))
-            held[one.scanner] += _held(network, state, body, motion, one, spread)
+            first, weights, pose, rate = along(state, body, motion, one)
+            hits = outlines(state, motion, one, pose, rate)
+            off[one.scanner].append(np.abs(hits.ranges - one.ranges)[hits.squarely])
+            scans = summed(*residuals(network, one, hits), one.weight, one.start).swayed(network.sway[[0, 0, 1]])
+            held[one.scanner] += _held(weights, first, scans, spread)
             told[one.scanner] += one.weight.sum() / COUNTED
     beams = [np.concatenate([np.zeros(0), *own]) for own in off]
     followed = SHRUNK * np.minimum(held / np.maximum(told, 1), _MOST_HELD)
@@ -57,17 +50,9 @@ def measured_noise(network: Network, state: State, system: System, background: A
     return np.maximum(_LEAST * background, scatter)
 
 
-def _off(state: State, body: Body, motion: Motion, one: Glimpses) -> Array:
-    """How far from the outline those beams end that meet it squarely, m."""
-    _, _, pose, rate = along(state, body, motion, one)
-    hits = outlines(state, motion, one, pose, rate)
-    return np.asarray(np.abs(hits.ranges - one.ranges)[hits.squarely])
-
-
-def _held(network: Network, state: State, body: Body, motion: Motion, one: Glimpses, spread: Array) -> float:
-    """The sum of the leverages that one scanner's beams have on a path whose control points vary by ``spread``."""
-    first, weights, pose, rate = along(state, body, motion, one)
-    A = says(network, state, motion, one, pose, rate).swayed(network.sway[[0, 0, 1]]).information[:, :3, :3]
+def _held(weights: Array, first: Index, scans: Scans, spread: Array) -> float:
+    """The sum of the leverages that scans have on a path whose control points vary by ``spread``."""
+    A = scans.information[:, :3, :3]
     held = 0.0
     for i in range(4):
         for j in range(i, 4):
