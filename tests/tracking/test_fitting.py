@@ -85,6 +85,15 @@ def test_two_beams_give_a_centre_with_a_wide_covariance_in_depth(rng: np.random.
     assert np.sqrt(fits.covariances[0, 1, 1]) > 0.02
 
 
+def test_two_points_of_somebody_partly_hidden_who_stands_say_no_centre() -> None:
+    # They come to lie on a diameter. Their equations, singular to the last bit, ended following in an error.
+    points = np.array([[[14.123635084288956, 12.27748866852835], [13.852219546898628, 12.47259450252912]]])
+    groups = Groups(points, np.ones((1, 2), dtype=bool), np.full(1, STEP), np.ones(1, dtype=bool))
+    prior = Prior(np.full(1, np.pi / 2), np.full(1, np.inf))
+    fits = fit_centres(groups, (0.25 / 1.3, 0.15 / 1.3), prior, 0.013113730547032371)
+    assert np.isnan(fits.centres).all()
+
+
 def test_a_worse_fit_than_the_noise_allows_widens_the_covariance(rng: np.random.Generator) -> None:
     groups = seen(rng, np.array([[4.0, 0.0]]), np.zeros(1), PERSON, 0.03)
     prior = Prior(np.zeros(1), np.full(1, 0.2))
