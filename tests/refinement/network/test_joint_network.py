@@ -86,6 +86,13 @@ def scene(
     return tracked, Averaged(start, np.ones(3, dtype=np.bool_)), graph
 
 
+def a_metre_beyond(track: Track) -> Track:
+    """The track with beams that end far from its places: on nothing that walks there."""
+    points = track.hits.points
+    beyond = points + points / np.linalg.norm(points, axis=1, keepdims=True)
+    return replace(track, hits=replace(track.hits, points=beyond))
+
+
 def errors(found: JointNetwork) -> Array:
     """(2, 3) of the scanners but the root."""
     return np.asarray(se2.difference(found.T_root_scanner[1:], T_ROOT[1:]))
@@ -144,6 +151,13 @@ def test_one_person_alone_is_enough() -> None:
 
 def test_a_scanner_that_saw_nobody_stays_where_its_pairs_put_it() -> None:
     off = errors(solve_network(PEOPLE, *scene(3, scanners=(0, 1))))
+    assert np.abs(off[1]).max() < 0.01
+
+
+def test_a_scanner_whose_beams_do_not_count_stays_where_its_pairs_put_it() -> None:
+    tracked, averaged, graph = scene(3)
+    strange = replace(tracked[2], tracks=tuple(a_metre_beyond(track) for track in tracked[2].tracks))
+    off = errors(solve_network(PEOPLE, [*tracked[:2], strange], averaged, graph))
     assert np.abs(off[1]).max() < 0.01
 
 

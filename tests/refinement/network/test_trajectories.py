@@ -207,6 +207,16 @@ def test_beams_that_do_not_count_change_nothing(rng: np.random.Generator) -> Non
     assert costs[0] == pytest.approx(costs[1])
 
 
+def test_a_scanner_of_which_no_beam_counts_stays_and_is_not_sure(rng: np.random.Generator) -> None:
+    net, truth = network(rng)
+    [body] = net.bodies
+    mute = replace(body.glimpses[2], weight=np.zeros(len(body.glimpses[2].ranges)))
+    changed = replace(net, bodies=(replace(body, glimpses=(*body.glimpses[:2], mute)),))
+    state, system = solve(changed, truth)
+    np.testing.assert_allclose(state.T_root_scanner[2], truth.T_root_scanner[2], atol=1e-9)
+    assert np.sqrt(np.diagonal(covariance(changed, system))[8:10]).min() > 50
+
+
 def test_known_clocks_stay_as_they_are(rng: np.random.Generator) -> None:
     net, truth = network(rng)
     state, _ = solve(replace(net, clock_sigma=0.0), off(truth, rng))

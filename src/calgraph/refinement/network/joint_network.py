@@ -265,8 +265,9 @@ def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[
 
 
 def _bridging(network: Network, walls: Sequence[Wall], edges: Sequence[Wall]) -> tuple[Wall, ...]:
-    """Those edges that connect scanners which neither bodies nor walls do."""
-    together = [(a.scanner, b.scanner) for body in network.bodies for a, b in pairwise(body.glimpses)]
+    """Those edges that connect scanners which neither walls nor beams that count do."""
+    seen_by = [[one.scanner for one in body.glimpses if one.weight.any()] for body in network.bodies]
+    together = [pair for scanners in seen_by for pair in pairwise(scanners)]
     ends = np.array([*together, *((wall.a, wall.b) for wall in walls)], dtype=np.intp).reshape(-1, 2)
     adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(network.count, network.count))
     part = connected_components(adjacency, directed=False)[1]

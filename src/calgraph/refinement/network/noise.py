@@ -17,6 +17,8 @@ from calgraph.refinement.network.trajectories import Network, State, System, alo
 _NORMAL = 1.4826
 # So many beams tell the noise of a scanner to a few percent. But ranges may have none at all.
 _ENOUGH, _LEAST = 300, 0.5
+# What scatters more, m, is not noise: the beams are not of these bodies.
+_MOST = 0.05
 # Where beams tell hardly more than the path, what is left of their noise is not trusted to tell it.
 _MOST_HELD = 0.3
 
@@ -24,11 +26,13 @@ _MOST_HELD = 0.3
 def measured_noise(network: Network, state: State, system: System, background: Array) -> Array:
     """(S,) noise of ranges, m: as they scatter about bodies, and as much more as paths followed it.
 
+    Between half of what the background says, and 5 cm beyond it.
+
     Args:
         network: as it was solved last, with the weights of then.
         state: where bodies are.
         system: of that solution.
-        background: (S,) noise of each scanner's background, m: where few beams meet bodies, and never under half.
+        background: (S,) noise of each scanner's background, m: where few beams meet bodies, this one is.
     """
     off: list[list[Array]] = [[] for _ in background]
     held, told = np.zeros((2, len(background)))
@@ -47,7 +51,7 @@ def measured_noise(network: Network, state: State, system: System, background: A
         _NORMAL * np.median(own) / (1 - share) if len(own) >= _ENOUGH else stated
         for own, share, stated in zip(beams, followed, background, strict=True)
     ]
-    return np.maximum(_LEAST * background, scatter)
+    return np.asarray(np.clip(scatter, _LEAST * background, np.hypot(background, _MOST)))
 
 
 def _held(weights: Array, first: Index, scans: Scans, spread: Array) -> float:

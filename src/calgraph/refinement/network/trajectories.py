@@ -36,6 +36,9 @@ _SETTLED, _STUCK = 0.003, 1e3
 _EARLIER, _LATER = np.triu_indices(4)
 # Damping after the first step that led astray.
 _DAMPED = 0.01
+# Information (1/m², 1/m², 1/rad²) on poses that is as good as none; of clocks, there is always some. Where robust
+# weights leave a scanner nothing, it keeps that one where it is.
+_FAINT = np.array([1e-4, 1e-4, 0.1, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +174,9 @@ def reduced(network: Network, system: System, damping: float = 0.0) -> tuple[Arr
         H[np.ix_(equations.columns, equations.columns)] += own
         g[equations.columns] += slope
         follow.append(K)
+    H[np.diag_indices(len(H))] = (1 + damping) * np.diagonal(H) + np.tile(_FAINT, network.count)
     kept = free(network)
-    return H[np.ix_(kept, kept)] + damping * np.diag(np.diagonal(H)[kept]), g[kept], follow
+    return H[np.ix_(kept, kept)], g[kept], follow
 
 
 def solve(network: Network, state: State, *, iterations: int = 10) -> tuple[State, System]:
@@ -210,9 +214,8 @@ def covariance(network: Network, system: System) -> Array:
     """Covariance (4S, 4S) of poses in the root's fixed axes and clock offsets; zero where they are known."""
     H, _, _ = reduced(network, system)
     kept = free(network)
-    believed = np.tile(np.array([1e-4, 1e-4, 0.1, 0.0]), network.count)[kept]
     found = np.zeros((4 * network.count, 4 * network.count))
-    found[np.ix_(kept, kept)] = np.linalg.inv(H + np.diag(believed))
+    found[np.ix_(kept, kept)] = np.linalg.inv(H)
     return found
 
 
