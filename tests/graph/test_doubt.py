@@ -17,7 +17,7 @@ T = {name: se2.pose(0.3 * k, np.array([5.0 * k, 1.0])) for k, name in enumerate(
 def found(a: str, b: str, observations: int, shift: float = 0.0, *, icp: bool = False) -> Hypothesis:
     """A hypothesis that is right, or off by a shift, m."""
     T_a_b = se2.retract(se2.inverse(T[a]) @ T[b], np.array([shift, 0.0, 0.0]))
-    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, icp)
+    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, icp)
 
 
 def doubts(*pairs: TrackPair) -> dict[str, str]:

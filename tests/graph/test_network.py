@@ -9,7 +9,9 @@ from calgraph.pairwise import Hypothesis, TrackPair
 
 def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, share: float = 1.0) -> Hypothesis:
     T = se2.pose(0.0, np.array([x, 0.0]))
-    return Hypothesis(T, np.eye(3) / sigma**2, observations, chance=0.0, share=share, cost=0.1, icp=False)
+    return Hypothesis(
+        T, np.eye(3) / sigma**2, observations, chance=0.0, share=share, cost=0.1, misfit=0.01, icp=False
+    )
 
 
 def test_alternatives_of_a_pair_are_edges_of_one_pair() -> None:

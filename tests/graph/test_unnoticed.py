@@ -32,7 +32,7 @@ def followed(name: str, seconds: float) -> Tracked:
 
 
 def hypothesis(T_a_b: Array, observations: int) -> Hypothesis:
-    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, icp=False)
+    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, icp=False)
 
 
 def right(a: str, b: str, observations: int = 200) -> Hypothesis:

@@ -54,6 +54,11 @@ _ENOUGH = 20
 _LEAST_SHARE = 0.25
 _OVER_CHANCE = 2.0
 _SHARE = 0.4
+# Two people who walk alike for some seconds are so far from each other under a wrong pose, m; one person, seen by
+# both, is at one place, as well as tracks are known to be anywhere, m. By how much the latter must explain the
+# positions better, a logarithm: a perfect fit of 2 s comes to 54, one to 9 cm takes 9 s for as much.
+_ALIKE, _SURE = 0.15, 0.01
+_WEIGHT = 45.0
 # A scanner sees people at a place if it saw them so often within this distance of it, m.
 _SEEN_HERE = 0.4
 _SEEN_TIMES = 3
@@ -79,8 +84,19 @@ class Hypothesis:
     """Which share that is of those that should agree, as both scanners often see people there, 0..1."""
     cost: float
     """Mean truncated squared distance of all that a saw while b saw somebody, in units of the gate, 0..1."""
+    misfit: float
+    """How far what agrees is apart beyond what tracks' covariances explain, standard deviation, m."""
     icp: bool
     """Whether the static background contributes."""
+
+    @property
+    def weight_of_evidence(self) -> float:
+        """How much likelier the positions are if both saw the same people than if these only walked alike.
+
+        A logarithm (Good, "Probability and the weighing of evidence", 1950), less what should agree and does not.
+        Positions count as if they were independent, which they are not: it is no probability.
+        """
+        return self.share * self.observations * float(np.log(_ALIKE / np.hypot(self.misfit, _SURE)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +256,10 @@ def _judged(
     kept = [h for h in hypotheses if _credible(h)]
     if not kept:
         most = round(max(map(len, (fit.pairs for fit in found)), default=0) * len(met) / len(coarse))
-        return Rejected(f"no pose explains what both saw; the best agrees for {most * TICK:.1f} s, as by chance")
+        return Rejected(
+            f"no pose explains what both saw; the best agrees for {most * TICK:.1f} s, as by chance, or as people "
+            "do who walk alike"
+        )
     kept = [h for h in kept if h.observations * h.share >= _SHARE * kept[0].observations * kept[0].share]
     if icp:
         kept = [_aligned(h, scanner_a, scanner_b) for h in kept]
@@ -253,8 +272,9 @@ def _poses(fits: Sequence[Agreement]) -> Array:
 
 
 def _credible(h: Hypothesis) -> bool:
-    """Whether chance alone hardly explains the hypothesis, and it explains most of what it should."""
-    return h.observations >= max(_ENOUGH, _OVER_CHANCE * h.chance) and h.share >= _LEAST_SHARE
+    """Whether neither chance nor people who walk alike explain the hypothesis, and it explains what it should."""
+    by_chance = h.observations < max(_ENOUGH, _OVER_CHANCE * h.chance)
+    return not by_chance and h.weight_of_evidence >= _WEIGHT and h.share >= _LEAST_SHARE
 
 
 def _thinned(met: Meetings, wanted: int) -> Meetings:
@@ -345,6 +365,7 @@ def _hypothesis(fit: Agreement, met: Meetings, a: Samples, b: Samples, count: in
         _chance(fit, met, b) * thinned,
         min(len(fit.pairs) / max(_expected(fit.T_a_b, met, a, b), 1), 1.0),
         float(costs(fit.T_a_b[None], met)[0]),
+        fit.misfit,
         icp=False,
     )
 

@@ -1,0 +1,92 @@
+"""How many scanners short recordings of networks connect, and how many of these are grossly wrong.
+
+Eight to thirty seconds of one to five people in buildings of five kinds, drawn at random with all that matters to
+pairs: fields of view, resolutions, noise, clocks, arms. Nobody would record so little; whoever does is to be told
+that scanners are not connected, rather than given poses that are wrong.
+
+    python benchmarks/short_networks.py --seeds 150
+    python benchmarks/short_networks.py --seeds 150 --first 150
+"""
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calgraph.calibrate import Options, calibrate_tracks
+from calgraph.geometry import Array, se2
+from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, scans_of
+from network_runs import follow, planar
+
+LAYOUTS = {"office": 0.3, "lab": 0.25, "halls": 0.2, "semicircle": 0.1, "grid": 0.15}
+"""How often each is drawn."""
+WRONG = (0.5, np.radians(9))
+"""Off by more, m or rad, is grossly wrong."""
+
+
+class Outcome(NamedTuple):
+    """Of one recording."""
+
+    errors: Array
+    """(C, 3) of the connected scanners but the root: m, m, rad."""
+    nees: Array
+    """(C,) squared errors over their covariances, per degree of freedom."""
+    unconnected: int
+
+
+def main() -> None:
+    """Prints how many scanners are right, grossly wrong, or not connected."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=150)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=2)
+    args = parser.parse_args()
+    with ProcessPoolExecutor(args.jobs) as pool:
+        found = list(pool.map(outcome, range(args.first, args.first + args.seeds)))
+    errors, nees = (np.concatenate(columns) for columns in list(zip(*found, strict=True))[:2])
+    wrong = (np.hypot(errors[:, 0], errors[:, 1]) > WRONG[0]) | (np.abs(errors[:, 2]) > WRONG[1])
+    print(f"{args.seeds} recordings: {np.sum(~wrong)} scanners right, {np.sum(wrong)} grossly wrong, ", end="")
+    print(f"{sum(one.unconnected for one in found)} not connected")
+    print(f"NEES per degree of freedom of the right ones {np.mean(nees[~wrong]):.2f}")
+
+
+def outcome(seed: int) -> Outcome:
+    """Simulates and calibrates one recording."""
+    network = build_network(NetworkScenario(**knobs(np.random.default_rng(10000 + seed))), seed)
+    rig, truth = network_rig(network), planar(network_truth(network))
+    followed = follow(rig, {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}, "nls")
+    found = calibrate_tracks(rig, followed, Options(seed=seed))
+    others = [sensor for sensor in found.sensors if sensor.name != rig.root]
+    rows = np.ix_((0, 1, 3), (0, 1, 3))
+    errors = np.array([se2.difference(sensor.T_root_sensor[rows], truth[sensor.name]) for sensor in others])
+    spread = [sensor.covariance[np.ix_((0, 1, 5), (0, 1, 5))] for sensor in others]
+    nees = [e @ np.linalg.solve(C, e) / 3 for e, C in zip(errors, spread, strict=True)]
+    return Outcome(errors.reshape(-1, 3), np.array(nees), len(found.unconnected))
+
+
+def knobs(rng: np.random.Generator) -> dict[str, Any]:
+    """Of one recording, at random."""
+    layout = str(rng.choice(list(LAYOUTS), p=list(LAYOUTS.values())))
+    count = int(rng.integers(3, 5 if layout == "halls" else 7))
+    return {
+        "layout": layout,
+        "duration": float(rng.choice([8, 12, 20, 30])),
+        "scanner": {
+            "count": count,
+            "field_of_view": float(rng.choice([180, 270])),
+            "resolution": float(rng.choice([0.25, 0.5, 1])),
+            "range_noise": float(rng.choice([0.005, 0.01, 0.03])),
+            "yaw_jitter": 180.0,
+            "clock_offset": float(rng.choice([0, 0.05])),
+        },
+        "people": {
+            "count": int(rng.integers(1, 6)),
+            "stop_every": float(rng.choice([0, 15])),
+            "swing": float(rng.choice([0, 0, 0.15])),
+        },
+    }
+
+
+if __name__ == "__main__":
+    main()
