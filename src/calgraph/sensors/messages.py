@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors.camera import CameraModel
 
@@ -44,6 +45,20 @@ class LaserScan:
     """(N,) distances, m; NaN or infinite where nothing was measured (out of the stated limits included)."""
     time_increment: float = 0.0
     """Beam k is measured at ``stamp + k * time_increment``, s."""
+
+    def __post_init__(self) -> None:
+        """Refuses distances that are none.
+
+        Raises:
+            InputError: a range is zero or negative, as some drivers mark beams without a measurement.
+        """
+        wrong = np.flatnonzero(np.isfinite(self.ranges) & (self.ranges <= 0))
+        if len(wrong):
+            beam = int(wrong[0])
+            raise InputError(
+                f"LaserScan at {self.stamp:.3f} s: beam {beam} has a range of {self.ranges[beam]:g} m; "
+                "where nothing was measured it must be NaN or infinite"
+            )
 
     @property
     def valid(self) -> NDArray[np.bool_]:
