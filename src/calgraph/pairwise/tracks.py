@@ -56,7 +56,7 @@ _OVER_CHANCE = 2.0
 _SHARE = 0.4
 # Two people who walk alike for some seconds are so far from each other under a wrong pose, m; one person, seen by
 # both, is at one place, as well as tracks are known to be anywhere, m. By how much the latter must explain the
-# positions better, a logarithm: a perfect fit of 2 s comes to 54, one to 9 cm takes 9 s for as much.
+# positions better, a logarithm: a perfect fit of 2 s comes to 52, one to 9 cm takes 9 s for as much.
 _ALIKE, _SURE = 0.15, 0.01
 _WEIGHT = 45.0
 # A scanner sees people at a place if it saw them so often within this distance of it, m.
