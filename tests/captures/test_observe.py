@@ -23,7 +23,7 @@ class Scanner:
 
     def _decode(self, i: int) -> LaserScan:
         self.decoded += 1
-        return LaserScan(0.1 * i, "laser", np.zeros(11), np.full(11, float(i)), 0.002)
+        return LaserScan(0.1 * i, "laser", np.zeros(11), np.full(11, i + 1.0), 0.002)
 
 
 def test_a_survey_decodes_one_message_of_each_sensor() -> None:
@@ -51,7 +51,7 @@ def test_each_hold_is_searched_in_its_own_messages() -> None:
 
     seen = list(observe(Scanner().records(), holds, {"laser": "/scan"}, {"laser": detect}))
     assert [(o.capture, o.found) for o in seen] == [(0, SEEN), (1, SEEN)]
-    assert searched == {0: [10.0, 11.0], 1: [50.0]}
+    assert searched == {0: [11.0, 12.0], 1: [51.0]}
 
 
 def test_a_hold_without_messages_is_a_miss_with_a_reason() -> None:

@@ -183,7 +183,9 @@ def _measured(true: Array, knobs: ScannerKnobs, rng: np.random.Generator) -> Arr
     if knobs.quantisation:
         ranges = knobs.quantisation * np.round(ranges / knobs.quantisation)
     lost = rng.random(true.shape) < knobs.dropout
-    return np.where((ranges >= knobs.min_range) & (ranges <= knobs.max_range) & ~lost, ranges, np.nan)
+    return np.where(
+        (ranges > 0) & (ranges >= knobs.min_range) & (ranges <= knobs.max_range) & ~lost, ranges, np.nan
+    )
 
 
 def _scanners(

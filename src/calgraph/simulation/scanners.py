@@ -168,8 +168,8 @@ def measure(
         first = last
     ranges = mixed(true, pattern.neighbours, noise.mixed, rng) + rng.normal(0.0, noise.range, len(true))
     lost = rng.random(len(true)) < noise.dropout
-    measured = np.isfinite(ranges) & (ranges >= noise.min_range) & (ranges <= noise.max_range) & ~lost
-    return np.where(measured, ranges, np.nan)
+    within = (ranges > 0) & (ranges >= noise.min_range) & (ranges <= noise.max_range) & np.isfinite(ranges)
+    return np.where(within & ~lost, ranges, np.nan)
 
 
 def laser_scan(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str) -> LaserScan:
