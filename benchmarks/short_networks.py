@@ -17,19 +17,17 @@ import numpy as np
 from calgraph.calibrate import Options, calibrate_tracks
 from calgraph.geometry import Array, se2
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, scans_of
-from network_runs import follow, planar
+from network_runs import follow, gross, planar
 
 LAYOUTS = {"office": 0.3, "lab": 0.25, "halls": 0.2, "semicircle": 0.1, "grid": 0.15}
 """How often each is drawn."""
-WRONG = (0.5, np.radians(9))
-"""Off by more, m or rad, is grossly wrong."""
 
 
 class Outcome(NamedTuple):
     """Of one recording."""
 
     errors: Array
-    """(C, 3) of the connected scanners but the root: m, m, rad."""
+    """(C, 2) of the connected scanners but the root, degrees and metres."""
     nees: Array
     """(C,) squared errors over their covariances, per degree of freedom."""
     unconnected: int
@@ -45,7 +43,7 @@ def main() -> None:
     with ProcessPoolExecutor(args.jobs) as pool:
         found = list(pool.map(outcome, range(args.first, args.first + args.seeds)))
     errors, nees = (np.concatenate(columns) for columns in list(zip(*found, strict=True))[:2])
-    wrong = (np.hypot(errors[:, 0], errors[:, 1]) > WRONG[0]) | (np.abs(errors[:, 2]) > WRONG[1])
+    wrong = gross(errors)
     print(f"{args.seeds} recordings: {np.sum(~wrong)} scanners right, {np.sum(wrong)} grossly wrong, ", end="")
     print(f"{sum(one.unconnected for one in found)} not connected")
     print(f"NEES per degree of freedom of the right ones {np.mean(nees[~wrong]):.2f}")
@@ -59,10 +57,12 @@ def outcome(seed: int) -> Outcome:
     found = calibrate_tracks(rig, followed, Options(seed=seed))
     others = [sensor for sensor in found.sensors if sensor.name != rig.root]
     rows = np.ix_((0, 1, 3), (0, 1, 3))
-    errors = np.array([se2.difference(sensor.T_root_sensor[rows], truth[sensor.name]) for sensor in others])
+    off = np.array([se2.difference(sensor.T_root_sensor[rows], truth[sensor.name]) for sensor in others])
+    off = off.reshape(-1, 3)
     spread = [sensor.covariance[np.ix_((0, 1, 5), (0, 1, 5))] for sensor in others]
-    nees = [e @ np.linalg.solve(C, e) / 3 for e, C in zip(errors, spread, strict=True)]
-    return Outcome(errors.reshape(-1, 3), np.array(nees), len(found.unconnected))
+    nees = [e @ np.linalg.solve(C, e) / 3 for e, C in zip(off, spread, strict=True)]
+    errors = np.column_stack([np.degrees(np.abs(off[:, 2])), np.hypot(off[:, 0], off[:, 1])])
+    return Outcome(errors, np.array(nees), len(found.unconnected))
 
 
 def knobs(rng: np.random.Generator) -> dict[str, Any]:
