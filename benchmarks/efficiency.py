@@ -26,6 +26,7 @@ from scipy.stats import binomtest, chi2, norm
 
 from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.captures import Captured
+from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, se3
 from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
@@ -33,7 +34,6 @@ from calgraph.refinement.rig.boards import Sighting
 from calgraph.refinement.rig.bundle import linearize
 from calgraph.refinement.rig.bundle_adjustment import build, weighed
 from calgraph.refinement.rig.sheets import with_outlines
-from calgraph.rig import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
 

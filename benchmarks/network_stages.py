@@ -14,10 +14,10 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from calgraph import calibrate as story
+from calgraph.config import Rig, load_rig
 from calgraph.recording import open_recordings
 from calgraph.report import write_report
 from calgraph.result import Calibration, save_calibration, save_captures, save_scene
-from calgraph.rig import Rig, load_rig
 from calgraph.simulation import NetworkScenario, simulate_network
 from network_times import WALKERS, peak
 

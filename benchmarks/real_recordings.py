@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calgraph.calibrate import Options, calibrate_rig
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, Edge
-from calgraph.rig import Rig
 
 VLP16: dict[str, object] = {
     "root": "lidar",

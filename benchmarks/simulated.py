@@ -8,10 +8,10 @@ import numpy as np
 from calgraph.calibrate import Options, capture_board
 from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, detectors, gather
 from calgraph.captures.detectors import background_of
+from calgraph.config import CameraSpec, Rig, load_rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
-from calgraph.rig import CameraSpec, Rig, load_rig
 from calgraph.simulation import (
     RigScenario,
     Truth,

@@ -7,11 +7,11 @@ from itertools import combinations
 import numpy as np
 
 from calgraph.captures import Captured
+from calgraph.config import Rig
 from calgraph.detection import Detection
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement import Estimable, Joint, solve_bundle
-from calgraph.rig import Rig
 from calgraph.simulation import (
     CameraKnobs,
     LaserKnobs,

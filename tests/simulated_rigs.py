@@ -10,11 +10,11 @@ from typing import Self
 import numpy as np
 
 from calgraph.calibrate import Options, calibrate_rig
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import Recording
 from calgraph.recording.recording import TopicInfo, wanted_topics
 from calgraph.result import Calibration
-from calgraph.rig import Rig
 from calgraph.sensors import CameraInfo, Message, Record, Trigger
 from calgraph.simulation import (
     RigScenario,

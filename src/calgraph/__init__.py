@@ -20,6 +20,20 @@ if TYPE_CHECKING:
         verify_problem,
     )
     from calgraph.captures import Captured, captured_from
+    from calgraph.config import (
+        Board,
+        CameraSpec,
+        Cylinder,
+        Intrinsics,
+        Lidar2dSpec,
+        Lidar3dSpec,
+        People,
+        PixelNoise,
+        RangeNoise,
+        Rig,
+        Tag,
+        load_rig,
+    )
     from calgraph.detection import (
         BoardCorners,
         PlanePatch,
@@ -37,20 +51,6 @@ if TYPE_CHECKING:
     from calgraph.refinement import Problem, load_problem, save_problem
     from calgraph.report import write_report
     from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration
-    from calgraph.rig import (
-        Board,
-        CameraSpec,
-        Cylinder,
-        Intrinsics,
-        Lidar2dSpec,
-        Lidar3dSpec,
-        People,
-        PixelNoise,
-        RangeNoise,
-        Rig,
-        Tag,
-        load_rig,
-    )
     from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, painted
     from calgraph.tracking import Track, Tracked, track_scanner
 
@@ -67,8 +67,8 @@ __all__ = [
 ]  # fmt: skip
 
 _ROOMS = (
-    "errors", "geometry", "sensors", "rig", "result", "detection", "tracking", "captures", "pairwise", "graph",
-    "refinement", "recording", "calibrate", "report",
+    "errors", "geometry", "sensors", "io", "config", "result", "recording", "detection", "tracking", "captures",
+    "pairwise", "graph", "refinement", "calibrate", "report",
 )  # fmt: skip
 """Where names are looked for, from the bottom of the house upwards."""
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from calgraph.calibrate import Options, follow_people, following
+from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
-from calgraph.rig import Lidar2dSpec, People, Rig
 from calgraph.sensors import LaserScan, Record
 from calgraph.tracking import Tracked
 from walking_scenes import World, circling

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks, solve_problem
+from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.detection import (
     BoardCorners,
     Detection,
@@ -22,7 +23,6 @@ from calgraph.geometry import Array, se3
 from calgraph.recording import MessageRecording
 from calgraph.refinement import load_problem
 from calgraph.result import Calibration
-from calgraph.rig import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
 from calgraph.tracking import Track, Tracked

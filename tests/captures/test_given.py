@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calgraph.captures import captured_from
+from calgraph.config import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.detection import PlanePatch, Rejected, Segment, plane_seen, segment_seen
 from calgraph.errors import InputError
-from calgraph.rig import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
 
 RIG = Rig(
     root="lidar",

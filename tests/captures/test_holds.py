@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calgraph.captures import SensorTimes, Timeline, find_holds, is_snapshots
+from calgraph.config import Capture
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.rig import Capture
 
 START = 1_700_000_000.0
 

@@ -8,8 +8,8 @@ import pytest
 
 from calgraph.captures import Hold, details, observe
 from calgraph.captures.snapshots import Detail, snapshot
+from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.detection import Rejected
-from calgraph.rig import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.sensors import Image, LaserScan, PointCloud, Record
 
 LARGE = Detail(640, 8000)

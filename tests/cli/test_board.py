@@ -7,8 +7,8 @@ import pypdfium2
 import pytest
 from typer.testing import Result
 
+from calgraph.config import AprilGrid, Charuco, Checkerboard, load_rig
 from calgraph.printing import read_boards
-from calgraph.rig import AprilGrid, Charuco, Checkerboard, load_rig
 
 Run = Callable[..., Result]
 

@@ -13,9 +13,9 @@ import numpy as np
 from typer.testing import Result
 
 from calgraph.cli.calibrate import StartChoice
+from calgraph.config import load_rig
 from calgraph.graph import Method
 from calgraph.result import load_calibration
-from calgraph.rig import load_rig
 from calgraph.simulation import load_truth
 
 Run = Callable[..., Result]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
+from calgraph.config import load_rig
 from calgraph.recording import RecordingWriter
-from calgraph.rig import load_rig
 from calgraph.sensors import Trigger
 
 Run = Callable[..., Result]

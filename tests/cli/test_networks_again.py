@@ -12,9 +12,9 @@ from scipy.special import chdtri
 from typer.testing import Result
 
 from calgraph.geometry import se2, se3
+from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.result import Calibration, load_calibration
-from calgraph.rig import save_yaml
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
     Network,

@@ -9,8 +9,8 @@ from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import app
 from calgraph.cli.simulate import _KNOBS
-from calgraph.rig import load_rig
-from calgraph.rig.reading import read_yaml
+from calgraph.config import load_rig
+from calgraph.io.yaml_reading import read_yaml
 from calgraph.simulation import RigScenario, load_truth
 
 Run = Callable[..., Result]

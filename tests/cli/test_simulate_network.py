@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import app
 from calgraph.cli.simulate_network import _KNOBS
-from calgraph.rig.reading import read_yaml
+from calgraph.io.yaml_reading import read_yaml
 
 Run = Callable[..., Result]
 

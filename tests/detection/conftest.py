@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.geometry import Array
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.sensors import CameraModel
 
 Gray = NDArray[np.uint8]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.config import Board, Tag
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.detections import Rejected
 from calgraph.detection.landmarks import landmarks
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.rig import Board, Tag
 from calgraph.sensors import CameraModel
 
 SIGMA = 0.3

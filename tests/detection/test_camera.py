@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.detection import BoardCorners, CameraDetector, Rejected, find_boards
 from calgraph.detection.landmarks import landmarks
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.sensors import CameraModel, Image
 
 Gray = NDArray[np.uint8]

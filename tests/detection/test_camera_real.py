@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
 from calgraph.detection import BoardCorners, CameraDetector, Rejected
 from calgraph.detection.landmarks import landmarks
 from calgraph.detection.tags import GridFinder, TagFinder
 from calgraph.geometry import Array, se3
-from calgraph.rig import AprilGrid, Board, Checkerboard, PixelNoise, Tag
 from calgraph.sensors import CameraModel, Image
 
 GMSL = CameraModel(

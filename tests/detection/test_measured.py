@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from calgraph.config import PixelNoise, RangeNoise
 from calgraph.detection import BoardCorners, PlanePatch, Rejected, Segment, corners_seen, plane_seen, segment_seen
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.rig import PixelNoise, RangeNoise
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 1280, 960, np.array([[800.0, 0, 640], [0, 800, 480], [0, 0, 1]]), np.zeros(0))

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from calgraph.config import Board, RangeNoise
 from calgraph.detection import CloudBackground, PlanePatch, Rejected, find_patches
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import PointCloud
 
 Solid = Callable[[Array], Array]

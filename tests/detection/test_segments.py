@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calgraph.config import Board, RangeNoise
 from calgraph.detection import Rejected, Segment, find_segments
 from calgraph.geometry import Array
-from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import LaserScan, ScanBackground
 
 NOISE = RangeNoise(range=0.015, angle=0.0005)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from calgraph.config import Board, RangeNoise
 from calgraph.detection import Rejected, find_segments
 from calgraph.detection.sheet_edges import beams_about, sheet_edges
 from calgraph.geometry import Array, Index
-from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import LaserScan
 
 STEP = np.radians(0.5)

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
 from calgraph.result import Calibration
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, Tag
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, Truth
 from simulated_rigs import calibrated, errors, staged
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from calgraph.calibrate import Options, calibrate
+from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
-from calgraph.rig import Rig, load_rig
 from calgraph.simulation import NetworkScenario, Truth, load_truth, simulate_network
 
 TWO: dict[str, object] = {

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from calgraph.config import Rig
 from calgraph.recording import with_intrinsics
 from calgraph.report import write_report
 from calgraph.result import Calibration
-from calgraph.rig import Rig
 from calgraph.simulation import RigScenario
 from simulated_rigs import calibrated, staged
 

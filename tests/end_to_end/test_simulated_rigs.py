@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate import Options, capture_board, prepare, solve_problem
+from calgraph.config import Board, Checkerboard, Rig
 from calgraph.graph import Start
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
-from calgraph.rig import Board, Checkerboard, Rig
 from calgraph.sensors import LaserScan, Message
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, Truth
 from simulated_rigs import SimulatedRecording, altered, calibrated, errors, recorded, staged

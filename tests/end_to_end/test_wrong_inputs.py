@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import Recording
-from calgraph.rig import Rig
 from calgraph.sensors import Image, LaserScan, Message, PointCloud, Record
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs
 from simulated_rigs import SimulatedRecording, altered, calibrated, recorded, staged

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from calgraph.config import People, RangeNoise
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import TrackPair, estimate_network_pair, estimate_network_pairs
 from calgraph.recording import open_recording
-from calgraph.rig import People, RangeNoise
 from calgraph.sensors import LaserScan
 from calgraph.tracking import Feature, Track, Tracked, track_scanner
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag, load_rig
 from calgraph.errors import InputError
 from calgraph.printing import Wishes, design, put_target, read_boards, target_block
 from calgraph.printing.pages import sheet_ink
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, Tag, load_rig
 
 A4 = (297.0, 210.0)
 ALL = {

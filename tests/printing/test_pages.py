@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from calgraph.config import Board, Tag
 from calgraph.errors import InputError
 from calgraph.printing import Paper, Wishes, design, lay_out, parse_paper
 from calgraph.printing.pages import sheet_ink
-from calgraph.rig import Board, Tag
 
 A4 = parse_paper("A4")
 BARE = Board(size=(1.2, 0.9), tags=(Tag(id=0, size=0.3),))

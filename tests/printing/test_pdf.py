@@ -8,12 +8,12 @@ import pypdfium2
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.config import Board, PixelNoise, Tag
 from calgraph.detection import find_boards
 from calgraph.detection.landmarks import landmarks
 from calgraph.geometry import Array
 from calgraph.printing import Page, Wishes, design, lay_out, parse_paper
 from calgraph.printing.pdf import caption, write_pdf
-from calgraph.rig import Board, PixelNoise, Tag
 from calgraph.sensors import CameraModel, Image
 
 Gray = NDArray[np.uint8]

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from calgraph.config import Intrinsics, load_rig
 from calgraph.recording.intrinsics import camera_of_yaml
-from calgraph.rig import Intrinsics, load_rig
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.config import Rig
 from calgraph.detection import landmarks
 from calgraph.geometry import Array, se2, se3
 from calgraph.result import (
@@ -21,7 +22,6 @@ from calgraph.result import (
     Snapshot,
     Verdict,
 )
-from calgraph.rig import Rig
 
 FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Rotation of a camera that looks along the robot's x."""

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from calgraph.config import Rig
 from calgraph.report import write_report
 from calgraph.result import Calibration
-from calgraph.rig import Rig
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open reports in")

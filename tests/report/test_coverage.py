@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.report.coverage import coverage
 from calgraph.report.coverage_view import coverages
 from calgraph.report.words import BOARD
 from calgraph.result import BoardView, Calibration
-from calgraph.rig import Rig
 
 
 def with_views(calibration: Calibration, sensor: str, *seen: Array) -> Calibration:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.report.page import report_html
 from calgraph.result import Calibration, CaptureRow, FloorView
-from calgraph.rig import Rig
 
 
 def without_scripts(html: str) -> str:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
+from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.report import write_report
 from calgraph.report.page import report_html
 from calgraph.result import Calibration, CaptureRow, Edge, Verdict
-from calgraph.rig import Rig
 
 VOID = {"meta", "br", "input", "link", "img"}
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.fused_view import fused_view
 from calgraph.report.gallery import gallery
@@ -18,7 +19,6 @@ from calgraph.report.overlays import overlay
 from calgraph.report.thumbnails import thumbnail
 from calgraph.result import Calibration, Snapshot
 from calgraph.result.cameras import cameras_of
-from calgraph.rig import Rig
 
 
 def painted_of(html: str) -> list[dict[str, Any]]:

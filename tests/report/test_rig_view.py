@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.report.rig_shapes import axes, ellipsoid, frustum, scan_circle
 from calgraph.report.rig_view import rig_view
 from calgraph.result import Calibration
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 POSE = se3.pose(so3.exp(np.array([0.3, -0.7, 1.1])), np.array([1.0, -2.0, 0.5]))

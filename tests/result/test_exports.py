@@ -13,11 +13,11 @@ import pytest
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
+from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Calibration, FloorView, export
 from calgraph.result.exports import FORMATS
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 Edges = dict[str, tuple[str, Array]]

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, Tag
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
 from calgraph.simulation.board_texture import board_texture
 
 

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from pupil_apriltags import Detector
 
+from calgraph.config import Board, Checkerboard, Tag
 from calgraph.geometry import Array, se3
-from calgraph.rig import Board, Checkerboard, Tag
 from calgraph.simulation import CameraKnobs, RigScenario
 from calgraph.simulation.board_texture import board_texture
 from calgraph.simulation.camera_render import PrintedBoard, darkroom, grain, printed_board, render

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calgraph.config import Cylinder, People, load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
-from calgraph.rig import Cylinder, People, load_rig
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
     LayoutName,

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
+from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3
-from calgraph.rig import load_rig
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 from calgraph.simulation import (
     CameraKnobs,

@@ -9,9 +9,9 @@ from time import process_time
 import numpy as np
 import pytest
 
+from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
-from calgraph.rig import Cylinder, People, RangeNoise
 from calgraph.sensors import LaserScan
 from calgraph.tracking import Feature, Track, Tracked, Untracked, track_scanner
 from walking_scenes import Walk, World, along, circling

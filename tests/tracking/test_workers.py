@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 
-from calgraph.rig import People, RangeNoise
+from calgraph.config import People, RangeNoise
 from calgraph.tracking import ScanRun, Tracked, Untracked, in_runs, track_scanners, workers
 from walking_scenes import World, along, circling
 

@@ -3,9 +3,9 @@
 from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import Options, Progress, silent
 from calgraph.calibrate.rig import calibrate_rig
+from calgraph.config import Cylinder, People, Rig
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.rig import Cylinder, People, Rig
 
 
 def calibrate(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:

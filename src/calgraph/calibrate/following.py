@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from calgraph.calibrate.options import Options, Progress, silent
 from calgraph.captures import as_scans
+from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError
 from calgraph.recording import Recording
-from calgraph.rig import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.tracking import ScanGathering, ScanRun, Tracked, Untracked, track_scanners
 
 # Scans that are in memory at once, more than so many only if they are of one scanner: of 1000 beams, 0.8 GB.

@@ -7,11 +7,11 @@ import numpy as np
 from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import Options, Progress, silent
 from calgraph.calibrate.rig import solve_jointly
+from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.recording import Recording
 from calgraph.refinement import Audit, Problem, Scatter, Tolerance, assemble, audit, audit_network, resample
 from calgraph.result import Calibration, KnownPoses
-from calgraph.rig import Rig
 
 
 def verify_problem(

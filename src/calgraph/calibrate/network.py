@@ -7,6 +7,7 @@ import numpy as np
 
 from calgraph.calibrate.following import follow_people, scanner_noise, walking
 from calgraph.calibrate.options import Options, Progress, network_estimator, silent
+from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.graph import placed
 from calgraph.pairwise import Sights, estimate_network_pairs
@@ -21,7 +22,6 @@ from calgraph.refinement import (
     without,
 )
 from calgraph.result import Calibration
-from calgraph.rig import Rig
 from calgraph.tracking import Feature, Tracked, Untracked
 
 # How far off along the sight the centres may lie that each feature gives, as a standard deviation, m. A centre of

@@ -22,6 +22,7 @@ from calgraph.captures import (
     survey,
     thinned,
 )
+from calgraph.config import CameraSpec, Cylinder, People, Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.graph import SpanningTree, start_poses
 from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
@@ -40,7 +41,6 @@ from calgraph.refinement import (
     with_outlook,
 )
 from calgraph.result import Calibration
-from calgraph.rig import CameraSpec, Cylinder, People, Rig
 from calgraph.sensors import CameraModel, Record
 
 

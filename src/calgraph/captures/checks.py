@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from calgraph.captures.timeline import Timeline
+from calgraph.config import Rig
 from calgraph.errors import InputError
-from calgraph.rig import Rig
 
 _MESSAGES: Mapping[str, tuple[str, ...]] = {
     "camera": ("Image",),

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from calgraph.captures.observe import Detect
+from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.detection import (
     Averaging,
     CameraDetector,
@@ -17,7 +18,6 @@ from calgraph.detection import (
     find_segments,
 )
 from calgraph.errors import InputError
-from calgraph.rig import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, ScanBackground, scan_of_cloud
 
 _log = logging.getLogger(__name__)

@@ -7,9 +7,9 @@ import numpy as np
 from calgraph.captures.holds import Hold
 from calgraph.captures.observe import Captured, Observation, gather
 from calgraph.captures.timeline import SensorTimes, Timeline
+from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment
 from calgraph.errors import InputError
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 Found = Detection | Sequence[Detection] | Rejected

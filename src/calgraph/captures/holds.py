@@ -7,9 +7,9 @@ import numpy as np
 
 from calgraph.captures.stillness import still_spans
 from calgraph.captures.timeline import SensorTimes, Timeline
+from calgraph.config import Capture
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.rig import Capture
 
 # Messages of one pose in a folder of snapshots lie this close together (s), and poses farther apart.
 _SNAPSHOT = 1.0

@@ -10,10 +10,10 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.noise import with_measured_noise
 from calgraph.captures.snapshots import Detail, snapshot
 from calgraph.captures.timeline import Timeline
+from calgraph.config import Rig
 from calgraph.detection import Detection, Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel, Message, Record
 
 Detect = Callable[[Sequence[Any]], tuple[Detection, ...] | Rejected]

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.captures.holds import Hold
+from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
-from calgraph.rig import Rig
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 
 

@@ -7,7 +7,9 @@ import typer
 
 from calgraph.cli.console import console
 from calgraph.cli.knobs import knobs_of, settings, with_knobs
+from calgraph.config import Board
 from calgraph.errors import InputError
+from calgraph.io import check_place, write_text
 from calgraph.printing import (
     Paper,
     Wishes,
@@ -19,7 +21,6 @@ from calgraph.printing import (
     read_boards,
     target_block,
 )
-from calgraph.rig import Board, check_place, write_text
 
 _KNOBS = {knob.parameter: knob for knob in knobs_of(Wishes, {"kind": "Print"})}
 

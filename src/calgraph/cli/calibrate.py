@@ -11,10 +11,11 @@ from calgraph.cli.cores import JobsOption, cores
 from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_calibration, print_place
+from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError
+from calgraph.io import check_place, replacing_folder, save_yaml
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, save_scene, to_json
-from calgraph.rig import Rig, check_place, load_rig, replacing_folder, save_yaml
 
 
 class EstimatorChoice(StrEnum):

@@ -17,10 +17,11 @@ from calgraph.cli.console import console
 from calgraph.cli.cores import cores
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_remarks
+from calgraph.config import Cylinder, People, Rig, load_rig
 from calgraph.errors import InputError
+from calgraph.io import replacing_folder, write_text
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, KnownPoses, read_poses
-from calgraph.rig import Cylinder, People, Rig, load_rig, replacing_folder, write_text
 
 if TYPE_CHECKING:
     from calgraph.refinement import Audit, Misfit, Problem, Tolerance

@@ -9,9 +9,10 @@ from calgraph.cli.calibrate import fail_if_unconnected, write_results
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.simulating import simulate_into
 from calgraph.cli.tables import print_calibration, print_errors, print_place
+from calgraph.config import load_rig
 from calgraph.errors import InputError
+from calgraph.io import replacing_folder
 from calgraph.recording import open_recording, with_intrinsics
-from calgraph.rig import load_rig, replacing_folder
 from calgraph.simulation import RigScenario, load_truth, simulate_rig
 
 

@@ -6,11 +6,12 @@ from typing import Annotated
 
 import typer
 
+from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
+from calgraph.io import write_text
+from calgraph.io.yaml_reading import read_text
 from calgraph.result import export as export_text
 from calgraph.result import load_calibration
-from calgraph.rig import Rig, load_rig, write_text
-from calgraph.rig.reading import read_text
 
 
 class Format(StrEnum):

@@ -7,9 +7,10 @@ import typer
 
 from calgraph.cli.arguments import OneRecording
 from calgraph.cli.console import console
+from calgraph.config import draft_rig
 from calgraph.errors import InputError
+from calgraph.io import write_text
 from calgraph.recording import find_topics, open_recording
-from calgraph.rig import draft_rig, write_text
 
 
 def init(

@@ -17,7 +17,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import InputError
-from calgraph.rig.reading import validated
+from calgraph.io.yaml_reading import validated
 
 Model = TypeVar("Model", bound=BaseModel)
 

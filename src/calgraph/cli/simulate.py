@@ -4,7 +4,7 @@ from typing import Any
 
 from calgraph.cli.knobs import knobs_of, settings, with_knobs
 from calgraph.cli.simulating import Out, ScenarioFile, Seed, simulate_to
-from calgraph.rig.reading import read_yaml, validated
+from calgraph.io.yaml_reading import read_yaml, validated
 from calgraph.simulation import RigScenario, simulate_rig
 
 _PANELS = {

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import InputError
-from calgraph.rig import replacing_folder, save_yaml
+from calgraph.io import replacing_folder, save_yaml
 
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording, rig.yaml, truth and scenario.")

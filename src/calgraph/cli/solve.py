@@ -9,7 +9,7 @@ import typer
 from calgraph.cli.arguments import Results, WholeJson
 from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
-from calgraph.rig import replacing_folder
+from calgraph.io import replacing_folder
 
 
 def solve(

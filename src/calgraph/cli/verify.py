@@ -14,9 +14,9 @@ from calgraph.cli.calibrate import fail_if_unconnected
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.tables import print_remarks
+from calgraph.config import load_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import open_recordings, with_intrinsics
-from calgraph.rig import load_rig
 
 if TYPE_CHECKING:
     from calgraph.calibrate import Progress

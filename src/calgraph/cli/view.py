@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.result import cameras_of, load_calibration, load_scene
-from calgraph.rig import load_rig
 
 
 def view(

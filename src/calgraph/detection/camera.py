@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners, Rejected
@@ -15,7 +16,6 @@ from calgraph.detection.straight_view import has_straight_lines, straight_view
 from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane, se3
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
 from calgraph.sensors import CameraModel, Image
 
 Averaging = Literal["pnp", "mean_plane"]

@@ -5,9 +5,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.detection.tags import Gray, Marks, no_marks
 from calgraph.geometry import Array
-from calgraph.rig import Charuco, Checkerboard, dictionary
 
 _ATTEMPTS = ((480, 0), (960, cv2.CALIB_CB_NORMALIZE_IMAGE))
 """Longer side, pixels, to which an image is reduced for a search, and its flags: the search takes 0.05 s and

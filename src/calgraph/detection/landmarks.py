@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.geometry import Array
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard
 
 Ids = NDArray[np.intp]
 

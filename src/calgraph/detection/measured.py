@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calgraph.config import PixelNoise, RangeNoise
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import board_corners
 from calgraph.detection.detections import BoardCorners, PlanePatch, Rejected, Segment
@@ -9,7 +10,6 @@ from calgraph.detection.fitting import fit_line, fit_plane
 from calgraph.detection.segments import segment_between
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane
-from calgraph.rig import PixelNoise, RangeNoise
 from calgraph.sensors import CameraModel
 
 _SAME_BEAM = 1e-5

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import RangeNoise
 from calgraph.geometry import Array
-from calgraph.rig import RangeNoise
 from calgraph.sensors import LaserScan
 
 

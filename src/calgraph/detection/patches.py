@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from calgraph import consensus
+from calgraph.config import Board, RangeNoise
 from calgraph.detection.background import CloudBackground
 from calgraph.detection.cells import Cells, Indices, make_cells
 from calgraph.detection.detections import PlanePatch, Rejected
@@ -19,7 +20,6 @@ from calgraph.detection.outline import Sheet, lay_sheet, standing_free
 from calgraph.detection.regions import flat_regions
 from calgraph.detection.sheet_edges import beams_about, sheet_edges
 from calgraph.geometry import Array, plane
-from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import PointCloud
 
 _MAX_CANDIDATES = 8

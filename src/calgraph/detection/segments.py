@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph import consensus
+from calgraph.config import Board, RangeNoise
 from calgraph.detection.detections import Rejected, Segment
 from calgraph.detection.fitting import Fit, fit_line
 from calgraph.detection.merging import MergedScan, merge_scans
 from calgraph.detection.sheet_edges import beams_about, sheet_edges
 from calgraph.geometry import Array
-from calgraph.rig import Board, RangeNoise
 from calgraph.sensors import LaserScan, ScanBackground
 
 Indices = NDArray[np.intp]

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import FAMILIES, Family, dictionary
 from calgraph.geometry import Array
-from calgraph.rig import FAMILIES, Family, dictionary
 
 Gray = NDArray[np.uint8]
 

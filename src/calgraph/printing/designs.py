@@ -5,12 +5,12 @@ from math import floor
 from pathlib import Path
 from typing import Any, Literal
 
+from calgraph.config import Board, Tag
+from calgraph.config.strict_model import StrictModel
+from calgraph.config.target import AtLeastOne, Index, Length, Pair
 from calgraph.errors import InputError
+from calgraph.io.yaml_reading import validated
 from calgraph.printing.paper import MARGIN
-from calgraph.rig import Board, Tag
-from calgraph.rig.model import StrictModel
-from calgraph.rig.reading import validated
-from calgraph.rig.target import AtLeastOne, Index, Length, Pair
 
 BoardKind = Literal["tags", "aprilgrid", "charuco", "checkerboard"]
 

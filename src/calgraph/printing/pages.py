@@ -10,10 +10,10 @@ from string import ascii_uppercase
 
 import numpy as np
 
+from calgraph.config import Board, ink
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.printing.paper import MARGIN, Paper
-from calgraph.rig import Board, ink
 
 MM = 1000.0
 """In a metre."""

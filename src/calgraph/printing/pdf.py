@@ -8,8 +8,9 @@ import numpy as np
 from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
+from calgraph.io import replacing
 from calgraph.printing.pages import MM, Page, sheet_ink
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, replacing
 
 _HAIRLINE = 0.1
 """Width of all lines, mm."""

@@ -9,12 +9,13 @@ from pydantic import model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from calgraph.config import AprilGrid, Board, Rig
+from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.strict_model import StrictModel
+from calgraph.config.target import Target
 from calgraph.errors import InputError
-from calgraph.rig import AprilGrid, Board, Rig, yaml_text
-from calgraph.rig.model import StrictModel
-from calgraph.rig.reading import read_text, read_yaml, validated
-from calgraph.rig.target import Target
-from calgraph.rig.told_apart import check_told_apart
+from calgraph.io import yaml_text
+from calgraph.io.yaml_reading import read_text, read_yaml, validated
 
 _COMMENT = """\
 The printed board, in m. Measure the print with its rulers: printers change scales.

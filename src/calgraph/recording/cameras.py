@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
+from calgraph.config import Intrinsics, Rig
 from calgraph.errors import InputError
 from calgraph.recording.recording import Recording
-from calgraph.rig import Intrinsics, Rig
 from calgraph.sensors import CameraInfo, CameraModel
 
 

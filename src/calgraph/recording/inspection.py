@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
 from calgraph.recording.recording import Recording, TopicInfo
-from calgraph.rig import FoundTopic, Kind
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
 
 SENSORS = ("camera", "lidar2d", "lidar3d")

@@ -7,11 +7,11 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.text import fixed
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.cameras import cameras_of
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 # Cells of a camera's longer side, of a turn, and of elevations and ranges.

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.report.coverage import Coverage, coverage
 from calgraph.report.text import KINDS, counted, escaped
 from calgraph.report.words import Words
 from calgraph.result import Calibration
-from calgraph.rig import Rig
 
 # Of the drawing, with room for labels at the left and below.
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _BELOW = 400, 230, 44, 16, 34

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import MUTED, ORANGE, PAPER, RULE, VERMILION, chooser, figure, placed, plotly_text
 from calgraph.result import BoardOutline, Calibration, Snapshot, cameras_of, colored
-from calgraph.rig import Rig
 
 # Captures that can be chosen, and points of each that no camera sees: they only show where the others are.
 _MOST, _GREY = 6, 2500

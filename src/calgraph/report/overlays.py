@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.detection import landmarks
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView, Calibration, SensorPose
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 # Straight edges are bent by lenses: drawn in so many pieces.

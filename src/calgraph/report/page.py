@@ -6,6 +6,8 @@ from string import Template
 
 from plotly.offline import get_plotlyjs
 
+from calgraph.config import Rig
+from calgraph.io import write_text
 from calgraph.report.capture_view import captures
 from calgraph.report.coverage_view import coverages
 from calgraph.report.floor_view import floor_plan
@@ -21,7 +23,6 @@ from calgraph.report.text import counted, escaped
 from calgraph.report.verdicts import cards, headline, remark_list
 from calgraph.report.words import NETWORK, Words, words_for
 from calgraph.result import Calibration
-from calgraph.rig import Rig, write_text
 
 
 def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:

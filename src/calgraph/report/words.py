@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calgraph.rig import Cylinder, People, Rig
+from calgraph.config import Cylinder, People, Rig
 
 
 @dataclass(frozen=True)

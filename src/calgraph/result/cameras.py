@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.result.calibration import Calibration
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 

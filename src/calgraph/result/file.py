@@ -10,10 +10,10 @@ import numpy as np
 from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.geometry import Array, so3
+from calgraph.io import replacing, write_text, yaml_text
+from calgraph.io.yaml_writing import number_text, on_one_line
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion
 from calgraph.result.estimated import Estimated
-from calgraph.rig import replacing, write_text, yaml_text
-from calgraph.rig.writing import number_text, on_one_line
 
 FORMAT = "calgraph/1"
 _HEADER = """\

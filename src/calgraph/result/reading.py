@@ -7,13 +7,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
+from calgraph.config.strict_model import StrictModel, wrong
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
+from calgraph.io.yaml_reading import read_yaml, validated
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion, Verdict
 from calgraph.result.estimated import Estimated
 from calgraph.result.file import FORMAT
-from calgraph.rig.model import StrictModel, wrong
-from calgraph.rig.reading import read_yaml, validated
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.

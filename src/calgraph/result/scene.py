@@ -10,11 +10,11 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.io.archive import read_archive, write_archive
+from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.result.board_views import BoardOutline, BoardView
 from calgraph.result.calibration import Calibration, FloorView
 from calgraph.result.snapshots import Snapshot
-from calgraph.rig.archive import read_archive, write_archive
-from calgraph.rig.columns import INDEX, NUMBER, Arrays, Column, Table
 
 FORMAT = "calgraph-scene/1"
 _STRUCTURE = "scene.json"

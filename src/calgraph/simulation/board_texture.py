@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from calgraph.config import Board, Print, prints
 from calgraph.geometry import Array
-from calgraph.rig import Board, Print, prints
 
 
 def board_texture(board: Board, texels_per_meter: float) -> Array:

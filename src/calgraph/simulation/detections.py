@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, gather
+from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.detection import Detection, PlanePatch, Rejected, landmarks
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import board_corners
@@ -19,7 +20,6 @@ from calgraph.detection.fitting import fit_line, fit_plane
 from calgraph.detection.segments import segment_between
 from calgraph.detection.sheet_edges import BLUR
 from calgraph.geometry import Array, plane, se3
-from calgraph.rig import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.sensors import CameraModel
 from calgraph.simulation.motion import board_pose
 from calgraph.simulation.rig import rig_of

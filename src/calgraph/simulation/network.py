@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from calgraph.config import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.geometry import Array, se2
+from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter
-from calgraph.rig import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, Rig, save_yaml
 from calgraph.sensors import LaserScan
 from calgraph.simulation.network_arms import with_arms
 from calgraph.simulation.network_beams import cast_segments, true_ranges

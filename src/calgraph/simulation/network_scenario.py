@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
-from calgraph.rig.model import StrictModel, wrong
+from calgraph.config.strict_model import StrictModel, wrong
 from calgraph.simulation.rig_scenario import NotNegative, Positive, Probability
 
 LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calgraph.geometry import Array
-from calgraph.recording.writer import RecordingWriter
-from calgraph.rig import (
+from calgraph.config import (
     CameraSpec,
     Capture,
     Lidar2dSpec,
@@ -16,8 +14,10 @@ from calgraph.rig import (
     RangeNoise,
     Rig,
     SensorSpec,
-    save_yaml,
 )
+from calgraph.geometry import Array
+from calgraph.io import save_yaml
+from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import CameraInfo, Message, Trigger
 from calgraph.simulation.rig_scenario import RigScenario
 from calgraph.simulation.robot import MountedCamera, RobotSensor

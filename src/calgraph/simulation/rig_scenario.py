@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from calgraph.rig import Board, Tag
-from calgraph.rig.model import StrictModel
-from calgraph.rig.told_apart import check_told_apart
+from calgraph.config import Board, Tag
+from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.strict_model import StrictModel
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -11,7 +11,7 @@ from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig import save_yaml
+from calgraph.io import save_yaml
 
 _FORMAT = "calgraph-truth/1"
 

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import Cylinder, People
 from calgraph.geometry import Array, ellipse
-from calgraph.rig import Cylinder, People
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.fitting import Groups, Prior, fit_centres
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.rig import Cylinder, People, RangeNoise
+from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.sensors import LaserScan
 from calgraph.tracking.association import follow
 from calgraph.tracking.background import learn_static_scene

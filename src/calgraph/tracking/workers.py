@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
+from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.processes import side_by_side
-from calgraph.rig import Cylinder, People, RangeNoise
 from calgraph.tracking.features import Feature
 from calgraph.tracking.scanner import track_runs
 from calgraph.tracking.scans import ScanRun

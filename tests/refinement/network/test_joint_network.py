@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calgraph.config import Cylinder, People
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph
 from calgraph.refinement.network.joint_network import JointNetwork, solve_network
 from calgraph.refinement.network.outlines import cast
 from calgraph.refinement.network.splines import Knots, evaluate
 from calgraph.refinement.network.trajectories import Glimpses, Motion
-from calgraph.rig import Cylinder, People
 from calgraph.tracking import Track, Tracked
 from calgraph.tracking.track import Hits
 from network_scenes import OFFSET, SIGMA, T_ROOT, glimpses

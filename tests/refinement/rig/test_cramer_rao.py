@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from calgraph.captures import Captured
+from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, se3
 from calgraph.refinement import cramer_rao
-from calgraph.rig import CameraSpec, Rig
 from calgraph.simulation import CameraKnobs, RigScenario, set_stage, simulate_detections
 
 STEP = 1e-5

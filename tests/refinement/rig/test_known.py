@@ -8,6 +8,7 @@ import pytest
 
 from bundle_scenes import Scene, scene
 from calgraph.captures import Captured
+from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.graph import SpanningTree
@@ -27,7 +28,6 @@ from calgraph.refinement.rig.known import (
     with_groups,
 )
 from calgraph.result import read_poses
-from calgraph.rig import Rig
 
 SEEDS = 16
 EXACT = scene(("lidar", "camera", "laser", "laser_2"), boards=8)

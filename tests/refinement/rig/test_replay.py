@@ -14,13 +14,13 @@ import pytest
 
 from board_scenes import boards, observe, random_pose
 from calgraph.captures import Captured, Hold
+from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
 from calgraph.errors import InputError
 from calgraph.graph import SpanningTree, spanning_tree
 from calgraph.pairwise import PairwiseEstimate, estimate_pairs, estimated
 from calgraph.refinement import Problem, Solver, load_problem, replayable, save_problem
 from calgraph.refinement.rig.replay import DETECTIONS
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 RIG = Rig.model_validate(

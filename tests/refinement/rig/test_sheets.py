@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Board
 from calgraph.detection import BoardCorners, Detection
 from calgraph.geometry import se3
-from calgraph.rig import Board
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs
 from seen_rigs import QUICK, seen
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.config import Board, Checkerboard
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import InputError
 from calgraph.refinement import Estimable, Joint
 from calgraph.result import Estimated
-from calgraph.rig import Board, Checkerboard
 from calgraph.simulation import CameraKnobs
 from seen_rigs import QUICK, Seen, seen
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of
+from calgraph.config import RangeNoise
 from calgraph.geometry import Array, se3, so3
 from calgraph.refinement.rig.views import Beams, Corners, Rows, Views, relative
-from calgraph.rig import RangeNoise
 from calgraph.sensors import CameraModel
 
 STEP = 1e-6

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, joint_covariance
@@ -15,7 +16,6 @@ from calgraph.refinement.network.planar_poses import in_space
 from calgraph.refinement.network.walks import floor_views, met, walk_rows
 from calgraph.refinement.observability import verdict
 from calgraph.result import Calibration, Edge, SensorPose
-from calgraph.rig import Rig
 from calgraph.tracking import Tracked, Untracked
 
 _ADVICE = "let people walk farther across, and to and fro, where {name} and others both see them"

@@ -9,6 +9,7 @@ from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from calgraph.config import Cylinder, People
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph
@@ -34,7 +35,6 @@ from calgraph.refinement.network.trajectories import (
     straightness,
 )
 from calgraph.refinement.network.walkers import Walker, scanners_of, walkers
-from calgraph.rig import Cylinder, People
 from calgraph.tracking import Track, Tracked
 
 # Control points of a path are this far apart, s: a step of a walk takes half a second.

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.captures import Captured
+from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
 from calgraph.geometry import Array, Index
 from calgraph.pairwise import PairwiseEstimate
@@ -21,7 +22,6 @@ from calgraph.refinement.rig.scatter import with_measured_scatter, wrong_views
 from calgraph.refinement.rig.sheets import contradict, with_outlines, without_wrong_outlines
 from calgraph.refinement.rig.unknowns import Estimable, estimated_values, with_unknowns
 from calgraph.refinement.rig.views import Beams, Corners, Views, relative
-from calgraph.rig import CameraSpec, Rig
 
 # Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
 _SWAY = 0.003

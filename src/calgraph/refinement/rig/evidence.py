@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from calgraph.captures import Captured, Hold
+from calgraph.config import Rig
 from calgraph.detection import Rejected
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
@@ -14,7 +15,6 @@ from calgraph.refinement.rig.joint import Joint
 from calgraph.refinement.rig.known import frame_id
 from calgraph.refinement.rig.pictures import Used, board_outlines, board_views
 from calgraph.result import Calibration, CaptureRow, Edge, SensorPose
-from calgraph.rig import Rig
 
 
 def assemble(rig: Rig, captured: Captured, pairs: Pairs, tree: SpanningTree, joint: Joint) -> Calibration:

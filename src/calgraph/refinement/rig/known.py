@@ -7,14 +7,14 @@ from itertools import chain
 import numpy as np
 
 from calgraph.captures import Captured
+from calgraph.config import Rig
+from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3
 from calgraph.graph import SpanningTree, grown
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.refinement.rig.bundle import Bundle, Prior, State, stacked
 from calgraph.result import KnownPoses
-from calgraph.rig import Rig
-from calgraph.rig.model import StrictModel
 
 Row4 = tuple[float, float, float, float]
 Row6 = tuple[float, float, float, float, float, float]

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from calgraph.captures import Captured
+from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
 from calgraph.geometry import Array, plane, se3
 from calgraph.refinement.rig.joint import Adjusted, Joint
 from calgraph.refinement.rig.views import Beams, Corners, relative
 from calgraph.result import BoardOutline, BoardView
-from calgraph.rig import Rig
 
 Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 """By capture and sensor, residuals of its inlier matches, by candidate, m."""

@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from calgraph.captures import Captured
+from calgraph.config import Rig
+from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.rig.hypergraph import Filter
 from calgraph.refinement.rig.known import PosePrior, PriorFile, RigidFile, RigidGroup, known_poses
 from calgraph.refinement.rig.unknowns import Estimable
-from calgraph.rig import Rig
-from calgraph.rig.model import StrictModel
 
 Estimator = Literal["bundle", "hypergraph"]
 

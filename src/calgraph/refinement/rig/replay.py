@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.captures import Captured, Hold
+from calgraph.config import Rig
+from calgraph.config.strict_model import StrictModel
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
+from calgraph.io.archive import read_archive, write_archive
+from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
+from calgraph.io.yaml_reading import validated
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.refinement.rig.problem import Problem, Solver, check_problem
-from calgraph.rig import Rig
-from calgraph.rig.archive import read_archive, write_archive
-from calgraph.rig.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.rig.model import StrictModel
-from calgraph.rig.reading import validated
 from calgraph.sensors import CameraModel
 
 FORMAT = "calgraph-problem/2"

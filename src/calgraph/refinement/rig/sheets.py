@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
+from calgraph.config import Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3
 from calgraph.pairwise import Candidates
@@ -15,7 +16,6 @@ from calgraph.refinement.rig.covariances import covariance, reduced_covariance
 from calgraph.refinement.rig.laying import laid
 from calgraph.refinement.rig.outlines import Outline
 from calgraph.refinement.rig.views import Beams, relative
-from calgraph.rig import Rig
 
 # Standard deviation of how much too far out a scanner may see a sheet end, m, before anything is measured.
 _GROWTH = 0.01

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.detection import landmarks
 from calgraph.detection.landmarks import Landmarks
 from calgraph.errors import InputError
@@ -18,7 +19,6 @@ from calgraph.refinement.rig.bundle import Bundle, State, System, Unknown
 from calgraph.refinement.rig.covariances import reduced_covariance
 from calgraph.refinement.rig.views import Beams, Corners, Views
 from calgraph.result import Estimated
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 Estimable = Literal["range_bias", "intrinsics", "tags"]

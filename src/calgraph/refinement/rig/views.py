@@ -12,9 +12,9 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config import PixelNoise, RangeNoise
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, so3
-from calgraph.rig import PixelNoise, RangeNoise
 from calgraph.sensors import CameraModel
 
 # Flatter than this a beam grazes the board and its range says nothing about it.

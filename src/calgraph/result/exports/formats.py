@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.json_text import to_json
@@ -11,7 +12,6 @@ from calgraph.result.exports.launch import to_launch
 from calgraph.result.exports.tf import to_tf_yaml
 from calgraph.result.exports.urdf import to_urdf
 from calgraph.result.exports.urdf_update import update_urdf
-from calgraph.rig import Rig
 from calgraph.sensors import CameraModel
 
 

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.config import CameraSpec, Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.io import yaml_text
+from calgraph.io.yaml_writing import on_one_line
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import number
-from calgraph.rig import CameraSpec, Rig, yaml_text
-from calgraph.rig.writing import on_one_line
 from calgraph.sensors import CameraModel
 
 _COMMENT = "Kalibr camchain, calibrated by calgraph. T_cn_cnm1 maps coordinates in the camera before to this one."

@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from calgraph.io import yaml_text
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import Link, links, number
-from calgraph.rig import yaml_text
 
 _COMMENT = """\
 Static transforms in the layout of tf2_msgs/TFMessage: each maps coordinates in child_frame_id to header.frame_id.

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from calgraph.rig.reading import read_yaml, validated
-from calgraph.rig.rig import Rig
+from calgraph.config.rig_config import Rig
+from calgraph.io.yaml_reading import read_yaml, validated
 
 
 def load_rig(path: Path) -> Rig:

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Discriminator, Field, Strict, field_validator, model_validator
 
-from calgraph.rig.markers import DICTIONARIES, FAMILIES, Family, marker_count
-from calgraph.rig.model import StrictModel, wrong
+from calgraph.config.markers import DICTIONARIES, FAMILIES, Family, marker_count
+from calgraph.config.strict_model import StrictModel, wrong
 
 # Strict: YAML has types, so a quoted number or a `yes` where a number belongs is a slip worth naming.
 Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.config.markers import FAMILIES, marker_bitmap
+from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.geometry import Array
-from calgraph.rig.markers import FAMILIES, marker_bitmap
-from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard
 
 Pair = tuple[float, float]
 

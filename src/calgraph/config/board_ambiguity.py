@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from calgraph.rig.model import wrong
-from calgraph.rig.prints import Print, prints
-from calgraph.rig.target import AprilGrid, Board, Charuco, Checkerboard
+from calgraph.config.board_print import Print, prints
+from calgraph.config.strict_model import wrong
+from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard
 
 
 def check_told_apart(boards: Sequence[Board]) -> None:

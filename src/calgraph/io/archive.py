@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import InputError
-from calgraph.rig import replacing
+from calgraph.io import replacing
 
 # What zipfile and NumPy raise where bytes are not those that were written.
 _DAMAGE = (

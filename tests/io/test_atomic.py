@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calgraph.errors import InputError
-from calgraph.rig import replacing, replacing_folder, write_text
+from calgraph.io import replacing, replacing_folder, write_text
 
 
 def names(folder: Path) -> list[str]:

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from calgraph.config import CameraSpec, FoundTopic, Kind, Rig, draft_rig, load_rig
 from calgraph.errors import InputError
-from calgraph.rig import CameraSpec, FoundTopic, Kind, Rig, draft_rig, load_rig
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from calgraph.config.sensor_names import sensor_names
 from calgraph.errors import InputError
-from calgraph.rig.naming import sensor_names
 
 Kind = Literal["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"]
 

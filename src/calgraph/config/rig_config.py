@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from calgraph.rig.model import StrictModel, wrong
-from calgraph.rig.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
-from calgraph.rig.told_apart import check_told_apart
+from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.strict_model import StrictModel, wrong
+from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
 from calgraph.sensors import CameraModel
 
 Sigma = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]

@@ -1,6 +1,6 @@
 import pytest
 
-from calgraph.rig.naming import sensor_names
+from calgraph.config.sensor_names import sensor_names
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from ruamel.yaml.comments import CommentedSeq
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.representer import RoundTripRepresenter
 
-from calgraph.rig.atomic import write_text
+from calgraph.io.atomic import write_text
 
 
 def yaml_text(content: Mapping[str, Any], comment: str = "") -> str:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag, ink, prints
 from calgraph.geometry import Array
-from calgraph.rig import AprilGrid, Board, Charuco, Checkerboard, Tag, ink, prints
 
 BOARDS = {
     "tags": Board(size=(1, 0.8), tags=(Tag(id=0, size=0.2, center=(0.1, -0.2)), Tag(id=9, size=0.1))),

@@ -1,0 +1,24 @@
+"""rig.yaml: the sensors with their noise, the target, and how captures are marked."""
+
+from calgraph.config.board_print import Print, ink, prints
+from calgraph.config.draft import FoundTopic, Kind, draft_rig
+from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
+from calgraph.config.rig_config import (
+    CameraSpec,
+    Capture,
+    Intrinsics,
+    Lidar2dSpec,
+    Lidar3dSpec,
+    PixelNoise,
+    RangeNoise,
+    Rig,
+    SensorSpec,
+)
+from calgraph.config.rig_file import load_rig
+from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard, Cylinder, People, Tag
+
+__all__ = [
+    "FAMILIES", "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Family",
+    "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "Print",
+    "RangeNoise", "Rig", "SensorSpec", "Tag", "dictionary", "draft_rig", "ink", "load_rig",
+    "marker_count", "prints", ]  # fmt: skip
