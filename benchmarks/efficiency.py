@@ -28,12 +28,12 @@ from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.captures import Captured
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.detection import BoardCorners
+from calgraph.estimation import Estimator, Problem, Solver, cramer_rao
+from calgraph.estimation.rig.board_observations import Sighting
+from calgraph.estimation.rig.board_outlines import with_outlines
+from calgraph.estimation.rig.bundle_solver import linearize
+from calgraph.estimation.rig.estimate import build, weighed
 from calgraph.geometry import Array, se3
-from calgraph.refinement import Estimator, Problem, Solver, cramer_rao
-from calgraph.refinement.rig.boards import Sighting
-from calgraph.refinement.rig.bundle import linearize
-from calgraph.refinement.rig.bundle_adjustment import build, weighed
-from calgraph.refinement.rig.sheets import with_outlines
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
 

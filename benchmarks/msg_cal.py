@@ -13,11 +13,12 @@ import argparse
 
 import numpy as np
 
+from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate import Options, prepare, solve_problem
+from calgraph.estimation import Joint
 from calgraph.geometry import Array
 from calgraph.graph import start_poses
 from calgraph.pairwise import estimate_pairs, estimated
-from calgraph.refinement import Joint, solve_hypergraph
 from calgraph.simulation import RigScenario
 from simulated import detected, errors, poses_of
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from calgraph.calibrate import DEPTHS
 from calgraph.config import Rig
+from calgraph.diagnostics.comparison import CHANCE
+from calgraph.diagnostics.network.moved_scanners import displacements
+from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
 from calgraph.pairwise import TrackPair, estimate_network_pairs
-from calgraph.refinement.audit import CHANCE
-from calgraph.refinement.network.displacement import displacements
-from calgraph.refinement.network.planar_poses import PlanarPoses
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, build_network, network_rig, scans_of
 from network_runs import JOINT, USUAL_PEOPLE, follow, solved

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, People
+from calgraph.estimation import solve_network
 from calgraph.geometry import se2
 from calgraph.graph import Averaged, PoseGraph
-from calgraph.refinement import solve_network
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, scans_of
 from calgraph.tracking import Tracked, track_scanner
 

@@ -25,12 +25,11 @@ from scipy.optimize import OptimizeResult, least_squares
 from calgraph.calibrate import Options, prepare
 from calgraph.captures import Captured
 from calgraph.detection import BoardCorners
-from calgraph.pairwise import estimated
-from calgraph.refinement import Joint, Problem, solve_bundle
-from calgraph.refinement.rig.boards import sightings
-from calgraph.refinement.rig.bundle import solve
-from calgraph.refinement.rig.bundle_adjustment import build
-from calgraph.refinement.rig.hypergraph import believed
+from calgraph.estimation import Joint, Problem, solve_bundle
+from calgraph.estimation.rig.board_observations import sightings
+from calgraph.estimation.rig.bundle_solver import solve
+from calgraph.estimation.rig.estimate import build
+from calgraph.pairwise import estimated, selected_matches
 from calgraph.simulation import (
     CameraKnobs,
     LaserKnobs,
@@ -108,7 +107,7 @@ def joint_solution(problem: Problem) -> Joint:
 def compared(problem: Problem, repeat: int) -> str:
     """One solution of the bundle beside scipy's of the same problem: seconds, their ratio, difference in cost."""
     keep = problem.solver.keep
-    boards = sightings([(pair, believed(pair, keep)) for pair in estimated(problem.pairs)])
+    boards = sightings([(pair, selected_matches(pair, keep)) for pair in estimated(problem.pairs)])
     bundle, start = build(problem.rig, problem.captured, boards, problem.tree.T_root_sensor)
     bundle = replace(bundle, sway=np.zeros(len(bundle.names)))
     ours, solved = timed(lambda: solve(bundle, start), repeat)

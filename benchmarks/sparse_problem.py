@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from calgraph.estimation.rig.bundle_solver import Bundle, State, moved
+from calgraph.estimation.rig.normal_equations import HUBER
+from calgraph.estimation.rig.observations import relative
 from calgraph.geometry import Array, Index, so3
-from calgraph.refinement.rig.bundle import Bundle, State, moved
-from calgraph.refinement.rig.edges import relative_pose_jacobians
-from calgraph.refinement.rig.normal_equations import HUBER
-from calgraph.refinement.rig.views import relative
+from calgraph.geometry.se3 import relative_pose_jacobians
 
 
 @dataclass(frozen=True, eq=False)

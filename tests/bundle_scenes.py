@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import PixelNoise, RangeNoise
+from calgraph.estimation.rig.bundle_solver import Bundle, State
+from calgraph.estimation.rig.observations import Beams, Corners, Views, relative
 from calgraph.geometry import Array, se3, so3
-from calgraph.refinement.rig.bundle import Bundle, State
-from calgraph.refinement.rig.views import Beams, Corners, Views, relative
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[400, 0, 319.5], [0, 400, 239.5], [0, 0, 1]]), np.zeros(0))

@@ -3,9 +3,9 @@
 import numpy as np
 
 from bundle_scenes import Scene, scene
+from calgraph.estimation.rig.bundle_solver import Bundle, State, moved
+from calgraph.estimation.rig.observations import relative
 from calgraph.geometry import Array
-from calgraph.refinement.rig.bundle import Bundle, State, moved
-from calgraph.refinement.rig.views import relative
 
 
 def quiet(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:

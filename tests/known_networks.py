@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
-from calgraph.refinement.network.planar_poses import PlanarPoses
 from calgraph.result import Calibration, SensorPose, Verdict
 
 

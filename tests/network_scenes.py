@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from calgraph.estimation.network.ellipse_raycast import cast
+from calgraph.estimation.network.solver import Glimpses, Motion
+from calgraph.estimation.network.splines import Knots, evaluate
 from calgraph.geometry import Array, se2
-from calgraph.refinement.network.outlines import cast
-from calgraph.refinement.network.splines import Knots, evaluate
-from calgraph.refinement.network.trajectories import Glimpses, Motion
 
 SIGMA = 0.01
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([6.0, 1.0])), se2.pose(-1.5, np.array([3.0, 5.0]))])

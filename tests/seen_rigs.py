@@ -9,9 +9,9 @@ import numpy as np
 from calgraph.captures import Captured
 from calgraph.config import Rig
 from calgraph.detection import Detection
+from calgraph.estimation import Estimable, Joint, solve_bundle
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.refinement import Estimable, Joint, solve_bundle
 from calgraph.simulation import (
     CameraKnobs,
     LaserKnobs,

@@ -16,8 +16,8 @@ GIVES_MESSAGES = {
     "wrong",
 }  # fmt: skip
 ELSEWHERE = {
-    "refinement/rig/problem.py": "Files that calgraph wrote",
-    "refinement/rig/replay.py": "Files that calgraph wrote",
+    "estimation/rig/problem.py": "Files that calgraph wrote",
+    "estimation/rig/problem_file.py": "Files that calgraph wrote",
     "result/reading.py": "Files that calgraph wrote",
     "result/scene.py": "Files that calgraph wrote",
     "result/snapshots.py": "Files that calgraph wrote",

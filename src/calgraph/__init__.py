@@ -44,11 +44,11 @@ if TYPE_CHECKING:
         segment_seen,
     )
     from calgraph.errors import CalgraphError, CalibrationError, InputError, RecordingError
+    from calgraph.estimation import Problem, load_problem, save_problem
     from calgraph.geometry import plane, se2, se3, so3
     from calgraph.graph import Averaged, PoseGraph, average
     from calgraph.pairwise import PairwiseEstimate, estimate_pair
     from calgraph.recording import MessageRecording, open_recording, open_recordings
-    from calgraph.refinement import Problem, load_problem, save_problem
     from calgraph.report import write_report
     from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration
     from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, painted
@@ -68,7 +68,7 @@ __all__ = [
 
 _ROOMS = (
     "errors", "geometry", "sensors", "io", "config", "result", "recording", "detection", "tracking", "captures",
-    "pairwise", "graph", "refinement", "calibrate", "report",
+    "pairwise", "graph", "estimation", "baselines", "diagnostics", "calibrate", "report",
 )  # fmt: skip
 """Where names are looked for, from the bottom of the house upwards."""
 

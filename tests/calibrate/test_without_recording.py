@@ -19,9 +19,9 @@ from calgraph.detection import (
     segment_seen,
 )
 from calgraph.errors import InputError
+from calgraph.estimation import load_problem
 from calgraph.geometry import Array, se3
 from calgraph.recording import MessageRecording
-from calgraph.refinement import load_problem
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans

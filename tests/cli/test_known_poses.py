@@ -11,11 +11,11 @@ from typer.testing import Result
 
 from calgraph.calibrate import Options, prepare
 from calgraph.detection import Rejected
+from calgraph.estimation import PriorFile, RigidFile, knowing, load_problem, save_problem
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph import spanning_tree
 from calgraph.io import save_yaml
 from calgraph.pairwise import estimated
-from calgraph.refinement import PriorFile, RigidFile, knowing, load_problem, save_problem
 from calgraph.result import export, load_calibration, read_poses
 from calgraph.simulation import DetectionKnobs, RigScenario, set_stage, simulate_detections
 

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.detection import Rejected
-from calgraph.refinement import load_problem, save_problem
+from calgraph.estimation import load_problem, save_problem
 from calgraph.result import load_calibration
 
 Run = Callable[..., Result]

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.calibrate import Options, prepare
-from calgraph.refinement import save_problem
+from calgraph.estimation import save_problem
 from calgraph.simulation import CameraKnobs, LaserKnobs, RigScenario, set_stage, simulate_detections
 
 Run = Callable[..., Result]

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calgraph.baselines import solve_hypergraph
 from calgraph.captures import Captured
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import start_poses
 from calgraph.pairwise import estimate_pairs, estimated
-from calgraph.refinement import solve_hypergraph
 from calgraph.simulation import (
     CameraKnobs,
     DetectionKnobs,

@@ -8,9 +8,10 @@ from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import Options, Progress, silent
 from calgraph.calibrate.rig import solve_jointly
 from calgraph.config import Rig
+from calgraph.diagnostics import Audit, Scatter, Tolerance, assemble, audit, audit_network, resample
 from calgraph.errors import CalibrationError
+from calgraph.estimation import Problem
 from calgraph.recording import Recording
-from calgraph.refinement import Audit, Problem, Scatter, Tolerance, assemble, audit, audit_network, resample
 from calgraph.result import Calibration, KnownPoses
 
 
@@ -29,7 +30,7 @@ def verify_problem(
             f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
         )
     scatter = resample(joint.adjusted, rounds, rng, lambda done: progress("resampling", done))
-    return assemble(problem.rig, problem.captured, problem.pairs, tree, joint), scatter
+    return assemble(problem, tree, joint), scatter
 
 
 def audit_problem(
@@ -43,7 +44,7 @@ def audit_problem(
     unknowing = {"estimator": "bundle", "priors": (), "groups": ()}
     problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
     joint, tree = solve_jointly(problem)
-    calibration = assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    calibration = assemble(problem, tree, joint)
     return calibration, audit(calibration, joint.adjusted, given, tolerance)
 
 

@@ -8,19 +8,12 @@ import numpy as np
 from calgraph.calibrate.following import follow_people, scanner_noise, walking
 from calgraph.calibrate.options import Options, Progress, network_estimator, silent
 from calgraph.config import Rig
+from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, extended, without
 from calgraph.errors import CalibrationError, InputError
+from calgraph.estimation import ScannerPrior, solve_network
 from calgraph.graph import placed
 from calgraph.pairwise import Sights, estimate_network_pairs
 from calgraph.recording import Recording
-from calgraph.refinement import (
-    ScannerPrior,
-    agreed_prior,
-    assemble_network,
-    earlier_poses,
-    extended,
-    solve_network,
-    without,
-)
 from calgraph.result import Calibration
 from calgraph.tracking import Feature, Tracked, Untracked
 

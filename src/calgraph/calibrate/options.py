@@ -7,8 +7,9 @@ from typing import Any, Literal, get_args
 
 from calgraph.detection import Averaging
 from calgraph.errors import InputError
+from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, Solver
 from calgraph.graph import Method, Start
-from calgraph.refinement import Estimable, Estimator, Filter, PriorFile, RigidFile, Solver
+from calgraph.pairwise import Filter
 from calgraph.result import Calibration
 from calgraph.tracking import Feature
 

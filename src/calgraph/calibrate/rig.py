@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate.options import Options, Progress, check_estimator, rig_estimator, silent
 from calgraph.captures import (
     ActivityMeter,
@@ -23,23 +24,21 @@ from calgraph.captures import (
     thinned,
 )
 from calgraph.config import CameraSpec, Cylinder, People, Rig
+from calgraph.diagnostics import assemble, with_outlook
 from calgraph.errors import CalibrationError, InputError
-from calgraph.graph import SpanningTree, start_poses
-from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
-from calgraph.recording import Recording, read_cameras
-from calgraph.refinement import (
+from calgraph.estimation import (
     Joint,
     Problem,
     Solver,
-    assemble,
     attached,
     knowing,
     replayable,
     save_problem,
     solve_bundle,
-    solve_hypergraph,
-    with_outlook,
 )
+from calgraph.graph import SpanningTree, start_poses
+from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
+from calgraph.recording import Recording, read_cameras
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, Record
 
@@ -154,7 +153,7 @@ def prepare(
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
     joint, tree = solve_jointly(problem)
-    rig, calibration = problem.rig, assemble(problem.rig, problem.captured, problem.pairs, tree, joint)
+    rig, calibration = problem.rig, assemble(problem, tree, joint)
     if joint.adjusted is None:
         return calibration
     # The boards that are tried need no seed of the user's: any draw of so many serves.

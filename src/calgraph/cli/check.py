@@ -24,7 +24,8 @@ from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, KnownPoses, read_poses
 
 if TYPE_CHECKING:
-    from calgraph.refinement import Audit, Misfit, Problem, Tolerance
+    from calgraph.diagnostics import Audit, Misfit, Tolerance
+    from calgraph.estimation import Problem
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
 """Sign for each outcome: colour is never the only one."""
@@ -63,7 +64,7 @@ def check(
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
     """
-    from calgraph.refinement import Tolerance  # takes seconds, which --help should not
+    from calgraph.diagnostics import Tolerance
 
     if not (min(tolerance) > 0 and np.isfinite(tolerance).all()):
         raise InputError(
@@ -103,7 +104,7 @@ def _audited(
 def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
     from calgraph import calibrate as story
-    from calgraph.refinement import check_problem, load_problem
+    from calgraph.estimation import check_problem, load_problem
 
     if any(file.suffix == ".npz" and file.is_file() for file in recordings):
         if len(recordings) > 1:

@@ -12,7 +12,7 @@ from calgraph.errors import InputError
 from calgraph.result import read_poses
 
 if TYPE_CHECKING:
-    from calgraph.refinement import PriorFile, RigidFile
+    from calgraph.estimation import PriorFile, RigidFile
 
 PriorOption = Annotated[
     Path | None,
@@ -48,7 +48,7 @@ def known_files(
     Raises:
         InputError: an option, or a file, is wrong.
     """
-    from calgraph.refinement import PriorFile, RigidFile  # takes seconds, which --help should not
+    from calgraph.estimation import PriorFile, RigidFile
 
     if stddev is not None and prior is None:
         raise InputError("--prior-stddev: goes with --prior")

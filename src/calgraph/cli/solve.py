@@ -43,7 +43,7 @@ def solve(
     Exit codes are those of calibrate.
     """
     from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
-    from calgraph.refinement import knowing, load_problem, replayable
+    from calgraph.estimation import knowing, load_problem, replayable
 
     known, groups = known_files(prior, prior_stddev, rigid)
     problem = load_problem(file)

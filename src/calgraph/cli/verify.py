@@ -20,7 +20,8 @@ from calgraph.recording import open_recordings, with_intrinsics
 
 if TYPE_CHECKING:
     from calgraph.calibrate import Progress
-    from calgraph.refinement import Problem, Scatter
+    from calgraph.diagnostics import Scatter
+    from calgraph.estimation import Problem
 
 _FORMAT = "calgraph-verify/1"
 _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}
@@ -63,7 +64,7 @@ def verify(
 def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
     """The joint problem in a dump, or that of a recording."""
     from calgraph import calibrate as story
-    from calgraph.refinement import load_problem
+    from calgraph.estimation import load_problem
 
     if len(files) == 1:
         if files[0].suffix in (".yaml", ".yml"):
@@ -77,7 +78,7 @@ def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
 
 def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> str:
     """All numbers, m and rad."""
-    from calgraph.refinement import CONFIDENCE, axis_names
+    from calgraph.diagnostics import CONFIDENCE, axis_names
 
     sensors: dict[str, Any] = {
         name: {
@@ -100,7 +101,7 @@ def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: in
 
 def _print(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> None:
     """A row a sensor and axis, then the verdicts."""
-    from calgraph.refinement import CONFIDENCE, axis_names
+    from calgraph.diagnostics import CONFIDENCE, axis_names
 
     paper = console()
     paper.print(f"[bold]Scatter over {rounds} draws of the captures, and what the covariances say[/]")

@@ -68,15 +68,21 @@ def inverse_covariance(T_a_b: Array, cov_a_b: Array) -> Array:
     return np.asarray(J @ cov_a_b @ J.T)
 
 
-def relative_covariance(T_r_a: Array, T_r_b: Array, joint: Array) -> Array:
-    """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a, from the joint one (12, 12) of T_r_a and T_r_b.
+def relative_pose_jacobians(T_r_a: Array, T_r_b: Array) -> tuple[Array, Array]:
+    """Derivatives (..., 6, 6) of ``T_a_b`` in the fixed axes of a, by ``T_r_a`` and by ``T_r_b`` in those of r.
 
     To first order, errors (t, phi) of both poses at positions p, in the fixed axes of r, give the rotation error
     ``R_a_r @ (phi_b - phi_a)`` and the translation error ``R_a_r @ (t_b - t_a + (p_b - p_a) x phi_a)``.
     """
-    R_a_r = T_r_a[:3, :3].T
-    J = np.zeros((6, 12))
-    J[:3, 6:9] = J[3:, 9:] = R_a_r
-    J[:3, :3] = J[3:, 3:6] = -R_a_r
-    J[:3, 3:6] = R_a_r @ so3.hat(T_r_b[:3, 3] - T_r_a[:3, 3])
+    R_a_r = np.swapaxes(T_r_a[..., :3, :3], -1, -2)
+    by_a, by_b = np.zeros((2, *T_r_a.shape[:-2], 6, 6))
+    by_b[..., :3, :3] = by_b[..., 3:, 3:] = R_a_r
+    by_a[..., :3, :3] = by_a[..., 3:, 3:] = -R_a_r
+    by_a[..., :3, 3:] = R_a_r @ so3.hat(T_r_b[..., :3, 3] - T_r_a[..., :3, 3])
+    return by_a, by_b
+
+
+def relative_covariance(T_r_a: Array, T_r_b: Array, joint: Array) -> Array:
+    """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a, from the joint one (12, 12) of T_r_a and T_r_b."""
+    J = np.concatenate(relative_pose_jacobians(T_r_a, T_r_b), axis=-1)
     return np.asarray(J @ joint @ J.T)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,10 @@ _OPEN = 0.1
 # scatter), and it is another one if turned by more than this, rad.
 _ALIKE = 12.0
 _ELSEWHERE = np.radians(5)
+
+
+Filter = Literal["ransac", "none"]
+"""Which matches a joint solution uses: those that agree (ransac), or the first candidates of every capture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,3 +177,10 @@ def information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
     chi2 = float(np.einsum("mk,mkl,ml->", r, W, r))
     freedom = max(r.size - 6, 1)
     return np.asarray(H / max(1.0, chi2 / freedom))
+
+
+def selected_matches(pair: PairwiseEstimate, keep: Filter) -> NDArray[np.bool_]:
+    """(M,) which of a pair's matches a joint solution uses."""
+    if keep == "ransac":
+        return pair.inliers
+    return np.asarray((pair.matches[:, 1] == 0) & (pair.matches[:, 2] == 0))

@@ -1,0 +1,193 @@
+"""Sparse Levenberg–Marquardt on manifolds. It knows blocks of variables and whitened residuals, and no sensor."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+
+from calgraph.errors import CalibrationError
+from calgraph.estimation.damping import Damping
+from calgraph.geometry import Array
+
+Values = Mapping[str, Array]
+"""Arrays of variables by block name; the first axis counts the variables of a block."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """One kind of variable."""
+
+    dim: int
+    """Size of its tangent space."""
+    retract: Callable[[Array, Array], Array]
+    """Values (M, ...) and tangent vectors (M, dim) to values."""
+    fixed: tuple[int, ...] = ()
+    """Variables that are known and do not move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """Derivatives of M residuals by one variable each."""
+
+    block: str
+    index: NDArray[np.intp]
+    """(M,) which variable of the block."""
+    jacobian: Array
+    """(M, k, dim)."""
+
+
+class Factor(Protocol):
+    """M residuals of one kind, each of k numbers."""
+
+    @property
+    def name(self) -> str:
+        """Kind of the residuals, for reports."""
+
+    def linearize(self, values: Values) -> tuple[Array, Sequence[Term]]:
+        """Whitened residuals (M, k) and their derivatives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the solver stopped."""
+
+    values: Values
+    cost: float
+    """Half the sum of squared whitened residuals."""
+    iterations: int
+    converged: bool
+
+
+def solve(
+    values: Values, blocks: Mapping[str, Block], factors: Sequence[Factor], *, iterations: int = 50
+) -> Solution:
+    """Minimises half the sum of squared residuals of all factors.
+
+    Args:
+        values: start values of every block.
+        blocks: what kind of variable each block is.
+        factors: the residuals.
+        iterations: steps at most, rejected ones included.
+
+    Returns:
+        The minimum found; ``converged`` is False if it was still moving after the last step.
+
+    Raises:
+        CalibrationError: the residuals are not finite at the start.
+    """
+    offsets, size = _offsets(values, blocks)
+    cost, H, g = _normal_equations(values, offsets, size, factors)
+    if not np.isfinite(cost):
+        raise CalibrationError("the start values give residuals that are not finite")
+    damping = Damping(1e-4)
+    for iteration in range(1, iterations + 1):
+        diagonal = H.diagonal()
+        # Marquardt's scaling, floored so that a direction no residual sees is damped too.
+        scaled = scipy.sparse.diags(damping.value * np.maximum(diagonal, 1e-6 * diagonal.max()))
+        step = -scipy.sparse.linalg.splu((H + scaled).tocsc()).solve(g)
+        trial = _moved(values, blocks, offsets, step)
+        trial_cost, trial_H, trial_g = _normal_equations(trial, offsets, size, factors)
+        predicted = 0.5 * float(step @ (scaled @ step - g))
+        gain = (cost - trial_cost) / max(predicted, 1e-300)
+        if gain > 0:
+            done = cost - trial_cost <= 1e-10 * cost + 1e-14
+            values, cost, H, g = trial, trial_cost, trial_H, trial_g
+            damping = damping.eased(gain)
+        else:
+            done = predicted <= 1e-10 * cost + 1e-14
+            damping = damping.raised()
+        if done:
+            return Solution(values, cost, iteration, converged=True)
+    return Solution(values, cost, iterations, converged=False)
+
+
+def marginal_covariance(
+    values: Values, blocks: Mapping[str, Block], factors: Sequence[Factor], block: str, prior: Array
+) -> Array:
+    """Covariance of all free variables of one block, the others marginalised out.
+
+    Args:
+        values: the solution.
+        blocks: what kind of variable each block is.
+        factors: the residuals.
+        block: the block whose covariance is asked for.
+        prior: (dim,) standard deviations that a variable of the block is believed to have without any data: the
+            answer along directions that no residual sees.
+
+    Returns:
+        (M·dim, M·dim) in the order of the block's variables; zero for fixed ones.
+    """
+    offsets, size = _offsets(values, blocks)
+    _, H, _ = _normal_equations(values, offsets, size, factors)
+    dim = blocks[block].dim
+    free = offsets[block][offsets[block] >= 0]
+    columns = (free[:, None] + np.arange(dim)).ravel()
+    believed = np.zeros(size)
+    believed[columns] = np.tile(1 / prior**2, len(free))
+    # Variables that no residual touches must not make the system singular.
+    believed += 1e-12 * H.diagonal().max()
+    selector = scipy.sparse.csc_matrix(
+        (np.ones(len(columns)), (columns, np.arange(len(columns)))), shape=(size, len(columns))
+    )
+    found = scipy.sparse.linalg.splu((H + scipy.sparse.diags(believed)).tocsc()).solve(selector.toarray())[columns]
+    position = (np.flatnonzero(offsets[block] >= 0)[:, None] * dim + np.arange(dim)).ravel()
+    covariance = np.zeros((len(offsets[block]) * dim,) * 2)
+    covariance[np.ix_(position, position)] = (found + found.T) / 2
+    return covariance
+
+
+def _offsets(values: Values, blocks: Mapping[str, Block]) -> tuple[dict[str, NDArray[np.intp]], int]:
+    """Position of every variable in the stacked tangent vector, -1 for fixed ones; and that vector's length."""
+    offsets: dict[str, NDArray[np.intp]] = {}
+    size = 0
+    for name, block in blocks.items():
+        free = np.ones(len(values[name]), dtype=bool)
+        free[list(block.fixed)] = False
+        position = np.full(len(free), -1, dtype=np.intp)
+        position[free] = size + block.dim * np.arange(free.sum())
+        offsets[name] = position
+        size += block.dim * int(free.sum())
+    return offsets, size
+
+
+def _normal_equations(
+    values: Values, offsets: Mapping[str, NDArray[np.intp]], size: int, factors: Sequence[Factor]
+) -> tuple[float, scipy.sparse.csc_matrix, Array]:
+    """Cost, JᵀJ and Jᵀr."""
+    cost, gradient = 0.0, np.zeros(size)
+    rows, columns, entries = [], [], []
+    for factor in factors:
+        r, terms = factor.linearize(values)
+        cost += 0.5 * float(np.sum(r**2))
+        for first in terms:
+            at_first = offsets[first.block][first.index]
+            free = at_first >= 0
+            index = at_first[free, None] + np.arange(first.jacobian.shape[2])
+            np.add.at(gradient, index, np.einsum("mki,mk->mi", first.jacobian[free], r[free]))
+            for second in terms:
+                both = free & (offsets[second.block][second.index] >= 0)
+                i = at_first[both, None] + np.arange(first.jacobian.shape[2])
+                j = offsets[second.block][second.index][both, None] + np.arange(second.jacobian.shape[2])
+                products = np.einsum("mki,mkj->mij", first.jacobian[both], second.jacobian[both])
+                rows.append(np.broadcast_to(i[:, :, None], products.shape).ravel())
+                columns.append(np.broadcast_to(j[:, None, :], products.shape).ravel())
+                entries.append(products.ravel())
+    triplets = (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns)))
+    return cost, scipy.sparse.coo_matrix(triplets, shape=(size, size)).tocsc(), gradient
+
+
+def _moved(
+    values: Values, blocks: Mapping[str, Block], offsets: Mapping[str, NDArray[np.intp]], step: Array
+) -> dict[str, Array]:
+    """The values after a step; fixed variables stay."""
+    moved = {}
+    for name, block in blocks.items():
+        free = offsets[name] >= 0
+        delta = np.zeros((len(free), block.dim))
+        delta[free] = step[offsets[name][free, None] + np.arange(block.dim)]
+        moved[name] = block.retract(values[name], delta)
+    return moved

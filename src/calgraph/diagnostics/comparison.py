@@ -1,0 +1,198 @@
+"""How far given poses are from those that a recording gives, by sensor and axis, in numbers and in words."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.special import chdtri, ndtri
+
+from calgraph.diagnostics.verdict import axis_names
+from calgraph.geometry import Array, se3
+from calgraph.result import Calibration, KnownPoses
+
+Outcome = Literal["pass", "warn", "fail"]
+_SEVERITY: Sequence[Outcome] = ("pass", "warn", "fail")
+
+# Chance of calling a sensor that is where it should be significantly off.
+CHANCE = 1e-3
+_LIMIT, _WIDTH = float(chdtri(6, CHANCE)), float(-ndtri(CHANCE / 2))
+# Nobody states poses more precisely than this, m and rad.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What may be off without harm."""
+
+    position: float = 0.01
+    """m."""
+    rotation: float = float(np.radians(0.3))
+    """rad."""
+
+
+@dataclass(frozen=True)
+class AxisAudit:
+    """A sensor's pose along, or about, one of its own axes."""
+
+    axis: str
+    offset: float
+    """Given minus found, m or rad."""
+    stddev: float
+    """Of what was found, and of what is given where that is known, m or rad."""
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far a sensor's measurements are from the boards, under two sets of extrinsics."""
+
+    unit: Literal["px", "m"]
+    given: float
+    """Root mean square, corners in x and y, ranges along the beam; infinite where boards cannot even be placed."""
+    found: float
+
+
+@dataclass(frozen=True)
+class SensorAudit:
+    """What a recording says of one sensor's given pose."""
+
+    sensor: str
+    outcome: Outcome
+    reason: str
+    """What is wrong, or cannot be told; empty for a pass."""
+    distance: float
+    """Mahalanobis distance of the given pose from the one found; NaN where there is none."""
+    axes: tuple[AxisAudit, ...] = ()
+    """x, y, z, and rotations about them; empty where poses cannot be compared."""
+    misfit: Misfit | None = None
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What a recording says of given extrinsics."""
+
+    reference: str
+    """The sensor whose frame the others are compared in: the root, or one from which fewer seem to have moved."""
+    sensors: tuple[SensorAudit, ...]
+    """All but the reference."""
+    misfit: Misfit | None
+    """Of the reference."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """The worst of all sensors."""
+        return _worst([sensor.outcome for sensor in self.sensors])
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Sensors that fail."""
+        return tuple(sensor.sensor for sensor in self.sensors if sensor.outcome == "fail")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Given extrinsics beside those that a recording gives."""
+
+    found: Calibration
+    given: KnownPoses
+    frames: Mapping[str, str]
+    """By sensor that the file knows, its frame there; the root is among them."""
+    tolerance: Tolerance
+
+    @property
+    def T_root_sensor(self) -> dict[str, Array]:
+        """(4, 4) by sensor, as given."""
+        return {name: self.given.transform(self.frames[self.found.root], own) for name, own in self.frames.items()}
+
+    def seen_from(self, reference: str, misfits: Mapping[str, Misfit]) -> Audit:
+        """The given poses of all sensors in the frame of one, against those found there."""
+        sensors = []
+        for sensor in self.found.sensors:
+            if sensor.name == reference:
+                continue
+            if sensor.name not in self.frames:
+                reason = f"{self.given.path} has neither a frame {sensor.frame_id} nor one called {sensor.name}"
+                sensors.append(SensorAudit(sensor.name, "warn", reason, float("nan")))
+                continue
+            own = self._judged(reference, sensor.name)
+            if sensor.verdict.grade != "good" and own.outcome != "fail":
+                parts = [part for part in (own.reason, sensor.verdict.reason) if part]
+                own = replace(own, outcome="warn", reason="; ".join(parts))
+            sensors.append(replace(own, misfit=misfits.get(sensor.name)))
+        alone = [SensorAudit(name, "warn", why, float("nan")) for name, why in self.found.unconnected.items()]
+        return Audit(reference, (*sensors, *alone), misfits.get(reference))
+
+    def _judged(self, reference: str, name: str) -> SensorAudit:
+        """One sensor's given pose against the one found, in its own axes as found."""
+        found, of_both = self.found, (self.frames[reference], self.frames[name])
+        T_given, T_found = self.given.transform(*of_both), found.transform(reference, name)
+        to_own = np.kron(np.eye(2), T_found[:3, :3].T)
+        offset = to_own @ se3.difference(T_given, T_found)
+        spread = found.covariance(reference, name) + self.given.covariance(*of_both)
+        covariance = to_own @ spread @ to_own.T + _ROUNDING**2 * np.eye(6)
+        allowed = np.repeat([self.tolerance.position, self.tolerance.rotation], 3)
+        outcomes = _outcomes(offset, covariance, allowed)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        distance = float(np.linalg.norm(whiten @ offset))
+        axes = tuple(
+            AxisAudit(axis, float(x), float(s), outcome)
+            for axis, x, s, outcome in zip(
+                axis_names(found[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
+            )
+        )
+        outcome = _worst([*outcomes, "warn" if distance**2 > _LIMIT else "pass"])
+        return SensorAudit(name, outcome, _reason(axes, allowed, distance), distance, axes)
+
+
+def compare(found: Calibration, given: KnownPoses, tolerance: Tolerance | None) -> Comparison:
+    """Looks up in given extrinsics what a recording has found.
+
+    Raises:
+        InputError: the root or all other sensors are not in the file.
+    """
+    frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
+    given.frame(found.root, frame_ids)
+    return Comparison(found, given, given.frames_of(frame_ids), tolerance or Tolerance())
+
+
+def _outcomes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]:
+    """What is to be said of each axis."""
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    width = _WIDTH * np.sqrt(np.diag(covariance))
+    far, beyond = np.abs(offset) > width, np.abs(offset) > allowed
+    significant = float(np.sum((whiten @ offset) ** 2)) > _LIMIT
+    failed = significant & far & beyond
+    # Axes may be uncertain each, and sure together: then no pose within the tolerance may be likely.
+    nearest = lsq_linear(whiten, whiten @ offset, (-allowed, allowed))
+    if not failed.any() and 2 * nearest.cost > _LIMIT:
+        failed = beyond
+    doubtful = (significant & far) | (width > allowed)
+    return ["fail" if bad else "warn" if doubt else "pass" for bad, doubt in zip(failed, doubtful, strict=True)]
+
+
+def _reason(axes: Sequence[AxisAudit], allowed: Array, distance: float) -> str:
+    """What is to be said of the axes that do not pass."""
+    parts = []
+    for i, (axis, limit) in enumerate(zip(axes, allowed, strict=True)):
+        off = f"{axis.axis} {size(axis.offset, i, sign=True)} ±{size(axis.stddev, i)}"
+        if axis.outcome == "fail":
+            parts.append(f"{off}, beyond {size(limit, i)}")
+        elif axis.outcome == "warn" and _WIDTH * axis.stddev > limit:
+            parts.append(f"{axis.axis} cannot be told: ±{size(axis.stddev, i)}")
+        elif axis.outcome == "warn":
+            parts.append(f"{off}: significant, but within {size(limit, i)}")
+    if not parts and distance**2 > _LIMIT:
+        parts.append(f"{distance:.1f} standard deviations off in all axes together, but within the tolerance")
+    return "; ".join(parts)
+
+
+def size(value: float, axis: int, *, sign: bool = False) -> str:
+    """A displacement along (mm) or about (degrees) one of six axes, in words."""
+    shown, unit, digits = (1000 * value, " mm", 1) if axis < 3 else (float(np.degrees(value)), "°", 2)
+    return f"{shown:{'+' if sign else ''}.{digits}f}{unit}"
+
+
+def _worst(outcomes: Sequence[Outcome]) -> Outcome:
+    return max(outcomes, key=_SEVERITY.index, default="pass")

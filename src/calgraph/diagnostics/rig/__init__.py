@@ -1,0 +1,1 @@
+"""Rigs with a board."""

@@ -1,0 +1,1 @@
+"""Networks of 2-D scanners."""

@@ -1,0 +1,167 @@
+"""What a bundle may estimate besides poses: range biases, intrinsics, and the places of tags on their boards."""
+
+import logging
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
+from operator import itemgetter
+from typing import Literal
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.detection import landmarks
+from calgraph.detection.landmarks import Landmarks
+from calgraph.errors import InputError
+from calgraph.estimation.rig.bundle_solver import Bundle, State, System, Unknown
+from calgraph.estimation.rig.covariances import reduced_covariance
+from calgraph.estimation.rig.observations import Beams, Corners, Views
+from calgraph.geometry import Array, Index
+from calgraph.result import Estimated
+from calgraph.sensors import CameraModel
+
+Estimable = Literal["range_bias", "intrinsics", "tags"]
+
+# How far off values that are stated may be, as standard deviations: range biases, m; focal lengths, as a share;
+# principal points, as a share of the picture; coefficients of a distortion; tags on their board, m and rad.
+_BIAS, _FOCAL, _PRINCIPAL, _DISTORTION, _TAG, _TAG_ANGLE = 0.1, 0.1, 0.05, 0.3, 0.03, 0.05
+_COEFFICIENTS = {
+    "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+_NO_TAG = (-1, -1)
+# What is known hardly better than beforehand was not measured.
+_TOLD = 0.5
+
+Tags = dict[tuple[int, int], Array]
+"""Corners (4, 3) by board and id."""
+
+_log = logging.getLogger(__name__)
+
+
+def with_unknowns(
+    bundle: Bundle, state: State, rig: Rig, board_of: Index, estimate: Sequence[Estimable]
+) -> tuple[Bundle, State]:
+    """The bundle and its start with what is to be estimated besides poses.
+
+    Args:
+        bundle: without unknowns.
+        state: its start.
+        rig: what the sensors saw.
+        board_of: (C,) which of the rig's boards each board is; those that no camera saw may be any.
+        estimate: which; the order does not matter.
+
+    Raises:
+        InputError: no sensor has such an unknown.
+    """
+    if "range_bias" in estimate:
+        bundle = _with_biases(bundle)
+    if "intrinsics" in estimate:
+        bundle = _with_intrinsics(bundle)
+    if "tags" in estimate:
+        bundle = _with_tags(bundle, rig, board_of)
+    return bundle, replace(state, own=np.array([one.start for one in bundle.unknowns]))
+
+
+def estimated_values(bundle: Bundle, state: State, system: System) -> tuple[Estimated, ...]:
+    """The unknowns besides poses, with their standard deviations."""
+    own = np.diag(reduced_covariance(system))[6 * bundle.bodies :]
+    found = tuple(
+        Estimated(
+            one.of,
+            one.quantity,
+            one.unit,
+            one.start,
+            float(value),
+            float(stddev),
+            bool(stddev < _TOLD * one.belief),
+        )
+        for one, value, stddev in zip(bundle.unknowns, state.own, np.sqrt(own), strict=True)
+        # Where outlines are seen is a nuisance, which nobody asked for.
+        if one.sensors[0] < len(bundle.names)
+    )
+    for one in found:
+        if not one.measured:
+            _log.warning(
+                "%s of %s is told by no capture: %.4g ± %.2g %s; do not rely on it", one.quantity, one.of,
+                one.value, one.stddev, one.unit,
+            )  # fmt: skip
+    return found
+
+
+def _with_biases(bundle: Bundle) -> Bundle:
+    views: list[Views] = list(bundle.views)
+    unknowns: list[Unknown] = []
+    for s, own in enumerate(bundle.views):
+        if isinstance(own, Beams):
+            views[s] = replace(own, unknowns=1)
+            unknowns.append(Unknown(bundle.names[s], "range bias", "m", 0.0, _BIAS, (s,)))
+    return _extended(bundle, views, unknowns, "range_bias: no scanner")
+
+
+def _with_intrinsics(bundle: Bundle) -> Bundle:
+    views: list[Views] = list(bundle.views)
+    unknowns: list[Unknown] = []
+    for s, own in enumerate(bundle.views):
+        if isinstance(own, Corners):
+            views[s] = replace(own, intrinsics=True)
+            unknowns += _intrinsics(bundle.names[s], s, own.camera)
+    return _extended(bundle, views, unknowns, "intrinsics: no camera")
+
+
+def _intrinsics(name: str, sensor: int, camera: CameraModel) -> Iterator[Unknown]:
+    quantities = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[camera.model])[: len(camera.intrinsics)]
+    beliefs = [*(_FOCAL * camera.focal), _PRINCIPAL * camera.width, _PRINCIPAL * camera.height]
+    beliefs += [_DISTORTION] * len(camera.distortion)
+    for i, (quantity, belief) in enumerate(zip(quantities, beliefs, strict=True)):
+        yield Unknown(name, quantity, "px" if i < 4 else "", float(camera.intrinsics[i]), float(belief), (sensor,))
+
+
+def _with_tags(bundle: Bundle, rig: Rig, board_of: Index) -> Bundle:
+    """Tags may be off their places, but one of each board, the one seen most often: it is where the board is."""
+    cameras = {s: own for s, own in enumerate(bundle.views) if isinstance(own, Corners)}
+    printed = [_tags(which, landmarks(board)) for which, board in enumerate(rig.boards)]
+    on = {s: _tag_of_corners(own, board_of, printed) for s, own in cameras.items()}
+    seen = Counter(key for keys in on.values() for key in keys if key != _NO_TAG)
+    by_board = groupby(sorted(seen), key=itemgetter(0))
+    fixed = {max(keys, key=lambda key: seen[key]) for _, keys in by_board}
+    free = [key for tags in printed for key in tags if key in seen and key not in fixed]
+    number = {key: i for i, key in enumerate(free)}
+    centers = np.array([printed[key[0]][key].mean(axis=0)[:2] for key in free]).reshape(-1, 2)
+    views: list[Views] = list(bundle.views)
+    for s, own in cameras.items():
+        tag = np.array([number.get(key, -1) for key in on[s]], dtype=np.intp)
+        views[s] = replace(own, tags=centers, tag=tag)
+    names = [f"tag {key[1]}" + (f" of board {key[0] + 1}" if len(printed) > 1 else "") for key in free]
+    unknowns = [
+        Unknown(name, quantity, unit, 0.0, belief, tuple(cameras))
+        for name in names
+        for quantity, unit, belief in (("x", "m", _TAG), ("y", "m", _TAG), ("rotation", "rad", _TAG_ANGLE))
+    ]
+    return _extended(bundle, views, unknowns, "tags: no camera saw two tags of one board")
+
+
+def _tags(board: int, marks: Landmarks) -> Tags:
+    """The tags of a board; none where its marks are single corners."""
+    if marks.corners.shape[1] == 1:
+        return {}
+    return {(board, int(i)): corners for i, corners in zip(marks.ids, marks.corners, strict=True)}
+
+
+def _tag_of_corners(views: Corners, board_of: Index, printed: Sequence[Tags]) -> list[tuple[int, int]]:
+    """By corner, the tag that it is of; ``_NO_TAG`` for those of none."""
+    places = {
+        (key[0], *corner.tolist()): key for tags in printed for key, corners in tags.items() for corner in corners
+    }
+    board = np.repeat(board_of[views.board], np.diff(views.start, append=len(views.pixels)))
+    return [
+        places.get((int(b), *corner), _NO_TAG)
+        for b, corner in zip(board, views.corners_board.tolist(), strict=True)
+    ]
+
+
+def _extended(bundle: Bundle, views: Sequence[Views], unknowns: Sequence[Unknown], none: str) -> Bundle:
+    if not unknowns:
+        raise InputError(f"--estimate {none}")
+    return replace(bundle, views=tuple(views), unknowns=(*bundle.unknowns, *unknowns))

@@ -1,0 +1,186 @@
+"""Poses that are known before anything is measured: softly (priors), or exactly to each other (rigid groups)."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from calgraph.captures import Captured
+from calgraph.config import Rig
+from calgraph.config.strict_model import StrictModel
+from calgraph.errors import InputError
+from calgraph.estimation.rig.bundle_solver import Bundle, Prior, State, stacked
+from calgraph.geometry import Array, Index, se3
+from calgraph.graph import SpanningTree, grown
+from calgraph.pairwise import PairwiseEstimate
+from calgraph.result import KnownPoses
+
+Row4 = tuple[float, float, float, float]
+Row6 = tuple[float, float, float, float, float, float]
+
+
+class PosePrior(StrictModel):
+    """A sensor's pose, and how sure it is."""
+
+    sensor: str
+    T_root_sensor: tuple[Row4, Row4, Row4, Row4]
+    covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+    """Of its error in the root's fixed axes, (translation, rotation), m and rad."""
+    source: str
+    """Who says so."""
+
+
+class RigidGroup(StrictModel):
+    """Sensors that are fixed to each other exactly as stated, two or more of them."""
+
+    T_group_sensor: dict[str, tuple[Row4, Row4, Row4, Row4]]
+    """By sensor; the frame is that of any of them."""
+    source: str
+    """Who says so."""
+
+    def carried(self, by: str, T_root_by: Array) -> Iterator[tuple[str, Array]]:
+        """All sensors with their ``T_root_sensor`` (4, 4), if one of them is where it is said to be."""
+        T_by_group = se3.inverse(np.array(self.T_group_sensor[by]))
+        for name, T_group_sensor in self.T_group_sensor.items():
+            yield name, T_root_by @ T_by_group @ np.array(T_group_sensor) if name != by else T_root_by
+
+
+@dataclass(frozen=True, eq=False)
+class PriorFile:
+    """A file whose poses are priors of all sensors that it knows."""
+
+    poses: KnownPoses
+    stddev: tuple[float, float] | None = None
+    """Of every coordinate of a position (m) and of every rotation (rad), 0 and 0 for a pose that is exact; without
+    them the file's own covariances are taken."""
+
+
+@dataclass(frozen=True)
+class RigidFile:
+    """A file that says how some sensors are fixed to each other."""
+
+    poses: KnownPoses
+    sensors: tuple[str, ...]
+
+
+def frame_id(sensor: str, rig: Rig, captured: Captured) -> str:
+    """The frame of a sensor: rig.yaml's, else that of its messages, else its name."""
+    return rig.sensors[sensor].frame_id or captured.frames[sensor] or sensor
+
+
+def known_poses(
+    rig: Rig, captured: Captured, prior: PriorFile | None, rigid: Sequence[RigidFile]
+) -> tuple[tuple[PosePrior, ...], tuple[RigidGroup, ...]]:
+    """What files say of a rig's sensors, as plain data.
+
+    Raises:
+        InputError: a file does not know a sensor that it has to, does not say how sure it is, or a sensor is fixed
+            to two groups.
+    """
+    frames = {name: frame_id(name, rig, captured) for name in rig.sensors}
+    groups = [_group(file.poses, file.sensors, frames) for file in rigid]
+    priors: list[PosePrior] = []
+    if prior is not None:
+        found = prior.poses.frames_of(frames)
+        root = prior.poses.frame(rig.root, frames)
+        if prior.stddev == (0, 0):
+            groups.append(_group(prior.poses, (rig.root, *(n for n in found if n != rig.root)), frames))
+        else:
+            priors = [_prior(prior, name, root, frame) for name, frame in found.items() if name != rig.root]
+    _check_groups(groups, rig)
+    return tuple(priors), tuple(groups)
+
+
+def attached(
+    tree: SpanningTree,
+    estimates: Sequence[PairwiseEstimate],
+    priors: Sequence[PosePrior],
+    groups: Sequence[RigidGroup],
+) -> SpanningTree:
+    """The tree with sensors that only what is known beforehand ties to it, and what captures tie to those."""
+    by_group = (
+        (name, by, T)
+        for group in groups
+        for by in tree.T_root_sensor
+        if by in group.T_group_sensor
+        for name, T in group.carried(by, tree.T_root_sensor[by])
+    )
+    by_prior = ((prior.sensor, tree.root, np.array(prior.T_root_sensor)) for prior in priors)
+    for name, parent, T in chain(by_group, by_prior):
+        if name not in tree.T_root_sensor:
+            further = SpanningTree(tree.root, {**tree.parents, name: parent}, {**tree.T_root_sensor, name: T})
+            return attached(grown(further, estimates), estimates, priors, groups)
+    return tree
+
+
+def with_groups(state: State, names: Sequence[str], groups: Sequence[RigidGroup]) -> State:
+    """The state with sensors of a group as it says: they follow the one that was placed first."""
+    poses = dict(zip(names, state.T_root_sensor, strict=True))
+    for group in groups:
+        by = next((name for name in names if name in group.T_group_sensor), None)
+        if by is not None:
+            poses |= {name: T for name, T in group.carried(by, poses[by]) if name in poses}
+    return replace(state, T_root_sensor=stacked([poses[name] for name in names]))
+
+
+def with_known(bundle: Bundle, priors: Sequence[PosePrior], groups: Sequence[RigidGroup]) -> Bundle:
+    """The bundle with what is known of its sensors."""
+    known = tuple(
+        Prior(bundle.names.index(p.sensor), np.array(p.T_root_sensor), np.linalg.inv(np.array(p.covariance)))
+        for p in priors
+    )
+    return replace(bundle, body=bodies(bundle.names, groups), priors=known)
+
+
+def free(bundle: Bundle) -> Bundle:
+    """The bundle with nothing known; sensors that saw no board with another one stay where they start."""
+    tied = np.array([len(views.board) > 0 for views in bundle.views])
+    tied[0] = False
+    return replace(bundle, body=np.where(tied, np.cumsum(tied), 0), priors=())
+
+
+def bodies(names: Sequence[str], groups: Sequence[RigidGroup]) -> Index:
+    """(S,) number of the rigid body that each sensor is on, in the order of their first sensors."""
+    group_of = {name: i for i, group in enumerate(groups) for name in group.T_group_sensor}
+    label = [("group", group_of[name]) if name in group_of else ("sensor", i) for i, name in enumerate(names)]
+    number = {body: i for i, body in enumerate(dict.fromkeys(label))}
+    return np.array([number[body] for body in label], dtype=np.intp)
+
+
+def _group(poses: KnownPoses, sensors: Sequence[str], frames: Mapping[str, str]) -> RigidGroup:
+    unknown = [name for name in sensors if name not in frames]
+    if unknown:
+        raise InputError(
+            f"there is no sensor {', '.join(unknown)} to be in a rigid group; rig.yaml has {', '.join(frames)}"
+        )
+    if len(set(sensors)) < 2:
+        raise InputError(f"a rigid group needs two sensors at least, got {', '.join(sensors) or 'none'}")
+    first, *others = (poses.frame(name, frames) for name in sensors)
+    T: dict[str, Array] = {sensors[0]: np.eye(4)} | {
+        name: poses.transform(first, frame) for name, frame in zip(sensors[1:], others, strict=True)
+    }
+    return RigidGroup(T_group_sensor={name: T_a_b.tolist() for name, T_a_b in T.items()}, source=str(poses.path))
+
+
+def _prior(file: PriorFile, name: str, root: str, frame: str) -> PosePrior:
+    if file.stddev is None:
+        covariance = file.poses.covariance(root, frame)
+    else:
+        covariance = np.diag(np.repeat(np.square(file.stddev), 3))
+    if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise InputError(
+            f"{file.poses.path}: does not say how sure it is of {name}: give standard deviations in m and "
+            "degrees, both above 0, or 0 0 for poses that are exact"
+        )
+    T_root_sensor = file.poses.transform(root, frame).tolist()
+    return PosePrior(
+        sensor=name, T_root_sensor=T_root_sensor, covariance=covariance.tolist(), source=str(file.poses.path)
+    )
+
+
+def _check_groups(groups: Sequence[RigidGroup], rig: Rig) -> None:
+    for name in rig.sensors:
+        within = [group.source for group in groups if name in group.T_group_sensor]
+        if len(within) > 1:
+            raise InputError(f"{name} is in {len(within)} rigid groups ({', '.join(within)}); one is allowed")

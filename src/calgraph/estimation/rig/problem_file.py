@@ -1,0 +1,232 @@
+"""A problem in one file, from which it is solved again to the last bit; docs/formats.md describes its members."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.captures import Captured, Hold
+from calgraph.config import Rig
+from calgraph.config.strict_model import StrictModel
+from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment
+from calgraph.errors import InputError
+from calgraph.estimation.rig.problem import Problem, Solver, check_problem
+from calgraph.geometry import Array
+from calgraph.graph import SpanningTree
+from calgraph.io.archive import read_archive, write_archive
+from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
+from calgraph.io.yaml_reading import validated
+from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
+from calgraph.sensors import CameraModel
+
+FORMAT = "calgraph-problem/2"
+_STRUCTURE = "problem.json"
+
+_PLACE = {"sensor": INDEX, "capture": INDEX, "candidate": INDEX}
+DETECTIONS: Mapping[type[Detection], Table] = {
+    PlanePatch: Table("planes", {
+        **_PLACE,
+        "plane": Column((4,)), "covariance": Column((3, 3)), "points": Column((3,), ragged=True),
+        "center": Column((3,)), "match": NUMBER, "edges": Column((2, 3), ragged=True),
+    }),
+    Segment: Table("segments", {
+        **_PLACE,
+        "endpoints": Column((2, 3)), "covariance": Column((6, 6)), "points": Column((3,), ragged=True),
+        "match": NUMBER, "edges": Column((2, 3), ragged=True),
+    }),
+    BoardCorners: Table("corners", {
+        **_PLACE,
+        "corners_board": Column((3,), ragged=True), "pixels": Column((2,), ragged=True),
+        "T_camera_board": Column((4, 4)), "covariance": Column((6, 6)),
+        "plane": Column((4,)), "plane_covariance": Column((3, 3)), "rms": NUMBER, "board": INDEX,
+    }),
+}  # fmt: skip
+_HOLDS = Table("holds", {"index": INDEX, "start": NUMBER, "end": NUMBER})
+_STAMPS = Table("stamps", {"hold": INDEX, "sensor": INDEX, "stamps": Column(ragged=True)})
+_CAMERAS = Table("cameras", {
+    "width": INDEX, "height": INDEX, "K": Column((3, 3)), "distortion": Column(ragged=True),
+})  # fmt: skip
+_ESTIMATES = Table("estimates", {
+    "T_a_b": Column((4, 4)), "information": Column((6, 6)), "matches": Column((3,), np.int64, ragged=True),
+    "inliers": Column((), np.bool_, ragged=True), "residuals": Column(ragged=True),
+    "rival": NUMBER, "excess": NUMBER,
+})  # fmt: skip
+_TREE = Table("tree", {"sensor": INDEX, "T_root_sensor": Column((4, 4))})
+
+
+class _Miss(StrictModel):
+    capture: int
+    sensor: str
+    reason: str
+
+
+class _Pair(StrictModel):
+    sensors: tuple[str, str]
+    rejected: str | None = None
+    """Why there is no estimate; pairs without it are in the order of the rows of the estimates' table."""
+
+
+class _Structure(StrictModel):
+    """The JSON member: all that is not numbers."""
+
+    format: str
+    rig: Rig
+    solver: Solver
+    sensors: tuple[str, ...]
+    """Names; the tables count sensors in this order."""
+    start: float
+    frames: dict[str, str]
+    cameras: dict[str, Literal["pinhole", "fisheye"]]
+    """Model by name; in the order of the rows of the cameras' table."""
+    misses: tuple[_Miss, ...]
+    pairs: tuple[_Pair, ...]
+    parents: dict[str, str]
+    """Parent by sensor in the spanning tree."""
+
+
+def save_problem(problem: Problem, path: Path) -> None:
+    """Writes everything of a problem, to the last bit, in one step.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+    """
+    content, arrays = _encoded(problem)
+    write_archive(path, _STRUCTURE, content, arrays)
+
+
+def load_problem(path: Path) -> Problem:
+    """Reads what :func:`save_problem` wrote.
+
+    Raises:
+        InputError: the file is missing, is no problem, has another version, is truncated or damaged, or what it
+            says does not fit together; the message names the member and what would be right.
+    """
+    content, arrays = read_archive(path, _STRUCTURE, FORMAT)
+    structure = validated(_Structure, content, path / _STRUCTURE)
+    try:
+        problem = _decoded(structure, arrays)
+        check_problem(problem)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return problem
+
+
+def replayable(problem: Problem) -> Problem:
+    """The problem as it will come back from a file.
+
+    The values are the same; but how an array lies in memory may decide the last bit of what is computed from it.
+    Snapshots, of which nothing is computed, are kept.
+    """
+    content, arrays = _encoded(problem)
+    again = _decoded(_Structure.model_validate(content), arrays)
+    return replace(again, captured=replace(again.captured, snapshots=problem.captured.snapshots))
+
+
+def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    captured, tree = problem.captured, problem.tree
+    number = {name: i for i, name in enumerate(captured.detections)}
+    content = {
+        "format": FORMAT,
+        "rig": problem.rig.settings(),
+        "solver": problem.solver.model_dump(mode="json"),
+        "sensors": list(number),
+        "start": captured.start,
+        "frames": dict(captured.frames),
+        "cameras": {name: camera.model for name, camera in captured.cameras.items()},
+        "misses": [{"capture": i, "sensor": name, "reason": why} for (i, name), why in captured.misses.items()],
+        "pairs": [
+            {"sensors": names} | ({"rejected": pair.reason} if isinstance(pair, Rejected) else {})
+            for names, pair in problem.pairs.items()
+        ],
+        "parents": dict(tree.parents),
+    }
+    arrays = (
+        _HOLDS.pack([vars(hold) for hold in captured.holds])
+        | _STAMPS.pack([
+            {"hold": i, "sensor": number[name], "stamps": stamps}
+            for i, hold in enumerate(captured.holds) for name, stamps in hold.stamps.items()
+        ])
+        | _CAMERAS.pack([vars(camera) for camera in captured.cameras.values()])
+        | _ESTIMATES.pack([vars(estimate) for estimate in estimated(problem.pairs)])
+        | _TREE.pack([{"sensor": number[name], "T_root_sensor": T} for name, T in tree.T_root_sensor.items()])
+    )  # fmt: skip
+    for kind, table in DETECTIONS.items():
+        arrays |= table.pack([
+            {"sensor": number[name], "capture": capture, "candidate": k, **vars(detection)}
+            for name, by_capture in captured.detections.items()
+            for capture, found in by_capture.items()
+            for k, detection in enumerate(found) if isinstance(detection, kind)
+        ])  # fmt: skip
+    return content, arrays
+
+
+def _decoded(structure: _Structure, arrays: Arrays) -> Problem:
+    sensors = structure.sensors
+    captured = Captured(
+        start=structure.start,
+        frames=structure.frames,
+        holds=_holds(sensors, arrays),
+        detections=_detections(sensors, arrays),
+        misses={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
+        cameras=_cameras(structure, arrays),
+    )
+    poses = {row["sensor"]: row["T_root_sensor"] for row in _TREE.unpack_named(arrays, sensors)}
+    tree = SpanningTree(structure.rig.root, structure.parents, poses)
+    return Problem(structure.rig, captured, _pairs(structure, arrays), tree, structure.solver)
+
+
+def _holds(sensors: Sequence[str], arrays: Arrays) -> tuple[Hold, ...]:
+    holds = [Hold(**row, stamps={}) for row in _HOLDS.unpack(arrays)]
+    stamps: list[dict[str, Array]] = [{} for _ in holds]
+    for row in _STAMPS.unpack_named(arrays, sensors):
+        if not 0 <= row["hold"] < len(holds):
+            raise InputError(f"stamps/hold: must be below the {len(holds)} holds, got {row['hold']}")
+        stamps[row["hold"]][row["sensor"]] = row["stamps"]
+    return tuple(replace(hold, stamps=own) for hold, own in zip(holds, stamps, strict=True))
+
+
+def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, tuple[Detection, ...]]]:
+    detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in sensors}
+    for kind, table in DETECTIONS.items():
+        for row in table.unpack_named(arrays, sensors):
+            by_capture, capture, candidate = (
+                detections[row.pop("sensor")],
+                row.pop("capture"),
+                row.pop("candidate"),
+            )
+            before = by_capture.get(capture, ())
+            if candidate != len(before):
+                raise InputError(
+                    f"{table.name}/candidate: must count each sensor's detections in a capture from 0, "
+                    f"got {candidate} after {len(before)} of capture {capture}"
+                )
+            by_capture[capture] = (*before, kind(**row))
+    return detections
+
+
+def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:
+    rows = _as_many(_CAMERAS, arrays, len(structure.cameras), "cameras")
+    return {
+        name: CameraModel(model, **row) for (name, model), row in zip(structure.cameras.items(), rows, strict=True)
+    }
+
+
+def _pairs(structure: _Structure, arrays: Arrays) -> Pairs:
+    known = sum(pair.rejected is None for pair in structure.pairs)
+    rows = iter(_as_many(_ESTIMATES, arrays, known, "pairs that are not rejected"))
+    return {
+        pair.sensors: PairwiseEstimate(*pair.sensors, **next(rows))
+        if pair.rejected is None
+        else Rejected(pair.rejected)
+        for pair in structure.pairs
+    }
+
+
+def _as_many(table: Table, arrays: Arrays, count: int, what: str) -> list[dict[str, Any]]:
+    rows = table.unpack(arrays)
+    if len(rows) != count:
+        raise InputError(f"{table.name}: must have a row for each of the {count} {what}, has {len(rows)}")
+    return rows

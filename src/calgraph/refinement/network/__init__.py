@@ -1,1 +1,0 @@
-"""The joint estimator of a network of scanners, and what it says for itself."""

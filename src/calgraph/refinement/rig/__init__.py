@@ -1,1 +1,0 @@
-"""The joint estimators of a rig with a board, and what they say for themselves."""

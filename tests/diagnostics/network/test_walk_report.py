@@ -1,0 +1,135 @@
+"""What became of walks: seen by two scanners or why not, how far apart, and where on the floor."""
+
+import numpy as np
+import pytest
+
+from calgraph.diagnostics.network.walk_report import floor_views, met, walk_rows
+from calgraph.geometry import Array, se2
+from calgraph.pairwise.samples import Samples, sample
+from calgraph.result import CaptureRow
+from calgraph.tracking import Track, Tracked
+
+T_ROOT = {
+    "west": np.eye(3),
+    "east": se2.pose(2.5, np.array([8.0, 1.0])),
+    "north": se2.pose(-1.5, np.array([4.0, 6.0])),
+}
+START = 1000.0
+SIGMA = 0.02
+
+
+def walk(begin: float, end: float, y: float) -> Array:
+    """(T, 3) times, s, and positions in the root frame, m: along x at 1 m/s."""
+    times = START + np.arange(begin, end, 0.05)
+    return np.column_stack([times, times - START, np.full(len(times), y)])
+
+
+def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> Tracked:
+    """What a scanner knows of walks in the root frame, with as much noise as it states."""
+    T_scanner_root = se2.inverse(T_ROOT[name])
+    tracks = tuple(
+        Track(
+            w[:, 0],
+            se2.apply(T_scanner_root, w[:, 1:]) + rng.normal(0, SIGMA, (len(w), 2)),
+            np.tile(T_scanner_root[:2, 0], (len(w), 1)),
+            np.tile(SIGMA**2 * np.eye(2), (len(w), 1, 1)),
+            period=0,
+        )
+        for w in walks
+    )
+    wall = np.column_stack([np.linspace(0, 10, 5001), np.full(5001, -2.0)])
+    wall[2500] = np.nan
+    return Tracked(tracks, se2.apply(T_scanner_root, wall), SIGMA)
+
+
+@pytest.fixture
+def samples(rng: np.random.Generator) -> dict[str, Samples]:
+    """West sees three walks: one that east sees too, one far from what east sees meanwhile, one on its own."""
+    return {
+        "west": sample(tracked("west", [walk(0, 4, 0), walk(5, 9, 0), walk(10, 14, 0)], rng)),
+        "east": sample(tracked("east", [walk(1, 4.5, 0), walk(5, 9, 3)], rng)),
+        "north": sample(tracked("north", [walk(0, 4, 0)], rng)),
+    }
+
+
+def rows_of(name: str, samples: dict[str, Samples], connected: tuple[str, ...]) -> list[CaptureRow]:
+    poses = {n: T_ROOT[n] for n in connected}
+    return [row for row in walk_rows(samples, met(samples, poses), START) if row.sensor == name]
+
+
+def test_a_walk_that_another_scanner_sees_is_used(samples: dict[str, Samples]) -> None:
+    shared = rows_of("west", samples, ("west", "east"))[0]
+    assert (shared.used, shared.reason) == (True, "")
+    assert shared.residual is not None
+    # Two scanners err along two axes each; 29 such distances give that to within a quarter.
+    assert 1.5 * SIGMA < shared.residual < 2.5 * SIGMA
+
+
+def test_a_walk_that_no_one_else_sees_says_why(samples: dict[str, Samples]) -> None:
+    rows = rows_of("west", samples, ("west", "east"))
+    assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
+        (False, "other scanners saw somebody meanwhile, but not within 0.5 m of it", None),
+        (False, "no other scanner saw anybody meanwhile", None),
+    ]
+
+
+def test_walks_of_a_scanner_without_a_pose_are_not_used(samples: dict[str, Samples]) -> None:
+    (row,) = rows_of("north", samples, ("west", "east"))
+    assert (row.used, row.reason) == (False, "its scanner is not connected to the root")
+
+
+def test_a_glimpse_is_not_enough(rng: np.random.Generator) -> None:
+    samples = {
+        "west": sample(tracked("west", [walk(0, 4, 0)], rng)),
+        "east": sample(tracked("east", [walk(2, 2.35, 0)], rng)),
+    }
+    (row,) = rows_of("west", samples, ("west", "east"))
+    assert (row.used, row.reason) == (False, "another scanner saw it for less than 0.5 s")
+
+
+def test_times_count_from_the_start_of_the_recording(samples: dict[str, Samples]) -> None:
+    first, second, third = rows_of("west", samples, ("west", "east"))
+    np.testing.assert_allclose([first.start, second.start, third.start], [0, 5, 10], atol=0.1)
+    np.testing.assert_allclose([first.end, second.end, third.end], [4, 9, 14], atol=0.2)
+
+
+def test_walks_are_numbered_in_order_of_time(samples: dict[str, Samples]) -> None:
+    rows = walk_rows(samples, met(samples, T_ROOT), START)
+    assert [row.capture for row in rows] == list(range(6))
+    assert [row.start for row in rows] == sorted(row.start for row in rows)
+
+
+def test_residuals_are_as_large_as_tracks_say() -> None:
+    """Squared residuals of 40 seeds, 60 each: their mean is farther from 1 than 0.12 once in 10,000 times."""
+    chi2 = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        samples = {n: sample(tracked(n, [walk(0, 3, 0)], rng)) for n in ("west", "east")}
+        chi2.append(float(np.mean(met(samples, T_ROOT).residuals ** 2)))
+    assert abs(np.mean(chi2) - 1) < 0.12
+
+
+def test_scanners_that_saw_nobody_meet_nobody(rng: np.random.Generator) -> None:
+    samples = {n: sample(tracked(n, [], rng)) for n in T_ROOT}
+    meeting = met(samples, T_ROOT)
+    assert meeting.residuals.shape == (0, 2)
+    assert walk_rows(samples, meeting, START) == ()
+
+
+def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator) -> None:
+    known = {"east": tracked("east", [walk(0, 4, 1.5)], rng), "north": tracked("north", [], rng)}
+    views = floor_views(known, {n: sample(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0)
+    (view,) = views
+    (line,) = view.walks
+    assert view.sensor == "east"
+    np.testing.assert_allclose(view.background[:, 1], -2.0, atol=1e-9)
+    np.testing.assert_allclose(line[:, 1], 1.5, atol=5 * SIGMA)
+
+
+def test_the_floor_of_a_long_recording_stays_small(rng: np.random.Generator) -> None:
+    hour = np.concatenate([walk(0, 3600, 0)])
+    hour[:, 1] = 5 + 5 * np.sin(hour[:, 1])
+    known = tracked("west", [hour], rng)
+    (view,) = floor_views({"west": known}, {"west": sample(known)}, T_ROOT, start=0.0)
+    assert sum(map(len, view.walks)) <= 30_000
+    assert len(view.background) < 400

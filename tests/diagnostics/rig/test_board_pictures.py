@@ -1,0 +1,96 @@
+"""What is handed on for pictures: boards where the solution has them, and how far off every sensor saw them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.detection import BoardCorners
+from calgraph.diagnostics.rig.board_pictures import Used, board_outlines, board_views
+from calgraph.estimation import Joint
+from calgraph.geometry import Array, se3
+from calgraph.result import BoardOutline, BoardView
+from seen_rigs import QUICK, Seen, seen
+
+
+@pytest.fixture(scope="module")
+def one() -> Seen:
+    return seen(QUICK)
+
+
+@pytest.fixture(scope="module")
+def joint(one: Seen) -> Joint:
+    return one.solved()
+
+
+@pytest.fixture(scope="module")
+def used(one: Seen) -> Used:
+    return {(n, name): {0: [0.0]} for name, by in one.captured.detections.items() for n in by}
+
+
+@pytest.fixture(scope="module")
+def views(one: Seen, used: Used, joint: Joint) -> tuple[BoardView, ...]:
+    return board_views(one.captured, used, joint)
+
+
+@pytest.fixture(scope="module")
+def outlines(one: Seen, used: Used, joint: Joint) -> tuple[BoardOutline, ...]:
+    return board_outlines(one.rig, one.captured, used, joint)
+
+
+def offs(views: tuple[BoardView, ...], kind: int) -> Array:
+    """All that cameras (2) or scanners (1) are off, px or m."""
+    return np.concatenate([v.off for v in views if v.off is not None and v.off.ndim == kind])
+
+
+def test_every_detection_has_a_view(one: Seen, views: tuple[BoardView, ...]) -> None:
+    detected = {(n, name) for name, by in one.captured.detections.items() for n in by}
+    assert {(v.capture, v.sensor) for v in views} == detected
+
+
+def test_corners_are_off_by_their_noise(one: Seen, views: tuple[BoardView, ...]) -> None:
+    """A board's six unknowns are fitted to 24 numbers, and less than the noise remains."""
+    stated = next(iter(one.rig.cameras().values())).noise.pixel
+    assert 0.6 * stated < np.sqrt(np.mean(offs(views, 2) ** 2)) < 1.1 * stated
+
+
+def test_points_are_off_by_their_noise_on_both_sides(views: tuple[BoardView, ...]) -> None:
+    distances = offs(views, 1)
+    assert abs(np.mean(distances)) < 0.2 * np.std(distances)
+    assert 0.002 < np.std(distances) < 0.03
+
+
+def test_distances_are_positive_beyond_the_sheet_as_the_scanner_sees_it(
+    joint: Joint, views: tuple[BoardView, ...], outlines: tuple[BoardOutline, ...]
+) -> None:
+    sheets = {o.capture: o.corners for o in outlines if o.board is not None}
+    compared = [v for v in views if v.capture in sheets and v.off is not None and v.off.ndim == 1]
+    assert len(compared) > 20
+    for view in compared:
+        assert view.off is not None
+        T, corners = joint.T_root_sensor[view.sensor], sheets[view.capture]
+        normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
+        normal *= np.sign(normal @ (corners[0] - T[:3, 3])) / np.linalg.norm(normal)
+        np.testing.assert_allclose(view.off, (se3.apply(T, view.seen) - corners[0]) @ normal, atol=1e-9)
+
+
+def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline, ...]) -> None:
+    """Wherever a camera saw it, corner by corner."""
+    pictured = [o for o in outlines if o.board is not None]
+    assert len(pictured) > 10
+    half = np.array(one.rig.board_size) / 2
+    sheet = np.column_stack([half * [[-1, -1], [1, -1], [1, 1], [-1, 1]], np.zeros(4)])
+    for outline in pictured:
+        truth = se3.apply(one.truth.boards[outline.capture].T_root_board, sheet)
+        assert np.linalg.norm(outline.corners - truth, axis=1).max() < 0.02
+
+
+def test_without_a_bundle_nothing_is_predicted(one: Seen, used: Used, joint: Joint) -> None:
+    other = replace(joint, adjusted=None, estimator="hypergraph")
+    views = board_views(one.captured, used, other)
+    assert all(v.used and v.off is None for v in views)
+    outlines = board_outlines(one.rig, one.captured, used, other)
+    seen_by_cameras = {
+        n for by in one.captured.detections.values() for n, d in by.items() if isinstance(d[0], BoardCorners)
+    }
+    assert {o.capture for o in outlines if o.board == 0} == seen_by_cameras

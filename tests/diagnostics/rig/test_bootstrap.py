@@ -1,0 +1,57 @@
+"""Resampled captures: covariances that hold are called honest, and others are not."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bundle_scenes import scene
+from calgraph.diagnostics.rig.bootstrap import Scatter, resample
+from calgraph.estimation.rig.bundle_solver import Bundle, solve
+from calgraph.estimation.rig.solution import Adjusted
+
+BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
+
+
+def scatter(bundle: Bundle, seed: int, boards: int = BOARDS) -> dict[str, Scatter]:
+    exact = scene(boards=boards)
+    adjusted = Adjusted(bundle, solve(bundle, exact.truth), np.arange(boards))
+    return resample(adjusted, ROUNDS, np.random.default_rng(seed), lambda _: None)
+
+
+def test_honest_covariances_are_called_honest() -> None:
+    ratios, honest = [], 0
+    for seed in range(SEEDS):
+        found = scatter(scene(boards=BOARDS).measured(np.random.default_rng(seed), sway=SWAY), seed)
+        ratios.append([s.ratio for s in found.values()])
+        honest += all(s.verdict == "honest" for s in found.values())
+    # All intervals of a recording hold with 95 %: of five, fewer than four do once in forty.
+    assert honest >= SEEDS - 1
+    # Twelve ratios of five recordings, each with half as many degrees of freedom as there are boards or more.
+    assert abs(np.sqrt(np.mean(np.square(ratios))) - 1) < 0.2
+
+
+def test_errors_larger_than_assumed_make_covariances_optimistic() -> None:
+    bundle = scene(boards=BOARDS).measured(np.random.default_rng(0), sway=10 * SWAY)
+    found = scatter(bundle, 0)
+    assert {s.verdict for s in found.values()} == {"optimistic"}
+    laser = found["laser"]
+    assert laser.ratio[laser.worst] > 2
+
+
+def test_measured_sway_keeps_covariances_of_correlated_errors_honest() -> None:
+    exact = scene(boards=BOARDS)
+    bundle = exact.measured(np.random.default_rng(0), sway=5 * SWAY)
+    found = scatter(replace(bundle, sway=np.full(3, (5 * SWAY) ** 2)), 0)
+    assert all(s.verdict != "optimistic" for s in found.values())
+
+
+def test_errors_smaller_than_assumed_make_covariances_pessimistic() -> None:
+    bundle = scene(boards=BOARDS).measured(np.random.default_rng(0), noise=0.1)
+    found = scatter(bundle, 0)
+    assert {s.verdict for s in found.values()} == {"pessimistic"}
+    assert all(s.ratio[s.worst] < 0.5 for s in found.values())
+
+
+def test_draws_that_happen_to_be_the_captures_themselves_say_nothing() -> None:
+    found = scatter(scene(boards=3).measured(np.random.default_rng(0), sway=SWAY), 0, boards=3)
+    assert all(np.isfinite([s.ratio, s.low, s.high]).all() for s in found.values())

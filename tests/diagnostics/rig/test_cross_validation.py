@@ -1,0 +1,84 @@
+"""Captures left out: errors are as noise and covariances say where all is right, and show what is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from bundle_scenes import Scene, scene
+from calgraph.diagnostics.rig.cross_validation import cross_validate
+from calgraph.errors import InputError
+from calgraph.estimation.rig.bundle_solver import Bundle, solve
+from calgraph.estimation.rig.observations import Corners
+from calgraph.estimation.rig.solution import Adjusted
+from calgraph.result import LeftOut
+
+SEEDS, SWAY = 12, 0.001
+
+
+def left_out(exact: Scene, bundle: Bundle, folds: int = 4) -> dict[str, LeftOut]:
+    """Cross-validation of a bundle whose every capture shows one board."""
+    solved = solve(bundle, exact.truth)
+    return cross_validate(Adjusted(bundle, solved, np.arange(len(exact.truth.T_root_board))), folds)
+
+
+def test_errors_are_as_large_as_noise_and_covariances_say() -> None:
+    exact = scene(boards=16)
+    found = []
+    for seed in range(SEEDS):
+        predicted = left_out(exact, exact.measured(np.random.default_rng(seed), sway=SWAY))
+        found.append([predicted[name].ratio ** 2 for name in exact.bundle.names])
+    spread = np.std(found, axis=0, ddof=1) / np.sqrt(SEEDS)
+    # Right in 99 of 100 such tests, of three sensors each.
+    assert np.all(np.abs(np.mean(found, axis=0) - 1) < student.ppf(1 - 0.01 / 6, SEEDS - 1) * spread)
+    assert np.all(spread < 0.15)
+
+
+def test_errors_are_in_pixels_metres_and_radians() -> None:
+    exact = scene()
+    predicted = left_out(exact, exact.measured(np.random.default_rng(0), sway=SWAY))
+    assert [predicted[name].unit for name in ("lidar", "camera", "laser")] == ["m", "px", "m"]
+    # Corners err by 0.3 px in x and y; ranges by 12 mm, to the plane by less.
+    assert 0.3 * np.sqrt(2) * 0.9 < predicted["camera"].rms < 0.3 * np.sqrt(2) * 2
+    assert predicted["lidar"].along == pytest.approx(0.012, rel=0.1)
+    assert 0.007 < predicted["lidar"].rms < 0.012
+    assert np.degrees(predicted["camera"].tilt or 90) < 1
+    assert predicted["laser"].tilt is None
+
+
+def test_errors_that_every_view_of_a_sensor_shares_do_not_hide() -> None:
+    exact = scene()
+    bundle = exact.measured(np.random.default_rng(0), sway=SWAY)
+    lidar, camera, laser = bundle.views
+    assert isinstance(camera, Corners)
+    # A focal length that is off by three in a hundred: poses follow, the rest shows in captures left out.
+    centre = np.array([[camera.camera.K[0, 2], camera.camera.K[1, 2]]])
+    wrong = replace(camera, pixels=centre + 1.03 * (camera.pixels - centre))
+    predicted = left_out(exact, replace(bundle, views=(lidar, wrong, laser)))
+    assert predicted["camera"].ratio > 1.5
+
+
+def test_sensors_alone_with_a_board_are_not_predicted() -> None:
+    exact = scene(("lidar", "laser"))
+    lidar, laser = exact.measured(np.random.default_rng(0)).views
+    first = np.arange(20) < 10
+    bundle = replace(exact.bundle, views=(lidar.where(first), laser))
+    predicted = left_out(exact, bundle)
+    assert {name: p.views for name, p in predicted.items()} == {"lidar": 10, "laser": 10}
+
+
+def test_sensors_without_views_in_the_other_captures_are_not_predicted() -> None:
+    exact = scene()
+    lidar, camera, laser = exact.measured(np.random.default_rng(0)).views
+    once = np.arange(20) == 3
+    assert set(left_out(exact, replace(exact.bundle, views=(lidar, camera, laser.where(once))))) == {
+        "lidar",
+        "camera",
+    }
+
+
+def test_one_fold_is_refused() -> None:
+    exact = scene()
+    with pytest.raises(InputError, match="--folds: must be 0 for none, or 2 and more, got 1"):
+        left_out(exact, exact.bundle, folds=1)

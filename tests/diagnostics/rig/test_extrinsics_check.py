@@ -1,0 +1,187 @@
+"""The audit of given extrinsics: what is right passes, what moved fails, what cannot be told is said to be so."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bundle_scenes import Scene, scene
+from calgraph.diagnostics.comparison import Audit, Tolerance
+from calgraph.diagnostics.rig.extrinsics_check import audit
+from calgraph.errors import InputError
+from calgraph.estimation.rig.bundle_solver import solve
+from calgraph.estimation.rig.covariances import covariance
+from calgraph.estimation.rig.observations import relative
+from calgraph.estimation.rig.solution import Adjusted
+from calgraph.geometry import Array, se3
+from calgraph.result import Calibration, KnownPoses, SensorPose, Verdict
+from calgraph.result.frame_tree import FrameTree, Hanging
+
+SEEDS = 20
+
+
+def precise() -> Scene:
+    """Sensors with a fifth of the usual noise: 24 boards then tell all axes to within the tolerance."""
+    exact = scene(("lidar", "camera", "laser", "laser_2"), boards=24).without_sway()
+    views = tuple(
+        own.weighed(relative(T, exact.truth.T_root_board), 0.2)
+        for own, T in zip(exact.bundle.views, exact.truth.T_root_sensor, strict=True)
+    )
+    return replace(exact, bundle=replace(exact.bundle, views=views))
+
+
+EXACT = precise()
+NAMES = EXACT.bundle.names
+KINDS = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d", "laser_2": "lidar2d"}
+
+
+@cache
+def calibrated(seed: int | None = None) -> tuple[Calibration, Adjusted]:
+    """What a calibration finds of boards measured with noise, or without."""
+    bundle = EXACT.bundle if seed is None else EXACT.measured(np.random.default_rng(seed))
+    solved = solve(bundle, EXACT.truth)
+    joint = covariance(bundle, solved.state, solved.system)
+    sensors = tuple(
+        SensorPose(
+            name, None if i == 0 else NAMES[0], f"{name}_frame", KINDS[name],  # type: ignore[arg-type]
+            solved.state.T_root_sensor[i], joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6], Verdict("good"),
+        )
+        for i, name in enumerate(NAMES)
+    )  # fmt: skip
+    boards = np.arange(len(EXACT.truth.T_root_board))
+    return Calibration(NAMES[0], sensors, joint_covariance=joint), Adjusted(bundle, solved, boards)
+
+
+def true_poses(moved: str = "", by: Array | None = None) -> KnownPoses:
+    """The truth as a file has it, one sensor moved along its own axes by a step (6,)."""
+    T = dict(zip(NAMES, EXACT.truth.T_root_sensor, strict=True))
+    if by is not None:
+        T[moved] = T[moved] @ se3.retract(np.eye(4), by)
+    above = {f"{n}_frame": Hanging("lidar_frame", se3.inverse(T["lidar"]) @ T[n]) for n in NAMES[1:]}
+    return KnownPoses(Path("robot.urdf"), FrameTree("robot.urdf", above))
+
+
+def audited(given: KnownPoses, seed: int = 0, tolerance: Tolerance | None = None) -> Audit:
+    return audit(calibrated(seed)[0], None, given, tolerance)
+
+
+def step(axis: int, size: float) -> Array:
+    return np.asarray(size * np.eye(6)[axis])
+
+
+def test_a_rig_that_nobody_touched_passes() -> None:
+    # A sensor is significantly off once in a thousand, and even then does not fail.
+    outcomes = [audited(true_poses(), seed).outcome for seed in range(SEEDS)]
+    assert outcomes.count("pass") >= SEEDS - 2
+    assert "fail" not in outcomes
+
+
+@pytest.mark.parametrize("sensor", NAMES)
+@pytest.mark.parametrize(("axis", "size"), [(0, 0.03), (2, -0.03), (4, np.radians(1)), (5, -np.radians(1))])
+def test_the_sensor_that_moved_is_the_one_that_fails(sensor: str, axis: int, size: float) -> None:
+    result = audited(true_poses(sensor, step(axis, size)), seed=axis % 2)
+    assert result.failed == (sensor,)
+
+
+def test_the_axis_is_named_with_its_size() -> None:
+    result = audited(true_poses("laser", step(1, 0.03)))
+    laser = next(sensor for sensor in result.sensors if sensor.sensor == "laser")
+    assert [axis.axis for axis in laser.axes if axis.outcome == "fail"] == ["sideways (y)"]
+    assert laser.axes[1].offset == pytest.approx(0.03, abs=4 * laser.axes[1].stddev)
+    assert laser.reason.startswith("sideways (y) +")
+    assert laser.reason.endswith("beyond 10.0 mm")
+
+
+def test_a_moved_root_is_found_from_another_sensor() -> None:
+    result = audited(true_poses("lidar", step(0, 0.05)))
+    assert (result.reference != "lidar", result.failed) == (True, ("lidar",))
+
+
+def test_what_moved_within_the_tolerance_is_a_warning() -> None:
+    result = audited(true_poses("camera", step(0, 0.008)))
+    camera = result.sensors[0]
+    assert (camera.sensor, camera.outcome) == ("camera", "warn")
+    assert "significant, but within 10.0 mm" in camera.reason
+
+
+def test_a_larger_tolerance_lets_more_pass() -> None:
+    moved = true_poses("camera", step(0, 0.03))
+    assert audited(moved).outcome == "fail"
+    assert audited(moved, tolerance=Tolerance(position=0.05)).outcome == "warn"
+
+
+def test_what_the_captures_cannot_tell_is_said() -> None:
+    found, _ = calibrated()
+    loose = replace(found.sensors[3], T_root_sensor=EXACT.truth.T_root_sensor[3])
+    joint = np.array(found.joint_covariance)
+    to_root = EXACT.truth.T_root_sensor[3][:3, :3]
+    joint[18:21, 18:21] += to_root @ np.diag([0, 0, 0.12**2]) @ to_root.T
+    weak = replace(found, sensors=(*found.sensors[:3], loose), joint_covariance=joint)
+    result = audit(weak, None, true_poses("laser_2", step(2, 0.1)))
+    assert result.outcome == "warn"
+    assert result.sensors[2].reason == "height (z) cannot be told: ±120.0 mm"
+
+
+def test_axes_that_are_sure_only_together_fail_together() -> None:
+    """Far off along a direction that is well known, though neither of its axes is."""
+    found, _ = calibrated()
+    joint = np.array(found.joint_covariance)
+    own = EXACT.truth.T_root_sensor[3][:3, :3]
+    along = own @ np.array([1, 1, 0]) / np.sqrt(2)
+    joint[18:21, 18:21] += 0.1**2 * np.outer(along, along)
+    result = audit(
+        replace(found, joint_covariance=joint), None, true_poses("laser_2", np.array([0.03, -0.03, 0, 0, 0, 0]))
+    )
+    assert [axis.outcome for axis in result.sensors[2].axes] == ["fail", "fail", "pass", "pass", "pass", "pass"]
+
+
+def test_measurements_fit_the_given_pose_worse_where_it_is_wrong() -> None:
+    result = audit(*calibrated(0), true_poses("laser", step(0, 0.05)))
+    misfits = {sensor.sensor: sensor.misfit for sensor in result.sensors}
+    camera, laser = misfits["camera"], misfits["laser"]
+    assert camera is not None
+    assert laser is not None
+    assert (camera.unit, laser.unit) == ("px", "m")
+    assert laser.found == pytest.approx(0.012 / 5, rel=0.1)
+    assert laser.given > 2 * laser.found
+
+
+def test_covariances_of_a_given_calibration_count() -> None:
+    """Two calibrations of one rig differ by the noise of both."""
+    distances = []
+    for seed in range(SEEDS):
+        found, before = calibrated(seed)[0], calibrated((seed + 1) % SEEDS)[0]
+        above = {s.name: Hanging("lidar", s.T_root_sensor) for s in before.sensors[1:]}
+        given = KnownPoses(Path("calibration.yaml"), FrameTree("calibration.yaml", above), calibration=before)
+        distances += [sensor.distance**2 for sensor in audit(found, None, given).sensors]
+    # 60 squared distances with six degrees of freedom each, those of one run, and of neighbours, correlated.
+    assert 4.5 < np.mean(distances) < 7.5
+
+
+def test_a_sensor_that_the_file_lacks_is_a_warning_by_name() -> None:
+    given = true_poses()
+    less = {frame: hanging for frame, hanging in given.tree.above.items() if frame != "camera_frame"}
+    result = audited(replace(given, tree=FrameTree("robot.urdf", less)))
+    assert result.sensors[0].outcome == "warn"
+    assert result.sensors[0].reason == "robot.urdf has neither a frame camera_frame nor one called camera"
+
+
+def test_a_file_without_the_root_is_refused() -> None:
+    less = {"camera_frame": Hanging("base", np.eye(4))}
+    with pytest.raises(InputError, match="has no frame 'lidar_frame', nor one called lidar"):
+        audited(KnownPoses(Path("robot.urdf"), FrameTree("robot.urdf", less)))
+
+
+def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
+    found, adjusted = calibrated()
+    doubted = replace(found.sensors[1], verdict=Verdict("weak", "check the focal length"))
+    result = audit(replace(found, sensors=(found.sensors[0], doubted, *found.sensors[2:])), adjusted, true_poses())
+    assert (result.sensors[0].outcome, result.sensors[0].reason) == ("warn", "check the focal length")
+
+
+def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
+    found, adjusted = calibrated()
+    result = audit(replace(found, unconnected={"sonar": "saw nothing"}), adjusted, true_poses())
+    assert (result.sensors[-1].sensor, result.sensors[-1].outcome) == ("sonar", "warn")

@@ -1,0 +1,65 @@
+"""Covariances of bundles against dense matrices, and what is certain by construction."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.estimation.rig.bundle_solver import linearize, moved
+from calgraph.estimation.rig.covariances import covariance, view_spreads
+from calgraph.estimation.rig.observations import relative
+from calgraph.geometry import Array, se3
+from dense_bundles import dense_jacobian, quiet
+
+
+def test_covariance_is_the_dense_inverse() -> None:
+    exact = quiet(boards=6)
+    system = linearize(exact.bundle, exact.truth)
+    J = dense_jacobian(exact.bundle, exact.truth)
+    expected = np.linalg.inv(J.T @ J)[:12, :12]
+    found = covariance(exact.bundle, exact.truth, system)[6:, 6:]
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), atol=1e-4)
+
+
+def test_the_root_has_no_covariance() -> None:
+    exact = quiet()
+    spread = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))
+    assert not spread[:6].any()
+
+
+def test_covariance_where_views_measure_is_the_dense_one() -> None:
+    exact = quiet(boards=4)
+    factor = view_spreads(exact.bundle, linearize(exact.bundle, exact.truth))[1][2]
+    J = dense_jacobian(exact.bundle, exact.truth)
+    everything = np.linalg.inv(J.T @ J)
+    T_root_camera, T_root_board = exact.truth.T_root_sensor[1], exact.truth.T_root_board[2]
+
+    def before(step: Array) -> Array:
+        after = moved(exact.bundle, exact.truth, step[:12], step[12:].reshape(-1, 6))
+        T = relative(after.T_root_sensor[1], after.T_root_board[2])
+        return se3.difference(T, relative(T_root_camera, T_root_board))
+
+    steps = 1e-6 * np.eye(len(everything))
+    by_all = np.stack([(before(s) - before(-s)) / 2e-6 for s in steps], axis=-1)
+    expected = by_all @ everything @ by_all.T
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        factor @ factor.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-3
+    )
+
+
+def test_sensors_on_one_body_are_certain_of_each_other() -> None:
+    exact = quiet()
+    bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
+    spread = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:, 6:]
+    apart = se3.relative_covariance(exact.truth.T_root_sensor[1], exact.truth.T_root_sensor[2], spread)
+    assert np.abs(apart).max() < 1e-9 * np.abs(spread).max()
+
+
+def test_a_body_is_as_certain_as_its_sensors_together() -> None:
+    """The laser's views fix the camera, too, and so does the other way round: each adds information."""
+    exact = quiet()
+    alone = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))[6:12, 6:12]
+    bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
+    together = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:12, 6:12]
+    assert np.linalg.eigvalsh(alone - together).min() > 0

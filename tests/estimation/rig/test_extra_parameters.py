@@ -1,0 +1,146 @@
+"""Range biases, intrinsics and tags' places: recovered from simulated detections; poses are right with them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.config import Board, Checkerboard
+from calgraph.detection import BoardCorners, Detection
+from calgraph.errors import InputError
+from calgraph.estimation import Estimable, Joint
+from calgraph.result import Estimated
+from calgraph.simulation import CameraKnobs
+from seen_rigs import QUICK, Seen, seen
+
+# How far the board's first tag is printed off its stated place, m.
+SHIFT = np.array([0.003, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def right() -> Seen:
+    return seen()
+
+
+@pytest.fixture(scope="module")
+def biased(right: Seen) -> Seen:
+    """The 2-D scanner measures 30 mm too much."""
+
+    def longer(name: str, detection: Detection) -> Detection:
+        if name != "laser_front" or isinstance(detection, BoardCorners):
+            return detection
+        ranges = np.linalg.norm(detection.points, axis=1, keepdims=True)
+        return replace(detection, points=detection.points * (1 + 0.03 / ranges))
+
+    return right.changed(longer)
+
+
+@pytest.fixture(scope="module")
+def misfocused(right: Seen) -> Seen:
+    """The camera's focal length is stated 1 % too large."""
+    camera = right.captured.cameras["camera"]
+    wrong = camera.with_intrinsics(camera.intrinsics * [1.01, 1.01, *[1.0] * 6])
+    return replace(right, captured=replace(right.captured, cameras={"camera": wrong}))
+
+
+@pytest.fixture(scope="module")
+def misprinted(right: Seen) -> Seen:
+    """The first tag is stated 3 mm off where it is."""
+    (board,) = right.rig.boards
+    first, *others = board.tags
+    x, y = first.center
+    stated = first.model_copy(update={"center": (x + SHIFT[0], y + SHIFT[1])})
+    target = board.model_copy(update={"tags": (stated, *others)})
+
+    def moved(_: str, detection: Detection) -> Detection:
+        if not isinstance(detection, BoardCorners):
+            return detection
+        on_first = np.all(np.abs(detection.corners_board[:, :2] - first.center) < 0.6 * first.size, axis=1)
+        return replace(detection, corners_board=detection.corners_board + on_first[:, None] * SHIFT)
+
+    rig = right.rig.model_copy(update={"target": target})
+    return replace(right.changed(moved), rig=rig)
+
+
+def one(joint: Joint, of: str, quantity: str) -> Estimated:
+    (found,) = [e for e in joint.estimated if (e.of, e.quantity) == (of, quantity)]
+    return found
+
+
+def test_range_bias_is_recovered(biased: Seen) -> None:
+    bias = one(biased.solved("range_bias"), "laser_front", "range bias")
+    assert abs(bias.value - 0.03) < 3 * bias.stddev
+    assert bias.stddev < 0.005
+
+
+def test_range_bias_of_a_scanner_that_has_none_is_none(biased: Seen) -> None:
+    bias = one(biased.solved("range_bias"), "lidar", "range bias")
+    assert abs(bias.value) < 3 * bias.stddev
+
+
+def test_a_biased_scanner_is_placed_right_if_its_bias_is_estimated(biased: Seen) -> None:
+    assert biased.mahalanobis(biased.solved("range_bias"), "laser_front") < 3
+    assert biased.error(biased.solved(), "laser_front") > 0.01
+
+
+def test_focal_length_is_recovered(misfocused: Seen, right: Seen) -> None:
+    joint, truth = misfocused.solved("intrinsics"), right.captured.cameras["camera"]
+    for found, true in zip(joint.estimated, truth.intrinsics, strict=True):
+        assert abs(found.value - true) < 3.5 * found.stddev
+    assert one(joint, "camera", "fx").stddev < 0.003 * truth.focal[0]
+
+
+def test_a_misfocused_camera_is_placed_right_if_its_intrinsics_are_estimated(misfocused: Seen) -> None:
+    assert misfocused.mahalanobis(misfocused.solved("intrinsics"), "camera") < 3
+    assert misfocused.error(misfocused.solved(), "camera") > 0.01
+
+
+def test_a_tags_place_is_recovered(misprinted: Seen) -> None:
+    joint = misprinted.solved("tags")
+    # What is stated too far to the right is found as much to the left; one tag is where it is by definition.
+    (free,) = [e for e in joint.estimated if (e.of, e.quantity) == ("tag 0", "x")]
+    assert abs(free.value + 0.003) < 3 * free.stddev
+    assert free.stddev < 0.001
+
+
+def test_a_camera_is_placed_right_if_the_misprint_is_estimated(misprinted: Seen) -> None:
+    with_it, without = misprinted.solved("tags"), misprinted.solved()
+    assert misprinted.mahalanobis(with_it, "camera") < 3
+    assert misprinted.mahalanobis(without, "camera") > 4
+
+
+def test_what_is_right_stays_right_if_all_is_estimated(right: Seen) -> None:
+    joint = right.solved("tags", "range_bias", "intrinsics")
+    stated = np.array([e.stated for e in joint.estimated])
+    z = (np.array([e.value for e in joint.estimated]) - stated) / [e.stddev for e in joint.estimated]
+    assert np.abs(z).max() < 4
+    assert right.mahalanobis(joint, "camera") < 3
+
+
+def test_poses_are_less_certain_if_more_is_unknown(right: Seen) -> None:
+    fewer, more = right.solved().covariance["camera"], right.solved("intrinsics").covariance["camera"]
+    assert np.all(np.diag(more) > np.diag(fewer))
+
+
+def test_what_no_capture_tells_is_said_to_be_unmeasured(right: Seen, caplog: pytest.LogCaptureFixture) -> None:
+    camera = right.captured.cameras["camera"]
+    # Those above and those below the line of a rational polynomial do nearly the same.
+    rational = replace(camera, distortion=np.array([*camera.distortion, 0.0, 0.0, 0.0, 0.0]))
+    joint = replace(right, captured=replace(right.captured, cameras={"camera": rational})).solved("intrinsics")
+    assert not one(joint, "camera", "k1").measured
+    assert "k1 of camera is told by no capture" in caplog.text
+    assert one(joint, "camera", "fx").measured
+
+
+@pytest.mark.parametrize(("estimate", "lack"), [("intrinsics", "no camera"), ("tags", "no camera")])
+def test_unknowns_that_no_sensor_has_are_refused(estimate: Estimable, lack: str) -> None:
+    blind = seen(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
+    with pytest.raises(InputError, match=lack):
+        blind.solved(estimate)
+
+
+def test_boards_without_tags_have_none_to_estimate() -> None:
+    pattern = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.12)
+    chess = seen(QUICK.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)}))
+    with pytest.raises(InputError, match="two tags"):
+        chess.solved("tags")

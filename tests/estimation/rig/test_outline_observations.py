@@ -1,0 +1,141 @@
+"""Outlines: differentiated as numbers say, unbiased, and telling where in its plane a board is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bundle_scenes import HEIGHT, WIDTH, scene
+from calgraph.detection import PlanePatch
+from calgraph.estimation.rig.bundle_solver import Unknown, linearize, solve
+from calgraph.estimation.rig.covariances import covariance
+from calgraph.estimation.rig.observations import relative
+from calgraph.estimation.rig.outline_observations import Outline
+from calgraph.geometry import Array, se3, so3
+
+HALF = np.array([WIDTH, HEIGHT]) / 2
+BEFORE = se3.pose(so3.exp(np.array([2.8, 0.3, -0.2])), np.array([0.2, -0.1, 2.0]))
+STEP = 0.02
+# Of one sheet: this many edges on each side.
+EACH = 6
+
+
+def crossings(rng: np.random.Generator, each: int = EACH, step: float = STEP) -> Array:
+    """(4 each, 2, 2) places on and past each side of the sheet, where beams ``step`` apart meet its plane."""
+    along = rng.uniform(-0.8, 0.8, (4, each))
+    n = np.repeat(np.array([[-1.0, 0], [1, 0], [0, -1], [0, 1]])[:, None], each, axis=1)
+    at = n * HALF + along[..., None] * HALF * np.abs(n[..., ::-1])
+    across = step * (n + rng.uniform(-0.3, 0.3, n.shape) * n[..., ::-1])
+    on = at - rng.uniform(size=(4, each, 1)) * across
+    return np.stack([on, on + across], axis=-2).reshape(-1, 2, 2)
+
+
+def edges_of(T_sensor_board: Array, places: Array) -> Array:
+    """(M, 2, 3) directions to places (M, 2, 2) on the board's plane."""
+    at = se3.apply(T_sensor_board, np.concatenate([places, np.zeros((*places.shape[:-1], 1))], axis=-1))
+    return np.asarray(at / np.linalg.norm(at, axis=-1, keepdims=True))
+
+
+def patch(edges: Array) -> PlanePatch:
+    return PlanePatch(np.array([0, 0, -1, 2.0]), np.eye(3), np.zeros((0, 3)), np.array([0, 0, 2.0]), edges=edges)
+
+
+def outline(T_sensor_board: Array, edges: list[Array]) -> Outline:
+    """Of boards (V, 4, 4), weighed there."""
+    views = Outline.of(range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)))
+    return views.weighed(T_sensor_board, 1.0)
+
+
+def test_outlines_are_differentiated_as_numbers_say() -> None:
+    rng, small = np.random.default_rng(0), 1e-6
+    T = np.stack([BEFORE, se3.retract(BEFORE, np.array([0.3, 0.2, 0.5, 0.4, -0.3, 0.8]))])
+    views = outline(T, [edges_of(one, crossings(rng)) for one in T])
+    # Elsewhere than where they were made for: then their places on the boards matter.
+    T, own = se3.retract(T, np.tile([0.02, -0.01, 0.1, 0.1, -0.1, 0.02], (2, 1))), np.array([0.003])
+
+    def residual(step: Array) -> Array:
+        return views.linearize(se3.retract(T, np.tile(step[:6], (2, 1))), own + step[6:]).residual.ravel()
+
+    numbers = np.stack([(residual(s) - residual(-s)) / (2 * small) for s in small * np.eye(7)], axis=-1)
+    rows = views.linearize(T, own)
+    view = np.repeat([0, 1], np.diff(views.start, append=len(rows.residual)))
+    assert len(view) > 40
+    np.testing.assert_allclose((rows.jacobian @ rows.basis[view])[:, 0], numbers, rtol=1e-5, atol=1e-4)
+
+
+def test_a_sheet_that_is_farther_to_one_side_than_it_was_seen_is_off_by_that_much() -> None:
+    places = np.array([[[HALF[0] - 0.01, 0.1], [HALF[0] + 0.01, 0.1]]])
+    views = outline(BEFORE[None], [edges_of(BEFORE, places)])
+    moved = BEFORE @ se3.pose(np.eye(3), np.array([0.005, 0.0, 0.0]))
+    found = views.linearize(moved[None], np.zeros(1)).residual * views.sigma
+    np.testing.assert_allclose(found, -0.005, atol=1e-4)
+
+
+def test_distances_are_as_wrong_as_stated_and_unbiased() -> None:
+    rng = np.random.default_rng(1)
+    views = outline(BEFORE[None], [edges_of(BEFORE, crossings(rng, each=2000))])
+    # Beams apart by 20 mm at random phases, and 2 mm of blur that these sheets do not have.
+    whitened = views.linearize(BEFORE[None], np.zeros(1)).residual[:, 0]
+    assert abs(whitened.mean()) < 4 / np.sqrt(len(whitened))
+    assert whitened.std() == pytest.approx(np.sqrt(1 / (1 + 12 * (0.002 / STEP) ** 2)), rel=0.04)
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        [[0.2, 0.1], [0.22, 0.1]],
+        [[HALF[0] - 0.01, 0.1], [HALF[0] - 0.03, 0.1]],
+        [[HALF[0] - 0.01, HALF[1] - 0.01], [HALF[0] + 0.01, HALF[1] - 0.01]],
+        [[HALF[0] - 0.06, 0.1], [HALF[0] + 0.06, 0.1]],
+        [[HALF[0] + 0.2, 0.1], [HALF[0] + 0.22, 0.1]],
+    ],
+    ids=["a hole", "inward", "a corner", "coarse", "an arm"],
+)
+def test_what_does_not_tell_a_side_is_not_used(places: list[list[float]]) -> None:
+    views = outline(BEFORE[None], [edges_of(BEFORE, np.array([places]))])
+    assert len(views.used) == 0
+    assert views.linearize(BEFORE[None], np.zeros(1)).residual.shape == (0, 1)
+
+
+def test_some_of_the_outlines_say_what_they_said_among_all() -> None:
+    rng = np.random.default_rng(2)
+    T = se3.retract(BEFORE, rng.uniform(-0.2, 0.2, (4, 6)))
+    views = outline(T, [edges_of(one, crossings(rng, each=3)) for one in T])
+    keep: NDArray[np.intp] = np.array([3, 1])
+    some = views.where(keep)
+    parts = np.split(views.linearize(T, np.zeros(1)).residual, views.start[1:])
+    np.testing.assert_array_equal(some.board, keep)
+    np.testing.assert_array_equal(
+        some.linearize(T[keep], np.zeros(1)).residual, np.concatenate([parts[3], parts[1]])
+    )
+
+
+def test_middles_are_where_the_sheet_was_seen_to_end() -> None:
+    places = crossings(np.random.default_rng(3))
+    views, found = outline(BEFORE[None], [edges_of(BEFORE, places)]).middles(BEFORE[None])
+    np.testing.assert_allclose(found, places.mean(axis=1), atol=1e-9)
+    assert not views.any()
+
+
+def test_outlines_place_a_lidar_by_as_much_as_they_say() -> None:
+    """Two LiDARs: outlines make every axis surer than their planes alone, and covariances hold."""
+    exact = scene(("lidar", "lidar_2"), boards=8).without_sway()
+    T_sensor_board = [relative(T, exact.truth.T_root_board) for T in exact.truth.T_root_sensor]
+    growth = [Unknown("", "outline", "m", 0.0, 0.01, (2 + s,)) for s in range(2)]
+    state = replace(exact.truth, own=np.zeros(2))
+    nees, stated, plain = [], [], []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        measured = exact.measured(rng)
+        outlines = tuple(outline(T, [edges_of(one, crossings(rng)) for one in T]) for T in T_sensor_board)
+        bundle = replace(measured, outlines=outlines, outlined=(0, 1), unknowns=tuple(growth), sway=np.zeros(4))
+        solved = solve(bundle, state)
+        spread = covariance(bundle, solved.state, solved.system)[6:, 6:]
+        error = se3.difference(solved.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
+        nees.append(error @ np.linalg.solve(spread, error) / 6)
+        stated.append(np.sqrt(np.diag(spread)))
+        without = covariance(measured, exact.truth, linearize(measured, exact.truth))[6:, 6:]
+        plain.append(np.sqrt(np.diag(without)))
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.3)
+    assert np.all(np.mean(stated, axis=0) < np.mean(plain, axis=0))

@@ -1,0 +1,59 @@
+"""Sheets are laid where points on their outlines say, and only where these say it."""
+
+import numpy as np
+import pytest
+
+from calgraph.estimation.rig.rectangle_registration import laid
+from calgraph.geometry import Array, se3, so3
+
+HALF = np.array([0.42, 0.30])
+
+
+def on_outline(rng: np.random.Generator, half: Array, count: int, noise: float = 0.003) -> Array:
+    """(count, 2) points all along the four sides."""
+    side, along = rng.integers(4, size=count), rng.uniform(-1, 1, count)
+    across = 2.0 * (side % 2) - 1
+    x, y = np.where(side < 2, across, along), np.where(side < 2, along, across)
+    return np.asarray(half * np.stack([x, y], axis=-1) + rng.normal(scale=noise, size=(count, 2)))
+
+
+def placed(points: Array, turn: float, shift: Array) -> tuple[Array, Array]:
+    """The points after a motion of the sheet in its plane, and that motion (4, 4)."""
+    T = se3.pose(so3.exp(np.array([0.0, 0.0, turn])), np.append(shift, 0.0))
+    return se3.apply(T, np.column_stack([points, np.zeros(len(points))]))[:, :2], T
+
+
+def test_sheets_lie_where_their_outlines_were_seen(rng: np.random.Generator) -> None:
+    turns, shifts = rng.uniform(0, np.pi, 50), rng.uniform(-0.2, 0.2, (50, 2))
+    seen = [placed(on_outline(rng, HALF, 30), turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
+    found, certain = laid([points for points, _ in seen], HALF)
+    assert certain.mean() > 0.9
+    T = np.array([T for _, T in seen])
+    off = se3.difference(found, T)
+    # A rectangle looks the same upside down.
+    turned = np.abs((off[:, 5] + np.pi / 2) % np.pi - np.pi / 2)
+    assert np.linalg.norm(off[certain, :2], axis=1).max() < 0.01
+    assert np.degrees(turned[certain].max()) < 2.5
+
+
+def test_a_square_allows_two_ways_so_it_is_not_laid(rng: np.random.Generator) -> None:
+    square = np.array([0.35, 0.35])
+    points, _ = placed(on_outline(rng, square, 40), 0.4, np.zeros(2))
+    assert not laid([points], square)[1].any()
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_few_points_lay_nothing(rng: np.random.Generator, count: int) -> None:
+    found, certain = laid([on_outline(rng, HALF, count)], HALF)
+    np.testing.assert_array_equal(found, np.eye(4)[None])
+    assert not certain.any()
+
+
+def test_a_sheet_of_another_size_is_not_laid(rng: np.random.Generator) -> None:
+    points, _ = placed(on_outline(rng, 0.6 * HALF, 40), 1.0, np.zeros(2))
+    assert not laid([points], HALF)[1].any()
+
+
+def test_no_sheets_are_none() -> None:
+    found, certain = laid([], HALF)
+    assert (found.shape, certain.shape) == ((0, 4, 4), (0,))

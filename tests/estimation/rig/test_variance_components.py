@@ -1,0 +1,175 @@
+"""What scatter tells: noise, sway and wrong views, over many seeds; intervals hold with 99 % and more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from bundle_scenes import Scene, remeasured, scene
+from calgraph.estimation.rig.bundle_solver import Bundle, Solved, solve
+from calgraph.estimation.rig.covariances import covariance, view_spreads
+from calgraph.estimation.rig.observations import Beams, Views, relative
+from calgraph.estimation.rig.variance_components import with_measured_scatter, wrong_views
+from calgraph.geometry import se3
+
+SEEDS = 20
+
+
+def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, Solved]:
+    """The bundle after rounds of solving and measuring both noise and sway."""
+    solved = solve(bundle, exact.truth)
+    for _ in range(rounds):
+        spreads = view_spreads(bundle, solved.system)
+        bundle = with_measured_scatter(bundle, solved, spreads)
+        solved = solve(bundle, solved.state, iterations=3)
+    return bundle, solved
+
+
+def contradicting(bundle: Bundle, solved: Solved) -> list[NDArray[np.bool_]]:
+    return wrong_views(bundle, solved.system, view_spreads(bundle, solved.system))
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.5, 1.0, 2.0])
+def test_noise_stated_wrongly_is_measured(noise: float) -> None:
+    exact = scene(boards=6)
+    found = []
+    for seed in range(SEEDS):
+        bundle = exact.measured(np.random.default_rng(seed), noise)
+        solved = solve(bundle, exact.truth)
+        for _ in range(3):
+            bundle = with_measured_scatter(bundle, solved, view_spreads(bundle, solved.system))
+            solved = solve(bundle, solved.state, iterations=3)
+        found.append([views.scale for views in bundle.views])
+    # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as three more.
+    freedom = np.array([6 * 108 - 18, 108, len(exact.bundle.views[2].start) * 50])
+    spread = noise / np.sqrt(2 * freedom * SEEDS)
+    pull = 3 / freedom * abs(np.log(noise)) * noise
+    assert np.all(np.abs(np.mean(found, axis=0) - noise) < 3 * spread + pull)
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_noise_is_measured_where_no_view_tells_it_alone(noise: float) -> None:
+    exact = scene(("lidar", "camera", "laser"), boards=15)
+    found = []
+    for seed in range(SEEDS):
+        measured = exact.measured(np.random.default_rng(seed), noise)
+        # Two beams on a board fit it, however wrong they are.
+        bundle = replace(measured, views=(*measured.views[:2], with_two_beams(measured.views[2])))
+        found.append(settled(exact, bundle, rounds=6)[0].views[2].scale)
+    freedom = 2 * 15 - 6
+    spread = noise / np.sqrt(2 * freedom * SEEDS)
+    pull = 3 / freedom * abs(np.log(noise)) * noise
+    # There is no sway, and none can be less: in every other run, some is taken from the noise (half a normal).
+    taken = np.std(found) / np.sqrt(2 * np.pi)
+    assert abs(np.mean(found) - noise) < 3 * spread + pull + taken
+
+
+def with_two_beams(views: Views) -> Views:
+    """The views with the first and the last beam of each."""
+    assert isinstance(views, Beams)
+    ends = np.stack([views.start, np.append(views.start[1:], len(views.ranges)) - 1], axis=-1).ravel()
+    return replace(
+        views,
+        start=2 * np.arange(len(views.start)),
+        directions=views.directions[ends],
+        ranges=views.ranges[ends],
+        sigma=views.sigma[ends],
+    )
+
+
+def test_the_noise_of_one_sensor_is_not_anothers() -> None:
+    exact = scene(boards=6)
+    loud = exact.measured(np.random.default_rng(0), 3.0)
+    quiet = exact.measured(np.random.default_rng(1), 1.0)
+    bundle, _ = settled(exact, replace(quiet, views=(quiet.views[0], loud.views[1], quiet.views[2])))
+    scales = [views.scale for views in bundle.views]
+    assert scales == pytest.approx([1, 3, 1], rel=0.25)
+
+
+@pytest.mark.parametrize("sway", [0.003, 0.01])
+def test_sway_is_measured_as_large_as_it_is_on_average(sway: float) -> None:
+    exact = scene(("lidar", "camera", "laser", "camera"), boards=15)
+    variances = np.array(
+        [settled(exact, exact.measured(np.random.default_rng(seed), sway=sway))[0].sway for seed in range(SEEDS)]
+    )
+    # Each sensor's variance over the true one: its mean over seeds against their own scatter.
+    relative_size = variances / sway**2
+    standard_error = relative_size.std(axis=0, ddof=1) / np.sqrt(SEEDS)
+    assert np.all(np.abs(relative_size.mean(axis=0) - 1) < 3.5 * standard_error + 0.02)
+
+
+def test_without_sway_hardly_any_is_measured() -> None:
+    exact = scene(boards=15)
+    sways = np.sqrt([
+        settled(exact, exact.measured(np.random.default_rng(seed)))[0].sway for seed in range(SEEDS)
+    ])  # fmt: skip
+    # Scatter of some views is larger by chance; even then it is a small part of the noise.
+    assert np.median(sways) < 5e-4
+    assert sways.max() < 2.5e-3
+
+
+def test_with_sway_errors_are_as_the_covariance_says() -> None:
+    exact = scene(boards=20)
+    nees = []
+    for seed in range(2 * SEEDS):
+        bundle, solved = settled(exact, exact.measured(np.random.default_rng(seed), sway=0.005))
+        spread = covariance(bundle, solved.state, solved.system)[6:, 6:]
+        error = se3.difference(solved.state.T_root_sensor, exact.truth.T_root_sensor)[1:].ravel()
+        nees.append(error @ np.linalg.solve(spread, error))
+    low, high = chi2.ppf([0.005, 0.995], 12 * len(nees)) / (12 * len(nees))
+    # Sway measured from twenty views of a sensor is itself uncertain, which Student's t would make wider.
+    assert low < np.mean(nees) / 12 < high * 1.2
+
+
+def moved_views(exact: Scene, bundle: Bundle, sensor: int, wrong: list[int], rng: np.random.Generator) -> Bundle:
+    """The bundle in which one sensor saw some boards 5 cm and 3 degrees off."""
+    off = np.zeros((len(exact.truth.T_root_board), 6))
+    off[wrong] = 0.05 * rng.choice([-1, 1], (len(wrong), 6))
+    T = relative(exact.truth.T_root_sensor[sensor], exact.truth.T_root_board)
+    views = list(bundle.views)
+    views[sensor] = remeasured(exact.bundle.views[sensor], se3.retract(T, off), rng, 1.0)
+    return replace(bundle, views=tuple(views), sway=np.full(len(views), 0.003**2))
+
+
+def named(exact: Scene, bundle: Bundle, rounds: int = 3) -> list[tuple[int, int]]:
+    """Sensors and boards of the views called wrong, left out round by round."""
+    found = []
+    for _ in range(rounds):
+        wrong = contradicting(bundle, solve(bundle, exact.truth))
+        found += [(s, int(board)) for s, bad in enumerate(wrong) for board in bundle.views[s].board[bad]]
+        left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
+        bundle = replace(bundle, views=left)
+    return found
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_wrong_views_are_the_ones_named(sensor: int) -> None:
+    # Three sensors that see the board as a plane: two that agree outvote the third.
+    exact = scene(("lidar", "camera", "lidar2", "laser"), boards=15)
+    right, others = 0, 0
+    for seed in range(SEEDS):
+        rng = np.random.default_rng(seed)
+        found = named(exact, moved_views(exact, exact.measured(rng), sensor, [2, 7, 11], rng))
+        right += len({(sensor, board) for board in (2, 7, 11)} & set(found))
+        others += len(found)
+    assert right >= 0.98 * 3 * SEEDS
+    assert others - right <= 0.1 * right
+
+
+def test_right_views_are_not_called_wrong() -> None:
+    exact = scene(boards=20)
+    wrong = 0
+    for seed in range(SEEDS):
+        bundle, solved = settled(exact, exact.measured(np.random.default_rng(seed)))
+        wrong += sum(int(bad.sum()) for bad in contradicting(bundle, solved))
+    # One in 100,000 by chance, of 1,200 that were looked at.
+    assert wrong <= 1
+
+
+def test_of_one_board_only_the_worst_view_is_called_wrong() -> None:
+    exact, rng = scene(("lidar", "camera", "lidar2", "laser"), boards=10), np.random.default_rng(0)
+    bundle = moved_views(exact, moved_views(exact, exact.measured(rng), 1, [3], rng), 3, [3], rng)
+    found = contradicting(bundle, solve(bundle, exact.truth))
+    assert sum(bool(bad[3]) for bad in found) == 1
