@@ -12,9 +12,9 @@ from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.estimation import solve_network
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, placed, trust
-from calgraph.graph.trees import tree_poses
+from calgraph.graph.random_trees import tree_poses
 from calgraph.pairwise import Sights, TrackPair, estimate_network_pairs
-from calgraph.pairwise.samples import meetings, sample
+from calgraph.pairwise.synchronized_tracks import meetings, sample
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, Truth, build_network, network_rig, network_truth, scans_of
 from calgraph.tracking import Feature, Tracked, track_scanner

@@ -24,9 +24,9 @@ from calgraph.simulation import (
     set_stage,
     truth_of,
 )
-from calgraph.simulation.rig import TRIGGER_TOPIC, topic_of
+from calgraph.simulation.rig_simulation import TRIGGER_TOPIC, topic_of
 from calgraph.simulation.robot import MountedCamera
-from calgraph.simulation.stage import measurement
+from calgraph.simulation.world import measurement
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,13 @@ GIVES_MESSAGES = {
 ELSEWHERE = {
     "estimation/rig/problem.py": "Files that calgraph wrote",
     "estimation/rig/problem_file.py": "Files that calgraph wrote",
-    "result/reading.py": "Files that calgraph wrote",
+    "result/calibration_reading.py": "Files that calgraph wrote",
     "result/scene.py": "Files that calgraph wrote",
     "result/snapshots.py": "Files that calgraph wrote",
     "io/archive.py": "Files that calgraph wrote",
     "io/columns.py": "Files that calgraph wrote",
-    "captures/given.py": "In your own program",
-    "detection/measured.py": "In your own program",
+    "captures/from_detections.py": "In your own program",
+    "detection/from_measurements.py": "In your own program",
     "recording/in_memory.py": "In your own program",
     "recording/writer.py": "In your own program",
 }

@@ -12,7 +12,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import COMMANDS, SIMULATIONS, app, guarded
-from calgraph.cli.on_demand import Place
+from calgraph.cli.lazy_commands import Place
 from calgraph.errors import CalibrationError, InputError, RecordingError
 
 Run = Callable[..., Result]

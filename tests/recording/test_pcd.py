@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.recording.clouds import cloud_of_columns
 from calgraph.recording.pcd import decompress_lzf, read_pcd
 from calgraph.recording.ply import read_ply
+from calgraph.recording.point_cloud_columns import cloud_of_columns
 
 POINTS = np.array(
     [(1.5, -2, 3, 7, 0.0), (np.nan, np.nan, np.nan, 8, 0.01), (4, 5, 6.25, 300, 0.02)],

@@ -9,7 +9,7 @@ from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.report.coverage import coverage
 from calgraph.report.coverage_view import coverages
-from calgraph.report.words import BOARD
+from calgraph.report.vocabulary import BOARD
 from calgraph.result import BoardView, Calibration
 
 

@@ -18,7 +18,7 @@ from calgraph.report.image_view import camera_images
 from calgraph.report.overlays import overlay
 from calgraph.report.thumbnails import thumbnail
 from calgraph.result import Calibration, Snapshot
-from calgraph.result.cameras import cameras_of
+from calgraph.result.used_intrinsics import cameras_of
 
 
 def painted_of(html: str) -> list[dict[str, Any]]:

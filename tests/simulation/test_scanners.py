@@ -12,7 +12,7 @@ from calgraph.simulation.scanners import (
     point_cloud,
     spinning_pattern,
 )
-from calgraph.simulation.scene import Box, Sheet, Solid
+from calgraph.simulation.solids import Box, Sheet, Solid
 
 EXACT = BeamNoise(range=0.0, angle=0.0, mixed=0.0, dropout=0.0, min_range=0.1, max_range=30.0)
 QUARTER = np.radians(0.25)

@@ -5,9 +5,9 @@ import pytest
 
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, ScanBackground
-from calgraph.tracking.background import StaticScene
 from calgraph.tracking.clusters import Clusters, clusters, foreground
-from calgraph.tracking.scans import in_runs
+from calgraph.tracking.scan_stack import in_runs
+from calgraph.tracking.static_scene import StaticScene
 
 ANGLES = np.radians(np.arange(-90, 90.25, 0.5))
 EMPTY = StaticScene(ScanBackground(ANGLES, np.full(len(ANGLES), 8.0)), np.empty((0, 2)), 0.02)

@@ -5,8 +5,8 @@ import pytest
 
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan
-from calgraph.tracking.background import StaticScene, learn_static_scene
-from calgraph.tracking.scans import in_runs
+from calgraph.tracking.scan_stack import in_runs
+from calgraph.tracking.static_scene import StaticScene, learn_static_scene
 
 ANGLES = np.linspace(-1, 1, 201)
 

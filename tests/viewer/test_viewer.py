@@ -19,7 +19,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not 
 from playwright.sync_api import Browser, ConsoleMessage, Page  # noqa: E402
 
 from calgraph.viewer import Viewer  # noqa: E402
-from calgraph.viewer.choice import Choice  # noqa: E402
+from calgraph.viewer.view_state import Choice  # noqa: E402
 
 Picture = NDArray[np.int16]
 

@@ -1,8 +1,6 @@
 """The two stories, one screen each: from a recording to a calibrated tree of transforms."""
 
-from calgraph.calibrate.either import calibrate
-from calgraph.calibrate.following import follow_people
-from calgraph.calibrate.judging import audit_problem, check_network, verify_problem
+from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.network import DEPTHS, calibrate_network, calibrate_tracks
 from calgraph.calibrate.options import NetworkEstimator, Options, Progress, Weights, silent
 from calgraph.calibrate.rig import (
@@ -13,6 +11,8 @@ from calgraph.calibrate.rig import (
     prepare,
     solve_problem,
 )
+from calgraph.calibrate.track_recording import follow_people
+from calgraph.calibrate.validate import audit_problem, check_network, verify_problem
 
 __all__ = [
     "DEPTHS",

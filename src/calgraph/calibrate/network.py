@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.following import follow_people, scanner_noise, walking
 from calgraph.calibrate.options import Options, Progress, network_estimator, silent
+from calgraph.calibrate.track_recording import follow_people, scanner_noise, walking
 from calgraph.config import Rig
 from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, extended, without
 from calgraph.errors import CalibrationError, InputError

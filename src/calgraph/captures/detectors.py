@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.captures.observe import Detect
+from calgraph.captures.detect import Detect
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.detection import (
     Averaging,

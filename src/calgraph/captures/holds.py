@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.captures.stillness import still_spans
+from calgraph.captures.motion_detection import still_spans
 from calgraph.captures.timeline import SensorTimes, Timeline
 from calgraph.config import Capture
 from calgraph.errors import CalibrationError

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.captures.stillness import ActivityMeter
+from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, PointCloud, Record
 

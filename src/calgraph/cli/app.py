@@ -13,7 +13,7 @@ import typer
 from rich.markup import escape
 
 from calgraph.cli.console import console
-from calgraph.cli.on_demand import Place, on_demand
+from calgraph.cli.lazy_commands import Place, on_demand
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))

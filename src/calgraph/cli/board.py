@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from calgraph.cli.console import console
-from calgraph.cli.knobs import knobs_of, settings, with_knobs
+from calgraph.cli.model_options import knobs_of, settings, with_knobs
 from calgraph.config import Board
 from calgraph.errors import InputError
 from calgraph.io import check_place, write_text

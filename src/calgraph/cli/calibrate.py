@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.arguments import Results, RigFile, WholeJson
-from calgraph.cli.cores import JobsOption, cores
-from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
+from calgraph.cli.common_options import Results, RigFile, WholeJson
+from calgraph.cli.job_options import JobsOption, cores
+from calgraph.cli.printing import print_calibration, print_place
+from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.tables import print_calibration, print_place
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError
 from calgraph.io import check_place, replacing_folder, save_yaml

@@ -11,12 +11,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.cli.arguments import RigFile
 from calgraph.cli.calibrate import write_results
+from calgraph.cli.common_options import RigFile
 from calgraph.cli.console import console
-from calgraph.cli.cores import cores
+from calgraph.cli.job_options import cores
+from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.tables import print_remarks
 from calgraph.config import Cylinder, People, Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.io import replacing_folder, write_text

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import fail_if_unconnected, write_results
+from calgraph.cli.printing import print_calibration, print_errors, print_place
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.simulating import simulate_into
-from calgraph.cli.tables import print_calibration, print_errors, print_place
+from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.io import replacing_folder

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.arguments import OneRecording
+from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.config import draft_rig
 from calgraph.errors import InputError

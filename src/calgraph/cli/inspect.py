@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.cli.arguments import OneRecording
+from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import RecordingError

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from calgraph.cli.knobs import knobs_of, settings, with_knobs
-from calgraph.cli.simulating import Out, ScenarioFile, Seed, simulate_to
+from calgraph.cli.model_options import knobs_of, settings, with_knobs
+from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
 from calgraph.io.yaml_reading import read_yaml, validated
 from calgraph.simulation import RigScenario, simulate_rig
 

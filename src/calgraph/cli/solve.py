@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.arguments import Results, WholeJson
 from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
-from calgraph.cli.known import DeviationOption, PriorOption, RigidOption, known_files
+from calgraph.cli.common_options import Results, WholeJson
+from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, known_files
 from calgraph.io import replacing_folder
 
 

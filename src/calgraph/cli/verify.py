@@ -12,8 +12,8 @@ from rich.table import Table
 
 from calgraph.cli.calibrate import fail_if_unconnected
 from calgraph.cli.console import console
+from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.tables import print_remarks
 from calgraph.config import load_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import open_recordings, with_intrinsics

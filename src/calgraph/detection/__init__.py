@@ -1,12 +1,12 @@
 """Finding the target in the messages of one capture."""
 
-from calgraph.detection.background import CloudBackground
 from calgraph.detection.camera import Averaging, CameraDetector, find_boards
+from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
+from calgraph.detection.from_measurements import corners_seen, plane_seen, segment_seen
 from calgraph.detection.landmarks import Landmarks, landmarks
-from calgraph.detection.measured import corners_seen, plane_seen, segment_seen
-from calgraph.detection.patches import find_patches
-from calgraph.detection.segments import find_segments
+from calgraph.detection.lidar2d import find_segments
+from calgraph.detection.lidar3d import find_patches
 
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "Landmarks", "PlanePatch",

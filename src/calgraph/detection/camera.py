@@ -12,7 +12,7 @@ from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners, Rejected
 from calgraph.detection.landmarks import Landmarks, landmarks
-from calgraph.detection.straight_view import has_straight_lines, straight_view
+from calgraph.detection.rectified_view import has_straight_lines, straight_view
 from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.errors import InputError
 from calgraph.geometry import Array, plane, se3

@@ -1,14 +1,14 @@
 """The graph of sensors: connectivity and start values."""
 
-from calgraph.graph.adjustment import translations
 from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
 from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.network import average_network, covariances, joint_covariance, network_graph, trust
-from calgraph.graph.placing import Placed, placed
+from calgraph.graph.graph_optimization import translations
+from calgraph.graph.network_graph import average_network, covariances, joint_covariance, network_graph, trust
+from calgraph.graph.network_initialization import Placed, placed
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
-from calgraph.graph.tree import SpanningTree, grown, spanning_tree
-from calgraph.graph.voting import consensus_trees
+from calgraph.graph.spanning_tree import SpanningTree, grown, spanning_tree
+from calgraph.graph.tree_consensus import consensus_trees
 
 __all__ = [
     "Averaged",

@@ -6,15 +6,15 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.consensus import best_of_groups
 from calgraph.geometry import Array
 from calgraph.graph import groups
-from calgraph.graph.adjustment import translations
+from calgraph.graph.graph_optimization import translations
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
-from calgraph.graph.tree import SpanningTree, openness, spanning_tree
-from calgraph.graph.voting import consensus_trees
+from calgraph.graph.spanning_tree import SpanningTree, openness, spanning_tree
+from calgraph.graph.tree_consensus import consensus_trees
 from calgraph.pairwise import PairwiseEstimate
+from calgraph.ransac import best_of_groups
 
 Method = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
 Start = Literal["tree", "identity"] | Method

@@ -14,8 +14,8 @@ from scipy.sparse.linalg import eigsh
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.graph import groups
-from calgraph.graph.adjustment import differences_solved
 from calgraph.graph.cycles import Cycle, cycle_basis, incidence, triangles
+from calgraph.graph.graph_optimization import differences_solved
 from calgraph.graph.pose_graph import Edges, PoseGraph
 
 # Up to so many rows all eigenvectors are found at once; above, only the leading ones.

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from calgraph.detection import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.agreement import rigid_spread
-from calgraph.pairwise.open_view import looks_past
+from calgraph.pairwise.track_registration import rigid_spread
+from calgraph.pairwise.visibility_map import looks_past
 
 # Neighbours on either side that make a line, how far apart two neighbours of one wall are at most (m, and as a
 # share of their range), and how far (m) the points of a line may stray from it.

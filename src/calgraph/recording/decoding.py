@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.recording.clouds import cloud_of_columns, columns_of_point_cloud2
 from calgraph.recording.images import decompressed, pixels_of_buffer
 from calgraph.recording.intrinsics import camera_model
 from calgraph.recording.message_types import MessageType
+from calgraph.recording.point_cloud_columns import cloud_of_columns, columns_of_point_cloud2
 from calgraph.recording.recording import blamed_on
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
 

@@ -13,13 +13,13 @@ from ruamel.yaml import YAML
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.recording.clouds import cloud_of_columns
 from calgraph.recording.decoding import within_limits
 from calgraph.recording.images import decompressed
 from calgraph.recording.intrinsics import camera_of_yaml
-from calgraph.recording.listed import ListedRecording
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
+from calgraph.recording.point_cloud_columns import cloud_of_columns
+from calgraph.recording.record_list import ListedRecording
 from calgraph.recording.recording import blamed_on
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from calgraph.errors import InputError
-from calgraph.recording.listed import ListedRecording
+from calgraph.recording.record_list import ListedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
 
 _TYPES = {Image: "image", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info", Trigger: "trigger"}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.recording.clouds import Columns
+from calgraph.recording.point_cloud_columns import Columns
 
 _CODES = {"F": "f", "I": "i", "U": "u"}
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.recording.clouds import Columns
+from calgraph.recording.point_cloud_columns import Columns
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",

@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 
 from calgraph.report.figures import BLUE, NOTHING, ORANGE, Figure, figure, placed, plotly_text
-from calgraph.report.text import counted, escaped, fixed, length
+from calgraph.report.formatting import counted, escaped, fixed, length
+from calgraph.report.vocabulary import NETWORK, Words
 from calgraph.report.walk_view import timeline
-from calgraph.report.words import NETWORK, Words
 from calgraph.result import Calibration, CaptureRow
 
 _ABSENT, _REJECTED, _USED = 0, 1, 2

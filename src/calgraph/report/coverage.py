@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
-from calgraph.report.text import fixed
+from calgraph.report.formatting import fixed
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.cameras import cameras_of
+from calgraph.result.used_intrinsics import cameras_of
 from calgraph.sensors import CameraModel
 
 # Cells of a camera's longer side, of a turn, and of elevations and ranges.

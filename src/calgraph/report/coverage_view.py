@@ -4,8 +4,8 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.report.coverage import Coverage, coverage
-from calgraph.report.text import KINDS, counted, escaped
-from calgraph.report.words import Words
+from calgraph.report.formatting import KINDS, counted, escaped
+from calgraph.report.vocabulary import Words
 from calgraph.result import Calibration
 
 # Of the drawing, with room for labels at the left and below.

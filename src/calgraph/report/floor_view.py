@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import INK, RULE, WHEEL, Figure, chooser, figure, placed, plotly_text
-from calgraph.report.text import angle, fixed, length
+from calgraph.report.formatting import angle, fixed, length
 from calgraph.result import Calibration, FloorView, SensorPose
 
 _SIGMAS = 2.0

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.report.text import escaped, fixed, length
+from calgraph.report.formatting import escaped, fixed, length
 from calgraph.report.thumbnails import thumbnail
 from calgraph.result import Calibration, CaptureRow, Snapshot
 

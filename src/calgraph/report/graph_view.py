@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.report.text import KINDS, counted, escaped, length
-from calgraph.report.words import Words
+from calgraph.report.formatting import KINDS, counted, escaped, length
+from calgraph.report.vocabulary import Words
 from calgraph.result import Calibration, Edge
 
 _WIDTH, _HEIGHT = 1040, 440

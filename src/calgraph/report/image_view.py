@@ -7,11 +7,11 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
+from calgraph.report.formatting import counted, digits, escaped, length
 from calgraph.report.overlays import Overlay, overlay
-from calgraph.report.text import counted, digits, escaped, length
 from calgraph.result import BoardView, Calibration, SensorPose, Snapshot
 from calgraph.result.calibration import rms
-from calgraph.result.cameras import cameras_of
+from calgraph.result.used_intrinsics import cameras_of
 from calgraph.sensors import CameraModel
 
 # Pictures on the page, of each camera at most and at least, and of each those that are shown without asking.

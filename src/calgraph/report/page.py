@@ -10,18 +10,18 @@ from calgraph.config import Rig
 from calgraph.io import write_text
 from calgraph.report.capture_view import captures
 from calgraph.report.coverage_view import coverages
+from calgraph.report.diagnostics_view import left_out_table, suggestion_list
 from calgraph.report.floor_view import floor_plan
+from calgraph.report.formatting import counted, escaped
 from calgraph.report.fused_view import fused_view
 from calgraph.report.gallery import gallery
 from calgraph.report.graph_view import edge_table, graph
 from calgraph.report.image_view import camera_images
-from calgraph.report.outlook_view import left_out_table, suggestion_list
 from calgraph.report.pose_table import estimated_table, pose_table
 from calgraph.report.residual_view import histograms, spreads
 from calgraph.report.rig_view import rig_view
-from calgraph.report.text import counted, escaped
-from calgraph.report.verdicts import cards, headline, remark_list
-from calgraph.report.words import NETWORK, Words, words_for
+from calgraph.report.verdict_cards import cards, headline, remark_list
+from calgraph.report.vocabulary import NETWORK, Words, words_for
 from calgraph.result import Calibration
 
 

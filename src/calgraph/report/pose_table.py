@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calgraph.report.text import angle, digits, escaped, fixed, kind_of, length
-from calgraph.report.verdicts import badge
+from calgraph.report.formatting import angle, digits, escaped, fixed, kind_of, length
+from calgraph.report.verdict_cards import badge
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.report.figures import BLUE, MUTED, RULE, VERMILION, Figure, figure, placed, plotly_text
-from calgraph.report.text import counted, digits, escaped
-from calgraph.report.words import Words
+from calgraph.report.formatting import counted, digits, escaped
+from calgraph.report.vocabulary import Words
 from calgraph.result import Calibration
 
 _LIMIT = 5.0

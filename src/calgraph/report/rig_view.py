@@ -25,7 +25,7 @@ from calgraph.report.figures import (
 )
 from calgraph.report.rig_shapes import SCALE_95, Polyline, axes, ellipsoid, frustum, scan_circle
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.cameras import cameras_of
+from calgraph.result.used_intrinsics import cameras_of
 
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipsoid can be seen if its longest half axis takes this part of an axis of a frame.

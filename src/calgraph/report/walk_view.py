@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.report.figures import BLUE, ORANGE, RULE, Figure, figure, plotly_text
-from calgraph.report.text import fixed, length
+from calgraph.report.formatting import fixed, length
 from calgraph.result import CaptureRow
 
 # Walks at the same time lie side by side in lanes, parts of a scanner's row away from its middle.

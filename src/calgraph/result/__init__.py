@@ -11,16 +11,16 @@ from calgraph.result.calibration import (
     Suggestion,
     Verdict,
 )
-from calgraph.result.cameras import cameras_of
+from calgraph.result.calibration_file import save_calibration, save_captures
+from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colored
 from calgraph.result.estimated import Estimated
 from calgraph.result.exports import FORMATS, export, to_json
-from calgraph.result.file import save_calibration, save_captures
 from calgraph.result.known_poses import KnownPoses, read_poses
-from calgraph.result.reading import load_calibration
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.snapshots import Snapshot
-from calgraph.result.tree import TransformTree
+from calgraph.result.transform_tree import TransformTree
+from calgraph.result.used_intrinsics import cameras_of
 
 __all__ = [
     "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView",

@@ -11,7 +11,7 @@ from calgraph.geometry import Array, se3
 from calgraph.result.board_views import BoardOutline, BoardView
 from calgraph.result.estimated import Estimated
 from calgraph.result.snapshots import Snapshot
-from calgraph.result.tree import TransformTree
+from calgraph.result.transform_tree import TransformTree
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,10 +11,10 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.io.yaml_reading import read_documents, read_text
 from calgraph.result.calibration import Calibration
+from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.exports.frames import from_roll_pitch_yaw
 from calgraph.result.exports.urdf_text import hung, read_joints
 from calgraph.result.frame_tree import FrameTree, Hanging
-from calgraph.result.reading import load_calibration
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3

@@ -1,9 +1,9 @@
 """Models of cameras and scanners, and the messages they send."""
 
-from calgraph.sensors.camera import CameraModel
-from calgraph.sensors.flat import scan_of_cloud
+from calgraph.sensors.camera_model import CameraModel
+from calgraph.sensors.cloud_to_scan import scan_of_cloud
 from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
-from calgraph.sensors.painting import painted
+from calgraph.sensors.point_colors import painted
 from calgraph.sensors.scan_background import ScanBackground, nearest_beam
 
 __all__ = [

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.sensors.camera import CameraModel
+from calgraph.sensors.camera_model import CameraModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 """Known truth: simulated recordings of robots with a board, to test and to benchmark calibrations on."""
 
-from calgraph.simulation.detections import DetectionKnobs, simulate_detections
-from calgraph.simulation.network import (
+from calgraph.simulation.ideal_detections import DetectionKnobs, simulate_detections
+from calgraph.simulation.network_scenario import LayoutName, NetworkScenario, PeopleKnobs, ScannerKnobs
+from calgraph.simulation.network_simulation import (
     Network,
     StationaryScanner,
     build_network,
@@ -11,8 +12,6 @@ from calgraph.simulation.network import (
     simulate_network,
     simulate_network_scans,
 )
-from calgraph.simulation.network_scenario import LayoutName, NetworkScenario, PeopleKnobs, ScannerKnobs
-from calgraph.simulation.rig import Progress, rig_of, simulate_rig
 from calgraph.simulation.rig_scenario import (
     BeamKnobs,
     CameraKnobs,
@@ -21,7 +20,9 @@ from calgraph.simulation.rig_scenario import (
     RigScenario,
     SpinningKnobs,
 )
-from calgraph.simulation.stage import (
+from calgraph.simulation.rig_simulation import Progress, rig_of, simulate_rig
+from calgraph.simulation.truth import BoardTruth, PersonTruth, Truth, load_truth, save_truth
+from calgraph.simulation.world import (
     SimulatedCapture,
     Stage,
     set_stage,
@@ -29,7 +30,6 @@ from calgraph.simulation.stage import (
     simulate_captures,
     truth_of,
 )
-from calgraph.simulation.truth import BoardTruth, PersonTruth, Truth, load_truth, save_truth
 
 __all__ = [
     "BeamKnobs", "BoardTruth", "CameraKnobs", "DetectionKnobs", "LaserKnobs", "LayoutName", "MultibeamKnobs",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel
-from calgraph.simulation.scene import Solid, cast
+from calgraph.simulation.solids import Solid, cast
 
 Gray = NDArray[np.float32]
 

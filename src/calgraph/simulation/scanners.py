@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import LaserScan, PointCloud
-from calgraph.simulation.scene import Solid, cast
+from calgraph.simulation.solids import Solid, cast
 
 SceneAt = Callable[[float, float], Sequence[tuple[float, Sequence[Solid]]]]
 """The scene between two times: its states as (end of validity, solids), in order; the last reaches the end."""

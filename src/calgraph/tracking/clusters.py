@@ -9,8 +9,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.geometry import Array
-from calgraph.tracking.background import StaticScene
-from calgraph.tracking.scans import ScanRun
+from calgraph.tracking.scan_stack import ScanRun
+from calgraph.tracking.static_scene import StaticScene
 
 # Neighbouring points belong to one surface up to this distance: m, and as a multiple of the beam spacing.
 _GAP = (0.12, 2.5)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calgraph.config import Cylinder, People
 from calgraph.geometry import Array, ellipse
 from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.fitting import Groups, Prior, fit_centres
+from calgraph.tracking.ellipse_fit import Groups, Prior, fit_centres
 
 Feature = Literal["com", "ellipse", "nls"]
 

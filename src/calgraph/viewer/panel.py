@@ -9,10 +9,10 @@ import numpy as np
 
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
-from calgraph.viewer.agreement import misfits
-from calgraph.viewer.choice import NOWHERE, Choice, Coloring
-from calgraph.viewer.stage import EXAGGERATIONS, LAYERS, Stage
-from calgraph.viewer.walks import duration
+from calgraph.viewer.misalignment import misfits
+from calgraph.viewer.scene_display import EXAGGERATIONS, LAYERS, Stage
+from calgraph.viewer.trails import duration
+from calgraph.viewer.view_state import NOWHERE, Choice, Coloring
 
 if TYPE_CHECKING:
     from viser import GuiApi, GuiInputHandle

@@ -12,9 +12,9 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
-from calgraph.viewer.choice import up
 from calgraph.viewer.panel import Panel
-from calgraph.viewer.stage import Stage
+from calgraph.viewer.scene_display import Stage
+from calgraph.viewer.view_state import up
 
 if TYPE_CHECKING:
     from viser import ViserServer

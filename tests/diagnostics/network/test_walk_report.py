@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.diagnostics.network.walk_report import floor_views, met, walk_rows
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.samples import Samples, sample
+from calgraph.pairwise.synchronized_tracks import Samples, sample
 from calgraph.result import CaptureRow
 from calgraph.tracking import Track, Tracked
 

@@ -14,7 +14,7 @@ from calgraph.estimation.network.planar_poses import in_space
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, joint_covariance
 from calgraph.pairwise import Hypothesis, TrackPair
-from calgraph.pairwise.samples import sample
+from calgraph.pairwise.synchronized_tracks import sample
 from calgraph.result import Calibration, Edge, SensorPose
 from calgraph.tracking import Tracked, Untracked
 

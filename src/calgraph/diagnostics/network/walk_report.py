@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.samples import TICK, Meetings, Samples, meetings
+from calgraph.pairwise.synchronized_tracks import TICK, Meetings, Samples, meetings
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import Tracked
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.detection import PlanePatch, Segment
-from calgraph.detection.sheet_edges import BLUR
+from calgraph.detection.board_edges import BLUR
 from calgraph.estimation.rig.observations import Rows, selected, starts, step, view_of
 from calgraph.geometry import Array, Index, se3
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.geometry import so3
 from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
-from calgraph.result.file import FORMAT
+from calgraph.result.calibration_file import FORMAT
 
 
 def to_json(calibration: Calibration) -> str:

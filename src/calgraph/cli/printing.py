@@ -1,0 +1,147 @@
+"""What a calibration prints: poses with their standard deviations, readable at 80 columns, greppable in a pipe."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from calgraph.cli.console import console
+from calgraph.geometry import Array, se3
+from calgraph.result import Calibration, SensorPose
+from calgraph.result.exports import roll_pitch_yaw
+
+_GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
+"""Sign for each grade: colour is never the only one."""
+
+
+def print_calibration(calibration: Calibration) -> None:
+    """Prints each sensor's pose, its standard deviation, and what is to be said against it."""
+    paper = console()
+    paper.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
+    table = _table()
+    axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
+    heads = " ".join(("x", "y", "z")[axes]), " ".join(("roll", "pitch", "yaw")[turns])
+    timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
+    clock = ("clock, ms",) if timed else ()
+    for head in (f"{heads[0]}, m", f"{heads[1]}, °", "± mm", "± °", *clock, ""):
+        table.add_column(head, justify="right", no_wrap=True)
+    for sensor in calibration.sensors:
+        T = sensor.T_root_sensor
+        table.add_row(
+            escape(sensor.name),
+            " ".join(f"{_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
+            " ".join(f"{_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
+            *_deviations(sensor),
+            *([_clock(sensor)] if timed else []),
+            _GRADES[sensor.verdict.grade],
+        )
+    paper.print(table)
+    if calibration.estimated:
+        _print_estimated(paper, calibration)
+    if calibration.left_out:
+        _print_left_out(paper, calibration)
+    for sensor in calibration.sensors:
+        if sensor.verdict.grade != "good" or sensor.verdict.reason:
+            reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
+            paper.print(
+                f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
+            )
+    print_remarks(calibration)
+    if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
+        for number, suggestion in enumerate(calibration.suggestions, start=1):
+            paper.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
+
+
+def print_remarks(calibration: Calibration) -> None:
+    """Prints what is to be known of the whole result, one line each."""
+    for remark in calibration.remarks:
+        console().print(f"[yellow]![/] {escape(remark)}")
+
+
+def _print_left_out(paper: Console, calibration: Calibration) -> None:
+    """Prints how far captures that were left out are from their prediction."""
+    paper.print("[bold]Captures left out, against what the other sensors predict[/] (ratio: to what is expected)")
+    table = _table()
+    for head in ("captures", "RMS", "median", "along beam", "tilt", "ratio"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, one in calibration.left_out.items():
+        table.add_row(escape(name), str(one.views), *one.shown, f"{one.ratio:.2f}")
+    paper.print(table)
+
+
+def _print_estimated(paper: Console, calibration: Calibration) -> None:
+    """Prints what was estimated besides poses."""
+    paper.print("[bold]Estimated besides[/]")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("of", overflow="fold")
+    table.add_column("")
+    for head in ("stated", "found", "±", ""):
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("")
+    for one in calibration.estimated:
+        told = "" if one.measured else "[yellow]! told by no capture[/]"
+        table.add_row(escape(one.of), one.quantity, *one.shown, told)
+    paper.print(table)
+
+
+def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:
+    """Prints how far each sensor's pose is from the truth, beside its standard deviation.
+
+    Args:
+        calibration: the result.
+        T_root_sensor: true poses (4, 4) by sensor.
+    """
+    paper = console()
+    paper.print("[bold]Errors against the truth[/]")
+    table = _table()
+    for head in ("error mm", "± mm", "error °", "± °"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for sensor in calibration.sensors:
+        if sensor.parent is not None:
+            error = se3.difference(sensor.T_root_sensor, T_root_sensor[sensor.name])
+            mm, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
+            sigma_mm, sigma_degrees = _deviations(sensor)
+            table.add_row(escape(sensor.name), f"{mm:.1f}", sigma_mm, f"{degrees:.3f}", sigma_degrees)
+    paper.print(table)
+
+
+def print_place(out: Path) -> None:
+    """Prints where the results are."""
+    console().print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
+
+
+def _table() -> Table:
+    """A table whose first column takes the sensors' names, folded where they are too long for the terminal."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("sensor", overflow="fold")
+    return table
+
+
+def _deviations(sensor: SensorPose) -> tuple[str, str]:
+    """Standard deviations along the worst directions, mm and degrees; the root has none."""
+    if sensor.parent is None:
+        return "root", ""
+    from calgraph.report.verdict_cards import (
+        worst_deviation,  # brings plots along, which --help should not wait for
+    )
+
+    position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
+    return _fixed(1000 * worst_deviation(position), 1), _fixed(np.degrees(worst_deviation(rotation)), 3)
+
+
+def _clock(sensor: SensorPose) -> str:
+    """Clock offset and its standard deviation, ms; nothing where it was not estimated."""
+    if sensor.clock_offset is None:
+        return ""
+    deviation = sensor.clock_offset_stddev
+    return (
+        f"{_fixed(1e3 * sensor.clock_offset, 1)}{'' if deviation is None else f' ±{_fixed(1e3 * deviation, 1)}'}"
+    )
+
+
+def _fixed(value: float, digits: int) -> str:
+    """A number with so many decimals; 0 for what rounds to -0."""
+    return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "∞"

@@ -1,0 +1,72 @@
+"""Flat regions of a cloud, grown from its flattest places.
+
+Source: MSG-Cal, section III-B (regions seeded at minimum curvature). A region's own plane, updated as it grows,
+decides who joins: single normals are too noisy on a cloud of few rings.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.detection.voxel_normals import Cells, Indices
+from calgraph.geometry import Array, plane
+
+_MAX_CURVATURE = 0.08
+_MIN_COSINE = np.cos(np.radians(35.0))
+_MIN_CELLS = 8
+# A region's plane is fitted anew whenever the region has grown by this factor.
+_REFIT = 1.2
+
+
+def flat_regions(cells: Cells, thickness: float) -> list[Indices]:
+    """Cells of each flat region, the region with the flattest seed first.
+
+    Args:
+        cells: the cloud.
+        thickness: how far from a region's plane its cells may lie, m.
+
+    """
+    free = np.ones(len(cells.points), dtype=bool)
+    regions = []
+    for seed in np.argsort(cells.curvature, kind="stable"):
+        if cells.curvature[seed] > _MAX_CURVATURE:
+            break
+        if not free[seed]:
+            continue
+        region = _grow(cells, int(seed), free, thickness)
+        free[seed] = False
+        if len(region) >= _MIN_CELLS:
+            free[region] = False
+            regions.append(region)
+    return regions
+
+
+def _grow(cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float) -> Indices:
+    n = cells.normals[seed]
+    around = cells.neighbours[seed]
+    around = around[around >= 0]
+    surface = np.append(n, -n @ cells.points[around].mean(axis=0))
+    inside = np.zeros(len(free), dtype=bool)
+    inside[seed] = True
+    size, fitted = 1, 1
+    frontier = np.array([seed])
+    while len(frontier):
+        around = cells.neighbours[frontier]
+        touched = np.zeros(len(free), dtype=bool)
+        touched[around[around >= 0]] = True
+        reached = np.flatnonzero(touched & free & ~inside)
+        joins = _belongs(cells, reached, surface, thickness)
+        frontier = reached[joins]
+        inside[frontier] = True
+        size += len(frontier)
+        if size >= max(_MIN_CELLS, _REFIT * fitted):
+            surface, fitted = plane.fit(cells.points[inside]), size
+    members = np.flatnonzero(inside)
+    # The plane moved while the region grew: those that joined early may be off it now.
+    return members[_belongs(cells, members, surface, thickness)]
+
+
+def _belongs(cells: Cells, index: Indices, surface: Array, thickness: float) -> NDArray[np.bool_]:
+    near = np.abs(plane.distance(surface, cells.points[index])) < thickness
+    # A cell at an edge has no normal of its own to disagree with.
+    along = np.abs(cells.normals[index] @ surface[:3])
+    return np.asarray(near & ((along > _MIN_COSINE) | (along == 0)))

@@ -1,0 +1,242 @@
+"""Matches with a 2-D scanner: plane–line (MSG-Cal, IV.B) and line–line (coplanarity; not in the paper)."""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array, plane, se3, so3
+from calgraph.pairwise.coplanar_lines_solver import hinge_poses
+from calgraph.pairwise.least_squares import canonical_rotations, gauss_newton
+from calgraph.pairwise.pairwise_estimate import Linearization
+
+# A start is worth refining from the linear solution only if every unknown moves the residuals by this much of
+# what it would move a single point (RMS over the sample): below it, noise decides the unknown.
+_CONDITION = 0.02
+# Of the plain mountings, so many are refined for each sample.
+_PROMISING = 6
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneLine:
+    """M matches between planes seen by a and segments seen by b."""
+
+    planes: Array
+    """(M, 4), frame a."""
+    covariances_a: Array
+    """(M, 3, 3) in the chart of plane.retract."""
+    centers_a: Array
+    """(M, 3) middle of what a saw, m."""
+    endpoints: Array
+    """(M, 2, 3), frame b, z = 0."""
+    covariances_b: Array
+    """(M, 6, 6) of the end points."""
+    reach: float
+    """The board's diagonal: how far apart the two centres may be, m."""
+
+    @property
+    def sample_size(self) -> int:
+        """Five as in the paper; three where the boards' poses leave half of the unknowns open anyway."""
+        return 5 if self._determined else 3
+
+    def solve(self, samples: NDArray[np.intp]) -> Array:
+        """Minimises the end points' distances to the planes (eq. 4), with no initial estimate.
+
+        As z = 0 in the scan plane, ``n · (R x + t) + d`` is linear in R's first two columns and t: five segments
+        give ten equations for the nine unknowns (Zhang and Pless 2004). Where the boards' poses leave some of
+        these open, the solution is sought from all axis-aligned rotations, and what is open stays as it starts.
+        """
+        n = np.repeat(self.planes[samples, :3], 2, axis=1)
+        d = np.repeat(self.planes[samples, 3], 2, axis=1)
+        x = self.endpoints[samples].reshape(len(samples), -1, 3)
+
+        def residuals(T: Array) -> tuple[Array, Array]:
+            return _distances(T, n, d, x)
+
+        A = np.concatenate([x[..., :1] * n, x[..., 1:2] * n, n], axis=-1)
+        U, s, Vt = np.linalg.svd(A, full_matrices=False)
+        if self._determined:
+            h = np.einsum("kij,ki,kli,kl->kj", Vt, 1 / np.maximum(s, 1e-9), U, -d)
+            R = so3.nearest(np.stack([h[:, :3], h[:, 3:6], np.cross(h[:, :3], h[:, 3:6])], axis=-1))
+            T, _ = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
+            T[s[:, -1] < 1e-6 * s[:, 0]] = np.nan
+            return T
+        starts = _promising(canonical_rotations(), n, d, x)
+        count = starts.shape[1]
+        n, d, x = (np.repeat(v, count, axis=0) for v in (n, d, x))
+        R = starts.reshape(-1, 3, 3)
+        T, cost = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
+        # Among solutions that fit alike, the one that had to turn least from a plain mounting.
+        turned = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
+        best = np.argmin((cost + (0.02 * turned) ** 2).reshape(-1, count), axis=1)
+        return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
+
+    def minima(self, chosen: NDArray[np.bool_]) -> Array:
+        """Poses (K, 4, 4) at which the chosen matches' distances are smallest nearby, sought from everywhere.
+
+        Distances from planes do not change much when a scanner is turned over or tilted the other way: with few
+        captures several poses fit.
+        """
+        starts = canonical_rotations()
+        n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
+        d = np.broadcast_to(np.repeat(self.planes[chosen, 3], 2), n.shape[:2])
+        x = np.broadcast_to(self.endpoints[chosen].reshape(-1, 3), n.shape)
+        T, _ = gauss_newton(
+            se3.pose(starts, _translation(starts, n, d, x)), lambda T: _distances(T, n, d, x), iterations=40
+        )
+        return T
+
+    @cached_property
+    def _determined(self) -> bool:
+        """Whether all matches together determine the linear solution."""
+        n = np.repeat(self.planes[:, :3], 2, axis=0)
+        x = self.endpoints.reshape(-1, 3)
+        s = np.linalg.svd(np.concatenate([x[:, :1] * n, x[:, 1:2] * n, n], axis=-1), compute_uv=False)
+        return bool(len(s) == 9 and s[-1] > _CONDITION * np.sqrt(len(n)))
+
+    def linearize(self, T_a_b: Array) -> Linearization:
+        """Distances of the two end points from the plane."""
+        n = np.broadcast_to(self.planes[:, None, :3], self.endpoints.shape)
+        x_a = se3.apply(T_a_b[:, None], self.endpoints)
+        arm = x_a - T_a_b[:, None, None, :3, 3]
+        n_a = np.broadcast_to(n, x_a.shape)
+        jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
+        along = x_a @ plane.tangent_basis(self.planes[:, :3])
+        chart = np.concatenate([along, np.ones((*along.shape[:-1], 1))], axis=-1)
+        covariance = chart @ self.covariances_a @ np.swapaxes(chart, -1, -2)
+        n_b = np.einsum("kji,mj->kmi", T_a_b[:, :3, :3], self.planes[:, :3])
+        blocks = self.covariances_b.reshape(-1, 2, 3, 2, 3)
+        covariance = covariance + np.einsum("kmi,mpiqj,kmj->kmpq", n_b, blocks, n_b)
+        return Linearization(plane.distance(self.planes, x_a), jacobian, covariance)
+
+    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+        """Whether the segment's middle lies within a board of the plane's."""
+        middle = se3.apply(T_a_b, self.endpoints.mean(axis=1))
+        return np.asarray(np.linalg.norm(middle - self.centers_a, axis=-1) <= self.reach)
+
+
+@dataclass(frozen=True, eq=False)
+class LineLine:
+    """M matches between segments seen by a and segments seen by b: two lines on one board are coplanar."""
+
+    endpoints_a: Array
+    """(M, 2, 3), frame a."""
+    covariances_a: Array
+    """(M, 6, 6)."""
+    endpoints_b: Array
+    covariances_b: Array
+    reach: float
+    """The board's diagonal: how far apart the two middles may be, m."""
+
+    sample_size: int = 8
+
+    def solve(self, samples: NDArray[np.intp]) -> Array:
+        """Linear in the scan planes, then Gauss–Newton on coplanarity, held together by the board's finite size.
+
+        The turn of one scanner about the line in which the two scan planes meet is left as it starts: it moves no
+        crossing point on that line, so coplanarity says nothing of it (see :func:`coplanarity`).
+        """
+        a, b = self.endpoints_a[samples], self.endpoints_b[samples]
+        T, _ = gauss_newton(hinge_poses(a, b), partial(_coplanar_together, a=a, b=b, looseness=20 * self.reach))
+        return T
+
+    def linearize(self, T_a_b: Array) -> Linearization:
+        """Distance of the two lines times the sine of their angle: zero where they are coplanar."""
+        a, b = self.endpoints_a, self.endpoints_b
+        r, jacobian, by_a, by_b = coplanarity(T_a_b[:, None], a, b)
+        covariance = np.einsum("kmi,mij,kmj->km", by_a, self.covariances_a, by_a)
+        covariance = covariance + np.einsum("kmi,mij,kmj->km", by_b, self.covariances_b, by_b)
+        return Linearization(r[..., None], jacobian[..., None, :], covariance[..., None, None])
+
+    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+        """Whether the middles of both segments lie within a board of each other."""
+        middle = se3.apply(T_a_b, self.endpoints_b.mean(axis=1))
+        return np.asarray(np.linalg.norm(middle - self.endpoints_a.mean(axis=1), axis=-1) <= self.reach)
+
+
+# Sine of the angle between scan planes below which coplanarity says nothing of their pose.
+_PARALLEL = 0.05
+
+
+def coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
+    """``(u × R v) · (R m_b + t - m_a) / s`` for lines with unit directions u, v through the middles m_a, m_b.
+
+    With the sine s of the angle between the scan planes z = 0 of a and b, this is the distance between the two
+    points where the lines cross the scan planes' intersection, times the sines of the lines' angles with it.
+    Without the division, poses that lay one scan plane in the other would always fit: all lines would be coplanar.
+    Turning b about that line changes nothing: a pair of 2-D scanners alone fixes five of its six unknowns.
+    Scan planes within 3 degrees of each other say next to nothing of their pose: NaN.
+
+    Args:
+        T_a_b: (..., 4, 4).
+        a: (..., 2, 3) end points in frame a, m.
+        b: (..., 2, 3) end points in frame b, m.
+
+    Returns:
+        Residuals (...), m, and their derivatives by T_a_b (..., 6), by a (..., 6) and by b (..., 6).
+    """
+    R, t = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
+    u, by_u = _direction(a)
+    v, by_v = _direction(b)
+    Rv = (R @ v[..., None])[..., 0]
+    Rm = (R @ b.mean(axis=-2)[..., None])[..., 0]
+    normal = np.cross(u, Rv)
+    gap = Rm + t - a.mean(axis=-2)
+    r = np.sum(normal * gap, axis=-1)
+    d_u, d_Rv = np.cross(Rv, gap), np.cross(gap, u)
+    jacobian = np.concatenate([normal, np.cross(Rm, normal) + np.cross(Rv, d_Rv)], axis=-1)
+    turn_a = (np.swapaxes(by_u, -1, -2) @ d_u[..., None])[..., 0]
+    by_a = np.concatenate([-turn_a - normal / 2, turn_a - normal / 2], axis=-1)
+    back = np.swapaxes(R, -1, -2)
+    normal_b = (back @ normal[..., None])[..., 0]
+    turn_b = (np.swapaxes(by_v, -1, -2) @ (back @ d_Rv[..., None]))[..., 0]
+    by_b = np.concatenate([-turn_b + normal_b / 2, turn_b + normal_b / 2], axis=-1)
+    z_b = R[..., :, 2]
+    s = np.hypot(z_b[..., 0], z_b[..., 1])
+    s = np.where(s < _PARALLEL, np.nan, s)
+    jacobian = jacobian / s[..., None]
+    jacobian[..., 3:] += (r * z_b[..., 2] / s**3)[..., None] * np.cross(z_b, [0.0, 0.0, 1.0])
+    return r / s, jacobian, np.broadcast_to(by_a / s[..., None], jacobian.shape), by_b / s[..., None]
+
+
+def _direction(segment: Array) -> tuple[Array, Array]:
+    """Unit directions (..., 3) of segments (..., 2, 3) and their derivatives by the second end point."""
+    along = segment[..., 1, :] - segment[..., 0, :]
+    length = np.linalg.norm(along, axis=-1)[..., None]
+    u = along / length
+    return u, (np.eye(3) - u[..., :, None] * u[..., None, :]) / length[..., None]
+
+
+def _distances(T: Array, n: Array, d: Array, x: Array) -> tuple[Array, Array]:
+    """Distances (K, P) of points x (K, P, 3) moved by T (K, 4, 4) from planes (n, d), and their Jacobian."""
+    Rx = x @ np.swapaxes(T[:, :3, :3], -1, -2)
+    r = np.sum(n * (Rx + T[:, None, :3, 3]), axis=-1) + d
+    return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
+
+
+def _promising(starts: Array, n: Array, d: Array, x: Array) -> Array:
+    """Of rotations (S, 3, 3), for each sample those (K, k, 3, 3) that fit best once translated."""
+    r = np.einsum("kpi,sij,kpj->ksp", n, starts, x, optimize=True) + d[:, None]
+    r -= np.einsum("kpi,kiq,ksq->ksp", n, np.linalg.pinv(n, rcond=0.05), r, optimize=True)
+    chosen = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")[:, :_PROMISING]
+    return starts[chosen]
+
+
+def _translation(R: Array, n: Array, d: Array, x: Array) -> Array:
+    """The translations (K, 3) that fit best for given rotations; zero along what the normals leave open."""
+    r = np.sum(n * (x @ np.swapaxes(R, -1, -2)), axis=-1) + d
+    return np.asarray(-(np.linalg.pinv(n, rcond=0.05) @ r[..., None])[..., 0])
+
+
+def _coplanar_together(T: Array, a: Array, b: Array, looseness: float) -> tuple[Array, Array]:
+    """Coplanarity residuals, and the gaps between the middles scaled by the board's noise over looseness."""
+    r, J, _, _ = coplanarity(T[:, None], a, b)
+    scale = 0.02 / looseness
+    Rm = np.einsum("kij,kmj->kmi", T[:, :3, :3], b.mean(axis=2))
+    gap = Rm + T[:, None, :3, 3] - a.mean(axis=2)
+    J_gap = np.concatenate([np.broadcast_to(np.eye(3), (*Rm.shape, 3)), -so3.hat(Rm)], axis=-1)
+    return (
+        np.concatenate([r, scale * gap.reshape(len(T), -1)], axis=1),
+        np.concatenate([J, scale * J_gap.reshape(len(T), -1, 6)], axis=1),
+    )

@@ -1,0 +1,311 @@
+"""Reading calibration.yaml back: a model of the file, strict about keys, types and what its numbers must be."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, Strict, model_validator
+
+from calgraph.config.strict_model import StrictModel, wrong
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3
+from calgraph.io.yaml_reading import read_yaml, validated
+from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion, Verdict
+from calgraph.result.calibration_file import FORMAT
+from calgraph.result.estimated import Estimated
+
+Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+# Infinite variances stand for directions that nothing observes.
+Number = Annotated[float, Strict()]
+Positive = Annotated[float, Strict(), Field(ge=0)]
+Count = Annotated[int, Strict(), Field(ge=0)]
+Flag = Annotated[bool, Strict()]
+Vector3 = tuple[Finite, Finite, Finite]
+Vector4 = tuple[Finite, Finite, Finite, Finite]
+Row6 = tuple[Number, Number, Number, Number, Number, Number]
+
+# A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
+_UNIT_TOLERANCE = 2e-3
+_SYMMETRY_TOLERANCE = 1e-6
+
+
+class _Verdict(StrictModel):
+    grade: Literal["good", "weak", "unobservable"]
+    reason: str = ""
+
+
+class _Sensor(StrictModel):
+    parent: str | None = None
+    """The sensor it hangs from in the tree; none for the root."""
+    kind: Literal["camera", "lidar2d", "lidar3d"]
+    """What sort of sensor it is."""
+    frame_id: str
+    """The name of its frame."""
+    translation: Vector3
+    """The sensor's origin in the root frame, m."""
+    rotation: Vector4
+    """Unit quaternion x, y, z, w."""
+    covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+    """6 x 6, translation first, in the root's fixed axes, m and rad."""
+    clock_offset: Finite | None = None
+    clock_offset_stddev: Positive | None = None
+
+    @model_validator(mode="after")
+    def _numbers_make_sense(self) -> "_Sensor":
+        length = float(np.linalg.norm(self.rotation))
+        if abs(length - 1) > _UNIT_TOLERANCE:
+            raise wrong("rotation", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
+        covariance = np.array(self.covariance)
+        if np.isnan(covariance).any() or np.any(np.diag(covariance) < 0):
+            raise wrong("covariance", "must have variances of 0 or more on its diagonal and no NaN")
+        _check_symmetric(covariance, "covariance")
+        return self
+
+
+class _Edge(StrictModel):
+    sensors: tuple[str, str]
+    captures: Count
+    inliers: Count
+    in_tree: Flag
+    residual_rms: Positive | None = None
+    note: str = ""
+
+
+class _Outcome(StrictModel):
+    used: tuple[Count, ...]
+    """Numbers of the captures used."""
+    rejected: dict[str, tuple[Count, ...]]
+    """Numbers of those rejected, by reason."""
+
+
+class _Captures(StrictModel):
+    windows: dict[Count, tuple[Number, Number]]
+    """Start and end of each capture, s."""
+    sensors: dict[str, _Outcome]
+    """What became of the captures, by sensor."""
+
+
+class _LeftOut(StrictModel):
+    captures: Count
+    unit: Literal["px", "m"]
+    rms: Positive
+    median: Positive
+    ratio: Positive
+    along: Positive | None = None
+    tilt: Positive | None = None
+
+
+class _Suggestion(StrictModel):
+    hold: str
+    sensor: str
+    axis: str
+    unit: Literal["m", "rad"]
+    stddev: Positive
+    expected: Positive
+    translation: Vector3
+    """The board's centre in the root frame, m."""
+    rotation: Vector4
+    """Of the board, a quaternion x, y, z, w."""
+
+
+class _Quality(StrictModel):
+    estimator: str
+    """The name of the joint estimator."""
+    verdicts: dict[str, _Verdict]
+    """How far each sensor's pose can be relied on."""
+    unconnected: dict[str, str] = Field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    """What was seen and yet not used, and why."""
+    residual_rms: dict[str, Positive] = Field(default_factory=dict)
+    cross_validation: dict[str, _LeftOut] = Field(default_factory=dict)
+    """Errors in captures that were left out, by sensor."""
+    suggestions: tuple[_Suggestion, ...] = ()
+    """Further captures that would help most."""
+    edges: tuple[_Edge, ...] = ()
+    captures: _Captures = _Captures(windows={}, sensors={})
+
+
+class _JointCovariance(StrictModel):
+    order: tuple[str, ...]
+    """The sensors, one after the other."""
+    matrix: tuple[tuple[Finite, ...], ...]
+    """Six rows and columns for each of them, in the root's fixed axes, m and rad."""
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> "_JointCovariance":
+        size = 6 * len(self.order)
+        if {len(self.matrix), *map(len, self.matrix)} != {size}:
+            raise wrong("matrix", f"must have {size} rows of {size} numbers, six for each of order")
+        matrix = np.array(self.matrix)
+        if np.any(np.diag(matrix) < 0):
+            raise wrong("matrix", "must have variances of 0 or more on its diagonal")
+        _check_symmetric(matrix, "matrix")
+        return self
+
+
+class _Estimated(StrictModel):
+    of: str
+    """A sensor, or a tag."""
+    quantity: str
+    unit: str = ""
+    stated: Finite
+    value: Finite
+    stddev: Positive
+    measured: Flag
+
+
+class _File(StrictModel):
+    format: str
+    """Version of the file's format."""
+    root: str
+    """The sensor whose frame the poses are in."""
+    sensors: dict[str, _Sensor]
+    """The sensors with their poses."""
+    quality: _Quality
+    """How far the poses can be relied on."""
+    estimated: tuple[_Estimated, ...] = ()
+    """What was estimated besides poses."""
+    joint_covariance: _JointCovariance | None = None
+    """How the errors of all sensors go together."""
+
+    @model_validator(mode="after")
+    def _is_of_all_sensors(self) -> "_File":
+        order = self.joint_covariance.order if self.joint_covariance else tuple(self.sensors)
+        if sorted(order) != sorted(self.sensors):
+            raise wrong("joint_covariance.order", f"must be the sensors, {', '.join(self.sensors)}")
+        return self
+
+    @model_validator(mode="after")
+    def _is_a_tree(self) -> "_File":
+        if self.root not in self.sensors:
+            raise wrong("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
+        for name, sensor in self.sensors.items():
+            key = f"sensors.{name}.parent"
+            if name == self.root and sensor.parent is not None:
+                raise wrong(key, f"the root has none, got {sensor.parent!r}")
+            if name != self.root and sensor.parent not in self.sensors:
+                raise wrong(key, f"must be one of the sensors, {', '.join(self.sensors)}, got {sensor.parent!r}")
+            if not self._reaches_root(name):
+                raise wrong(key, f"the parents lead in a circle and not to the root {self.root!r}")
+            if name not in self.quality.verdicts:
+                raise wrong(f"quality.verdicts.{name}", "is missing")
+        return self
+
+    @model_validator(mode="after")
+    def _root_is_the_origin(self) -> "_File":
+        root = self.sensors.get(self.root)
+        if root and not np.allclose((*root.translation, *root.rotation[:3]), 0, atol=1e-9):
+            raise wrong(f"sensors.{self.root}", "is the root, its translation must be 0 and its rotation none")
+        return self
+
+    def _reaches_root(self, name: str) -> bool:
+        visited = {name}
+        while (parent := self.sensors[name].parent) in self.sensors and parent is not None:
+            if parent in visited:
+                return False
+            visited.add(parent)
+            name = parent
+        return True
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Reads a calibration.yaml.
+
+    Residuals come back as their root mean squares only, captures without their residuals; outlines of the board
+    are not in the file.
+
+    Raises:
+        InputError: the file is missing, is not YAML, has another format or version, or has wrong keys or values,
+            each named on its own line.
+
+    """
+    content = read_yaml(path)
+    given = content.get("format")
+    if given != FORMAT:
+        shown = "nothing" if given is None else repr(given)
+        raise InputError(f"{path}: format: must be {FORMAT}, which this calgraph reads, got {shown}")
+    file = validated(_File, content, path)
+    names = sorted(file.sensors, key=lambda name: name != file.root)
+    return Calibration(
+        root=file.root,
+        sensors=tuple(_sensor(name, file.sensors[name], file.quality.verdicts[name]) for name in names),
+        edges=tuple(_edge(edge) for edge in file.quality.edges),
+        captures=_rows(file.quality.captures),
+        unconnected=file.quality.unconnected,
+        remarks=file.quality.remarks,
+        estimator=file.quality.estimator,
+        left_out={name: _left_out(one) for name, one in file.quality.cross_validation.items()},
+        suggestions=tuple(_suggestion(one) for one in file.quality.suggestions),
+        residual_rms=file.quality.residual_rms,
+        estimated=tuple(Estimated(**vars(one)) for one in file.estimated),
+        joint_covariance=_joint_covariance(file.joint_covariance, names),
+    )
+
+
+def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
+    return SensorPose(
+        name=name,
+        parent=entry.parent,
+        frame_id=entry.frame_id,
+        kind=entry.kind,
+        T_root_sensor=se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation)),
+        covariance=np.array(entry.covariance),
+        verdict=Verdict(verdict.grade, verdict.reason),
+        clock_offset=entry.clock_offset,
+        clock_offset_stddev=entry.clock_offset_stddev,
+    )
+
+
+def _joint_covariance(entry: _JointCovariance | None, names: Sequence[str]) -> Array | None:
+    if entry is None:
+        return None
+    order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
+    return np.asarray(np.array(entry.matrix)[np.ix_(order, order)])
+
+
+def _left_out(entry: _LeftOut) -> LeftOut:
+    return LeftOut(entry.captures, entry.unit, entry.rms, entry.median, entry.ratio, entry.along, entry.tilt)
+
+
+def _suggestion(entry: _Suggestion) -> Suggestion:
+    T_root_board = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
+    return Suggestion(entry.hold, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, T_root_board)
+
+
+def _edge(entry: _Edge) -> Edge:
+    return Edge(
+        sensor_a=entry.sensors[0],
+        sensor_b=entry.sensors[1],
+        captures=entry.captures,
+        inliers=entry.inliers,
+        in_tree=entry.in_tree,
+        residuals=np.empty(0),
+        note=entry.note,
+        residual_rms=entry.residual_rms,
+    )
+
+
+def _rows(captures: _Captures) -> tuple[CaptureRow, ...]:
+    """The rows of all sensors, capture by capture."""
+    missing = (np.nan, np.nan)
+    rows = []
+    for sensor, outcome in captures.sensors.items():
+        for used, reason, numbers in ((True, "", outcome.used), *((False, *r) for r in outcome.rejected.items())):
+            windows = ((n, captures.windows.get(n, missing)) for n in numbers)
+            rows += [CaptureRow(n, start, end, sensor, used, reason) for n, (start, end) in windows]
+    return tuple(sorted(rows, key=lambda row: row.capture))
+
+
+def _check_symmetric(covariance: Array, key: str) -> None:
+    """Refuses an element that differs from its mirror image by more than rounding."""
+    scale = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore"):  # infinite variances
+        excess = np.abs(covariance - covariance.T) - _SYMMETRY_TOLERANCE * np.outer(scale, scale)
+    wrong_at = np.argwhere((np.nan_to_num(excess, nan=0.0) > 0) & (covariance != covariance.T))
+    if len(wrong_at):
+        i, j = wrong_at[0]
+        raise wrong(
+            f"{key}[{i}][{j}]",
+            f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}",
+        )

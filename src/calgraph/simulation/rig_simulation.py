@@ -1,0 +1,126 @@
+"""Simulates a rig recording with everything that a calibration of it needs, and the truth to judge it by."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from calgraph.config import (
+    CameraSpec,
+    Capture,
+    Lidar2dSpec,
+    Lidar3dSpec,
+    PixelNoise,
+    RangeNoise,
+    Rig,
+    SensorSpec,
+)
+from calgraph.geometry import Array
+from calgraph.io import save_yaml
+from calgraph.recording.writer import RecordingWriter
+from calgraph.sensors import CameraInfo, Message, Trigger
+from calgraph.simulation.rig_scenario import RigScenario
+from calgraph.simulation.robot import MountedCamera, RobotSensor
+from calgraph.simulation.truth import save_truth
+from calgraph.simulation.world import Stage, measurement, set_stage, truth_of
+
+Progress = Callable[[int, int], None]
+"""Called with the number of messages written and of messages to come in all."""
+
+TRIGGER_TOPIC = "/trigger"
+
+_LATENCY = 0.002, 0.02
+"""Least and most time from the end of a measurement to its arrival at the recorder, s."""
+
+
+def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Progress | None = None) -> None:
+    """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml`` and ``out/truth.yaml``.
+
+    Args:
+        scenario: robot, board and walk.
+        out: folder, created if missing; it must not hold a recording yet.
+        seed: the same seed and scenario give the same files.
+        progress: is told how far it is.
+
+    Raises:
+        InputError: the scenario contradicts itself, or there is a recording in ``out`` already.
+
+    """
+    stage = set_stage(scenario, seed)
+    arrivals = _arrivals(stage)
+    with RecordingWriter(out / "recording") as writer:
+        for done, (arrival, sensor, index) in enumerate(arrivals):
+            for topic, message in _published(stage, sensor, index):
+                writer.write(topic, message, arrival, encoding=scenario.camera.encoding)
+            if progress is not None:
+                progress(done + 1, len(arrivals))
+    save_yaml(out / "rig.yaml", rig_of(stage).model_dump(mode="json", exclude_none=True))
+    save_truth(out / "truth.yaml", truth_of(stage))
+
+
+def rig_of(stage: Stage) -> Rig:
+    """The rig.yaml of a simulated robot: what its engineer knows, without any pose."""
+    scenario = stage.scenario
+    return Rig(
+        root=stage.root,
+        target=scenario.boards if scenario.companions else scenario.board,
+        capture=Capture(
+            background=(0.0, scenario.background), trigger=TRIGGER_TOPIC if scenario.trigger else None
+        ),
+        sensors={sensor.name: _spec(sensor, scenario) for sensor in stage.robot},
+    )
+
+
+def topic_of(sensor: RobotSensor, scenario: RigScenario) -> str:
+    """The topic of a sensor's measurements."""
+    if sensor.kind == "camera":
+        plain = f"/{sensor.name}/image_raw"
+        return plain if scenario.camera.encoding == "raw" else f"{plain}/compressed"
+    return f"/{sensor.name}/{'scan' if sensor.kind == 'lidar2d' else 'points'}"
+
+
+def _spec(sensor: RobotSensor, scenario: RigScenario) -> SensorSpec:
+    topic = topic_of(sensor, scenario)
+    if isinstance(sensor, MountedCamera):
+        return CameraSpec(
+            kind="camera",
+            topic=topic,
+            camera_info=_info_topic(sensor),
+            frame_id=sensor.frame_id,
+            noise=PixelNoise(),
+        )
+    # A noise-free simulation still needs a noise that a solver can weigh with.
+    noise = RangeNoise(range=max(sensor.noise.range, 1e-4), angle=max(sensor.noise.angle, 1e-5))
+    if sensor.kind == "lidar2d":
+        return Lidar2dSpec(kind="lidar2d", topic=topic, frame_id=sensor.frame_id, noise=noise)
+    return Lidar3dSpec(kind="lidar3d", topic=topic, frame_id=sensor.frame_id, noise=noise)
+
+
+def _info_topic(sensor: RobotSensor) -> str:
+    return f"/{sensor.name}/camera_info"
+
+
+def _arrivals(stage: Stage) -> list[tuple[float, RobotSensor | None, int]]:
+    """All that is recorded, in order of arrival (stamp): (arrival, sensor or None for the trigger, number)."""
+    t0 = stage.scenario.start_time
+    events: list[tuple[float, RobotSensor | None, int]] = []
+    for k, sensor in enumerate(stage.robot):
+        indices = sensor.clock.within(0, stage.timeline.end)
+        delays = np.random.default_rng((stage.seed, 1 + k)).uniform(*_LATENCY, len(indices))
+        ends: Array = sensor.clock.start(0) + sensor.clock.period * np.array(indices) + sensor.clock.duration
+        events += [(float(t0 + t), sensor, i) for t, i in zip(ends + delays, indices, strict=True)]
+    if stage.scenario.trigger:
+        events += [(t0 + hold.start, None, i) for i, hold in enumerate(stage.timeline.holds)]
+    return sorted(events, key=lambda event: event[0])
+
+
+def _published(stage: Stage, sensor: RobotSensor | None, index: int) -> Iterator[tuple[str, Message]]:
+    """The topics and messages of one event."""
+    if sensor is None:
+        hold = stage.timeline.holds[index]
+        yield TRIGGER_TOPIC, Trigger(stage.scenario.start_time + hold.start)
+        return
+    message = measurement(stage, sensor, index)
+    yield topic_of(sensor, stage.scenario), message
+    if isinstance(sensor, MountedCamera):
+        yield _info_topic(sensor), CameraInfo(message.stamp, sensor.frame_id, sensor.camera)

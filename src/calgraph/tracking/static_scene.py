@@ -1,0 +1,154 @@
+"""The static surroundings of a scanner, learnt from a recording through which people walk all the time.
+
+A depth counts as static where a beam returns it often and throughout the recording: a walker never stays long
+enough at one depth of one beam, and somebody who stands still for a while does it in one stretch only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.sensors import ScanBackground, nearest_beam
+from calgraph.tracking.scan_stack import ScanRun
+
+# Scans to learn from: more say no more.
+_MOST_SCANS = 512
+# Width of a bin of depth, m; a depth is looked for in a bin and its two neighbours.
+_BIN = 0.05
+# A static depth answers in this part of all scans, and in this part of the recording's stretches ...
+_OFTEN = 0.1
+_THROUGHOUT = 0.6
+# ... of which there are so many.
+_STRETCHES = 10
+# How clearly nearer than the background a beam must end: m, and in standard deviations of its own scatter.
+_MARGIN = 0.08
+_SPREADS = 5.0
+# Ranges this near a beam's usual depth tell its noise, m.
+_NOISE_WINDOW = 0.15
+# Neighbouring static points farther apart than this, m and as a multiple of the beam spacing, lie on two surfaces.
+_BREAK = (0.10, 6.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticScene:
+    """What a scanner sees when nobody is there."""
+
+    nearer: ScanBackground
+    """Tells which beams of a scan end before the static surroundings."""
+    points: Array
+    """(M, 2) static points, sensor frame, m, in order of angle, with a NaN row wherever the surface breaks."""
+    sigma: float
+    """Noise of a range, the median over the beams that see one static depth, m; NaN if there are none."""
+
+
+def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
+    """Learns the static surroundings from a whole recording.
+
+    Args:
+        runs: the scans of one stationary scanner; those with other beams are matched by angle.
+
+    Returns:
+        The scene, or None if no scan has any beam.
+    """
+    kept = _evenly_kept(runs)
+    if not kept:
+        return None
+    angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
+    ranges = np.concatenate([_at_angles(angles, run) for run in kept])
+    nearest, usual, single = _static_depths(ranges)
+    off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
+    spread = _robust_spread(off)
+    centre = usual + _column_median(off)
+    margin = np.maximum(_MARGIN, _SPREADS * np.where(np.isfinite(spread), spread, 0.0))
+    limit = np.where(np.isfinite(nearest), nearest - margin, np.inf)
+    padded = np.pad(limit, 1, mode="edge")
+    # A beam also takes its neighbours' depths, because at an edge its direction is uncertain too.
+    limit = np.minimum(limit, np.minimum(padded[:-2], padded[2:]))
+    clean = single & np.isfinite(centre)
+    points = np.stack([centre * np.cos(angles), centre * np.sin(angles)], axis=-1)
+    sigma = float(np.median(spread[clean])) if clean.any() else np.nan
+    return StaticScene(ScanBackground(angles, limit), _broken(points, clean, centre, angles), sigma)
+
+
+def _evenly_kept(runs: Sequence[ScanRun]) -> list[ScanRun]:
+    """Every 2^k-th scan, with the smallest k that keeps no more than a bounded number; none without beams."""
+    count = sum(map(len, runs))
+    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / _MOST_SCANS))))
+    kept, passed = [], 0
+    for run in runs:
+        chosen = slice(-passed % stride, None, stride)
+        thinned = ScanRun(run.angles, run.stamps[chosen], run.increments[chosen], run.ranges[chosen])
+        kept.append(thinned)
+        passed += len(run)
+    return [run for run in kept if run.ranges.size]
+
+
+def _at_angles(angles: Array, run: ScanRun) -> Array:
+    """(S, B) ranges of a run's scans by the nearest of ascending angles (B,); NaN where nothing was measured."""
+    ranges = np.where(np.isfinite(run.ranges), run.ranges, np.nan)
+    nearest = nearest_beam(angles, run.angles)
+    if np.array_equal(nearest, np.arange(len(angles))):
+        return ranges
+    rows = np.full((len(run), len(angles)), np.nan)
+    for beam, column in zip(nearest, ranges.T, strict=True):
+        rows[:, beam] = np.where(np.isfinite(column), column, rows[:, beam])
+    return rows
+
+
+def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The static depths in each column of (S, B) ranges.
+
+    Returns:
+        (B,) the nearest static depth, m, and (B,) the most frequent one, NaN where a beam has none; and (B,)
+        which beams have one static depth only.
+    """
+    seen, beams = np.nonzero(np.isfinite(ranges))
+    scans, count = ranges.shape
+    if not len(seen):
+        nothing = np.full(count, np.nan)
+        return nothing, nothing, np.zeros(count, dtype=bool)
+    bins = (ranges[seen, beams] / _BIN).astype(np.intp)
+    stretches = min(_STRETCHES, scans)
+    stretch = seen * stretches // scans
+    # hits[t, d, b]: how often beam b ended at depth d in stretch t; one bin of margin at either end.
+    shape = (stretches, int(bins.max()) + 3, count)
+    cell = np.ravel_multi_index((stretch, bins + 1, beams), shape)
+    hits = np.bincount(cell, minlength=int(np.prod(shape))).reshape(shape)
+    near = hits[:, :-2] + hits[:, 1:-1] + hits[:, 2:]
+    often = near.sum(axis=0)
+    static = (often >= max(_OFTEN * scans, 1)) & ((near > 0).sum(axis=0) >= _THROUGHOUT * stretches)
+    depths = (np.arange(len(static)) + 0.5) * _BIN
+    any_static = static.any(axis=0)
+    # The smallest range near the nearest static bin's centre is that bin's; a bin beside the surface has hits too.
+    nearest = np.where(any_static, depths[np.argmax(static, axis=0)] + _BIN, np.nan)
+    usual = np.where(any_static, depths[np.argmax(np.where(static, often, -1), axis=0)], np.nan)
+    farthest = depths[len(depths) - 1 - np.argmax(static[::-1], axis=0)] - _BIN
+    return nearest, usual, any_static & (farthest - nearest < 2 * _BIN)
+
+
+def _column_median(values: Array) -> Array:
+    """Medians of the columns of (S, B), NaN ignored; NaN where a column is empty."""
+    ordered = np.sort(values, axis=0)  # NaN last
+    count = np.isfinite(values).sum(axis=0)
+    columns = np.arange(values.shape[1])
+    low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(values) - 1)
+    return np.asarray((ordered[low, columns] + ordered[high, columns]) / 2)
+
+
+def _robust_spread(values: Array) -> Array:
+    """Standard deviation of each column of (S, B) by its median absolute deviation; NaN where it is empty."""
+    return 1.4826 * _column_median(np.abs(values - _column_median(values)))
+
+
+def _broken(points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array) -> Array:
+    """The clean ones of the points (B, 2), with a NaN row between neighbours that do not lie on one surface."""
+    chosen = np.flatnonzero(clean)
+    if not len(chosen):
+        return np.empty((0, 2))
+    gap = np.linalg.norm(np.diff(points[chosen], axis=0), axis=-1)
+    spacing = float(np.median(np.diff(angles))) * ranges[chosen[:-1]] if len(angles) > 1 else np.zeros(len(gap))
+    cuts = np.flatnonzero((gap > _BREAK[0] + _BREAK[1] * spacing) | (np.diff(chosen) > 3)) + 1
+    return np.insert(points[chosen], cuts, np.nan, axis=0)

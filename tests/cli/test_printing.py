@@ -1,0 +1,135 @@
+"""The tables of poses: on a terminal of 80 columns, and in a pipe."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calgraph.cli.printing import print_calibration, print_errors
+from calgraph.geometry import se3, so3
+from calgraph.result import Calibration, SensorPose, Verdict, save_calibration
+from terminal import on_a_terminal
+
+LONG = "the_front_left_short_range_corner_radar_replacement"
+
+
+@pytest.fixture
+def calibration() -> Calibration:
+    def sensor(
+        name: str, xyz: tuple[float, ...], rpy: tuple[float, ...], verdict: Verdict, variance_x: float = 1e-6
+    ) -> SensorPose:
+        T = se3.pose(so3.exp(np.radians(rpy)), np.array(xyz))
+        covariance = np.diag([variance_x, 4e-6, 1e-6, 1e-6, 1e-6, 9e-6])
+        return SensorPose(name, "lidar", name, "lidar2d", T, covariance, verdict)
+
+    origin, good = (0.0, 0.0, 0.0), Verdict("good")
+    loose = Verdict("weak", "height (z) is loose: hold the board tilted, above and below the scan plane")
+    return Calibration(
+        root="lidar",
+        sensors=(
+            SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), np.zeros((6, 6)), good),
+            sensor("camera", (-10.0, -2.5, -0.0001), (0.0, 0.0, -170.0), good),
+            sensor(LONG, (0.1, 0.2, 0.3), (10.0, 0.0, 0.0), loose),
+            sensor("lost", origin, origin, Verdict("unobservable", "x is not observed"), np.inf),
+        ),
+    )
+
+
+def test_it_is_readable_on_80_columns(calibration: Calibration, tmp_path: Path) -> None:
+    save_calibration(calibration, tmp_path / "c.yaml")
+    lines = on_a_terminal(
+        "from pathlib import Path; from calgraph.result import load_calibration\n"
+        "from calgraph.cli.printing import print_calibration\n"
+        f"print_calibration(load_calibration(Path({str(tmp_path / 'c.yaml')!r})))"
+    )
+    assert max(map(len, lines)) <= 80
+    [camera] = [line for line in lines if line.startswith("camera")]
+    assert camera.split() == [
+        "camera",
+        "-10.000",
+        "-2.500",
+        "0.000",
+        "0.00",
+        "0.00",
+        "-170.00",
+        "2.0",
+        "0.172",
+        "✓",
+    ]
+    assert LONG in "".join(line.split(" ")[0] for line in lines[4:9])
+
+
+def printed(show: Callable[[], None], capsys: pytest.CaptureFixture[str]) -> list[str]:
+    show()
+    return [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+
+
+def test_in_a_pipe_every_sensor_is_one_line(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = printed(lambda: print_calibration(calibration), capsys)
+    assert [line.split()[0] for line in lines[2:6]] == ["lidar", "camera", LONG, "lost"]
+
+
+def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    spread = np.diag([4e-6, 1e-6, 0, 0, 0, 9e-6])
+    pose = se3.pose(so3.exp(np.radians([0.0, 0.0, 90.0])), np.array([1.0, -2.0, 0.0]))
+    network = Calibration(
+        "hall",
+        (
+            SensorPose("hall", None, "", "lidar2d", np.eye(4), np.zeros((6, 6)), Verdict("good")),
+            SensorPose("door", "hall", "", "lidar2d", pose, spread, Verdict("good")),
+        ),
+    )
+    head, hall, door = (line.split() for line in printed(lambda: print_calibration(network), capsys)[1:4])
+    assert head == ["sensor", "x", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
+    assert hall == ["hall", "0.000", "0.000", "0.00", "root", "✓"]
+    assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.172", "✓"]
+
+
+def test_verdicts_are_said_in_words(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
+    assert printed(lambda: print_calibration(calibration), capsys)[6:] == [
+        f"! {LONG} is weak: height (z) is loose: hold the board tilted, above and below the scan plane",
+        "✕ lost is unobservable: x is not observed",
+    ]
+
+
+def test_remarks_are_printed_below_the_verdicts(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    remarked = replace(calibration, remarks=("lidar sees the board's edges 40 mm inside: they are not used",))
+    lines = printed(lambda: print_calibration(remarked), capsys)
+    assert lines[-1] == "! lidar sees the board's edges 40 mm inside: they are not used"
+
+
+def test_what_is_not_observed_is_not_known_at_all(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert printed(lambda: print_calibration(calibration), capsys)[5].split()[-3:] == ["∞", "0.172", "✕"]
+
+
+def test_errors_stand_beside_their_deviations(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = {sensor.name: sensor.T_root_sensor.copy() for sensor in calibration.sensors}
+    truth["camera"][:3, 3] += (0.003, 0.0, 0.004)
+    lines = printed(lambda: print_errors(calibration, truth), capsys)
+    assert lines[2].split() == ["camera", "5.0", "2.0", "0.000", "0.172"]
+
+
+def test_clock_offsets_have_a_column_where_they_were_estimated(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = replace(calibration.sensors[1], clock_offset=-0.0123, clock_offset_stddev=0.0004)
+    print_calibration(replace(calibration, sensors=(calibration.sensors[0], late)))
+    assert "-12.3 ±0.4" in capsys.readouterr().out
+    print_calibration(calibration)
+    assert "clock" not in capsys.readouterr().out
+
+
+def test_a_pose_that_is_from_an_earlier_calibration_says_so(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = replace(calibration.sensors[1], verdict=Verdict("good", "its pose is that of the earlier calibration"))
+    print_calibration(replace(calibration, sensors=(calibration.sensors[0], kept)))
+    assert "camera is good: its pose is that of the earlier calibration" in capsys.readouterr().out

@@ -1,0 +1,116 @@
+"""Where a sheet ends: at jumps to what lies behind it, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from calgraph.config import Board, RangeNoise
+from calgraph.detection import Rejected, find_segments
+from calgraph.detection.board_edges import beams_about, sheet_edges
+from calgraph.geometry import Array, Index
+from calgraph.sensors import LaserScan
+
+STEP = np.radians(0.5)
+BEAMS = np.arange(40)
+SHEET, WALL, HAND = 2.0, 5.0, 1.8
+
+
+def directions_of(angles: Array) -> Array:
+    return np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+
+
+def angles_of(edges: Array) -> Array:
+    """(M, 2) rad, those at the lower end of the sheet first."""
+    angles = np.arctan2(edges[..., 1], edges[..., 0])
+    return np.asarray(angles[np.argsort(angles[:, 0])])
+
+
+def found(ranges: Array, beams: Index = BEAMS, line: Index | None = None, parallax: float = 0.0) -> Array:
+    """Edges of a sheet at the same distance in all directions, in steps of beams."""
+    line = np.zeros(len(beams), dtype=np.intp) if line is None else line
+    edges = sheet_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, parallax)
+    return np.asarray(angles_of(edges) / STEP)
+
+
+def scene(first: int = 10, last: int = 29, behind: float = WALL) -> Array:
+    """Ranges of beams of which those from ``first`` to ``last`` end on the sheet."""
+    return np.where((first <= BEAMS) & (last >= BEAMS), SHEET, behind)
+
+
+def test_a_sheet_ends_between_the_last_beam_on_it_and_the_first_one_past_it() -> None:
+    np.testing.assert_allclose(found(scene()), [[10, 9], [29, 30]], atol=1e-3)
+
+
+def test_a_sheet_behind_something_nearer_ends_nowhere() -> None:
+    ranges = scene()
+    ranges[30:34] = HAND
+    np.testing.assert_allclose(found(ranges), [[10, 9]], atol=1e-3)
+
+
+def test_a_sheet_that_goes_on_to_the_end_of_the_field_of_view_ends_nowhere_there() -> None:
+    np.testing.assert_allclose(found(scene(last=39)), [[10, 9]], atol=1e-3)
+
+
+def test_a_sheet_before_a_wall_just_behind_it_ends_nowhere() -> None:
+    assert len(found(scene(behind=SHEET + 0.08))) == 0
+
+
+def test_of_a_beam_between_two_depths_the_outline_may_be_on_either_side() -> None:
+    ranges = scene()
+    ranges[30] = 3.4
+    np.testing.assert_allclose(found(ranges), [[10, 9], [29, 31]], atol=1e-3)
+
+
+def test_a_missing_beam_at_the_edge_leaves_it_open_over_two_steps() -> None:
+    there = np.delete(BEAMS, 30)
+    np.testing.assert_allclose(found(scene()[there], there), [[10, 9], [29, 31]], atol=1e-3)
+
+
+def test_beyond_a_sheet_before_the_sky_nothing_answers() -> None:
+    there = np.concatenate([BEAMS[:5], BEAMS[10:30], [200]])
+    ranges = np.concatenate([np.full(5, WALL), np.full(20, SHEET), [WALL]])
+    np.testing.assert_allclose(found(ranges, there), [[10, 9], [29, 30]], atol=1e-3)
+
+
+def test_silent_beams_with_the_sheet_on_both_sides_are_no_end_of_it() -> None:
+    there = np.delete(BEAMS, np.arange(15, 21))
+    np.testing.assert_allclose(found(scene()[there], there), [[10, 9], [29, 30]], atol=1e-3)
+
+
+def test_lines_are_apart() -> None:
+    line = np.where(BEAMS < 20, 0, 1)
+    ranges = np.where(BEAMS < 20, SHEET, WALL)
+    assert len(found(ranges, line=line)) == 0
+
+
+def test_directions_of_what_lies_behind_do_not_count_where_beams_start_beside_the_origin() -> None:
+    angles = STEP * BEAMS + np.where(scene() == WALL, 0.6 * STEP, 0.0)
+    edges = sheet_edges(directions_of(angles), scene() - SHEET, np.zeros(40, dtype=np.intp), 0.05, parallax=0.03)
+    np.testing.assert_allclose(angles_of(edges) / STEP, [[10, 9], [29, 30]], atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_few_beams_have_no_edges(count: int) -> None:
+    assert found(np.full(count, SHEET), BEAMS[:count]).shape == (0, 2)
+
+
+def test_beams_about_a_sheet_are_those_on_it_and_two_on_each_side() -> None:
+    np.testing.assert_array_equal(beams_about(scene() == SHEET), np.arange(8, 32))
+
+
+def test_edges_of_scans_lie_on_either_side_of_the_boards_ends_without_bias() -> None:
+    """A board across the view; over many phases of the beams, middles of the pairs are where it ends."""
+    rng, step, half = np.random.default_rng(0), np.radians(0.25), 0.5
+    off, widths = [], []
+    for _ in range(60):
+        angles = np.arange(-60, 60) * step * 2 + rng.uniform(-step, step)
+        true = np.where(np.abs(2.0 * np.tan(angles)) < half, 2.0, 8.0) / np.cos(angles)
+        scans = [LaserScan(0.0, "laser", angles, true + rng.normal(0, 0.012, len(angles))) for _ in range(3)]
+        segments = find_segments(scans, [Board(size=(1.0, 0.8))], RangeNoise(range=0.012, angle=0.001), None, rng)
+        assert not isinstance(segments, Rejected)
+        ends = 2.0 * segments[0].edges[..., 1] / segments[0].edges[..., 0]
+        assert len(ends) == 2
+        off.append(np.abs(ends.mean(axis=1)) - half)
+        widths.append(np.abs(np.diff(ends, axis=1)[:, 0]))
+    whitened = np.array(off) / (np.array(widths) / np.sqrt(12))
+    assert abs(whitened.mean()) < 4 / np.sqrt(whitened.size)
+    assert whitened.std() == pytest.approx(1.0, abs=0.2)

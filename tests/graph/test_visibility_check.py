@@ -1,0 +1,116 @@
+"""Places in a network that are refuted by people who would have passed unnoticed, and what is done about them."""
+
+import numpy as np
+
+from calgraph.detection import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.graph import Averaged, Placed, network_graph, placed
+from calgraph.graph.visibility_check import Refuted, unnoticed
+from calgraph.pairwise import Hypothesis, Sights, TrackPair
+from calgraph.tracking import Track, Tracked
+
+NAMES = ("a", "b", "c", "d")
+T = {name: se2.pose(0.4 * k, np.array([3.0 * k, -2.0 * (k % 2)])) for k, name in enumerate(NAMES)}
+"""T_a_scanner; d is last in a row."""
+ELSEWHERE = se2.pose(2.0, np.array([1.0, 5.0]))
+"""A wrong T_a_d among the other scanners."""
+
+
+def sights(seconds: float = 20.0) -> dict[str, Sights]:
+    """Of scanners in one hall that all saw one walk, until d's recording ended."""
+    return {name: Sights.of(followed(name, seconds if name == "d" else 20.0)) for name in NAMES}
+
+
+def followed(name: str, seconds: float) -> Tracked:
+    """What a scanner followed of a walk to and fro through the hall."""
+    times = np.arange(0.0, seconds, 0.1)
+    places = np.column_stack([4 + 3 * np.sin(0.3 * times), 2 * np.sin(0.7 * times + 0.5)])
+    x = se2.apply(se2.inverse(T[name]), places)
+    track = Track(times, x, np.gradient(x, 0.1, axis=0), np.tile(0.02**2 * np.eye(2), (len(x), 1, 1)), period=0)
+    angle = np.linspace(-np.pi, np.pi, 720)
+    return Tracked((track,), 20 * np.column_stack([np.cos(angle), np.sin(angle)]), 0.01)
+
+
+def hypothesis(T_a_b: Array, observations: int) -> Hypothesis:
+    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, icp=False)
+
+
+def right(a: str, b: str, observations: int = 200) -> Hypothesis:
+    return hypothesis(se2.inverse(T[a]) @ T[b], observations)
+
+
+ROW = {("a", "b"): TrackPair("a", "b", (right("a", "b"),)), ("b", "c"): TrackPair("b", "c", (right("b", "c"),))}
+
+
+def judged(T_a_d: Array, seen: dict[str, Sights]) -> Refuted | None:
+    """What is refuted with d somewhere."""
+    pairs = [*ROW.values(), TrackPair("a", "d", (hypothesis(T_a_d, 200),))]
+    graph, names = network_graph("a", pairs)
+    poses = np.array([T_a_d if name == "d" else T[name] for name in names])
+    averaged = Averaged(poses, np.ones(3, dtype=np.bool_))
+    return unnoticed(graph, [seen[name] for name in names], averaged, np.full(3, 200.0))
+
+
+def test_nothing_is_refuted_where_all_are_in_their_places() -> None:
+    assert judged(T["d"], sights()) is None
+
+
+def test_a_scanner_among_others_who_saw_nobody_where_it_did_is_refuted() -> None:
+    found = judged(ELSEWHERE, sights())
+    assert found
+    assert found.part.tolist() == [False, False, True, False]  # d is the third of the graph
+    assert found.edges.tolist() == [False, False, True]
+    assert found.missed > 0.8
+
+
+def test_it_is_not_if_it_saw_hardly_anything() -> None:
+    assert judged(ELSEWHERE, sights(0.8)) is None
+
+
+def test_a_refuted_hypothesis_gives_way_to_another_one(rng: np.random.Generator) -> None:
+    rivals = TrackPair("a", "d", (hypothesis(ELSEWHERE, 200), right("a", "d", 40)))
+    sure = placed("a", ROW | {("a", "d"): rivals}, sights(), rng)
+    found = dict(zip(sure.names, sure.averaged.T_root_node, strict=True))
+    np.testing.assert_allclose(found["d"], T["d"], atol=1e-6)
+    left = sure.pairs["a", "d"]
+    assert isinstance(left, TrackPair)
+    assert [h.observations for h in left.hypotheses] == [40]
+
+
+def test_a_scanner_whose_only_place_is_refuted_is_left_out_and_told_why(rng: np.random.Generator) -> None:
+    sure = placed("a", ROW | {("a", "d"): TrackPair("a", "d", (hypothesis(ELSEWHERE, 200),))}, sights(), rng)
+    assert sure.names == ("a", "b", "c")
+    why = sure.pairs["a", "d"]
+    assert isinstance(why, Rejected)
+    assert "of the people in open view of other scanners pass unnoticed" in why.reason
+
+
+MIDDLE = se2.pose(0.0, np.array([4.0, 0.0]))
+TURNED = MIDDLE @ se2.pose(np.radians(9), np.zeros(2)) @ se2.inverse(MIDDLE) @ T["d"]
+"""A wrong T_a_d under which d saw others about where they were: turned about the middle of the walk."""
+
+
+def outvoted(weak: Array, better: Array, seen: dict[str, Sights], rng: np.random.Generator) -> Placed:
+    """Two weak pairs agree on ``T_a_d``; a single one with better evidence contradicts."""
+    two = {(a, "d"): TrackPair(a, "d", (hypothesis(se2.inverse(T[a]) @ weak, 30),)) for a in ("a", "c")}
+    rival = TrackPair("b", "d", (hypothesis(se2.inverse(T["b"]) @ better, 40),))
+    return placed("a", {**ROW, **two, ("b", "d"): rival}, seen, rng)
+
+
+def test_a_scanner_is_put_where_better_evidence_has_it_if_others_saw_the_same_there(
+    rng: np.random.Generator,
+) -> None:
+    sure = outvoted(TURNED, T["d"], sights(), rng)
+    found = dict(zip(sure.names, sure.averaged.T_root_node, strict=True))
+    np.testing.assert_allclose(found["d"], T["d"], atol=1e-6)
+    assert sure.pairs["a", "d"] == sure.pairs["c", "d"] == Rejected("contradicts better evidence")
+
+
+def test_it_is_left_out_if_they_did_not(rng: np.random.Generator) -> None:
+    sure = outvoted(T["d"], ELSEWHERE, sights(), rng)
+    assert sure.names == ("a", "b", "c")
+    assert {type(sure.pairs[a, "d"]) for a in ("a", "b", "c")} == {Rejected}
+
+
+def test_so_it_is_if_too_little_was_seen(rng: np.random.Generator) -> None:
+    assert outvoted(TURNED, T["d"], sights(0.8), rng).names == ("a", "b", "c")
