@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from calgraph.calibrate import Options, follow_people, following
+from calgraph.calibrate import Options, follow_people, track_recording
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, Record
@@ -46,7 +46,7 @@ def test_a_recording_is_read_once(recording: Counted) -> None:
 def test_a_long_recording_is_read_in_portions_that_the_memory_holds(
     recording: Counted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(following, "_AT_ONCE", 200)
+    monkeypatch.setattr(track_recording, "_AT_ONCE", 200)
     told: list[tuple[str, float]] = []
     followed, _ = follow_people(RIG, recording, Options(), lambda *step: told.append(step))
     assert recording.read == [["/east", "/west"], ["/south"]]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from calgraph.config import People, RangeNoise
-from calgraph.tracking import ScanRun, Tracked, Untracked, in_runs, track_scanners, workers
+from calgraph.tracking import ScanRun, Tracked, Untracked, in_runs, parallel_tracking, track_scanners
 from walking_scenes import World, along, circling
 
 PEOPLE = People(kind="people")
@@ -24,7 +24,7 @@ def scans() -> dict[str, Sequence[ScanRun]]:
 
 @pytest.fixture(autouse=True)
 def _worthwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "_WORTHWHILE", 0)
+    monkeypatch.setattr(parallel_tracking, "_WORTHWHILE", 0)
 
 
 def followed(
