@@ -64,7 +64,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     folder = tmp_path_factory.mktemp("known")
     stage = set_stage(RigScenario.model_validate(_SCENARIO), 1)
     rig, captured, truth = simulate_detections(stage, 1, DetectionKnobs(pixel=0.05))
-    save_yaml(folder / "rig.yaml", rig.settings())
+    save_yaml(folder / "rig.yaml", rig.to_plain())
     save_problem(prepare(rig, captured, Options(), np.random.default_rng(0)), folder / "dump.npz")
     return Known(folder, truth.T_root_sensor)
 

@@ -113,7 +113,7 @@ def test_the_real_checkerboard_of_8_by_6_squares_fits_its_sheet(tmp_path: Path) 
 )
 def test_resolved_settings_are_read_back_as_the_same_rig(tmp_path: Path, target: str) -> None:
     rig = load_rig(write(tmp_path, with_target(target)))
-    save_yaml(tmp_path / "rig.resolved.yaml", rig.settings())
+    save_yaml(tmp_path / "rig.resolved.yaml", rig.to_plain())
     assert load_rig(tmp_path / "rig.resolved.yaml") == rig
 
 
@@ -121,7 +121,7 @@ def test_intrinsics_and_tiny_noise_are_read_back(tmp_path: Path) -> None:
     fisheye = "{model: fisheye, width: 1920, height: 1208, K: [1176.93, 1177.72, 962.275, 612.725], distortion: "
     text = GOOD.replace("camera_info: /info", f"intrinsics: {fisheye}[-0.054, -0.078, 0.096, -0.05]}}")
     rig = load_rig(write(tmp_path, text.replace("angle: 0.002", "angle: 1e-6")))
-    save_yaml(tmp_path / "again.yaml", rig.settings())
+    save_yaml(tmp_path / "again.yaml", rig.to_plain())
     again = load_rig(tmp_path / "again.yaml")
     assert again == rig
     camera = again.sensors["camera"]

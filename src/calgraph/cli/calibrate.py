@@ -208,7 +208,7 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
 
     save_calibration(calibration, folder / "calibration.yaml")
     save_captures(calibration, folder / "captures.csv")
-    save_yaml(folder / "rig.resolved.yaml", rig.settings())
+    save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
     write_report(calibration, rig, folder / "report.html")
     save_scene(calibration, folder / "scene.npz")
 

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.settings import Settings
 from calgraph.config.strict_model import StrictModel, wrong
 from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
 from calgraph.sensors import CameraModel
@@ -140,6 +141,8 @@ class Rig(StrictModel):
     """Where in the recording to look for the target."""
     sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]
     """The sensors by name."""
+    settings: Settings = Settings()
+    """The numbers that influence the result, stage by stage."""
 
     @model_validator(mode="after")
     def _root_exists(self) -> "Rig":
@@ -190,6 +193,6 @@ class Rig(StrictModel):
         """The cameras by name."""
         return {name: s for name, s in self.sensors.items() if isinstance(s, CameraSpec)}
 
-    def settings(self) -> dict[str, Any]:
-        """All settings, defaults included, as plain values for rig.resolved.yaml."""
+    def to_plain(self) -> dict[str, Any]:
+        """All keys, defaults included, as plain values for rig.resolved.yaml."""
         return self.model_dump(mode="json", exclude_none=True)

@@ -130,7 +130,7 @@ def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
     number = {name: i for i, name in enumerate(captured.detections)}
     content = {
         "format": FORMAT,
-        "rig": problem.rig.settings(),
+        "rig": problem.rig.to_plain(),
         "solver": problem.solver.model_dump(mode="json"),
         "sensors": list(number),
         "start": captured.start,

@@ -1,0 +1,45 @@
+"""The settings of every stage: each number that influences a result, with its unit, meaning and reason."""
+
+from calgraph.config.settings.baselines import BaselineSettings
+from calgraph.config.settings.captures import CaptureSettings
+from calgraph.config.settings.detection import (
+    CameraDetectionSettings,
+    DetectionSettings,
+    Lidar2dDetectionSettings,
+    Lidar3dDetectionSettings,
+)
+from calgraph.config.settings.diagnostics import (
+    DiagnosticsSettings,
+    NetworkDiagnosticsSettings,
+    RigDiagnosticsSettings,
+)
+from calgraph.config.settings.estimation import (
+    EstimationSettings,
+    NetworkEstimationSettings,
+    RigEstimationSettings,
+)
+from calgraph.config.settings.graph import GraphSettings
+from calgraph.config.settings.pairwise import BoardPairSettings, PairwiseSettings, ScannerPairSettings
+from calgraph.config.settings.stages import Settings
+from calgraph.config.settings.tracking import TrackingSettings
+
+__all__ = [
+    "BaselineSettings",
+    "BoardPairSettings",
+    "CameraDetectionSettings",
+    "CaptureSettings",
+    "DetectionSettings",
+    "DiagnosticsSettings",
+    "EstimationSettings",
+    "GraphSettings",
+    "Lidar2dDetectionSettings",
+    "Lidar3dDetectionSettings",
+    "NetworkDiagnosticsSettings",
+    "NetworkEstimationSettings",
+    "PairwiseSettings",
+    "RigDiagnosticsSettings",
+    "RigEstimationSettings",
+    "ScannerPairSettings",
+    "Settings",
+    "TrackingSettings",
+]
