@@ -27,6 +27,10 @@ exclude_patterns = ["_build", "gallery/**/*.ipynb", "gallery/**/*.py", "gallery/
 myst_enable_extensions = ["dollarmath", "attrs_block"]
 myst_heading_anchors = 3
 
+# The gallery warns of spaces anywhere in the path of an example. Its links are relative to docs/, so only names of
+# examples matter: the checkout may lie in a folder with a space.
+suppress_warnings = ["sphinx_gallery.space_in_filename"]
+
 html_theme = "furo"
 html_title = "calgraph"
 html_static_path = ["_static"]

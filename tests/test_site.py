@@ -19,7 +19,7 @@ EXAMPLES = sorted(path.stem for path in (ROOT / "docs" / "examples").glob("*.py"
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    checkout = tmp_path_factory.mktemp("checkout")
+    checkout = tmp_path_factory.mktemp("folder with spaces") / "checkout"
     shutil.copytree(ROOT / "docs", checkout / "docs", ignore=shutil.ignore_patterns(*BUILT))
     for page in ROOT.glob("*.md"):
         shutil.copy(page, checkout)
