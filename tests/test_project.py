@@ -4,16 +4,34 @@ import doctest
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
+from ruamel.yaml import YAML
 
 from calgraph.config import load_rig
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 PINNED = ("requirements/dev.txt", "requirements/runtime.txt")
+WORKFLOW = ".github/workflows/ci.yml"
+FORMS = sorted(form for form in ROOT.glob(".github/ISSUE_TEMPLATE/*.yml") if form.stem != "config")
+
+
+def project() -> dict[str, Any]:
+    return dict(tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"])
+
+
+def yaml_of(file: str) -> Any:
+    return YAML(typ="safe").load((ROOT / file).read_text(encoding="utf-8"))
+
+
+def make_targets(text: str) -> set[str]:
+    """Targets that a script or a workflow calls make with."""
+    return set(re.findall(r"\bmake ([a-z]+)", re.sub(r"#.*", "", text)))
 
 
 def code_of(page: str, language: str) -> list[str]:
@@ -23,11 +41,10 @@ def code_of(page: str, language: str) -> list[str]:
 
 def requirements() -> list[tuple[str, Requirement]]:
     """Every requirement of pyproject.toml, with the files that must pin it."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    of_users = [(file, Requirement(line)) for line in project["dependencies"] for file in PINNED]
-    extras = [Requirement(line) for lines in project["optional-dependencies"].values() for line in lines]
+    of_users = [(file, Requirement(line)) for line in project()["dependencies"] for file in PINNED]
+    extras = [Requirement(line) for lines in project()["optional-dependencies"].values() for line in lines]
     # Developers have all extras of calgraph itself.
-    of_developers = [(PINNED[0], needed) for needed in extras if needed.name != project["name"]]
+    of_developers = [(PINNED[0], needed) for needed in extras if needed.name != project()["name"]]
     return of_users + of_developers
 
 
@@ -85,3 +102,50 @@ def test_every_pinned_version_has_hashes(file: str) -> None:
 @pytest.mark.parametrize("file", PINNED)
 def test_pinned_files_name_no_registry(file: str) -> None:
     assert not re.search(r"https?:|--index|--find-links|--trusted-host", (ROOT / file).read_text())
+
+
+def test_ci_tests_every_supported_python() -> None:
+    classified = re.findall(r"Python :: (3\.\d+)", "\n".join(project()["classifiers"]))
+    tested = yaml_of(WORKFLOW)["jobs"]["test"]["strategy"]["matrix"]["python"]
+    assert tested == classified
+    allowed = SpecifierSet(project()["requires-python"])
+    assert classified[0] == next(f"3.{minor}" for minor in range(30) if allowed.contains(f"3.{minor}")) == "3.11"
+
+
+def test_workflow_runs_the_targets_of_the_ci_script_and_the_documentation() -> None:
+    of_script = make_targets((ROOT / ".ci/run").read_text(encoding="utf-8"))
+    of_workflow = make_targets((ROOT / WORKFLOW).read_text(encoding="utf-8"))
+    assert of_script == {"setup", "check", "test"}
+    assert of_workflow == of_script | {"docs"}
+
+
+def test_called_targets_exist() -> None:
+    defined = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    called = make_targets("\n".join((ROOT / file).read_text(encoding="utf-8") for file in (".ci/run", WORKFLOW)))
+    assert called - defined == set()
+
+
+def test_pre_commit_runs_the_tools_of_make_check() -> None:
+    recipe = re.search(r"^check:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert recipe
+    of_make = [line.split()[0].removeprefix("$(BIN)/") for line in recipe.group(1).splitlines()]
+    (local,) = yaml_of(".pre-commit-config.yaml")["repos"]
+    of_hooks = [hook["entry"].split()[0].removeprefix(".venv/bin/") for hook in local["hooks"]]
+    assert of_hooks == of_make == ["ruff", "ruff", "mypy", "lint-imports"]
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.stem)
+def test_issue_form_is_what_the_host_accepts(form: Path) -> None:
+    content = yaml_of(form.relative_to(ROOT).as_posix())
+    assert set(content) == {"name", "description", "labels", "body"}
+    fields = [field for field in content["body"] if field["type"] != "markdown"]
+    assert {field["type"] for field in fields} <= {"input", "textarea", "dropdown", "checkboxes"}
+    assert all(field["attributes"]["label"] for field in fields)
+    assert len({field["id"] for field in fields}) == len(fields)
+
+
+def test_citation_states_the_version_and_the_licence_of_the_package() -> None:
+    citation = yaml_of("CITATION.cff")
+    stated = {key: str(citation[key]) for key in ("title", "version", "license")}
+    assert stated == {"title": project()["name"], "version": project()["version"], "license": project()["license"]}
+    assert citation["cff-version"] == "1.2.0"
