@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check docs format requirements clean
+.PHONY: help setup demo test coverage check docs format requirements clean
 
 BIN := .venv/bin
 READY := .venv/.ready
@@ -23,6 +23,10 @@ demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in dem
 test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
+# All tests; settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
+coverage: $(READY)  ## run all tests and measure coverage; fails below the limit in pyproject.toml
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-report= $(ARGS)
+
 check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -40,7 +44,7 @@ requirements: $(READY)  ## pin the newest versions that pyproject.toml allows, w
 	requirements/compile $(BIN)/uv
 
 clean:  ## remove .venv, results of the demo and all caches
-	rm -rf .venv demo build docs/_build docs/gallery docs/generated src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv demo build .coverage* docs/_build docs/gallery docs/generated src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
 # The environment is made anew only when what is pinned has changed; a change of pyproject.toml needs no network.
 .venv/.pinned: requirements/dev.txt requirements/install

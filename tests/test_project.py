@@ -115,8 +115,14 @@ def test_ci_tests_every_supported_python() -> None:
 def test_workflow_runs_the_targets_of_the_ci_script_and_the_documentation() -> None:
     of_script = make_targets((ROOT / ".ci/run").read_text(encoding="utf-8"))
     of_workflow = make_targets((ROOT / WORKFLOW).read_text(encoding="utf-8"))
-    assert of_script == {"setup", "check", "test"}
+    assert of_script == {"setup", "check", "coverage"}
     assert of_workflow == of_script | {"docs"}
+
+
+def test_continuous_integration_fails_below_95_percent_coverage() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["coverage"]
+    assert settings["run"]["branch"] is True
+    assert settings["report"]["fail_under"] == 95
 
 
 def test_called_targets_exist() -> None:
