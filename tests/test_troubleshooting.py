@@ -12,8 +12,7 @@ SOURCE = ROOT / "src" / "calgraph"
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 
 GIVES_MESSAGES = {
-    "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "Untracked", "warning",
-    "wrong",
+    "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "wrong",
 }  # fmt: skip
 ELSEWHERE = {
     "estimation/rig/problem.py": "Files that calgraph wrote",

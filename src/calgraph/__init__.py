@@ -37,13 +37,12 @@ if TYPE_CHECKING:
     from calgraph.detection import (
         BoardCorners,
         PlanePatch,
-        Rejected,
         Segment,
         corners_seen,
         plane_seen,
         segment_seen,
     )
-    from calgraph.errors import CalgraphError, CalibrationError, InputError, RecordingError
+    from calgraph.errors import CalgraphError, CalibrationError, InputError, RecordingError, Rejected
     from calgraph.estimation import Problem, load_problem, save_problem
     from calgraph.geometry import plane, se2, se3, so3
     from calgraph.graph import Averaged, PoseGraph, average

@@ -1,4 +1,9 @@
-"""Errors that calgraph raises on purpose: each says what was wrong, where, and what would be right."""
+"""Exceptions raised on purpose, and :class:`Rejected`, the value returned where data do not suffice.
+
+Each message names what is wrong, where, and what would be right.
+"""
+
+from dataclasses import dataclass
 
 
 class CalgraphError(Exception):
@@ -15,3 +20,11 @@ class RecordingError(InputError):
 
 class CalibrationError(CalgraphError):
     """The data do not determine the calibration asked for (exit code 1)."""
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A value instead of a result: the data of one step do not suffice, and why."""
+
+    reason: str
+    """One sentence that a user can act on."""

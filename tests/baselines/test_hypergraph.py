@@ -11,7 +11,7 @@ import scipy.stats
 
 from board_scenes import SIZE, boards, observe
 from calgraph.baselines import solve_hypergraph
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.estimation import Joint
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph import Method, SpanningTree, Start, spanning_tree, start_poses

@@ -9,16 +9,8 @@ import pytest
 
 from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
-from calgraph.detection import (
-    BoardCorners,
-    Detection,
-    PlanePatch,
-    Rejected,
-    corners_seen,
-    plane_seen,
-    segment_seen,
-)
-from calgraph.errors import InputError
+from calgraph.detection import BoardCorners, Detection, PlanePatch, corners_seen, plane_seen, segment_seen
+from calgraph.errors import InputError, Rejected
 from calgraph.estimation import load_problem
 from calgraph.geometry import Array, se3
 from calgraph.recording import MessageRecording

@@ -5,7 +5,8 @@ import numpy as np
 
 from calgraph.captures import Hold, Observation, gather, observe, survey, thinned
 from calgraph.config import Board, Lidar2dSpec, Rig
-from calgraph.detection import Rejected, Segment
+from calgraph.detection import Segment
+from calgraph.errors import Rejected
 from calgraph.sensors import LaserScan, Record, Trigger
 
 RIG = Rig(root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")})

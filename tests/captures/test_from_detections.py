@@ -5,8 +5,8 @@ import pytest
 
 from calgraph.captures import captured_from
 from calgraph.config import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection import PlanePatch, Rejected, Segment, plane_seen, segment_seen
-from calgraph.errors import InputError
+from calgraph.detection import PlanePatch, Segment, plane_seen, segment_seen
+from calgraph.errors import InputError, Rejected
 
 RIG = Rig(
     root="lidar",

@@ -9,7 +9,7 @@ import pytest
 from calgraph.captures import Hold, details, observe
 from calgraph.captures.previews import Detail, snapshot
 from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.sensors import Image, LaserScan, PointCloud, Record
 
 LARGE = Detail(640, 8000)

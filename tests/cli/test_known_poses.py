@@ -10,7 +10,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.calibrate import Options, prepare
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.estimation import PriorFile, RigidFile, knowing, load_problem, save_problem
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph import spanning_tree

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.estimation import load_problem, save_problem
 from calgraph.result import load_calibration
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection import Rejected, find_segments
+from calgraph.detection import find_segments
 from calgraph.detection.board_edges import beams_about, sheet_edges
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index
 from calgraph.sensors import LaserScan
 

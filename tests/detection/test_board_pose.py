@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from calgraph.config import Board, Tag
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
-from calgraph.detection.detections import Rejected
 from calgraph.detection.landmarks import landmarks
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
 

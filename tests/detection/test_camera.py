@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector, Rejected, find_boards
+from calgraph.detection import BoardCorners, CameraDetector, find_boards
 from calgraph.detection.landmarks import landmarks
-from calgraph.errors import InputError
+from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel, Image
 

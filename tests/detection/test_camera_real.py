@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector, Rejected
+from calgraph.detection import BoardCorners, CameraDetector
 from calgraph.detection.landmarks import landmarks
 from calgraph.detection.tags import GridFinder, TagFinder
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel, Image
 

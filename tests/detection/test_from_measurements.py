@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.detection import BoardCorners, PlanePatch, Rejected, Segment, corners_seen, plane_seen, segment_seen
-from calgraph.errors import InputError
+from calgraph.detection import BoardCorners, PlanePatch, Segment, corners_seen, plane_seen, segment_seen
+from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
 

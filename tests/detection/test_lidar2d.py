@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection import Rejected, Segment, find_segments
+from calgraph.detection import Segment, find_segments
+from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, ScanBackground
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection import CloudBackground, PlanePatch, Rejected, find_patches
+from calgraph.detection import CloudBackground, PlanePatch, find_patches
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import PointCloud
 

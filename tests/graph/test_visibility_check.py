@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, Placed, network_graph, placed
 from calgraph.graph.visibility_check import Refuted, unnoticed

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, boards, cuts, observe, patch, random_pose
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import coplanarity, estimate_pair
 

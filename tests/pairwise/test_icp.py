@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import Alignment, Background, align
 

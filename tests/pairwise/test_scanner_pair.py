@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from calgraph.config import People, RangeNoise
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import TrackPair, estimate_network_pair, estimate_network_pairs
 from calgraph.recording import open_recording

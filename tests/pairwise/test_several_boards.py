@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, boards, patch, random_pose
-from calgraph.detection import BoardCorners, Detection, Rejected
+from calgraph.detection import BoardCorners, Detection
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import Candidates, estimate_pair, match_table
 

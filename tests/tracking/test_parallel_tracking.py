@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from calgraph.config import People, RangeNoise
-from calgraph.tracking import ScanRun, Tracked, Untracked, in_runs, parallel_tracking, track_scanners
+from calgraph.errors import Rejected
+from calgraph.tracking import ScanRun, Tracked, in_runs, parallel_tracking, track_scanners
 from walking_scenes import World, along, circling
 
 PEOPLE = People(kind="people")
@@ -29,15 +30,15 @@ def _worthwhile(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def followed(
     scans: Mapping[str, Sequence[ScanRun]], jobs: int, told: list[float] | None = None
-) -> dict[str, Tracked | Untracked]:
+) -> dict[str, Tracked | Rejected]:
     progress = (lambda _done: None) if told is None else told.append
     return track_scanners(scans, PEOPLE, dict.fromkeys(scans, RangeNoise()), jobs=jobs, progress=progress)
 
 
-def bits(found: Mapping[str, Tracked | Untracked]) -> dict[str, list[bytes] | str]:
+def bits(found: Mapping[str, Tracked | Rejected]) -> dict[str, list[bytes] | str]:
     return {
         name: own.reason
-        if isinstance(own, Untracked)
+        if isinstance(own, Rejected)
         else [
             array.tobytes()
             for track in own.tracks

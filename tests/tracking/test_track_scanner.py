@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from calgraph.config import Cylinder, People, RangeNoise
+from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import Feature, Track, Tracked, Untracked, track_scanner
+from calgraph.tracking import Feature, Track, Tracked, track_scanner
 from walking_scenes import Walk, World, along, circling
 
 PEOPLE = People(kind="people")
@@ -192,14 +193,14 @@ def test_somebody_who_stands_still_is_no_track() -> None:
 
     scans = World((standing,)).scans(20.0, 0)
     result = track_scanner(scans, PEOPLE, RangeNoise())
-    assert isinstance(result, Untracked)
+    assert isinstance(result, Rejected)
     assert "could be followed" in result.reason
 
 
 @pytest.mark.parametrize("scans", [[], World(()).scans(3.0, 0)], ids=["no scans", "nobody"])
 def test_nothing_to_follow_is_said(scans: list[LaserScan]) -> None:
     result = track_scanner(scans, PEOPLE, RangeNoise())
-    assert isinstance(result, Untracked)
+    assert isinstance(result, Rejected)
     assert "scan" in result.reason
 
 

@@ -9,13 +9,13 @@ from calgraph.calibrate.options import Options, Progress, network_estimator, sil
 from calgraph.calibrate.track_recording import follow_people, scanner_noise, walking
 from calgraph.config import Rig
 from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, extended, without
-from calgraph.errors import CalibrationError, InputError
+from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import ScannerPrior, solve_network
 from calgraph.graph import placed
 from calgraph.pairwise import Sights, estimate_network_pairs
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.tracking import Feature, Tracked, Untracked
+from calgraph.tracking import Feature, Tracked
 
 # How far off along the sight the centres may lie that each feature gives, as a standard deviation, m. A centre of
 # mass lies three quarters of the radius before the centre.
@@ -37,7 +37,7 @@ def calibrate_network(
 
 def calibrate_tracks(
     rig: Rig,
-    followed: Mapping[str, Tracked | Untracked],
+    followed: Mapping[str, Tracked | Rejected],
     options: Options,
     progress: Progress = silent,
     *,
@@ -100,14 +100,14 @@ def _earlier(rig: Rig, options: Options) -> Calibration | None:
     return without(options.extend, options.moved)
 
 
-def _of_all(rig: Rig, followed: Mapping[str, Tracked | Untracked]) -> dict[str, Tracked | Untracked]:
+def _of_all(rig: Rig, followed: Mapping[str, Tracked | Rejected]) -> dict[str, Tracked | Rejected]:
     """What each scanner of the rig followed."""
     unknown = set(followed) - set(rig.sensors)
     if unknown:
         raise InputError(f"followed: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
     for name, spec in rig.sensors.items():
         scanner_noise(name, spec)
-    return {name: followed.get(name, Untracked("no tracks were given")) for name in rig.sensors}
+    return {name: followed.get(name, Rejected("no tracks were given")) for name in rig.sensors}
 
 
 def _first(tracked: Mapping[str, Tracked]) -> float:

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from calgraph.calibrate.options import Options, Progress, silent
 from calgraph.captures import as_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
-from calgraph.errors import InputError
+from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
-from calgraph.tracking import ScanGathering, ScanRun, Tracked, Untracked, track_scanners
+from calgraph.tracking import ScanGathering, ScanRun, Tracked, track_scanners
 
 # Scans that are in memory at once, more than so many only if they are of one scanner: of 1000 beams, 0.8 GB.
 _AT_ONCE = 100_000
@@ -15,11 +15,11 @@ _AT_ONCE = 100_000
 
 def follow_people(
     rig: Rig, recording: Recording, options: Options, progress: Progress = silent
-) -> tuple[dict[str, Tracked | Untracked], dict[str, str]]:
+) -> tuple[dict[str, Tracked | Rejected], dict[str, str]]:
     """What moved through each scanner's view, and the frames that their messages state."""
     target = walking(rig)
     noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
-    followed: dict[str, Tracked | Untracked] = {}
+    followed: dict[str, Tracked | Rejected] = {}
     frames: dict[str, str] = {}
     for names in _portions(rig, recording):
 

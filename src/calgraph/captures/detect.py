@@ -11,7 +11,8 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.previews import Detail, snapshot
 from calgraph.captures.timeline import Timeline
 from calgraph.config import Rig
-from calgraph.detection import Detection, Rejected
+from calgraph.detection import Detection
+from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
 from calgraph.sensors import CameraModel, Message, Record

@@ -8,16 +8,8 @@ import numpy as np
 
 from calgraph.captures.detect import Detect
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection import (
-    Averaging,
-    CameraDetector,
-    CloudBackground,
-    Detection,
-    Rejected,
-    find_patches,
-    find_segments,
-)
-from calgraph.errors import InputError
+from calgraph.detection import Averaging, CameraDetector, CloudBackground, Detection, find_patches, find_segments
+from calgraph.errors import InputError, Rejected
 from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, ScanBackground, scan_of_cloud
 
 _log = logging.getLogger(__name__)

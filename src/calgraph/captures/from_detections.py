@@ -8,8 +8,8 @@ from calgraph.captures.detect import Captured, Observation, gather
 from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import SensorTimes, Timeline
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment
-from calgraph.errors import InputError
+from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
+from calgraph.errors import InputError, Rejected
 from calgraph.sensors import CameraModel
 
 Found = Detection | Sequence[Detection] | Rejected

@@ -2,7 +2,7 @@
 
 from calgraph.detection.camera import Averaging, CameraDetector, find_boards
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
+from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
 from calgraph.detection.from_measurements import corners_seen, plane_seen, segment_seen
 from calgraph.detection.landmarks import Landmarks, landmarks
 from calgraph.detection.lidar2d import find_segments
@@ -10,6 +10,6 @@ from calgraph.detection.lidar3d import find_patches
 
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "Landmarks", "PlanePatch",
-    "Rejected", "Segment", "corners_seen", "find_boards", "find_patches", "find_segments", "landmarks", "plane_of",
+    "Segment", "corners_seen", "find_boards", "find_patches", "find_segments", "landmarks", "plane_of",
     "plane_seen", "segment_seen",
 ]  # fmt: skip

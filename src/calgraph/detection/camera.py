@@ -10,11 +10,11 @@ import numpy as np
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
-from calgraph.detection.detections import BoardCorners, Rejected
+from calgraph.detection.detections import BoardCorners
 from calgraph.detection.landmarks import Landmarks, landmarks
 from calgraph.detection.rectified_view import has_straight_lines, straight_view
 from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
-from calgraph.errors import InputError
+from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel, Image
 

@@ -73,13 +73,6 @@ class BoardCorners:
         return self.T_camera_board[:3, 3]
 
 
-@dataclass(frozen=True)
-class Rejected:
-    """No detection, and why, in words a user can act on."""
-
-    reason: str
-
-
 Detection = PlanePatch | Segment | BoardCorners
 
 

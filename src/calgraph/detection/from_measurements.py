@@ -5,10 +5,10 @@ import numpy as np
 from calgraph.config import PixelNoise, RangeNoise
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import board_corners
-from calgraph.detection.detections import BoardCorners, PlanePatch, Rejected, Segment
+from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.detection.lidar2d import segment_between
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
-from calgraph.errors import InputError
+from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane
 from calgraph.sensors import CameraModel
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from calgraph.config import Board, RangeNoise
 from calgraph.detection.board_edges import beams_about, sheet_edges
-from calgraph.detection.detections import Rejected, Segment
+from calgraph.detection.detections import Segment
 from calgraph.detection.line_plane_fit import Fit, fit_line
 from calgraph.detection.scan_averaging import MergedScan, merge_scans
+from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.ransac import search
 from calgraph.sensors import LaserScan, ScanBackground

@@ -13,11 +13,12 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from calgraph.config import Board, RangeNoise
 from calgraph.detection.board_edges import beams_about, sheet_edges
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import PlanePatch, Rejected
+from calgraph.detection.detections import PlanePatch
 from calgraph.detection.line_plane_fit import fit_plane
 from calgraph.detection.rectangle_fit import Sheet, lay_sheet, standing_free
 from calgraph.detection.region_growing import flat_regions
 from calgraph.detection.voxel_normals import Cells, Indices, make_cells
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane
 from calgraph.ransac import search
 from calgraph.sensors import PointCloud

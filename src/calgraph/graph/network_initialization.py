@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.graph.averaging import Method
 from calgraph.graph.conflicting_evidence import doubtful
 from calgraph.graph.network_graph import average_network, evidence, network_graph, trust

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment, plane_of
+from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, plane_of
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.pairwise.line_matches import LineLine, PlaneLine
 from calgraph.pairwise.pairwise_estimate import (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.track_registration import rigid_spread
 from calgraph.pairwise.visibility_map import looks_past

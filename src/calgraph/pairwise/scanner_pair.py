@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import Background, align
 from calgraph.pairwise.pose_hypotheses import first_guesses

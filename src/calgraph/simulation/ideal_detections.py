@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, gather
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
-from calgraph.detection import Detection, PlanePatch, Rejected, landmarks
+from calgraph.detection import Detection, PlanePatch, landmarks
 from calgraph.detection.board_edges import BLUR
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import board_corners
 from calgraph.detection.lidar2d import segment_between
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel
 from calgraph.simulation.motion import board_pose

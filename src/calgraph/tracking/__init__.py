@@ -3,7 +3,7 @@
 from calgraph.tracking.features import Feature
 from calgraph.tracking.parallel_tracking import track_scanners
 from calgraph.tracking.scan_stack import ScanGathering, ScanRun, in_runs
-from calgraph.tracking.track import Hits, Track, Tracked, Untracked
+from calgraph.tracking.track import Hits, Track, Tracked
 from calgraph.tracking.track_scanner import track_scanner
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "ScanRun",
     "Track",
     "Tracked",
-    "Untracked",
     "in_runs",
     "track_scanner",
     "track_scanners",

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from calgraph.config import Cylinder, People, RangeNoise
+from calgraph.errors import Rejected
 from calgraph.processes import side_by_side
 from calgraph.tracking.features import Feature
 from calgraph.tracking.scan_stack import ScanRun
-from calgraph.tracking.track import Tracked, Untracked
+from calgraph.tracking.track import Tracked
 from calgraph.tracking.track_scanner import track_runs
 
 # Fewer beams than these are followed before other processes have begun.
@@ -21,7 +22,7 @@ def track_scanners(
     feature: Feature = "nls",
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
-) -> dict[str, Tracked | Untracked]:
+) -> dict[str, Tracked | Rejected]:
     """Follows what moves through the view of each scanner, as :func:`calgraph.tracking.track_scanner` does.
 
     The result does not depend on the number of processes.

@@ -53,10 +53,3 @@ class Tracked:
     """Range noise seen on the background, m."""
     watched: Array | None = None
     """(W, 2) from when to when it measured without a break, s; without, from its first track to its last one."""
-
-
-@dataclass(frozen=True)
-class Untracked:
-    """Nothing was followed, and why, in words a user can act on."""
-
-    reason: str

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, People, RangeNoise
+from calgraph.errors import Rejected
 from calgraph.sensors import LaserScan
 from calgraph.tracking.association import follow
 from calgraph.tracking.clusters import Clusters, clusters, foreground
@@ -15,7 +16,7 @@ from calgraph.tracking.periods import Piece, cut_into_periods
 from calgraph.tracking.scan_stack import ScanRun, in_runs, watched
 from calgraph.tracking.smoothing import smooth_all, with_unmodelled_noise
 from calgraph.tracking.static_scene import learn_static_scene
-from calgraph.tracking.track import Hits, Track, Tracked, Untracked
+from calgraph.tracking.track import Hits, Track, Tracked
 
 _log = logging.getLogger(__name__)
 
@@ -29,7 +30,7 @@ _FEWEST = 5
 
 def track_scanner(
     scans: Iterable[LaserScan], target: People | Cylinder, noise: RangeNoise, *, feature: Feature = "nls"
-) -> Tracked | Untracked:
+) -> Tracked | Rejected:
     """Follows everything that moves through the view of a stationary scanner (lrf-network, sections III-B and C).
 
     Args:
@@ -46,17 +47,17 @@ def track_scanner(
 
 def track_runs(
     runs: Sequence[ScanRun], target: People | Cylinder, noise: RangeNoise, feature: Feature
-) -> Tracked | Untracked:
+) -> Tracked | Rejected:
     """The same from scans that are stacked already."""
     scene = learn_static_scene(runs)
     if scene is None:
-        return Untracked("no scan has any beam")
+        return Rejected("no scan has any beam")
     sigma = scene.sigma if np.isfinite(scene.sigma) else noise.range
     # Ranges come in steps; residuals of less than a few millimetres mean nothing.
     sigma = max(sigma, 0.003)
     found = clusters(foreground(runs, scene), width_of(target), sigma)
     if not len(found):
-        return Untracked("nothing of the target's size stood out from the static surroundings in any scan")
+        return Rejected("nothing of the target's size stood out from the static surroundings in any scan")
     spread = 0.5 * float(np.mean(radii_of(target)))
     identities = [members for members in follow(found, spread, _AGILITY) if _walks(found, members)]
     pieces = cut_into_periods(identities, found.scan, found.times)
@@ -64,7 +65,7 @@ def track_runs(
     measured = centres(feature, found, target, walks, sigma)
     tracks = _tracks(pieces, found, measured)
     if not tracks:
-        return Untracked(
+        return Rejected(
             f"{len(found)} objects of the target's size were seen in {len(np.unique(found.scan))} scans, but none "
             f"could be followed for {_SHORTEST:g} s and {_TRAVEL:g} m"
         )

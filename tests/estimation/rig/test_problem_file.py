@@ -15,8 +15,8 @@ import pytest
 from board_scenes import boards, observe, random_pose
 from calgraph.captures import Captured, Hold
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected
-from calgraph.errors import InputError
+from calgraph.detection import BoardCorners, Detection, PlanePatch
+from calgraph.errors import InputError, Rejected
 from calgraph.estimation import Problem, Solver, load_problem, replayable, save_problem
 from calgraph.estimation.rig.problem_file import DETECTIONS
 from calgraph.graph import SpanningTree, spanning_tree

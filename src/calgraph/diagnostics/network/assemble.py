@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.detection import Rejected
 from calgraph.diagnostics.network.walk_report import floor_views, met, walk_rows
 from calgraph.diagnostics.verdict import verdict
+from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import JointNetwork
 from calgraph.estimation.network.planar_poses import in_space
 from calgraph.geometry import Array, se2
@@ -16,7 +16,7 @@ from calgraph.graph import Averaged, PoseGraph, joint_covariance
 from calgraph.pairwise import Hypothesis, TrackPair
 from calgraph.pairwise.synchronized_tracks import sample
 from calgraph.result import Calibration, Edge, SensorPose
-from calgraph.tracking import Tracked, Untracked
+from calgraph.tracking import Tracked
 
 _ADVICE = "let people walk farther across, and to and fro, where {name} and others both see them"
 
@@ -26,7 +26,7 @@ NetworkPairs = Mapping[tuple[str, str], TrackPair | Rejected]
 def assemble_network(
     rig: Rig,
     frames: Mapping[str, str],
-    followed: Mapping[str, Tracked | Untracked],
+    followed: Mapping[str, Tracked | Rejected],
     pairs: NetworkPairs,
     graph: PoseGraph,
     names: tuple[str, ...],
@@ -140,9 +140,9 @@ def _shared(hypothesis: Hypothesis) -> int:
     return round(hypothesis.observations / hypothesis.share)
 
 
-def _why_alone(name: str, followed: Mapping[str, Tracked | Untracked], pairs: NetworkPairs) -> str:
+def _why_alone(name: str, followed: Mapping[str, Tracked | Rejected], pairs: NetworkPairs) -> str:
     own = followed[name]
-    if isinstance(own, Untracked):
+    if isinstance(own, Rejected):
         return own.reason
     reasons: dict[str, list[str]] = {}
     for (a, b), found in pairs.items():

@@ -6,10 +6,10 @@ import numpy as np
 
 from calgraph.captures import Captured, Hold
 from calgraph.config import Rig
-from calgraph.detection import Rejected
 from calgraph.diagnostics.rig.board_pictures import Used, board_outlines, board_views
 from calgraph.diagnostics.rig.prior_tests import doubts_of_known
 from calgraph.diagnostics.verdict import doubts, rivals, verdict
+from calgraph.errors import Rejected
 from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import Joint

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, People
-from calgraph.detection import Rejected
+from calgraph.errors import Rejected
 from calgraph.estimation.network.heading_search import with_best_headings
 from calgraph.estimation.network.model_error import measured_sway
 from calgraph.estimation.network.range_noise import measured_noise

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from calgraph.captures import Captured, Hold
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Rejected, Segment
-from calgraph.errors import InputError
+from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
+from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem import Problem, Solver, check_problem
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
