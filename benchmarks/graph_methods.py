@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from calgraph.geometry import Array
-from calgraph.graph import Method, PoseGraph, average, groups
+from calgraph.geometry import Array, se_n
+from calgraph.graph import Method, PoseGraph, average
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 NEAR, TURNED = 0.5, np.radians(5)
@@ -31,11 +31,11 @@ def random_graph(
 ) -> tuple[PoseGraph, Array, NDArray[np.bool_]]:
     """A connected random graph, its true poses in the frame of node 0, and which edges are wrong."""
     T = random_poses(count, n, size, rng)
-    T = groups.inverse(T[0]) @ T
+    T = se_n.inverse(T[0]) @ T
     pairs = random_pairs(count, edges, rng)
     sigma = np.array([POSITION] * n + [ANGLE] * (1 if n == 2 else 3))
-    T_i_j = groups.inverse(T[pairs[:, 0]]) @ T[pairs[:, 1]]
-    T_i_j = groups.retract(T_i_j, sigma * rng.normal(size=(edges, len(sigma))))
+    T_i_j = se_n.inverse(T[pairs[:, 0]]) @ T[pairs[:, 1]]
+    T_i_j = se_n.retract(T_i_j, sigma * rng.normal(size=(edges, len(sigma))))
     bad = rng.permutation(edges) < round(wrong * edges)
     T_i_j[bad] = random_poses(int(bad.sum()), n, size, rng)
     return PoseGraph(count, pairs, T_i_j, np.tile(np.diag(sigma**-2), (edges, 1, 1))), T, bad
@@ -43,8 +43,8 @@ def random_graph(
 
 def random_poses(count: int, n: int, size: float, rng: np.random.Generator) -> Array:
     """Poses anywhere in a square or cube."""
-    return groups.pose(
-        groups.nearest(rng.normal(size=(count, n, n))), rng.uniform(-size / 2, size / 2, (count, n))
+    return se_n.pose(
+        se_n.nearest_rotation(rng.normal(size=(count, n, n))), rng.uniform(-size / 2, size / 2, (count, n))
     )
 
 
@@ -68,7 +68,7 @@ def decidable(graph: PoseGraph, wrong: NDArray[np.bool_]) -> bool:
 def found(T_est: Array, T: Array) -> tuple[bool, bool]:
     """Whether all rotations are right, and whether all poses are."""
     n = T.shape[-1] - 1
-    error = groups.difference(T_est, T)
+    error = se_n.difference(T_est, T)
     turned = np.linalg.norm(error[:, n:], axis=1)
     off = np.linalg.norm(error[:, :n], axis=1)
     return bool((turned < TURNED).all()), bool((turned < TURNED).all() and (off < NEAR).all())
@@ -114,7 +114,7 @@ def large(n: int) -> None:
     start, cpu = time.perf_counter(), time.process_time()
     result = average(graph, rng)
     seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
-    off = np.linalg.norm(groups.translation(result.T_root_node) - groups.translation(T), axis=1)
+    off = np.linalg.norm(se_n.translation(result.T_root_node) - se_n.translation(T), axis=1)
     lost = np.flatnonzero((off > NEAR) & held_twice(graph, ~bad))
     print(
         f"SE({n}), 1000 sensors, 5000 edges, 20 % wrong: {seconds:.1f} s ({cpu:.1f} s CPU);"

@@ -121,28 +121,13 @@ def test_left_jacobian_inverse_stays_finite_at_half_a_turn() -> None:
     assert c == pytest.approx(np.pi / 2)  # |J⁻¹ y| = θ/2 / sin(θ/2) across the axis
 
 
-def test_nearest_undoes_small_damage(rng: np.random.Generator) -> None:
-    R = random_rotations(rng, (20,))
-    stretch = np.diag([1.1, 0.9, 1.3])
-    assert_allclose(so3.nearest(R @ stretch), R, atol=1e-14)
-
-
-def test_nearest_of_a_reflection_is_still_a_rotation(rng: np.random.Generator) -> None:
-    R = so3.nearest(random_rotations(rng, (20,)) @ np.diag([1.0, 1.0, -0.2]))
-    assert_allclose(np.linalg.det(R), 1, atol=1e-14)
-
-
-def test_nearest_of_a_flat_matrix_is_a_rotation_that_keeps_its_directions() -> None:
-    assert_allclose(so3.nearest(np.diag([3.0, 2.0, 0.0])), np.eye(3), atol=1e-15)
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_function_works_on_any_leading_axes(shape: tuple[int, ...], rng: np.random.Generator) -> None:
     R = random_rotations(rng, shape)
     phi, q = so3.log(R), so3.quaternion(R)
     assert phi.shape == (*shape, 3)
     assert q.shape == (*shape, 4)
-    for matrices in (so3.exp(phi), so3.from_quaternion(q), so3.nearest(R)):
+    for matrices in (so3.exp(phi), so3.from_quaternion(q)):
         assert_allclose(matrices, R, atol=1e-14)
     assert so3.left_jacobian_inverse(phi).shape == so3.hat(phi).shape == (*shape, 3, 3)
 

@@ -8,13 +8,12 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from calgraph.errors import CalibrationError
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se_n
 from calgraph.graph import (
     PoseGraph,
     chained,
     consensus_trees,
     cycle_basis,
-    groups,
     irls_l1,
     l1mc,
     spectral,
@@ -28,14 +27,14 @@ POSITION, ANGLE = 0.05, np.radians(0.7)
 
 def random_poses(count: int, n: int, rng: np.random.Generator, size: float = 10.0) -> Array:
     """Poses all over a square or cube of the edge given, m, turned anyhow."""
-    R = groups.nearest(rng.normal(size=(count, n, n)))
-    return groups.pose(R, rng.uniform(-size / 2, size / 2, (count, n)))
+    R = se_n.nearest_rotation(rng.normal(size=(count, n, n)))
+    return se_n.pose(R, rng.uniform(-size / 2, size / 2, (count, n)))
 
 
 def true_poses(count: int, n: int, rng: np.random.Generator, size: float = 10.0) -> Array:
     """Random node poses in the frame of node 0."""
     T = random_poses(count, n, rng, size)
-    return np.asarray(groups.inverse(T[0]) @ T)
+    return np.asarray(se_n.inverse(T[0]) @ T)
 
 
 def measured(
@@ -45,8 +44,8 @@ def measured(
     e = np.array(edges, dtype=np.intp)
     n = T.shape[-1] - 1
     sigma = np.array([POSITION] * n + [ANGLE] * (1 if n == 2 else 3))
-    T_i_j = groups.inverse(T[e[:, 0]]) @ T[e[:, 1]]
-    T_i_j = groups.retract(T_i_j, noise * sigma * rng.normal(size=(len(e), len(sigma))))
+    T_i_j = se_n.inverse(T[e[:, 0]]) @ T[e[:, 1]]
+    T_i_j = se_n.retract(T_i_j, noise * sigma * rng.normal(size=(len(e), len(sigma))))
     return PoseGraph(len(T), e, T_i_j, np.tile(np.diag(sigma**-2), (len(e), 1, 1)))
 
 
@@ -89,7 +88,7 @@ def test_rotations_are_exact_without_noise(
     n: int, method: Method, edges: list[tuple[int, int]], rng: np.random.Generator
 ) -> None:
     T = true_poses(1 + max(max(e) for e in edges), n, rng)
-    assert_allclose(method(measured(T, edges, rng)), groups.rotation(T), atol=1e-6)
+    assert_allclose(method(measured(T, edges, rng)), se_n.rotation(T), atol=1e-6)
 
 
 @BOTH
@@ -98,7 +97,7 @@ def test_rotations_are_expressed_in_any_root(n: int, method: Method, rng: np.ran
     T = true_poses(6, n, rng)
     g = measured(T, complete(6), rng)
     R = method(PoseGraph(g.count, g.edges, g.T_i_j, g.information, root=4))
-    assert_allclose(R, groups.rotation(groups.inverse(T[4]) @ T), atol=1e-6)
+    assert_allclose(R, se_n.rotation(se_n.inverse(T[4]) @ T), atol=1e-6)
 
 
 @BOTH
@@ -108,14 +107,14 @@ def test_one_wrong_edge_among_triangles_does_not_turn_anything(
 ) -> None:
     T = true_poses(9, n, rng)
     graph = with_wrong(measured(T, WHEEL, rng), [11], rng)
-    assert np.max(groups.magnitude(method(graph) @ groups.transpose(groups.rotation(T)))) < 1e-4
+    assert np.max(se_n.rotation_angle(method(graph) @ se_n.transpose(se_n.rotation(T)))) < 1e-4
 
 
 @BOTH
 def test_spectral_relaxation_gives_way_to_one_wrong_edge(n: int, rng: np.random.Generator) -> None:
     T = true_poses(9, n, rng)
     graph = with_wrong(measured(T, WHEEL, rng), [11], rng)
-    assert np.max(groups.magnitude(spectral(graph) @ groups.transpose(groups.rotation(T)))) > np.radians(1)
+    assert np.max(se_n.rotation_angle(spectral(graph) @ se_n.transpose(se_n.rotation(T)))) > np.radians(1)
 
 
 @BOTH
@@ -123,7 +122,7 @@ def test_weights_decide_which_edge_of_a_ring_gives_way(n: int, rng: np.random.Ge
     T = true_poses(8, n, rng)
     graph = with_wrong(measured(T, ring(8), rng), [3], rng)
     weights = np.where(np.arange(8) == 3, 0.1, 1.0)
-    assert_allclose(l1mc(graph, weights), groups.rotation(T), atol=1e-6)
+    assert_allclose(l1mc(graph, weights), se_n.rotation(T), atol=1e-6)
 
 
 def test_reweighting_reaches_the_least_absolute_sum_and_no_less(rng: np.random.Generator) -> None:
@@ -132,7 +131,7 @@ def test_reweighting_reaches_the_least_absolute_sum_and_no_less(rng: np.random.G
     i, j = graph.edges.T
 
     def objective(R: Array) -> float:
-        return float(np.sum(groups.magnitude(R[i] @ graph.R_i_j @ groups.transpose(R[j]))))
+        return float(np.sum(se_n.rotation_angle(R[i] @ graph.R_i_j @ se_n.transpose(R[j]))))
 
     assert_allclose(objective(by_irls(graph)), objective(l1mc(graph)), rtol=1e-4)
 
@@ -140,15 +139,15 @@ def test_reweighting_reaches_the_least_absolute_sum_and_no_less(rng: np.random.G
 @BOTH
 def test_positions_are_exact_without_noise(n: int, rng: np.random.Generator) -> None:
     T = true_poses(8, n, rng)
-    assert_allclose(translations(measured(T, ring(8), rng), groups.rotation(T)), groups.translation(T), atol=1e-8)
+    assert_allclose(translations(measured(T, ring(8), rng), se_n.rotation(T)), se_n.translation(T), atol=1e-8)
 
 
 @BOTH
 def test_an_edge_without_weight_moves_nothing(n: int, rng: np.random.Generator) -> None:
     T = true_poses(9, n, rng)
     graph = with_wrong(measured(T, WHEEL, rng), [5], rng)
-    found = translations(graph, groups.rotation(T), (np.arange(16) != 5).astype(float))
-    assert_allclose(found, groups.translation(T), atol=1e-8)
+    found = translations(graph, se_n.rotation(T), (np.arange(16) != 5).astype(float))
+    assert_allclose(found, se_n.translation(T), atol=1e-8)
 
 
 @BOTH
@@ -207,7 +206,7 @@ def test_of_two_alternatives_that_agree_one_is_counted(n: int, rng: np.random.Ge
 def test_refined_poses_are_better_than_one_path_of_noisy_edges(n: int, rng: np.random.Generator) -> None:
     T = true_poses(12, n, rng)
     found = consensus_trees(measured(T, complete(12), rng, noise=1.0), rng)
-    error = groups.difference(found.T_root_node, T)
+    error = se_n.difference(found.T_root_node, T)
     # Eleven paths to each node, some of which turn about far nodes: about 5 cm · sqrt(2 / 12), and 0.7° likewise.
     assert np.sqrt(np.mean(error[1:, n:] ** 2)) < 0.6 * ANGLE
 
@@ -217,7 +216,7 @@ def test_consensus_expresses_poses_in_any_root(n: int, rng: np.random.Generator)
     T = true_poses(6, n, rng)
     g = measured(T, complete(6), rng)
     found = consensus_trees(PoseGraph(g.count, g.edges, g.T_i_j, g.information, root=2), rng)
-    assert_allclose(found.T_root_node, groups.inverse(T[2]) @ T, atol=1e-6)
+    assert_allclose(found.T_root_node, se_n.inverse(T[2]) @ T, atol=1e-6)
 
 
 def test_two_hundred_nodes_are_found_in_spite_of_wrong_edges(rng: np.random.Generator) -> None:
@@ -225,7 +224,7 @@ def test_two_hundred_nodes_are_found_in_spite_of_wrong_edges(rng: np.random.Gene
     edges = [(k, (k + step) % 200) for k in range(200) for step in (1, 2, 5, 11, 40)]
     wrong = rng.permutation(1000)[:200].tolist()
     graph = with_wrong(measured(T, edges, rng, noise=1.0), wrong, rng)
-    error = groups.difference(consensus_trees(graph, rng).T_root_node, T)
+    error = se_n.difference(consensus_trees(graph, rng).T_root_node, T)
     assert np.max(np.linalg.norm(error[:, :2], axis=1)) < 1.0
 
 
@@ -289,7 +288,7 @@ def test_poses_around_every_cycle_multiply_to_the_identity(rng: np.random.Genera
     for cycle in cycle_basis(12, pairs):
         T = np.eye(4)
         for e, way in cycle:
-            T = T @ (graph.T_i_j[e] if way > 0 else groups.inverse(graph.T_i_j[e]))
+            T = T @ (graph.T_i_j[e] if way > 0 else se_n.inverse(graph.T_i_j[e]))
         assert_allclose(T, np.eye(4), atol=1e-9)
 
 

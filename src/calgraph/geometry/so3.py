@@ -88,11 +88,3 @@ def left_jacobian_inverse(phi: Array) -> Array:
     c = _series(angle, (1 - half / np.tan(half)) / safe**2, 1 / 12 + angle**2 / 720)[..., None, None]
     K = hat(phi)
     return np.asarray(np.eye(3) - 0.5 * K + c * (K @ K))
-
-
-def nearest(M: Array) -> Array:
-    """The rotation matrices nearest to ``M`` (..., 3, 3) in the Frobenius norm (orthogonal Procrustes)."""
-    U, _, Vt = np.linalg.svd(M)
-    flip = np.ones(M.shape[:-1])
-    flip[..., 2] = np.sign(np.linalg.det(U @ Vt))
-    return np.asarray((U * flip[..., None, :]) @ Vt)

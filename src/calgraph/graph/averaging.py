@@ -6,8 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.geometry import Array
-from calgraph.graph import groups
+from calgraph.geometry import Array, se_n
 from calgraph.graph.graph_optimization import translations
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
@@ -51,10 +50,10 @@ def average(
     else:
         R = l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles")
     i, j = graph.edges.T
-    off = groups.magnitude(R[i] @ graph.R_i_j @ groups.transpose(R[j])) / _AGREE
+    off = se_n.rotation_angle(R[i] @ graph.R_i_j @ se_n.transpose(R[j])) / _AGREE
     agree = best_of_groups(off**2, graph.pairs)
     trust = np.where(agree, 1.0, _HOLD) * (1.0 if weights is None else weights)
-    return Averaged(groups.pose(R, translations(graph, R, trust)), agree)
+    return Averaged(se_n.pose(R, translations(graph, R, trust)), agree)
 
 
 def pose_graph(root: str, estimates: Sequence[PairwiseEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:

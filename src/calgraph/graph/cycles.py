@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import chdtri
 
-from calgraph.geometry import Array
-from calgraph.graph import groups
+from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import Edges, PoseGraph
 
 Cycle = NDArray[np.intp]
@@ -93,8 +92,8 @@ def consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.bool_]:
     dof = graph.information.shape[-1]
     covariance = np.asarray(np.linalg.inv(graph.information + _OPEN * np.eye(dof)), dtype=np.float64)
     # Edges walked forwards come first, the same edges walked backwards after them.
-    T = np.concatenate([graph.T_i_j, groups.inverse(graph.T_i_j)])
-    S = np.concatenate([covariance, groups.inverse_covariance(graph.T_i_j, covariance)])
+    T = np.concatenate([graph.T_i_j, se_n.inverse(graph.T_i_j)])
+    S = np.concatenate([covariance, se_n.inverse_covariance(graph.T_i_j, covariance)])
     lengths = np.array([len(c) for c in cycles], dtype=np.intp)
     agree = np.zeros(len(cycles), dtype=np.bool_)
     for length in np.unique(lengths):
@@ -103,9 +102,9 @@ def consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.bool_]:
         directed = np.where(walks[..., 1] > 0, walks[..., 0], walks[..., 0] + len(graph.edges))
         error, spread = T[directed[:, 0]], S[directed[:, 0]]
         for step in directed.T[1:]:
-            spread = groups.compose_covariance(error, spread, S[step], groups.translation(T[step]))
+            spread = se_n.compose_covariance(error, spread, S[step], se_n.translation(T[step]))
             error = error @ T[step]
-        r = groups.difference(error, np.eye(error.shape[-1]))
+        r = se_n.difference(error, np.eye(error.shape[-1]))
         chi2 = np.einsum("ci,ci->c", r, np.linalg.solve(spread, r[..., None])[..., 0])
         agree[members] = chi2 <= chdtri(dof, _CHANCE)
     return agree

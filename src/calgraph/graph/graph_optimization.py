@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, coo_array, csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from calgraph.geometry import Array
-from calgraph.graph import groups
+from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import Edges, PoseGraph, chi_squared, residuals
 
 # Added to the normal equations, relative to their diagonal's mean: holds what the edges leave open where it is.
@@ -32,14 +31,14 @@ def step(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
     i, j = graph.edges.T
     n = graph.dimension
     # In the root's axes the residual moves with node j one to one, and against node i but for its turning arm.
-    B = groups.axes(groups.rotation(T_root_node))[i]
-    W = weights[:, None, None] * (B @ graph.information @ groups.transpose(B))
+    B = se_n.rotation_adjoint(se_n.rotation(T_root_node))[i]
+    W = weights[:, None, None] * (B @ graph.information @ se_n.transpose(B))
     r = (B @ residuals(graph, T_root_node)[..., None])[..., 0]
     J_i = np.zeros_like(W) - np.eye(W.shape[-1])
-    arm = groups.translation(T_root_node)[j] - groups.translation(T_root_node)[i]
-    J_i[:, :n, n:] -= groups.turning(arm)
+    arm = se_n.translation(T_root_node)[j] - se_n.translation(T_root_node)[i]
+    J_i[:, :n, n:] -= se_n.rotation_jacobian(arm)
     WJ = W @ J_i
-    H = _blocks(graph, groups.transpose(J_i) @ WJ, groups.transpose(WJ), W)
+    H = _blocks(graph, se_n.transpose(J_i) @ WJ, se_n.transpose(WJ), W)
     H = csc_array(H + _RIDGE * float(H.diagonal().mean()) * eye_array(H.shape[0]))
     g = np.zeros((graph.count, W.shape[-1]))
     np.add.at(g, i, -np.einsum("eki,ek->ei", WJ, r))
@@ -51,7 +50,7 @@ def adjusted(graph: PoseGraph, T_root_node: Array, weights: Array, iterations: i
     """The poses (N, n+1, n+1) of least weighted squared error, near those given (Gauss–Newton)."""
     for _ in range(iterations):
         delta = step(graph, T_root_node, weights)
-        T_root_node = groups.retract(T_root_node, delta)
+        T_root_node = se_n.retract(T_root_node, delta)
         if np.max(np.abs(delta), initial=0.0) < _CONVERGED:
             break
     return T_root_node
@@ -72,7 +71,7 @@ def robustly_adjusted(graph: PoseGraph, T_root_node: Array, gate: float) -> Arra
     while scale >= 0.25:
         chi2 = chi_squared(graph, T_root_node)
         weights = np.asarray((1 + chi2 / (scale * gate)) ** -2)
-        T_root_node = groups.retract(T_root_node, step(graph, T_root_node, weights))
+        T_root_node = se_n.retract(T_root_node, step(graph, T_root_node, weights))
         scale /= 2
     return T_root_node
 
@@ -90,7 +89,7 @@ def translations(graph: PoseGraph, rotations: Array, weights: Array | None = Non
     """
     w = np.ones(len(graph.edges)) if weights is None else weights
     graph.where(w > 0).require_connected()
-    t = (rotations[graph.edges[:, 0]] @ groups.translation(graph.T_i_j)[..., None])[..., 0]
+    t = (rotations[graph.edges[:, 0]] @ se_n.translation(graph.T_i_j)[..., None])[..., 0]
     return differences_solved(graph.count, graph.edges, t, w, graph.root)
 
 
@@ -111,7 +110,7 @@ def _blocks(graph: PoseGraph, ii: Array, ij: Array, jj: Array) -> csc_array:
     """Sparse symmetric matrix (N k, N k) of the edges' blocks (E, k, k), summed."""
     i, j = graph.edges.T
     k = ii.shape[-1]
-    blocks = np.concatenate([ii, ij, groups.transpose(ij), jj])
+    blocks = np.concatenate([ii, ij, se_n.transpose(ij), jj])
     rows = np.concatenate([i, i, j, j])[:, None, None] * k + np.arange(k)[:, None]
     columns = np.concatenate([i, j, i, j])[:, None, None] * k + np.arange(k)
     where = (np.broadcast_to(rows, blocks.shape).ravel(), np.broadcast_to(columns, blocks.shape).ravel())

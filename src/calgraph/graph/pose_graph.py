@@ -9,8 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.errors import CalibrationError
-from calgraph.geometry import Array
-from calgraph.graph import groups
+from calgraph.geometry import Array, se_n
 
 Edges = NDArray[np.intp]
 
@@ -38,7 +37,7 @@ class PoseGraph:
     @property
     def R_i_j(self) -> Array:
         """(E, n, n)."""
-        return groups.rotation(self.T_i_j)
+        return se_n.rotation(self.T_i_j)
 
     @cached_property
     def pairs(self) -> NDArray[np.intp]:
@@ -96,8 +95,8 @@ class Averaged:
 def residuals(graph: PoseGraph, T_root_node: Array) -> Array:
     """Errors (..., E, d) of the relative poses that node poses (..., N, n+1, n+1) imply, in i's fixed axes."""
     i, j = graph.edges.T
-    implied = groups.inverse(T_root_node[..., i, :, :]) @ T_root_node[..., j, :, :]
-    return groups.difference(implied, graph.T_i_j)
+    implied = se_n.inverse(T_root_node[..., i, :, :]) @ T_root_node[..., j, :, :]
+    return se_n.difference(implied, graph.T_i_j)
 
 
 def chi_squared(graph: PoseGraph, T_root_node: Array) -> Array:

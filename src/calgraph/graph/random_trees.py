@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
-from calgraph.graph import groups
+from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph
 
 # A node moves if that makes so many more edges agree.
@@ -31,7 +30,7 @@ def tree_poses(graph: PoseGraph, costs: Array) -> Array:
     sets = np.arange(len(costs))
     start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
     end = np.concatenate([graph.edges[:, 1], graph.edges[:, 0]])
-    T_start_end = np.concatenate([graph.T_i_j, groups.inverse(graph.T_i_j)])
+    T_start_end = np.concatenate([graph.T_i_j, se_n.inverse(graph.T_i_j)])
     both_ways = np.concatenate([costs, costs], axis=1)
     T = np.zeros((len(costs), graph.count, *graph.T_i_j.shape[1:])) + np.eye(graph.T_i_j.shape[-1])
     distance = np.full((len(costs), graph.count), np.inf)
@@ -89,7 +88,7 @@ class _Ballot:
         edges = len(graph.edges)
         self.start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
         self.end = np.concatenate([graph.edges[:, 1], graph.edges[:, 0]])
-        self.T_start_end = np.concatenate([graph.T_i_j, groups.inverse(graph.T_i_j)])
+        self.T_start_end = np.concatenate([graph.T_i_j, se_n.inverse(graph.T_i_j)])
         self.edge = np.tile(np.arange(edges), 2)
         self.degree = np.bincount(self.end, trust[self.edge], minlength=graph.count)
         into = _by_node(self.end, graph.count, rng)
@@ -125,8 +124,8 @@ class _Ballot:
         e = self.edge[voter]
         forwards = (voter < len(self.graph.edges))[:, None, None]
         T_start = T[self.start[voter]]
-        implied = groups.inverse(np.where(forwards, T_start, T_end)) @ np.where(forwards, T_end, T_start)
-        r = groups.difference(implied, self.graph.T_i_j[e])
+        implied = se_n.inverse(np.where(forwards, T_start, T_end)) @ np.where(forwards, T_end, T_start)
+        r = se_n.difference(implied, self.graph.T_i_j[e])
         chi2 = np.einsum("vi,vi->v", r, (self.graph.information[e] @ r[..., None])[..., 0])
         return np.asarray(self.trust[e] * np.maximum(1 - chi2 / gate, 0.0))
 

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.sparse.linalg import eigsh
 
 from calgraph.errors import CalibrationError
-from calgraph.geometry import Array
-from calgraph.graph import groups
+from calgraph.geometry import Array, se_n
 from calgraph.graph.cycles import Cycle, cycle_basis, incidence, triangles
 from calgraph.graph.graph_optimization import differences_solved
 from calgraph.graph.pose_graph import Edges, PoseGraph
@@ -61,7 +60,7 @@ def l1mc(
         A, errors = _transitivity(R_i_j, cycles)
         b = A @ corrections.ravel() - errors
         corrections = _least_absolute(A, b, np.repeat(trust, d), soft).reshape(-1, d)
-        R_i_j = graph.R_i_j @ groups.exp(corrections)
+        R_i_j = graph.R_i_j @ se_n.exp(corrections)
     # Where cycles are not held exactly, the least corrected edges are the ones to follow.
     return _chained(graph, R_i_j, np.linalg.norm(corrections, axis=1))
 
@@ -92,8 +91,8 @@ def spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
     M = vectors.reshape(count, n, n)
     if np.sum(np.sign(np.linalg.det(M))) < 0:
         M = M * np.where(np.arange(n) == n - 1, -1.0, 1.0)
-    R_node_any = groups.nearest(M)
-    return np.asarray(R_node_any[graph.root] @ groups.transpose(R_node_any))
+    R_node_any = se_n.nearest_rotation(M)
+    return np.asarray(R_node_any[graph.root] @ se_n.transpose(R_node_any))
 
 
 def irls_l1(graph: PoseGraph, start: Array, weights: Array | None = None) -> Array:
@@ -112,10 +111,10 @@ def irls_l1(graph: PoseGraph, start: Array, weights: Array | None = None) -> Arr
     i, j = graph.edges.T
     R = start
     for _ in range(_ITERATIONS):
-        errors = groups.log(R[i] @ graph.R_i_j @ groups.transpose(R[j]))
+        errors = se_n.log(R[i] @ graph.R_i_j @ se_n.transpose(R[j]))
         reweighted = w / np.maximum(np.linalg.norm(errors, axis=1), _FLOOR)
         delta = differences_solved(graph.count, graph.edges, errors, reweighted, graph.root)
-        R = groups.exp(delta) @ R
+        R = se_n.exp(delta) @ R
         if np.max(np.abs(delta), initial=0.0) < _FLOOR / 10:
             break
     return np.asarray(R[graph.root].T @ R)
@@ -135,7 +134,7 @@ def _transitivity(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, A
     d = 1 if R_i_j.shape[-1] == 2 else 3
     if d == 1:
         A = incidence(cycles, len(R_i_j))
-        summed = A @ groups.log(R_i_j)[:, 0]
+        summed = A @ se_n.log(R_i_j)[:, 0]
         return A, np.asarray(np.angle(np.exp(1j * summed)), dtype=np.float64)
     rows, columns, blocks, errors = [], [], [], np.zeros((len(cycles), d))
     for c, cycle in enumerate(cycles):
@@ -147,7 +146,7 @@ def _transitivity(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, A
             columns.append(int(e))
             blocks.append(after if way > 0 else -R)
             R = after
-        errors[c] = groups.log(R)
+        errors[c] = se_n.log(R)
     where = np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
     A = _sparse_blocks(*where, np.array(blocks).reshape(-1, 3, 3), len(cycles), len(R_i_j))
     return A, errors.ravel()
@@ -200,7 +199,7 @@ def _block_matrix(graph: PoseGraph, blocks: Array) -> csr_array:
     i, j = graph.edges.T
     rows, columns = np.concatenate([i, j]), np.concatenate([j, i])
     return _sparse_blocks(
-        rows, columns, np.concatenate([blocks, groups.transpose(blocks)]), graph.count, graph.count
+        rows, columns, np.concatenate([blocks, se_n.transpose(blocks)]), graph.count, graph.count
     )
 
 

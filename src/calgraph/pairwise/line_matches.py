@@ -6,7 +6,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, plane, se3, so3
+from calgraph.geometry import Array, plane, se3, se_n, so3
 from calgraph.pairwise.coplanar_lines_solver import hinge_poses
 from calgraph.pairwise.least_squares import canonical_rotations, gauss_newton
 from calgraph.pairwise.pairwise_estimate import Linearization
@@ -58,7 +58,7 @@ class PlaneLine:
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         if self._determined:
             h = np.einsum("kij,ki,kli,kl->kj", Vt, 1 / np.maximum(s, 1e-9), U, -d)
-            R = so3.nearest(np.stack([h[:, :3], h[:, 3:6], np.cross(h[:, :3], h[:, 3:6])], axis=-1))
+            R = se_n.nearest_rotation(np.stack([h[:, :3], h[:, 3:6], np.cross(h[:, :3], h[:, 3:6])], axis=-1))
             T, _ = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
             T[s[:, -1] < 1e-6 * s[:, 0]] = np.nan
             return T

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, plane, se3, so3
+from calgraph.geometry import Array, plane, se3, se_n
 from calgraph.pairwise.pairwise_estimate import Linearization
 
 
@@ -33,7 +33,7 @@ class PlanePlane:
         """Kabsch on the normals, then least squares for the translation (eqs. 1–3)."""
         n_a, d_a = self.planes_a[samples, :3], self.planes_a[samples, 3]
         n_b, d_b = self.planes_b[samples, :3], self.planes_b[samples, 3]
-        R = so3.nearest(np.einsum("kmi,kmj->kij", n_a, n_b))
+        R = se_n.nearest_rotation(np.einsum("kmi,kmj->kij", n_a, n_b))
         # n_i · t + d_i - d_j = 0; three normals in one plane leave the translation open.
         normal_matrix = np.einsum("kmi,kmj->kij", n_a, n_a)
         eigenvalues = np.linalg.eigvalsh(normal_matrix)
