@@ -15,7 +15,7 @@ from calgraph.geometry import Array, se3
 from calgraph.recording import Recording
 from calgraph.recording.recording import TopicInfo, wanted_topics
 from calgraph.result import Calibration
-from calgraph.sensors import CameraInfo, Message, Record, Trigger
+from calgraph.sensors import CameraInfo, Message, RecordedMessage, Trigger
 from calgraph.simulation import (
     RigScenario,
     Stage,
@@ -37,11 +37,11 @@ class SimulatedRecording:
     topics: tuple[TopicInfo, ...]
     start: float
     end: float
-    messages: tuple[Record, ...]
+    messages: tuple[RecordedMessage, ...]
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         wanted = wanted_topics(self.path, self.topics, topics)
         return (
             r
@@ -61,7 +61,7 @@ class SimulatedRecording:
         pass
 
 
-def recorded(messages: Iterable[Record]) -> SimulatedRecording:
+def recorded(messages: Iterable[RecordedMessage]) -> SimulatedRecording:
     """A recording of records, which are brought into order of arrival."""
     ordered = tuple(sorted(messages, key=lambda r: r.arrival))
     count: dict[str, int] = {}
@@ -80,14 +80,14 @@ def recording_of(stage: Stage) -> SimulatedRecording:
         for index in sensor.clock.within(0, stage.timeline.end):
             stamp = t0 + sensor.clock.start(index)
             arrival = stamp + sensor.clock.duration + rng.uniform(0.002, 0.02)
-            messages.append(Record(topic, stamp, arrival, partial(measurement, stage, sensor, index)))
+            messages.append(RecordedMessage(topic, stamp, arrival, partial(measurement, stage, sensor, index)))
         if isinstance(sensor, MountedCamera):
             info = CameraInfo(t0, sensor.frame_id, sensor.camera)
-            messages.append(Record(f"/{sensor.name}/camera_info", t0, t0 + 0.01, partial(_said, info)))
+            messages.append(RecordedMessage(f"/{sensor.name}/camera_info", t0, t0 + 0.01, partial(_said, info)))
     if stage.scenario.trigger:
         for hold in stage.timeline.holds:
             at = t0 + hold.start
-            messages.append(Record(TRIGGER_TOPIC, at, at, partial(Trigger, at)))
+            messages.append(RecordedMessage(TRIGGER_TOPIC, at, at, partial(Trigger, at)))
     return recorded(messages)
 
 
@@ -95,7 +95,7 @@ def _said(message: Message) -> Message:
     return message
 
 
-def _changed(record: Record, change: Callable[[Message], Message]) -> Message:
+def _changed(record: RecordedMessage, change: Callable[[Message], Message]) -> Message:
     return change(record.decode())
 
 

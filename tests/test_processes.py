@@ -1,4 +1,4 @@
-"""Work shared by processes."""
+"""Parallel evaluation in processes."""
 
 import math
 import multiprocessing
@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from calgraph.errors import CalibrationError, InputError
-from calgraph.processes import side_by_side
+from calgraph.processes import parallel_map
 
 
 def refused(number: int) -> int:
@@ -22,22 +22,22 @@ def killed(number: int) -> int:
 
 @pytest.mark.parametrize("jobs", [1, 2, 8])
 def test_results_come_in_the_order_of_the_work(jobs: int) -> None:
-    told: list[float] = []
-    assert side_by_side(math.factorial, [(k,) for k in range(5)], jobs, told.append) == [1, 1, 2, 6, 24]
-    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    reported: list[float] = []
+    assert parallel_map(math.factorial, [(k,) for k in range(5)], jobs, reported.append) == [1, 1, 2, 6, 24]
+    assert reported == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
 
 
 def test_no_work_has_no_results() -> None:
-    assert side_by_side(math.factorial, [], 2) == []
+    assert parallel_map(math.factorial, [], 2) == []
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_an_error_keeps_its_kind_and_words(jobs: int) -> None:
+def test_an_error_keeps_its_type_and_message(jobs: int) -> None:
     with pytest.raises(InputError, match=r"^sensors\.1: is upside down$"):
-        side_by_side(refused, [(1,), (1,)], jobs)
+        parallel_map(refused, [(1,), (1,)], jobs)
     assert multiprocessing.active_children() == []
 
 
-def test_a_process_that_is_killed_is_said() -> None:
+def test_a_killed_process_is_reported() -> None:
     with pytest.raises(CalibrationError, match=r"killed.*--jobs 1"):
-        side_by_side(killed, [(1,), (2,)], 2)
+        parallel_map(killed, [(1,), (2,)], 2)

@@ -42,10 +42,10 @@ print(f"{image.pixels.shape} pixels, {len(cloud.points)} points")
 # %%
 # Painting
 # --------
-# Points go into the camera's frame, and :func:`calgraph.painted` looks up each colour. Points outside the
+# Points go into the camera's frame, and :func:`calgraph.colorize_points` looks up each colour. Points outside the
 # image, and those that something nearer hides from the camera, have none.
 points_camera = calgraph.se3.apply(calibration.transform("camera", "lidar"), cloud.points)
-colors, seen = calgraph.painted(points_camera, captured.cameras["camera"], image.pixels)
+colors, seen = calgraph.colorize_points(points_camera, captured.cameras["camera"], image.pixels)
 print(f"{seen.sum()} of {len(seen)} points have a colour")
 
 # %%

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from calgraph.recording import MessageRecording, open_recording, open_recordings
     from calgraph.report import write_report
     from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration
-    from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, painted
+    from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, colorize_points
     from calgraph.tracking import Track, Tracked, track_scanner
 
 __all__ = [
@@ -59,8 +59,8 @@ __all__ = [
     "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch",
     "PointCloud", "PoseGraph", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "Segment",
     "SensorPose", "Tag", "Track", "Tracked", "average", "calibrate_detections", "calibrate_network",
-    "calibrate_rig", "calibrate_tracks", "captured_from", "corners_seen", "estimate_pair", "export",
-    "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "painted", "plane",
+    "calibrate_rig", "calibrate_tracks", "captured_from", "colorize_points", "corners_seen", "estimate_pair",
+    "export", "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
     "plane_seen", "pose_problem", "prepare", "save_calibration", "save_problem", "se2", "se3", "segment_seen",
     "so3", "solve_problem", "track_scanner", "verify_problem", "write_report",
 ]  # fmt: skip

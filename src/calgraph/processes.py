@@ -1,4 +1,4 @@
-"""Work shared by several processes of this machine."""
+"""Parallel evaluation in several processes of this machine."""
 
 import multiprocessing
 import signal
@@ -15,22 +15,22 @@ from calgraph.errors import CalibrationError
 Result = TypeVar("Result")
 
 
-def side_by_side(
+def parallel_map(
     function: Callable[..., Result],
     work: Sequence[tuple[Any, ...]],
     jobs: int,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> list[Result]:
-    """Calls a function with each of many arguments, in as many processes at most; the results in their order.
+    """Calls a function once per tuple of arguments, in up to ``jobs`` processes; returns results in order.
 
-    More processes than one are for programs that may be forked (Linux), or whose main module may be imported again
+    Several processes require a program that may be forked (Linux), or whose main module can be imported again
     (elsewhere).
 
     Args:
-        function: of a module; what it is given and returns is copied from process to process.
-        work: its arguments, call by call.
-        jobs: processes at most; 1 for none but this one.
-        progress: told how much is done, 0..1.
+        function: defined at module level; its arguments and results are pickled.
+        work: arguments of each call.
+        jobs: maximum number of processes; with 1 all calls run in this process.
+        progress: called with the completed fraction, 0..1.
 
     Raises:
         CalibrationError: a process was killed; or what ``function`` raises.
@@ -42,28 +42,28 @@ def side_by_side(
             results.append(function(*arguments))
             progress(done / len(work))
         return results
-    with _workers(jobs) as pool:
+    with _process_pool(jobs) as pool:
         futures = [pool.submit(function, *arguments) for arguments in work]
         for done, future in enumerate(as_completed(futures), start=1):
-            _result(future)
+            _get_result(future)
             progress(done / len(work))
     return [future.result() for future in futures]
 
 
-def _result(future: Future[Result]) -> Result:
+def _get_result(future: Future[Result]) -> Result:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise CalibrationError("a process was killed, perhaps for want of memory; try --jobs 1") from error
+        raise CalibrationError("a process was killed, perhaps because memory ran out; try --jobs 1") from error
 
 
 @contextmanager
-def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with the block; if it fails, with what they are at."""
-    # Forked, a worker has everything imported, and needs no main module: there is none in a notebook. NumPy
-    # survives it, and no thread of ours holds a lock meanwhile, which is what Python 3.12 warns of.
+def _process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """A pool of processes that is shut down when the block ends; pending work is cancelled if the block fails."""
+    # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
+    # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_heed_no_signals)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ignore_interrupts)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
@@ -72,7 +72,7 @@ def _workers(count: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _heed_no_signals() -> None:
-    """Leaves an interruption, which all processes of a terminal hear of, to the one that started this one."""
+def _ignore_interrupts() -> None:
+    """Ignores SIGINT in workers: a terminal sends it to all processes, and the parent handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

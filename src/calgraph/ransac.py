@@ -1,4 +1,4 @@
-"""The one sample-and-score loop: RANSAC and MSAC are its two scores.
+"""The sample-and-score loop, with the scores of RANSAC and MSAC.
 
 Sources: Fischler and Bolles, "Random sample consensus", CACM 1981 (sampling, count of inliers, stopping rule);
 Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there); Chum, Matas, Kittler,
@@ -19,25 +19,25 @@ Score = Literal["ransac", "msac"]
 
 
 @dataclass(frozen=True, eq=False)
-class Consensus:
-    """The best model found and the data that agree with it."""
+class RansacResult:
+    """The best model found and its inliers."""
 
     model: Array
     """One model, of whatever shape ``solve`` gives for one sample."""
     inliers: NDArray[np.bool_]
-    """(N,) which data agree: at most one in each group, its best."""
+    """(N,) at most one datum of each group: the best one, if it is within the threshold."""
     cost: float
     """Sum over groups of the truncated squared residuals, in units of the squared threshold."""
     samples: int
-    """How many samples were tried."""
+    """Number of samples drawn."""
 
     @property
-    def count(self) -> int:
+    def inlier_count(self) -> int:
         """Number of groups with an inlier."""
         return int(self.inliers.sum())
 
 
-def search(
+def find_consensus(
     groups: Indices,
     sample_size: int,
     solve: Callable[[Indices], Array],
@@ -49,9 +49,9 @@ def search(
     confidence: float = 0.9999,
     max_samples: int = 2000,
     batch: int = 100,
-    polish: int = 5,
-) -> Consensus | None:
-    """Finds the model that the largest part of the data agrees with.
+    refinement_steps: int = 5,
+) -> RansacResult | None:
+    """Finds the model with the lowest robust cost by random sampling.
 
     Data come in groups of mutually exclusive alternatives (candidate detections of one capture, say): a sample
     takes at most one of a group, and a group's residual is that of its best member. Data without alternatives
@@ -59,7 +59,7 @@ def search(
 
     Args:
         groups: (N,) group of each datum, any non-negative integers.
-        sample_size: how many data make a minimal sample.
+        sample_size: number of data in a minimal sample.
         solve: indices (K, m) of K samples of m >= sample_size data, to K models (K, ...). A sample without
             solution gets NaN. It is also called with all inliers of a model (K = 1, m = their number).
         squared_residuals: models (K, ...) to (K, N) squared residuals; NaN counts as infinite.
@@ -67,9 +67,10 @@ def search(
         rng: source of the samples.
         score: ``msac`` sums truncated squared residuals, ``ransac`` counts outliers.
         confidence: stop once an all-inlier sample has been drawn with this probability.
-        max_samples: give up after this many samples.
+        max_samples: stop after this many samples.
         batch: samples solved and scored in one call.
-        polish: how often the best model is re-solved from its own inliers while that improves it.
+        refinement_steps: limit on re-solving a new best model from its inliers, which stops when the cost does not
+            fall.
 
     Returns:
         The best model, or None if there are fewer groups than ``sample_size`` or no sample has a solution.
@@ -80,46 +81,52 @@ def search(
     if len(starts) < sample_size:
         return None
 
-    def judge(models: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def score_models(models: Array) -> tuple[Array, NDArray[np.bool_]]:
         r2 = squared_residuals(models)[:, order] / threshold2
         best_in_group = np.minimum.reduceat(np.where(np.isnan(r2), np.inf, r2), starts, axis=1)
         truncated = np.minimum(best_in_group, 1.0) if score == "msac" else 1.0 * (best_in_group > 1.0)
         return truncated.sum(axis=1), best_in_group <= 1.0
 
     best: Array | None = None
-    best_cost, tried, needed = np.inf, 0, float(max_samples)
-    while tried < min(needed, max_samples):
-        chosen = _draw(len(starts), sample_size, min(batch, max_samples - tried), rng)
+    best_cost, sample_count, required = np.inf, 0, float(max_samples)
+    while sample_count < min(required, max_samples):
+        chosen = _draw_samples(len(starts), sample_size, min(batch, max_samples - sample_count), rng)
         members = starts[chosen] + (rng.random(chosen.shape) * sizes[chosen]).astype(np.intp)
         models = solve(order[members])
-        tried += len(chosen)
+        sample_count += len(chosen)
         models = models[np.isfinite(models.reshape(len(models), -1)).all(axis=1)]
         if not len(models):
             continue
-        costs, agree = judge(models)
+        costs, is_inlier = score_models(models)
         winner = int(np.argmin(costs))
         if costs[winner] < best_cost:
             best, best_cost = models[winner], float(costs[winner])
-            for _ in range(polish):
-                agreeing = np.flatnonzero(best_of_groups(squared_residuals(best[None])[0] / threshold2, groups))
-                if len(agreeing) < sample_size:
+            for _ in range(refinement_steps):
+                inlier_indices = np.flatnonzero(
+                    select_best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
+                )
+                if len(inlier_indices) < sample_size:
                     break
-                polished = solve(agreeing[None])
-                if not np.isfinite(polished).all():
+                refined = solve(inlier_indices[None])
+                if not np.isfinite(refined).all():
                     break
-                costs, polished_agree = judge(polished)
+                costs, refined_is_inlier = score_models(refined)
                 if costs[0] >= best_cost:
                     break
-                best, best_cost, agree, winner = polished[0], float(costs[0]), polished_agree, 0
-            chance = float(np.mean(agree[winner] / sizes)) ** sample_size
-            needed = np.log(1 - confidence) / np.log1p(-min(chance, 1 - 1e-12)) if chance > 0 else np.inf
+                best, best_cost, is_inlier, winner = refined[0], float(costs[0]), refined_is_inlier, 0
+            inlier_probability = float(np.mean(is_inlier[winner] / sizes)) ** sample_size
+            required = (
+                np.log(1 - confidence) / np.log1p(-min(inlier_probability, 1 - 1e-12))
+                if inlier_probability > 0
+                else np.inf
+            )
     if best is None:
         return None
-    inliers = best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
-    return Consensus(best, inliers, best_cost, tried)
+    inliers = select_best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
+    return RansacResult(best, inliers, best_cost, sample_count)
 
 
-def _draw(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
+def _draw_samples(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
     """Draws ``count`` samples of ``size`` distinct numbers below ``n``: (count, size)."""
     if n <= 20 * size:
         return np.argsort(rng.random((count, n)), axis=1)[:, :size]
@@ -133,7 +140,7 @@ def _draw(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
         rows[repeated] = rng.integers(n, size=(int(repeated.sum()), size))
 
 
-def best_of_groups(r2: Array, groups: Indices) -> NDArray[np.bool_]:
+def select_best_of_groups(r2: Array, groups: Indices) -> NDArray[np.bool_]:
     """Marks the best member of each group if it is within the threshold.
 
     Args:

@@ -8,7 +8,7 @@ import pytest
 from calgraph.calibrate import Options, follow_people, track_recording
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
-from calgraph.sensors import LaserScan, Record
+from calgraph.sensors import LaserScan, RecordedMessage
 from calgraph.tracking import Tracked
 from walking_scenes import World, circling
 
@@ -25,7 +25,7 @@ class Counted(MessageRecording):
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         self.read.append(sorted(topics or ()))
         return super().records(topics, start, end)
 

@@ -7,7 +7,7 @@ from calgraph.captures import Hold, Observation, gather, observe, survey, thinne
 from calgraph.config import Board, Lidar2dSpec, Rig
 from calgraph.detection import Segment
 from calgraph.errors import Rejected
-from calgraph.sensors import LaserScan, Record, Trigger
+from calgraph.sensors import LaserScan, RecordedMessage, Trigger
 
 RIG = Rig(root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")})
 SEEN = (Segment(np.zeros((2, 3)), np.eye(6), np.zeros((0, 3))),)
@@ -19,8 +19,10 @@ class Scanner:
     def __init__(self, topic: str = "/scan") -> None:
         self.topic, self.decoded = topic, 0
 
-    def records(self, count: int = 100) -> list[Record]:
-        return [Record(self.topic, 0.1 * i, 0.1 * i + 0.02, partial(self._decode, i)) for i in range(count)]
+    def records(self, count: int = 100) -> list[RecordedMessage]:
+        return [
+            RecordedMessage(self.topic, 0.1 * i, 0.1 * i + 0.02, partial(self._decode, i)) for i in range(count)
+        ]
 
     def _decode(self, i: int) -> LaserScan:
         self.decoded += 1
@@ -38,7 +40,7 @@ def test_a_survey_decodes_one_message_of_each_sensor() -> None:
 
 
 def test_triggers_are_collected() -> None:
-    triggers = [Record("/go", t, t, partial(Trigger, t)) for t in (3.0, 1.0)]
+    triggers = [RecordedMessage("/go", t, t, partial(Trigger, t)) for t in (3.0, 1.0)]
     np.testing.assert_array_equal(survey(triggers, 0.0, {}, "/go").triggers, [1.0, 3.0])
 
 

@@ -10,7 +10,7 @@ from calgraph.captures import Hold, details, observe
 from calgraph.captures.previews import Detail, snapshot
 from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.errors import Rejected
-from calgraph.sensors import Image, LaserScan, PointCloud, Record
+from calgraph.sensors import Image, LaserScan, PointCloud, RecordedMessage
 
 LARGE = Detail(640, 8000)
 BOARD = Board(size=(1, 1), pattern=Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.1))
@@ -97,7 +97,7 @@ def test_messages_are_decoded_once_and_kept_where_that_is_wanted() -> None:
     def nothing(_messages: Sequence[LaserScan]) -> Rejected:
         return Rejected("nothing there")
 
-    records = [Record("/scan", float(i), float(i), partial(decode, i)) for i in range(4)]
+    records = [RecordedMessage("/scan", float(i), float(i), partial(decode, i)) for i in range(4)]
     both = [Hold(0, 0.0, 1.0, {"laser": np.array([0.0, 1.0])}), Hold(1, 2.0, 3.0, {"laser": np.array([2.0, 3.0])})]
     seen = list(observe(records, both, {"laser": "/scan"}, {"laser": nothing}, keep={1: LARGE}))
     assert decoded == [0, 1, 2, 3]

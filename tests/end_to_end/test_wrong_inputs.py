@@ -9,7 +9,7 @@ import pytest
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import Recording
-from calgraph.sensors import Image, LaserScan, Message, PointCloud, Record
+from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMessage
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs
 from simulated_rigs import SimulatedRecording, altered, calibrated, recorded, staged
 
@@ -57,7 +57,7 @@ def empty(message: Message) -> Message:
     return message
 
 
-def unstamped(record: Record) -> Record:
+def unstamped(record: RecordedMessage) -> RecordedMessage:
     return replace(record, stamp=0.0)
 
 

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.recording import open_recording
-from calgraph.sensors import Message, Record
+from calgraph.sensors import Message, RecordedMessage
 
 MakeBag = Callable[..., Path]
 
@@ -119,8 +119,8 @@ def decoded(make_bag: MakeBag) -> Callable[[Any], Message]:
 
 
 @pytest.fixture
-def read_all() -> Callable[[Path], list[Record]]:
-    def read(path: Path) -> list[Record]:
+def read_all() -> Callable[[Path], list[RecordedMessage]]:
+    def read(path: Path) -> list[RecordedMessage]:
         with open_recording(path) as recording:
             return list(recording.records())
 

@@ -10,10 +10,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.errors import InputError, RecordingError
 from calgraph.recording import open_recording, open_recordings
-from calgraph.sensors import LaserScan, Record, Trigger
+from calgraph.sensors import LaserScan, RecordedMessage, Trigger
 
 MakeBag = Callable[..., Path]
-ReadAll = Callable[[Path], list[Record]]
+ReadAll = Callable[[Path], list[RecordedMessage]]
 
 SCANNERS = "two-static-2d-lidars-moving-object"
 SAMPLES = {

@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
-from calgraph.sensors import PointCloud, scan_of_cloud
+from calgraph.sensors import PointCloud, convert_cloud_to_scan
 
 
 def cloud_at(angles: list[float], ranges: list[float], z: float = 0.0) -> PointCloud:
@@ -14,29 +14,29 @@ def cloud_at(angles: list[float], ranges: list[float], z: float = 0.0) -> PointC
 
 
 def test_beams_are_sorted_by_angle() -> None:
-    scan = scan_of_cloud(cloud_at([0.2, -0.1, 0.0, 0.1], [4, 1, 2, 3]))
+    scan = convert_cloud_to_scan(cloud_at([0.2, -0.1, 0.0, 0.1], [4, 1, 2, 3]))
     np.testing.assert_allclose(scan.angles, [-0.1, 0.0, 0.1, 0.2])
     np.testing.assert_allclose(scan.ranges, [1, 2, 3, 4])
 
 
 def test_gap_between_beams_is_filled_with_beams_that_saw_nothing() -> None:
-    scan = scan_of_cloud(cloud_at([0.0, 0.1, 0.2, 0.5, 0.6], [1, 1, 1, 1, 1]))
+    scan = convert_cloud_to_scan(cloud_at([0.0, 0.1, 0.2, 0.5, 0.6], [1, 1, 1, 1, 1]))
     np.testing.assert_allclose(scan.angles, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     np.testing.assert_array_equal(scan.valid, [True, True, True, False, False, True, True])
 
 
 def test_points_at_the_origin_are_no_measurements() -> None:
-    scan = scan_of_cloud(cloud_at([0.0, 0.1, 0.2, 0.3, 0.4], [1, 1, 0, 1, 1]))
+    scan = convert_cloud_to_scan(cloud_at([0.0, 0.1, 0.2, 0.3, 0.4], [1, 1, 0, 1, 1]))
     np.testing.assert_array_equal(scan.valid, [True, True, False, True, True])
 
 
 def test_empty_cloud_is_an_empty_scan() -> None:
-    assert scan_of_cloud(cloud_at([], [])).angles.shape == (0,)
+    assert convert_cloud_to_scan(cloud_at([], [])).angles.shape == (0,)
 
 
 def test_cloud_that_is_not_flat_is_refused() -> None:
     with pytest.raises(RecordingError, match=r"0\.300 m off z = 0"):
-        scan_of_cloud(cloud_at([0.0, 0.1], [1, 1], z=0.3))
+        convert_cloud_to_scan(cloud_at([0.0, 0.1], [1, 1], z=0.3))
 
 
 def test_real_laser_clouds_are_full_turns(data_dir: Path) -> None:
@@ -44,7 +44,7 @@ def test_real_laser_clouds_are_full_turns(data_dir: Path) -> None:
         clouds = [record.decode() for record in recording.records(["lasers"])]
     for cloud in clouds:
         assert isinstance(cloud, PointCloud)
-        scan = scan_of_cloud(cloud)
+        scan = convert_cloud_to_scan(cloud)
         assert 500 <= len(scan.angles) <= 510
         np.testing.assert_allclose(scan.points[scan.valid], cloud.points[np.argsort(
             np.arctan2(cloud.points[:, 1], cloud.points[:, 0]), kind="stable")], atol=1e-9)  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.sensors import CameraModel, painted
+from calgraph.sensors import CameraModel, colorize_points
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(0))
 # Left half blue (BGR), right half red.
@@ -13,13 +13,13 @@ PICTURE[:, :320, 0] = PICTURE[:, 320:, 2] = 255
 
 @pytest.mark.parametrize("step", [1, 2, 4])
 def test_points_have_the_colours_of_their_pixels_however_small_the_picture(step: int) -> None:
-    colors, seen = painted(np.array([[-0.5, 0.0, 2.0], [0.5, 0.1, 2.0]]), CAMERA, PICTURE[::step, ::step])
+    colors, seen = colorize_points(np.array([[-0.5, 0.0, 2.0], [0.5, 0.1, 2.0]]), CAMERA, PICTURE[::step, ::step])
     assert seen.tolist() == [True, True]
     assert colors.tolist() == [[255, 0, 0], [0, 0, 255]]
 
 
 def test_points_outside_and_behind_are_not_seen() -> None:
-    colors, seen = painted(np.array([[9.0, 0, 2], [0, 0, -2], [0, 0, 2]]), CAMERA, PICTURE)
+    colors, seen = colorize_points(np.array([[9.0, 0, 2], [0, 0, -2], [0, 0, 2]]), CAMERA, PICTURE)
     assert seen.tolist() == [False, False, True]
     assert not colors[:2].any()
 
@@ -28,7 +28,7 @@ def test_a_wall_behind_a_board_is_not_painted(rng: np.random.Generator) -> None:
     """A board 2 m away, and a wall at 5 m of which it hides the middle."""
     board = np.column_stack([rng.uniform(-0.5, 0.5, (4000, 2)), np.full(4000, 2.0)])
     wall = np.column_stack([rng.uniform(-2, 2, (4000, 2)), np.full(4000, 5.0)])
-    _, seen = painted(np.concatenate([board, wall]), CAMERA, PICTURE)
+    _, seen = colorize_points(np.concatenate([board, wall]), CAMERA, PICTURE)
     # 1.5 cells of 0.02 rad, at 5 m, are 0.15 m: so near the border either may be.
     reach, hidden = np.abs(wall[:, :2]).max(axis=1), ~seen[4000:]
     assert seen[:4000].all()
@@ -39,16 +39,16 @@ def test_a_wall_behind_a_board_is_not_painted(rng: np.random.Generator) -> None:
 def test_a_slanted_floor_is_one_surface() -> None:
     """Along the sight its points lie ever farther away, and hide nothing."""
     x, z = np.meshgrid(np.linspace(-0.5, 0.5, 40), np.linspace(3, 12, 200))
-    _, seen = painted(np.column_stack([x.ravel(), np.full(x.size, 1.2), z.ravel()]), CAMERA, PICTURE)
+    _, seen = colorize_points(np.column_stack([x.ravel(), np.full(x.size, 1.2), z.ravel()]), CAMERA, PICTURE)
     assert seen.mean() > 0.95
 
 
 def test_grey_pictures_give_grey_points() -> None:
-    colors, _ = painted(np.array([[0.0, 0, 2]]), CAMERA, np.full((480, 640), 90, dtype=np.uint8))
+    colors, _ = colorize_points(np.array([[0.0, 0, 2]]), CAMERA, np.full((480, 640), 90, dtype=np.uint8))
     assert colors.tolist() == [[90, 90, 90]]
 
 
 def test_no_points_are_no_error() -> None:
-    colors, seen = painted(np.zeros((0, 3)), CAMERA, PICTURE)
+    colors, seen = colorize_points(np.zeros((0, 3)), CAMERA, PICTURE)
     assert colors.shape == (0, 3)
     assert seen.shape == (0,)

@@ -59,7 +59,7 @@ class Options:
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
     jobs: int = 1
-    """Processes at most that share the work on a network; see :func:`calgraph.processes.side_by_side`."""
+    """Processes at most that share the work on a network; see :func:`calgraph.processes.parallel_map`."""
     dump: Path | None = None
     """File to write a rig's joint problem to before it is solved."""
 

@@ -40,7 +40,7 @@ from calgraph.graph import SpanningTree, start_poses
 from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
 from calgraph.recording import Recording, read_cameras
 from calgraph.result import Calibration
-from calgraph.sensors import CameraModel, Record
+from calgraph.sensors import CameraModel, RecordedMessage
 
 
 def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
@@ -196,7 +196,7 @@ def _survey(rig: Rig, recording: Recording, progress: Progress) -> Timeline:
     return survey(recording.records(watched), recording.start, rig.topics, None, meters=meters, progress=reading)
 
 
-def _empty_room(rig: Rig, recording: Recording) -> Iterable[Record]:
+def _empty_room(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:
     """What the scanners measured without target and operator."""
     window = rig.capture.background
     scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]

@@ -15,7 +15,7 @@ from calgraph.detection import Detection
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
-from calgraph.sensors import CameraModel, Message, Record
+from calgraph.sensors import CameraModel, Message, RecordedMessage
 
 Detect = Callable[[Sequence[Any]], tuple[Detection, ...] | Rejected]
 """Finds the board in the messages that one sensor sent during one hold."""
@@ -79,7 +79,7 @@ def gather(
 
 
 def observe(
-    records: Iterable[Record],
+    records: Iterable[RecordedMessage],
     holds: Sequence[Hold],
     topics: Mapping[str, str],
     detect: Mapping[str, Detect],

@@ -10,7 +10,15 @@ from calgraph.captures.detect import Detect
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.detection import Averaging, CameraDetector, CloudBackground, Detection, find_patches, find_segments
 from calgraph.errors import InputError, Rejected
-from calgraph.sensors import CameraModel, LaserScan, Message, PointCloud, Record, ScanBackground, scan_of_cloud
+from calgraph.sensors import (
+    CameraModel,
+    LaserScan,
+    Message,
+    PointCloud,
+    RecordedMessage,
+    ScanBackground,
+    convert_cloud_to_scan,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -21,7 +29,7 @@ _ENOUGH = 60
 
 
 def learn_backgrounds(
-    records: Iterable[Record], rig: Rig, *, progress: Callable[[float], None] | None = None
+    records: Iterable[RecordedMessage], rig: Rig, *, progress: Callable[[float], None] | None = None
 ) -> Mapping[str, Background]:
     """Models of what the scanners see without target and operator.
 
@@ -61,7 +69,7 @@ def background_of(messages: Sequence[Message], spec: object) -> Background:
 def as_scans(messages: Iterable[Message]) -> list[LaserScan]:
     """Scans of a 2-D scanner, also where its driver sends them as clouds."""
     return [
-        m if isinstance(m, LaserScan) else scan_of_cloud(m)
+        m if isinstance(m, LaserScan) else convert_cloud_to_scan(m)
         for m in messages
         if isinstance(m, LaserScan | PointCloud)
     ]

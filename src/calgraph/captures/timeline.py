@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.geometry import Array
-from calgraph.sensors import LaserScan, PointCloud, Record
+from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Timeline:
 
 
 def survey(
-    records: Iterable[Record],
+    records: Iterable[RecordedMessage],
     start: float,
     topics: Mapping[str, str],
     trigger: str | None,

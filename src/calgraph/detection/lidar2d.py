@@ -17,7 +17,7 @@ from calgraph.detection.line_plane_fit import Fit, fit_line
 from calgraph.detection.scan_averaging import MergedScan, merge_scans
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.ransac import search
+from calgraph.ransac import find_consensus
 from calgraph.sensors import LaserScan, ScanBackground
 
 Indices = NDArray[np.intp]
@@ -151,7 +151,7 @@ def _consensus_line(
         return np.asarray(((points @ n).T - lines[:, 1:]) ** 2)
 
     groups = np.arange(len(points))
-    found = search(groups, 2, solve, squared_residuals, threshold**2, rng=rng, max_samples=300)
+    found = find_consensus(groups, 2, solve, squared_residuals, threshold**2, rng=rng, max_samples=300)
     return None if found is None else (found.model, found.inliers)
 
 

@@ -20,7 +20,7 @@ from calgraph.detection.region_growing import flat_regions
 from calgraph.detection.voxel_normals import Cells, Indices, make_cells
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane
-from calgraph.ransac import search
+from calgraph.ransac import find_consensus
 from calgraph.sensors import PointCloud
 
 _MAX_CANDIDATES = 8
@@ -169,7 +169,7 @@ def _consensus_plane(points: Array, threshold: float, rng: np.random.Generator) 
         return plane.distance(planes, points[None]) ** 2
 
     groups = np.arange(len(points))
-    found = search(groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=200)
+    found = find_consensus(groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=200)
     return None if found is None else found.model
 
 

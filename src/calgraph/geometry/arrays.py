@@ -1,4 +1,4 @@
-"""The kinds of arrays that the whole house hands around."""
+"""Types of arrays used in the whole package."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -13,7 +13,7 @@ from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
 from calgraph.graph.spanning_tree import SpanningTree, openness, spanning_tree
 from calgraph.graph.tree_consensus import consensus_trees
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.ransac import best_of_groups
+from calgraph.ransac import select_best_of_groups
 
 Method = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
 Start = Literal["tree", "identity"] | Method
@@ -51,7 +51,7 @@ def average(
         R = l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles")
     i, j = graph.edges.T
     off = se_n.rotation_angle(R[i] @ graph.R_i_j @ se_n.transpose(R[j])) / _AGREE
-    agree = best_of_groups(off**2, graph.pairs)
+    agree = select_best_of_groups(off**2, graph.pairs)
     trust = np.where(agree, 1.0, _HOLD) * (1.0 if weights is None else weights)
     return Averaged(se_n.pose(R, translations(graph, R, trust)), agree)
 

@@ -15,7 +15,7 @@ from calgraph.graph.cycles import cycle_basis, cycles_through_edges, support
 from calgraph.graph.graph_optimization import adjusted, robustly_adjusted
 from calgraph.graph.pose_graph import Averaged, PoseGraph, chi_squared
 from calgraph.graph.random_trees import tree_poses, voted
-from calgraph.ransac import best_of_groups
+from calgraph.ransac import select_best_of_groups
 
 # An edge agrees unless its error is larger than by chance once in a thousand times.
 _CHANCE = 0.001
@@ -103,7 +103,7 @@ def _costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator)
 def _strongest(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
     """(E,) the edges of the tree of least costs (E,) in all."""
     # Of alternatives of one pair the cheapest; SciPy would add them up.
-    best = best_of_groups(costs / costs.max(), graph.pairs)
+    best = select_best_of_groups(costs / costs.max(), graph.pairs)
     i, j = graph.edges[best].T
     tree = minimum_spanning_tree(coo_array((costs[best], (i, j)), shape=(graph.count, graph.count))).tocoo()
     chosen = np.isin(i * graph.count + j, tree.row * graph.count + tree.col)

@@ -22,7 +22,7 @@ from calgraph.pairwise.pairwise_estimate import (
     squared_residuals,
 )
 from calgraph.pairwise.plane_matches import PlanePlane
-from calgraph.ransac import best_of_groups, search
+from calgraph.ransac import find_consensus, select_best_of_groups
 
 Candidates = Mapping[int, Sequence[Detection]]
 """Detections of one sensor by capture; several where it is not known which of them is the board."""
@@ -65,9 +65,9 @@ def estimate_pair(
     if len(common) < matches.sample_size:
         return Rejected(f"{len(common)} captures show the board to both, {matches.sample_size} are needed")
     groups = _alternatives(table, candidates_a, candidates_b)
-    found = search(groups, matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
+    found = find_consensus(groups, matches.sample_size, matches.solve, squared_residuals(matches), 1.0, rng=rng)
     enough = max(matches.sample_size, _least(matches, len(table)))
-    if found is None or found.count < enough:
+    if found is None or found.inlier_count < enough:
         return Rejected(f"no relative pose agrees with {enough} of the {len(common)} common captures")
     T_a_b, rival = found.model, 0.0
     if polish and isinstance(matches, PlaneLine):
@@ -109,7 +109,7 @@ def reconsider(
     r2 = squared_residuals(matches)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
     gate = min(1.0, 3.5**2 * scale2)
-    inliers = best_of_groups(r2 / gate, _alternatives(table, candidates_a, candidates_b))
+    inliers = select_best_of_groups(r2 / gate, _alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
         return Rejected(f"its {int(estimate.inliers.sum())} captures contradict what all sensors together say")
     found = _estimate(estimate.sensor_a, estimate.sensor_b, T_a_b, table, matches, inliers)

@@ -19,7 +19,7 @@ from calgraph.pairwise.pose_hypotheses import first_guesses
 from calgraph.pairwise.synchronized_tracks import TICK, Meetings, Samples, meetings
 from calgraph.pairwise.track_registration import DEPTH, GATE, Agreement, agree, costs, information
 from calgraph.pairwise.visibility_map import Sights, refuted
-from calgraph.processes import side_by_side
+from calgraph.processes import parallel_map
 from calgraph.tracking import Tracked
 
 # Combinations of samples on which hypotheses are judged roughly, coarsely and finely, how many hypotheses are
@@ -143,7 +143,7 @@ def estimate_network_pairs(
         icp: whether to match the static background, too.
         depth: distance (m) of objects' true centres from those that tracks show, along the beam, standard
             deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
-        jobs: processes at most, see :func:`calgraph.processes.side_by_side`; the result does not depend on it.
+        jobs: processes at most, see :func:`calgraph.processes.parallel_map`; the result does not depend on it.
         progress: told how much is done, 0..1.
     """
     scanners = {name: _Scanner.of(known) for name, known in tracked.items()}
@@ -161,7 +161,7 @@ def estimate_network_pairs(
         )
         for a, b in names
     ]
-    found = side_by_side(_judged, work, jobs if len(work) >= _WORTHWHILE else 1, progress)
+    found = parallel_map(_judged, work, jobs if len(work) >= _WORTHWHILE else 1, progress)
     return dict(zip(names, found, strict=True))
 
 

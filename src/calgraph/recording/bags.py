@@ -27,7 +27,7 @@ from calgraph.recording.recording import (
     joined_topics,
     wanted_topics,
 )
-from calgraph.sensors import Record
+from calgraph.sensors import RecordedMessage
 
 _ADVICE = {
     ".bag": "it may be truncated: try `rosbag reindex` and `rosbag check`, or copy it again",
@@ -58,7 +58,7 @@ class BagRecording(ClosedOnExit):
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         """The messages in order of arrival; see :meth:`Recording.records`."""
         wanted = wanted_topics(self.path, self.topics, topics)
         records = in_order_of_arrival(
@@ -91,7 +91,7 @@ class BagRecording(ClosedOnExit):
 
     def _records_of(
         self, reader: Reader1 | Reader2, topics: set[str], start: float | None, end: float | None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         connections = [connection for connection in reader.connections if connection.topic in topics]
         if not connections:
             return
@@ -105,13 +105,13 @@ class BagRecording(ClosedOnExit):
                 if (start is None or arrival >= start) and (end is None or arrival <= end):
                     yield self._record(connection, arrival, unpacked_message(raw), ros1=ros1)
 
-    def _record(self, connection: Connection, arrival: float, raw: bytes, *, ros1: bool) -> Record:
+    def _record(self, connection: Connection, arrival: float, raw: bytes, *, ros1: bool) -> RecordedMessage:
         kind = self._type(connection, ros1=ros1)
         with blamed_on(f"{self.path}: topic {connection.topic}, arrival {arrival:.6f}"):
             header_stamp = kind.header_stamp(raw)
         stamp = arrival if header_stamp is None else header_stamp / 1e9
         where = f"{self.path}: topic {connection.topic}, stamp {stamp:.6f}"
-        return Record(connection.topic, stamp, arrival, partial(decode, kind, raw, stamp, where))
+        return RecordedMessage(connection.topic, stamp, arrival, partial(decode, kind, raw, stamp, where))
 
     def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
         key = (connection.msgtype, connection.msgdef.data)

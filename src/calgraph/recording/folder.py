@@ -21,7 +21,7 @@ from calgraph.recording.ply import read_ply
 from calgraph.recording.point_cloud_columns import cloud_of_columns
 from calgraph.recording.record_list import ListedRecording
 from calgraph.recording.recording import blamed_on
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage
 
 CAMERA_INFO = "camera_info.yaml"
 _SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
@@ -52,7 +52,9 @@ class FolderRecording(ListedRecording):
             )
         first = {file.topic: file for file in sorted(files, key=lambda file: file.stamp, reverse=True)}
         types = {topic: _kind(file.path) for topic, file in first.items()}
-        super().__init__(path, [Record(f.topic, f.stamp, f.stamp, partial(_decode, f)) for f in files], types)
+        super().__init__(
+            path, [RecordedMessage(f.topic, f.stamp, f.stamp, partial(_decode, f)) for f in files], types
+        )
 
 
 def stamp_of_name(name: str) -> float | None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from calgraph.errors import InputError
 from calgraph.recording.record_list import ListedRecording
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage, Trigger
 
 _TYPES = {Image: "image", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info", Trigger: "trigger"}
 
@@ -28,5 +28,5 @@ class MessageRecording(ListedRecording):
         super().__init__(Path("messages"), listed, types)
 
 
-def _record(topic: str, message: Message) -> Record:
-    return Record(topic, message.stamp, message.stamp, lambda: message)
+def _record(topic: str, message: Message) -> RecordedMessage:
+    return RecordedMessage(topic, message.stamp, message.stamp, lambda: message)

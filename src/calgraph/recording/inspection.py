@@ -10,7 +10,7 @@ from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
 from calgraph.recording.recording import Recording, TopicInfo
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Record
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage
 
 SENSORS = ("camera", "lidar2d", "lidar3d")
 _KINDS: dict[str, Kind] = {
@@ -142,7 +142,7 @@ def _kind(message_type: str, first: Message | None = None) -> Kind:
     return _KINDS.get(message_type, "event" if message_type.startswith(_EVENTS) else "other")
 
 
-def _count(tally: _Tally, record: Record) -> None:
+def _count(tally: _Tally, record: RecordedMessage) -> None:
     if not tally.stamps:
         try:
             tally.first = record.decode()

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from calgraph.recording.recording import ClosedOnExit, TopicInfo, wanted_topics
-from calgraph.sensors import Record
+from calgraph.sensors import RecordedMessage
 
 
 class ListedRecording(ClosedOnExit):
@@ -17,7 +17,7 @@ class ListedRecording(ClosedOnExit):
         types: by topic.
     """
 
-    def __init__(self, path: Path, listed: Sequence[Record], types: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, listed: Sequence[RecordedMessage], types: Mapping[str, str]) -> None:
         self.path = path
         self._records = sorted(listed, key=lambda record: (record.arrival, record.topic))
         self.start, self.end = self._records[0].arrival, self._records[-1].arrival
@@ -26,7 +26,7 @@ class ListedRecording(ClosedOnExit):
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         """The records in order of arrival; see :meth:`Recording.records`."""
         wanted = wanted_topics(self.path, self.topics, topics)
         return (

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from calgraph.errors import CalgraphError, InputError, RecordingError
-from calgraph.sensors import Record
+from calgraph.sensors import RecordedMessage
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Recording(Protocol):
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         """The messages in order of arrival, as a stream.
 
         A record carries its undecoded bytes until it is dropped: keep stamps rather than records.
@@ -104,7 +104,7 @@ class JoinedRecording(ClosedOnExit):
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[RecordedMessage]:
         """The messages of all parts; see :meth:`Recording.records`."""
         wanted = wanted_topics(self.path, self.topics, topics)
         return in_order_of_arrival(
@@ -144,13 +144,13 @@ def wanted_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[s
     return set(names if wanted is None else wanted)
 
 
-def in_order_of_arrival(sources: Iterable[tuple[float, Iterable[Record]]]) -> Iterator[Record]:
+def in_order_of_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]]]) -> Iterator[RecordedMessage]:
     """Merges streams that are each in order, opening each only when its start (s) has come.
 
     So the first chunks of a hundred split files are not all in memory at once.
     """
 
-    def lazily(start: float, records: Iterable[Record]) -> Iterator[tuple[float, Record | None]]:
+    def lazily(start: float, records: Iterable[RecordedMessage]) -> Iterator[tuple[float, RecordedMessage | None]]:
         yield start, None
         for record in records:
             yield record.arrival, record
@@ -159,7 +159,9 @@ def in_order_of_arrival(sources: Iterable[tuple[float, Iterable[Record]]]) -> It
     return (record for _, record in merged if record is not None)
 
 
-def counted(where: Path, records: Iterable[Record], stated: Mapping[str, int], *, cause: str) -> Iterator[Record]:
+def counted(
+    where: Path, records: Iterable[RecordedMessage], stated: Mapping[str, int], *, cause: str
+) -> Iterator[RecordedMessage]:
     """Passes records on, and complains at the end if a topic had fewer of them than stated.
 
     Raises:

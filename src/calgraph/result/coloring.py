@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
 from calgraph.result.snapshots import Snapshot
-from calgraph.sensors import CameraModel, painted
+from calgraph.sensors import CameraModel, colorize_points
 
 
 def colored(
@@ -31,7 +31,7 @@ def colored(
     for s in taken:
         if s.image and s.sensor in cameras and s.sensor in T_root_sensor:
             x_camera = se3.apply(se3.inverse(T_root_sensor[s.sensor]), x_root)
-            own, sees = painted(x_camera, cameras[s.sensor], s.picture)
+            own, sees = colorize_points(x_camera, cameras[s.sensor], s.picture)
             colors[sees & ~seen] = own[sees & ~seen]
             seen |= sees
     return colors, seen

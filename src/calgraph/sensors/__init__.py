@@ -1,10 +1,10 @@
-"""Models of cameras and scanners, and the messages they send."""
+"""Models of cameras and scanners, and their messages."""
 
 from calgraph.sensors.camera_model import CameraModel
-from calgraph.sensors.cloud_to_scan import scan_of_cloud
-from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, Record, Trigger
-from calgraph.sensors.point_colors import painted
-from calgraph.sensors.scan_background import ScanBackground, nearest_beam
+from calgraph.sensors.cloud_to_scan import convert_cloud_to_scan
+from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage, Trigger
+from calgraph.sensors.point_colors import colorize_points
+from calgraph.sensors.scan_background import ScanBackground, find_nearest_beams
 
 __all__ = [
     "CameraInfo",
@@ -13,10 +13,10 @@ __all__ = [
     "LaserScan",
     "Message",
     "PointCloud",
-    "Record",
+    "RecordedMessage",
     "ScanBackground",
     "Trigger",
-    "nearest_beam",
-    "painted",
-    "scan_of_cloud",
+    "colorize_points",
+    "convert_cloud_to_scan",
+    "find_nearest_beams",
 ]

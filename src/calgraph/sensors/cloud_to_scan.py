@@ -1,4 +1,4 @@
-"""Clouds of 2-D scanners as scans."""
+"""Conversion of point clouds of 2-D scanners to scans."""
 
 import numpy as np
 
@@ -6,25 +6,25 @@ from calgraph.errors import RecordingError
 from calgraph.geometry import Array
 from calgraph.sensors.messages import LaserScan, PointCloud
 
-# A scan has no more beams than this a turn, which bounds what a gap is filled with.
-_MOST_BEAMS = 20_000
-# How far the points may be off the plane z = 0: m, and as a fraction of the range.
-_FLAT = (0.01, 0.01)
+# Upper limit on beams per turn, which bounds the number of beams that fill a gap.
+_MAX_BEAMS_PER_TURN = 20_000
+# Maximum distance of points from the plane z = 0: m, plus a fraction of the range.
+_PLANE_TOLERANCE = (0.01, 0.01)
 
 
-def scan_of_cloud(cloud: PointCloud) -> LaserScan:
-    """The scan of a 2-D scanner whose driver sends it as a cloud with z = 0.
+def convert_cloud_to_scan(cloud: PointCloud) -> LaserScan:
+    """Converts the cloud of a 2-D scanner, whose driver sends points with z = 0, to a scan.
 
     Beams are sorted by angle. Points at the origin, and gaps between beams (no-returns are often left out), become
-    beams without a measurement, so that neighbours in the scan are neighbours in angle. Times of points are not
-    kept: every beam counts as measured at the cloud's stamp.
+    beams without a measurement, so that neighbours in the scan are neighbours in angle. Times of points are
+    dropped: every beam is taken as measured at the cloud's stamp.
 
     Raises:
         RecordingError: the points do not lie in the plane z = 0.
 
     """
     ranges = np.hypot(cloud.points[:, 0], cloud.points[:, 1])
-    if np.any(np.abs(cloud.points[:, 2]) > _FLAT[0] + _FLAT[1] * ranges):
+    if np.any(np.abs(cloud.points[:, 2]) > _PLANE_TOLERANCE[0] + _PLANE_TOLERANCE[1] * ranges):
         highest = np.abs(cloud.points[:, 2]).max()
         raise RecordingError(
             f"cloud at {cloud.stamp:.6f}: is not a 2-D scan, its points reach {highest:.3f} m off z = 0; "
@@ -34,17 +34,17 @@ def scan_of_cloud(cloud: PointCloud) -> LaserScan:
     angles = np.arctan2(cloud.points[measured, 1], cloud.points[measured, 0])
     order = np.argsort(angles, kind="stable")
     angles, ranges = angles[order], ranges[measured][order]
-    angles, ranges = _with_gaps(angles, ranges)
+    angles, ranges = _fill_gaps(angles, ranges)
     return LaserScan(cloud.stamp, cloud.frame_id, angles, ranges)
 
 
-def _with_gaps(angles: Array, ranges: Array) -> tuple[Array, Array]:
-    """Adds beams without a measurement wherever neighbours are further apart than the usual step."""
+def _fill_gaps(angles: Array, ranges: Array) -> tuple[Array, Array]:
+    """Adds beams without a measurement wherever neighbours are farther apart than the median step."""
     if len(angles) < 3:
         return angles, ranges
     steps = np.diff(angles)
-    usual = max(float(np.median(steps)), 2 * np.pi / _MOST_BEAMS)
-    missing = np.maximum(np.round(steps / usual).astype(int) - 1, 0)
+    step_median = max(float(np.median(steps)), 2 * np.pi / _MAX_BEAMS_PER_TURN)
+    missing = np.maximum(np.round(steps / step_median).astype(int) - 1, 0)
     added = [
         angle + step * np.arange(1, n + 1) / (n + 1)
         for angle, step, n in zip(angles[:-1], steps, missing, strict=True)

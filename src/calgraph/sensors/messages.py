@@ -1,4 +1,4 @@
-"""What sensors say, free of any file format: images, scans, clouds, and the envelope they arrive in."""
+"""Sensor messages, independent of file formats: images, scans, clouds, and their record in a recording."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ class Image:
     stamp: float
     """Header stamp, s."""
     frame_id: str
-    """The header's frame; empty where there is none."""
+    """Frame of the header; empty if there is none."""
     pixels: NDArray[np.uint8]
     """(height, width) grey or (height, width, 3) BGR, 8 bits."""
 
@@ -47,7 +47,7 @@ class LaserScan:
     """Beam k is measured at ``stamp + k * time_increment``, s."""
 
     def __post_init__(self) -> None:
-        """Refuses distances that are none.
+        """Validates the ranges.
 
         Raises:
             InputError: a range is zero or negative, as some drivers mark beams without a measurement.
@@ -79,7 +79,7 @@ class LaserScan:
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """One sweep of a 3-D scanner: finite points only, in the order they came."""
+    """One sweep of a 3-D scanner: finite points only, in the order of the message."""
 
     stamp: float
     """Header stamp, s."""
@@ -87,9 +87,9 @@ class PointCloud:
     points: Array
     """(N, 3), m, no NaN."""
     rings: NDArray[np.int32] | None = None
-    """(N,) index of the beam that measured each point, where the message has one."""
+    """(N,) index of the laser (ring) that measured each point; None if the message has no rings."""
     times: Array | None = None
-    """(N,) time of each point relative to ``stamp``, s, where the message has one."""
+    """(N,) time of each point relative to ``stamp``, s; None if the message has no times."""
 
     @property
     def duration(self) -> float:
@@ -99,7 +99,7 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class CameraInfo:
-    """Intrinsics as a recording states them."""
+    """Intrinsics from a recording."""
 
     stamp: float
     frame_id: str
@@ -117,14 +117,14 @@ Message = Image | LaserScan | PointCloud | CameraInfo | Trigger
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
-    """A message on its way out of a recording; its content is decoded only when asked for."""
+class RecordedMessage:
+    """A message of a recording, decoded on demand."""
 
     topic: str
     """Topic, or folder name in a plain folder."""
     stamp: float
     """Header stamp, or arrival time where the message has no header, s."""
     arrival: float
-    """When the recorder wrote it, s."""
+    """Time at which the recorder wrote it, s."""
     decode: Callable[[], Message] = field(repr=False)
     """Decodes the message; raises RecordingError naming topic and stamp if its content is unusable."""

@@ -1,7 +1,7 @@
-"""How near each beam of a 2-D scanner ends while only the static surroundings are in view.
+"""Background model of a 2-D scanner: the smallest static range of each beam.
 
-Source: MSG-Cal, section III-A (change detection between octrees); in the plane of a 2-D scanner the range of every
-beam answers the same question more sharply.
+Source: MSG-Cal, section III-A (change detection between octrees). In the plane of a 2-D scanner, thresholding the
+range of each beam does the same with a finer resolution.
 """
 
 from collections.abc import Iterable
@@ -14,30 +14,31 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors.messages import LaserScan
 
+# Quantile of a beam's background ranges that counts as its nearest depth, and least margin before it, m.
 _DEPTH_QUANTILE = 0.05
 _MIN_MARGIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class ScanBackground:
-    """How near each beam of a 2-D scanner ends without target and operator."""
+    """Smallest range of each beam of a 2-D scanner without target and operator."""
 
     angles: Array
     """(B,) beam angles, ascending, rad."""
-    nearer_than: Array
-    """(B,) range below which a beam is new, m; inf where the background never answered."""
+    min_ranges: Array
+    """(B,) range below which a beam is foreground, m; inf for beams that never measured the background."""
 
     @staticmethod
     def build(scans: Iterable[LaserScan]) -> "ScanBackground":
-        """Learns every beam from the scans taken while neither target nor operator were in view.
+        """Learns the model from scans taken while neither target nor operator were in view.
 
-        The nearest depth that a beam shows in more than a few scans counts, so that at an edge, where a beam
-        flickers between two depths or averages them, both and all between them are background. A beam also
-        takes its neighbours' depths, because a beam's direction is noisy too; the margin grows with the beam's
-        observed spread.
+        A low quantile of each beam's ranges is its background depth. At an edge, where a beam alternates between
+        two depths or averages them, both and all between them are then background. The limit of a beam is the
+        smallest one of its neighbours and itself, because beam directions are noisy, too; the margin grows with
+        the standard deviation of the beam's ranges.
 
         Raises:
-            InputError: there are no scans, or no beam ever measured anything.
+            InputError: there are no scans, or no scan has a measurement.
 
         """
         all_scans = list(scans)
@@ -47,9 +48,9 @@ class ScanBackground:
         angles = np.sort(reference.angles)
         ranges = np.full((len(all_scans), len(angles)), np.nan)
         for row, scan in zip(ranges, all_scans, strict=True):
-            row[nearest_beam(angles, scan.angles[scan.valid])] = scan.ranges[scan.valid]
+            row[find_nearest_beams(angles, scan.angles[scan.valid])] = scan.ranges[scan.valid]
         near = _nearest_depth(ranges)
-        # The scatter around the nearest depth alone: that of a flickering beam would be the size of the edge.
+        # Only the scatter around the nearest depth: that of all ranges would be the size of the edge.
         spread = np.where(np.abs(ranges - near) < 0.3, ranges - near, np.nan)
         sigma = np.sqrt(np.nansum(spread**2, axis=0) / np.maximum(np.isfinite(spread).sum(axis=0), 1))
         limit = np.where(np.isfinite(near), near - np.maximum(_MIN_MARGIN, 2.5 * sigma), np.inf)
@@ -57,12 +58,12 @@ class ScanBackground:
         return ScanBackground(angles, np.minimum(limit, np.minimum(padded[:-2], padded[2:])))
 
     def foreground(self, scan: LaserScan) -> NDArray[np.bool_]:
-        """Which beams of the scan end clearly before the background: (N,)."""
-        return self.ends_before(scan.angles, scan.ranges)
+        """(N,) mask of the beams of a scan that end clearly before the background."""
+        return self.is_foreground(scan.angles, scan.ranges)
 
-    def ends_before(self, angles: Array, ranges: Array) -> NDArray[np.bool_]:
-        """Which ranges (..., N) of beams at some angles (N,) are clearly shorter than the background's."""
-        limit = self.nearer_than[nearest_beam(self.angles, angles)]
+    def is_foreground(self, angles: Array, ranges: Array) -> NDArray[np.bool_]:
+        """Mask (..., N) of ranges (..., N) clearly shorter than the background at beam angles (N,)."""
+        limit = self.min_ranges[find_nearest_beams(self.angles, angles)]
         return np.asarray(np.isfinite(ranges) & (ranges < limit))
 
 
@@ -74,7 +75,7 @@ def _nearest_depth(ranges: Array) -> Array:
     return np.asarray(ordered[row, np.arange(ranges.shape[1])])
 
 
-def nearest_beam(angles: Array, wanted: Array) -> NDArray[np.intp]:
+def find_nearest_beams(angles: Array, wanted: Array) -> NDArray[np.intp]:
     """Index of the nearest of the ascending ``angles`` (B,) for each wanted angle (N,)."""
     # Nearly all scans of a scanner have the same beams.
     if np.array_equal(angles, wanted):

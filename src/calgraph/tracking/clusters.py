@@ -97,7 +97,7 @@ def foreground(runs: Sequence[ScanRun], scene: StaticScene) -> Foreground:
 
 def _new_beams(run: ScanRun, scene: StaticScene, first: int) -> Foreground:
     """The foreground of successive scans, of which the first has this index."""
-    scan, beam = np.nonzero(scene.nearer.ends_before(run.angles, run.ranges))
+    scan, beam = np.nonzero(scene.nearer.is_foreground(run.angles, run.ranges))
     turn = abs(run.angles[-1] - run.angles[0]) if len(run.angles) > 1 else 0.0
     spacing = turn / max(len(run.angles) - 1, 1)
     ranges = run.ranges[scan, beam]

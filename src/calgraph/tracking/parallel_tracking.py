@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.errors import Rejected
-from calgraph.processes import side_by_side
+from calgraph.processes import parallel_map
 from calgraph.tracking.features import Feature
 from calgraph.tracking.scan_stack import ScanRun
 from calgraph.tracking.track import Tracked
@@ -32,7 +32,7 @@ def track_scanners(
         target: what moves.
         noise: by scanner.
         feature: how centres are measured.
-        jobs: processes at most, see :func:`calgraph.processes.side_by_side`.
+        jobs: processes at most, see :func:`calgraph.processes.parallel_map`.
         progress: told how much is done, 0..1.
 
     Raises:
@@ -40,5 +40,5 @@ def track_scanners(
     """
     beams = sum(run.ranges.size for runs in scans.values() for run in runs)
     work = [(runs, target, noise[name], feature) for name, runs in scans.items()]
-    found = side_by_side(track_runs, work, jobs if beams > _WORTHWHILE else 1, progress)
+    found = parallel_map(track_runs, work, jobs if beams > _WORTHWHILE else 1, progress)
     return dict(zip(scans, found, strict=True))

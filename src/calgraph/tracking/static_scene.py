@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.sensors import ScanBackground, nearest_beam
+from calgraph.sensors import ScanBackground, find_nearest_beams
 from calgraph.tracking.scan_stack import ScanRun
 
 # Scans to learn from: more say no more.
@@ -89,7 +89,7 @@ def _evenly_kept(runs: Sequence[ScanRun]) -> list[ScanRun]:
 def _at_angles(angles: Array, run: ScanRun) -> Array:
     """(S, B) ranges of a run's scans by the nearest of ascending angles (B,); NaN where nothing was measured."""
     ranges = np.where(np.isfinite(run.ranges), run.ranges, np.nan)
-    nearest = nearest_beam(angles, run.angles)
+    nearest = find_nearest_beams(angles, run.angles)
     if np.array_equal(nearest, np.arange(len(angles))):
         return ranges
     rows = np.full((len(run), len(angles)), np.nan)
