@@ -102,15 +102,17 @@ def test_several_scans_of_a_resting_board_are_one_segment(rng: np.random.Generat
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_beams_are_rejected(count: int, rng: np.random.Generator) -> None:
-    assert isinstance(segment_seen(on_board(rng, fan(-0.1, 0.1, count), 0.0)), Rejected)
+    found = segment_seen(on_board(rng, fan(-0.1, 0.1, count), 0.0))
+    assert found == Rejected(f"a line needs three beams, got {count}")
 
 
 def test_three_points_make_no_plane() -> None:
-    assert isinstance(plane_seen(np.eye(3)), Rejected)
+    assert plane_seen(np.eye(3)) == Rejected("a plane needs four points, got 3")
 
 
 def test_points_on_a_line_make_no_plane(rng: np.random.Generator) -> None:
-    assert isinstance(plane_seen(on_board(rng, fan(-0.1, 0.1, 30), 0.0)), Rejected)
+    found = plane_seen(on_board(rng, fan(-0.1, 0.1, 30), 0.0))
+    assert found == Rejected("the 30 points lie on no plane, or on one along the beams")
 
 
 @pytest.mark.parametrize(

@@ -233,7 +233,8 @@ def test_people_who_stand_still_tell_no_direction(rng: np.random.Generator) -> N
 
 def test_a_scanner_without_tracks_is_no_error(rng: np.random.Generator) -> None:
     nobody = Tracked((), NO_BACKGROUND, 0.01)
-    assert isinstance(estimate_network_pair("a", "b", nobody, nobody, rng), Rejected)
+    found = estimate_network_pair("a", "b", nobody, nobody, rng)
+    assert found == Rejected("only 0.0 s in which both saw somebody, 2.0 s are needed")
 
 
 def test_walls_improve_what_tracks_found(rng: np.random.Generator) -> None:

@@ -5,7 +5,6 @@ import json
 import sys
 import types
 import xml.etree.ElementTree as ET
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -413,9 +412,3 @@ def test_every_format_is_tested() -> None:
 def test_rotations_of_every_kind_survive_the_urdf(calibration: Calibration, angles: list[float]) -> None:
     turned = with_sensor(calibration, "camera", T_root_sensor=se3.pose(so3.exp(np.array(angles)), np.zeros(3)))
     assert_poses(read_urdf(export(turned, "urdf")), turned)
-
-
-def test_a_launch_file_is_python(calibration: Calibration, tmp_path: Path) -> None:
-    path = tmp_path / "sensors.launch.py"
-    path.write_text(export(calibration, "launch"), encoding="utf-8")
-    compile(path.read_text(encoding="utf-8"), str(path), "exec")

@@ -211,5 +211,6 @@ def test_a_chessboard_is_seen_whole_or_not_at_all() -> None:
 def test_two_rings_are_no_plane() -> None:
     few = MultibeamKnobs(count=1, rings=2, lowest=-1.0, highest=1.0)
     scenario = SMALL.model_copy(update={"multibeam": few, "spinning": SpinningKnobs(count=0)})
-    _, captured, _ = simulate_detections(set_stage(scenario, 0), 0)
-    assert not captured.detections["lidar"]
+    _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
+    missed = [capture for capture, sensor in captured.misses if sensor == "lidar"]
+    assert (len(captured.detections["lidar"]), len(missed)) == (0, len(truth.boards))

@@ -60,11 +60,11 @@ def same(a: Sequence[SimulatedCapture], b: Sequence[SimulatedCapture]) -> list[b
 
 
 def test_same_seed_gives_the_same_messages() -> None:
-    assert all(same(captures(SMALL, 4), captures(SMALL, 4)))
+    assert same(captures(SMALL, 4), captures(SMALL, 4)) == 16 * [True]
 
 
 def test_another_seed_gives_other_messages() -> None:
-    assert not any(same(captures(SMALL, 4), captures(SMALL, 5)))
+    assert same(captures(SMALL, 4), captures(SMALL, 5)) == 16 * [False]
 
 
 def test_measurements_do_not_depend_on_what_else_is_measured() -> None:

@@ -147,17 +147,29 @@ def test_a_network_is_explored(network_page: Shown) -> None:
     assert network_page.complaints == []
 
 
-def test_every_control_works(rig: Calibration, cameras: dict[str, CameraModel]) -> None:
-    """Each is set as if by hand, and none raises."""
+def test_controls_change_what_the_scene_holds(rig: Calibration, cameras: dict[str, CameraModel]) -> None:
+    """Each is set as if by hand; handles of the scene tell what a browser would draw."""
     with Viewer(rig, cameras) as viewer:
+        stage, nodes = viewer.stage, viewer.stage._nodes
+        drawn = []
         for exaggeration in (1, 100, 0, 10):
-            viewer.stage.show_uncertainty(exaggeration)
-        for layer in ("names", "axes", "camera views", "beams", "clouds", "boards", "walks"):
-            viewer.stage.show_layer(layer, False)
-        viewer.stage.show_points(0.03)
-        viewer.stage.show_sensor("laser", False)
+            stage.show_uncertainty(exaggeration)
+            drawn.append(len(nodes["uncertainty"]))
+        assert drawn == [2, 2, 0, 2]  # the root is certain
+
+        layers = ("names", "axes", "camera views", "beams", "clouds", "boards", "walks")
+        for layer in layers:
+            stage.show_layer(layer, False)
+        stage.show_points(0.03)
+        stage.show_sensor("laser", False)
+        shown = []
         for choice in (Choice(None, "camera"), Choice(2.0, "height"), Choice(9.0), Choice(None)):
-            viewer.stage.show(choice)
+            stage.show(choice)
+            shown.append((len(nodes["clouds"]), len(nodes["beams"])))
+        # Beams belong to one capture; there is no ninth.
+        assert shown == [(2, 0), (2, 1), (0, 0), (2, 0)]
+        assert not any(node.visible for layer in layers for node in nodes[layer].values())
+        assert not stage._frames["laser"].visible
 
 
 @pytest.mark.parametrize("left", ["snapshots", "outlines", "board_views"])

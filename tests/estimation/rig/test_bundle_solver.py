@@ -151,7 +151,8 @@ def test_the_cost_never_rises(rng: np.random.Generator) -> None:
 
 def test_a_solver_that_was_stopped_early_says_so(rng: np.random.Generator) -> None:
     exact = quiet()
-    assert not solve(exact.bundle, disturbed(exact.truth, rng, size=0.2), iterations=1).converged
+    start = disturbed(exact.truth, rng, size=0.2)
+    assert [solve(exact.bundle, start, iterations=count).converged for count in (1, 5, 20)] == [False, False, True]
 
 
 def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
