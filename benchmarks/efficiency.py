@@ -25,7 +25,7 @@ import numpy as np
 from scipy.stats import binomtest, chi2, norm
 
 from calgraph.calibrate import Options, prepare, solve_problem
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.detection import BoardCorners
 from calgraph.estimation import Estimator, Problem, Solver, cramer_rao
@@ -49,7 +49,7 @@ class Recording:
     """What a calibration gets, and the truth to judge it by."""
 
     rig: Rig
-    captured: Captured
+    captured: CaptureSet
     truth: Truth
     noise: Rig
     """The rig with the noise that its measurements have."""

@@ -6,8 +6,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calgraph.calibrate import Options, capture_board
-from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, detectors, gather
-from calgraph.captures.detectors import background_of
+from calgraph.captures import (
+    CaptureSet,
+    Hold,
+    RecordingTimeline,
+    SensorCapture,
+    SensorTimes,
+    collect_detections,
+    make_detectors,
+)
+from calgraph.captures.detectors import learn_background
 from calgraph.config import CameraSpec, Rig, load_rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
@@ -26,29 +34,29 @@ from calgraph.simulation import (
 from calgraph.simulation.robot import MountedCamera
 
 
-def detected(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
+def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
     """Simulates the holds alone, without a recording, and finds the board in them."""
     stage = set_stage(scenario, seed)
     rig, truth = rig_of(stage), truth_of(stage)
     cameras = {s.name: s.camera for s in stage.robot if isinstance(s, MountedCamera)}
     backgrounds = {
-        name: background_of(messages, rig.sensors[name])
+        name: learn_background(messages, rig.sensors[name])
         for name, messages in simulate_background(stage).items()
         if not isinstance(rig.sensors[name], CameraSpec)
     }
-    detect = detectors(rig, cameras, backgrounds, "pnp", np.random.default_rng(seed))
+    detect = make_detectors(rig, cameras, backgrounds, "pnp", np.random.default_rng(seed))
     holds = [Hold(i, board.trigger, board.end) for i, board in enumerate(truth.boards)]
     observations = [
-        Observation(i, name, detect[name](messages))
+        SensorCapture(i, name, detect[name](messages))
         for i, capture in enumerate(simulate_captures(stage))
         for name, messages in capture.messages.items()
     ]
     never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
-    timeline = Timeline(scenario.start_time, dict.fromkeys(rig.sensors, never), np.zeros(0))
-    return rig, gather(rig, timeline, holds, observations, cameras), truth
+    timeline = RecordingTimeline(scenario.start_time, dict.fromkeys(rig.sensors, never), np.zeros(0))
+    return rig, collect_detections(rig, timeline, holds, observations, cameras), truth
 
 
-def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, Captured, Truth]:
+def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
     """Simulates a whole recording on disc, motion included, and finds captures and board in it."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "rig"

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
 from calgraph.calibrate import Options, prepare
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.detection import BoardCorners
 from calgraph.estimation import Joint, Problem, solve_bundle
 from calgraph.estimation.rig.board_observations import sightings
@@ -92,7 +92,7 @@ def scenario_of(sensors: int, captures: int) -> RigScenario:
     )
 
 
-def numbers(captured: Captured) -> int:
+def numbers(captured: CaptureSet) -> int:
     """How many numbers the detections measure."""
     found = [d for seen in captured.detections.values() for (d,) in seen.values()]
     return sum(2 * len(d.pixels) if isinstance(d, BoardCorners) else len(d.points) for d in found)

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.detection import Detection
 from calgraph.estimation import Estimable, Joint, solve_bundle
@@ -38,7 +38,7 @@ QUICK = RigScenario(
 @dataclass(frozen=True, eq=False)
 class Seen:
     rig: Rig
-    captured: Captured
+    captured: CaptureSet
     T_root_sensor: dict[str, Array]
     """True poses, the root first."""
     truth: Truth

@@ -86,9 +86,11 @@ for capture, T_lidar_board in enumerate(board_poses(30)):
     T = {name: se3.inverse(TRUE[name]) @ T_lidar_board for name in TRUE}
     cloud, scan = beams_on_board(T["lidar"], LIDAR, 0.02), beams_on_board(T["laser"], LASER, 0.01)
     pixels = camera.project(se3.apply(T["camera"], corners)) + rng.normal(0, 0.3, (4, 2))
-    found["lidar"][capture] = calgraph.plane_seen(cloud, rig.sensors["lidar"].noise)
-    found["laser"][capture] = calgraph.segment_seen(scan, rig.sensors["laser"].noise)
-    found["camera"][capture] = calgraph.corners_seen(corners, pixels, camera, rig.sensors["camera"].noise)
+    found["lidar"][capture] = calgraph.plane_patch_from_points(cloud, rig.sensors["lidar"].noise)
+    found["laser"][capture] = calgraph.segment_from_points(scan, rig.sensors["laser"].noise)
+    found["camera"][capture] = calgraph.board_corners_from_pixels(
+        corners, pixels, camera, rig.sensors["camera"].noise
+    )
 
 for name, own in found.items():
     reasons = [f"{k}: {seen.reason}" for k, seen in own.items() if isinstance(seen, calgraph.Rejected)]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         solve_problem,
         verify_problem,
     )
-    from calgraph.captures import Captured, captured_from
+    from calgraph.captures import CaptureSet, captures_from_detections
     from calgraph.config import (
         Board,
         CameraSpec,
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
         BoardCorners,
         PlanePatch,
         Segment,
-        corners_seen,
-        plane_seen,
-        segment_seen,
+        board_corners_from_pixels,
+        plane_patch_from_points,
+        segment_from_points,
     )
     from calgraph.errors import CalgraphError, CalibrationError, InputError, RecordingError, Rejected
     from calgraph.estimation import Problem, load_problem, save_problem
@@ -55,14 +55,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Averaged", "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel",
-    "CameraSpec", "Captured", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec",
+    "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec",
     "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch",
     "PointCloud", "PoseGraph", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "Segment",
-    "SensorPose", "Tag", "Track", "Tracked", "average", "calibrate_detections", "calibrate_network",
-    "calibrate_rig", "calibrate_tracks", "captured_from", "colorize_points", "corners_seen", "estimate_pair",
-    "export", "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
-    "plane_seen", "pose_problem", "prepare", "save_calibration", "save_problem", "se2", "se3", "segment_seen",
-    "so3", "solve_problem", "track_scanner", "verify_problem", "write_report",
+    "SensorPose", "Tag", "Track", "Tracked", "average", "board_corners_from_pixels", "calibrate_detections",
+    "calibrate_network", "calibrate_rig", "calibrate_tracks", "captures_from_detections", "colorize_points",
+    "estimate_pair", "export", "load_calibration", "load_problem", "load_rig", "open_recording",
+    "open_recordings", "plane", "plane_patch_from_points", "pose_problem", "prepare", "save_calibration",
+    "save_problem", "se2", "se3", "segment_from_points", "so3", "solve_problem", "track_scanner",
+    "verify_problem", "write_report",
 ]  # fmt: skip
 
 _ROOMS = (

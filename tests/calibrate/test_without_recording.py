@@ -9,7 +9,14 @@ import pytest
 
 from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
-from calgraph.detection import BoardCorners, Detection, PlanePatch, corners_seen, plane_seen, segment_seen
+from calgraph.detection import (
+    BoardCorners,
+    Detection,
+    PlanePatch,
+    board_corners_from_pixels,
+    plane_patch_from_points,
+    segment_from_points,
+)
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation import load_problem
 from calgraph.geometry import Array, se3
@@ -33,10 +40,12 @@ def measured(one: Seen) -> dict[str, dict[int, Detection | Rejected]]:
 
     def again(name: str, detection: Detection) -> Detection | Rejected:
         if isinstance(detection, BoardCorners):
-            return corners_seen(detection.corners_board, detection.pixels, cameras[name])
+            return board_corners_from_pixels(detection.corners_board, detection.pixels, cameras[name])
         noise = sensors[name].noise
         assert isinstance(noise, RangeNoise)
-        return (plane_seen if isinstance(detection, PlanePatch) else segment_seen)(detection.points, noise)
+        return (plane_patch_from_points if isinstance(detection, PlanePatch) else segment_from_points)(
+            detection.points, noise
+        )
 
     return {
         name: {capture: again(name, found[0]) for capture, found in by.items()}

@@ -1,11 +1,11 @@
-"""Captures from detections made elsewhere."""
+"""Captures from detections that were made outside calgraph."""
 
 import numpy as np
 import pytest
 
-from calgraph.captures import captured_from
+from calgraph.captures import captures_from_detections
 from calgraph.config import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection import PlanePatch, Segment, plane_seen, segment_seen
+from calgraph.detection import PlanePatch, Segment, plane_patch_from_points, segment_from_points
 from calgraph.errors import InputError, Rejected
 
 RIG = Rig(
@@ -17,22 +17,24 @@ RIG = Rig(
 
 @pytest.fixture
 def patch(rng: np.random.Generator) -> PlanePatch:
-    found = plane_seen(np.column_stack([np.full(50, 2.0), rng.uniform(-0.4, 0.4, (50, 2))]))
+    found = plane_patch_from_points(np.column_stack([np.full(50, 2.0), rng.uniform(-0.4, 0.4, (50, 2))]))
     assert isinstance(found, PlanePatch)
     return found
 
 
 @pytest.fixture
 def segment() -> Segment:
-    found = segment_seen(np.column_stack([np.full(50, 2.0), np.linspace(-0.4, 0.4, 50)]))
+    found = segment_from_points(np.column_stack([np.full(50, 2.0), np.linspace(-0.4, 0.4, 50)]))
     assert isinstance(found, Segment)
     return found
 
 
-def test_captures_keep_their_numbers_and_misses_say_why(patch: PlanePatch, segment: Segment) -> None:
-    seen = captured_from(RIG, {"lidar": {7: patch, 3: patch}, "laser": {7: segment, 9: Rejected("too far")}})
-    assert [hold.index for hold in seen.holds] == [3, 7, 9]
-    assert seen.misses == {
+def test_captures_keep_their_numbers_and_rejections_their_reason(patch: PlanePatch, segment: Segment) -> None:
+    captures = captures_from_detections(
+        RIG, {"lidar": {7: patch, 3: patch}, "laser": {7: segment, 9: Rejected("too far")}}
+    )
+    assert [hold.index for hold in captures.holds] == [3, 7, 9]
+    assert captures.rejections == {
         (3, "laser"): "no detection was given",
         (9, "lidar"): "no detection was given",
         (9, "laser"): "too far",
@@ -40,33 +42,33 @@ def test_captures_keep_their_numbers_and_misses_say_why(patch: PlanePatch, segme
 
 
 def test_several_candidates_are_kept(patch: PlanePatch) -> None:
-    seen = captured_from(RIG, {"lidar": {0: [patch, patch]}})
-    assert len(seen.detections["lidar"][0]) == 2
-    assert not seen.detections["laser"]
+    captures = captures_from_detections(RIG, {"lidar": {0: [patch, patch]}})
+    assert len(captures.detections["lidar"][0]) == 2
+    assert not captures.detections["laser"]
 
 
-def test_frames_are_the_rigs(patch: PlanePatch) -> None:
-    assert captured_from(RIG, {"lidar": {0: patch}}).frames["lidar"] == "velodyne"
+def test_frames_are_those_of_the_rig(patch: PlanePatch) -> None:
+    assert captures_from_detections(RIG, {"lidar": {0: patch}}).frames["lidar"] == "velodyne"
 
 
 def test_unknown_sensor_is_named(patch: PlanePatch) -> None:
-    with pytest.raises(InputError, match="found: must be of lidar, laser, got radar"):
-        captured_from(RIG, {"radar": {0: patch}})
+    with pytest.raises(InputError, match="detections: must be of lidar, laser, got radar"):
+        captures_from_detections(RIG, {"radar": {0: patch}})
 
 
-def test_what_a_sensor_cannot_see_is_an_error(patch: PlanePatch) -> None:
-    with pytest.raises(InputError, match="laser is a lidar2d and sees Segment, got PlanePatch in capture 4"):
-        captured_from(RIG, {"laser": {4: patch}})
+def test_detection_of_another_kind_of_sensor_is_an_error(patch: PlanePatch) -> None:
+    with pytest.raises(InputError, match="laser is a lidar2d and detects Segment, got PlanePatch in capture 4"):
+        captures_from_detections(RIG, {"laser": {4: patch}})
 
 
-def test_camera_needs_intrinsics_and_takes_those_of_the_rig() -> None:
+def test_cameras_take_the_intrinsics_stated_in_the_rig() -> None:
     camera = CameraSpec(topic="camera")
     boards = Board.model_validate({"size": [1.0, 0.8], "tags": [{"id": 0, "size": 0.3}]})
     rig = Rig(root="camera", target=boards, sensors={"camera": camera})
     with pytest.raises(InputError, match="cameras: lacks camera"):
-        captured_from(rig, {})
-    stated = camera.model_copy(
+        captures_from_detections(rig, {})
+    spec = camera.model_copy(
         update={"intrinsics": Intrinsics(width=640, height=480, K=(500.0, 500.0, 320.0, 240.0))}
     )
-    rig = rig.model_copy(update={"sensors": {"camera": stated}})
-    assert captured_from(rig, {}).cameras["camera"].width == 640
+    rig = rig.model_copy(update={"sensors": {"camera": spec}})
+    assert captures_from_detections(rig, {}).cameras["camera"].width == 640

@@ -14,9 +14,9 @@ def test_a_moved_board_changes_an_image_and_noise_does_not(rng: np.random.Genera
     board = wall.copy()
     board[60:180, 100:200] = 240
     meter = ActivityMeter()
-    meter.change(image(wall + rng.normal(0, 3, wall.shape)))
-    assert meter.change(image(wall + rng.normal(0, 3, wall.shape))) == 0
-    assert meter.change(image(board + rng.normal(0, 3, wall.shape))) > 0.1
+    meter.measure_change(image(wall + rng.normal(0, 3, wall.shape)))
+    assert meter.measure_change(image(wall + rng.normal(0, 3, wall.shape))) == 0
+    assert meter.measure_change(image(board + rng.normal(0, 3, wall.shape))) > 0.1
 
 
 def test_a_board_in_front_of_the_wall_changes_a_scan_and_noise_does_not(rng: np.random.Generator) -> None:
@@ -24,24 +24,24 @@ def test_a_board_in_front_of_the_wall_changes_a_scan_and_noise_does_not(rng: np.
     wall = 4 + rng.normal(0, 0.015, 800)
     board = np.where(np.abs(angles) < 0.2, 2.0, wall)
     meter = ActivityMeter()
-    meter.change(LaserScan(0.0, "", angles, wall))
-    assert meter.change(LaserScan(0.0, "", angles, wall + rng.normal(0, 0.015, 800))) < 0.02
-    assert meter.change(LaserScan(0.0, "", angles, board)) > 0.08
+    meter.measure_change(LaserScan(0.0, "", angles, wall))
+    assert meter.measure_change(LaserScan(0.0, "", angles, wall + rng.normal(0, 0.015, 800))) < 0.02
+    assert meter.measure_change(LaserScan(0.0, "", angles, board)) > 0.08
 
 
 def test_beams_that_lose_their_return_count_as_change() -> None:
     angles = np.linspace(-2, 2, 100)
     meter = ActivityMeter()
-    meter.change(LaserScan(0.0, "", angles, np.full(100, 3.0)))
-    assert meter.change(LaserScan(0.0, "", angles, np.where(angles < 0, np.nan, 3.0))) > 0.4
+    meter.measure_change(LaserScan(0.0, "", angles, np.full(100, 3.0)))
+    assert meter.measure_change(LaserScan(0.0, "", angles, np.where(angles < 0, np.nan, 3.0))) > 0.4
 
 
 def test_a_moved_board_changes_a_cloud(rng: np.random.Generator) -> None:
     wall = np.column_stack([np.full(2000, 5.03), rng.uniform(-3, 3, 2000), rng.uniform(-1, 1, 2000)])
     board = np.column_stack([np.full(500, 2.03), rng.uniform(-0.5, 0.5, 500), rng.uniform(-0.5, 0.5, 500)])
     meter = ActivityMeter()
-    meter.change(PointCloud(0.0, "", np.vstack([wall, board])))
-    same = meter.change(PointCloud(0.0, "", np.vstack([wall, board + rng.normal(0, 0.02, board.shape)])))
-    moved = meter.change(PointCloud(0.0, "", np.vstack([wall, board + np.array([0.5, 0, 0])])))
+    meter.measure_change(PointCloud(0.0, "", np.vstack([wall, board])))
+    same = meter.measure_change(PointCloud(0.0, "", np.vstack([wall, board + rng.normal(0, 0.02, board.shape)])))
+    moved = meter.measure_change(PointCloud(0.0, "", np.vstack([wall, board + np.array([0.5, 0, 0])])))
     assert same == 0
     assert moved > 0.03

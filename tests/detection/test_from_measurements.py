@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.detection import BoardCorners, PlanePatch, Segment, corners_seen, plane_seen, segment_seen
+from calgraph.detection import (
+    BoardCorners,
+    PlanePatch,
+    Segment,
+    board_corners_from_pixels,
+    plane_patch_from_points,
+    segment_from_points,
+)
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
@@ -36,7 +43,9 @@ def corners(rng: np.random.Generator, sigma: float = 0.2) -> Array:
 def test_corners_give_the_pose_within_their_covariance() -> None:
     distances = []
     for seed in range(60):
-        found = corners_seen(CORNERS, corners(np.random.default_rng(seed)), CAMERA, PixelNoise(pixel=0.2))
+        found = board_corners_from_pixels(
+            CORNERS, corners(np.random.default_rng(seed)), CAMERA, PixelNoise(pixel=0.2)
+        )
         assert isinstance(found, BoardCorners)
         error = se3.difference(found.T_camera_board, T_CAMERA_BOARD)
         distances.append(error @ np.linalg.solve(found.covariance, error))
@@ -47,13 +56,13 @@ def test_corners_give_the_pose_within_their_covariance() -> None:
 def test_corner_that_contradicts_the_others_is_left_out(rng: np.random.Generator) -> None:
     pixels = corners(rng)
     pixels[3] += 25
-    found = corners_seen(CORNERS, pixels, CAMERA)
+    found = board_corners_from_pixels(CORNERS, pixels, CAMERA)
     assert isinstance(found, BoardCorners)
     assert len(found.pixels) == len(CORNERS) - 1
 
 
 def test_three_corners_are_rejected_with_a_reason(rng: np.random.Generator) -> None:
-    found = corners_seen(CORNERS[:3], corners(rng)[:3], CAMERA)
+    found = board_corners_from_pixels(CORNERS[:3], corners(rng)[:3], CAMERA)
     assert isinstance(found, Rejected)
     assert "too few" in found.reason
 
@@ -64,7 +73,7 @@ def test_points_give_the_plane_within_its_covariance() -> None:
     distances = []
     for seed in range(60):
         points = on_board(np.random.default_rng(seed), directions, 0.02)
-        found = plane_seen(points, RangeNoise(range=0.02, angle=1e-5))
+        found = plane_patch_from_points(points, RangeNoise(range=0.02, angle=1e-5))
         assert isinstance(found, PlanePatch)
         step = np.append(plane.tangent_basis(found.plane[:3]).T @ BOARD[:3], BOARD[3] - found.plane[3])
         distances.append(step @ np.linalg.solve(found.covariance, step))
@@ -74,7 +83,7 @@ def test_points_give_the_plane_within_its_covariance() -> None:
 
 
 def test_beams_give_the_cut_of_the_board(rng: np.random.Generator) -> None:
-    found = segment_seen(on_board(rng, fan(-0.15, 0.25, 80), 0.005)[:, :2], RangeNoise(range=0.005))
+    found = segment_from_points(on_board(rng, fan(-0.15, 0.25, 80), 0.005)[:, :2], RangeNoise(range=0.005))
     assert isinstance(found, Segment)
     ends = on_board(rng, fan(-0.15, 0.25, 2), 0.0)
     assert np.abs(found.endpoints - ends).max() < 0.005
@@ -82,7 +91,7 @@ def test_beams_give_the_cut_of_the_board(rng: np.random.Generator) -> None:
 
 def test_board_behind_the_scanner_is_not_cut_where_angles_wrap(rng: np.random.Generator) -> None:
     half_turn = np.diag([-1.0, -1, 1])
-    found = segment_seen(on_board(rng, fan(-0.2, 0.2, 60), 0.003) @ half_turn)
+    found = segment_from_points(on_board(rng, fan(-0.2, 0.2, 60), 0.003) @ half_turn)
     assert isinstance(found, Segment)
     ends = on_board(rng, fan(-0.2, 0.2, 2), 0.0) @ half_turn
     assert np.abs(found.endpoints - ends).max() < 0.01
@@ -90,7 +99,7 @@ def test_board_behind_the_scanner_is_not_cut_where_angles_wrap(rng: np.random.Ge
 
 def test_several_scans_of_a_resting_board_are_one_segment(rng: np.random.Generator) -> None:
     scans = [on_board(rng, fan(-0.2, 0.2, 41), 0.01) for _ in range(6)]
-    one, six = segment_seen(scans[0]), segment_seen(np.concatenate(scans))
+    one, six = segment_from_points(scans[0]), segment_from_points(np.concatenate(scans))
     assert isinstance(one, Segment)
     assert isinstance(six, Segment)
     # Along the line, the spacing of the beams decides; across it, their number does.
@@ -102,16 +111,16 @@ def test_several_scans_of_a_resting_board_are_one_segment(rng: np.random.Generat
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_beams_are_rejected(count: int, rng: np.random.Generator) -> None:
-    found = segment_seen(on_board(rng, fan(-0.1, 0.1, count), 0.0))
+    found = segment_from_points(on_board(rng, fan(-0.1, 0.1, count), 0.0))
     assert found == Rejected(f"a line needs three beams, got {count}")
 
 
 def test_three_points_make_no_plane() -> None:
-    assert plane_seen(np.eye(3)) == Rejected("a plane needs four points, got 3")
+    assert plane_patch_from_points(np.eye(3)) == Rejected("a plane needs four points, got 3")
 
 
 def test_points_on_a_line_make_no_plane(rng: np.random.Generator) -> None:
-    found = plane_seen(on_board(rng, fan(-0.1, 0.1, 30), 0.0))
+    found = plane_patch_from_points(on_board(rng, fan(-0.1, 0.1, 30), 0.0))
     assert found == Rejected("the 30 points lie on no plane, or on one along the beams")
 
 
@@ -125,14 +134,14 @@ def test_points_on_a_line_make_no_plane(rng: np.random.Generator) -> None:
 )
 def test_arrays_that_are_no_points_are_named(points: Array, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        plane_seen(points)
+        plane_patch_from_points(points)
 
 
 def test_beams_off_the_scan_plane_are_an_error() -> None:
     with pytest.raises(InputError, match="scan plane"):
-        segment_seen(np.ones((5, 3)))
+        segment_from_points(np.ones((5, 3)))
 
 
 def test_as_many_pixels_as_corners_are_asked_for(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="pixels: must be as many as corners_board, 35, got 34"):
-        corners_seen(CORNERS, corners(rng)[:-1], CAMERA)
+        board_corners_from_pixels(CORNERS, corners(rng)[:-1], CAMERA)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.baselines import solve_hypergraph
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
@@ -47,7 +47,7 @@ def stage() -> Stage:
     return set_stage(SMALL, 0)
 
 
-def ends(captured: Captured, name: str) -> dict[int, Array]:
+def ends(captured: CaptureSet, name: str) -> dict[int, Array]:
     """By capture, the ends of the beams of a scanner on the board."""
     found: dict[int, Array] = {}
     for capture, (detection,) in captured.detections[name].items():
@@ -62,7 +62,7 @@ def boards(truth: Truth, name: str) -> Array:
     return np.asarray(se3.inverse(truth.T_root_sensor[name]) @ T_root_board)
 
 
-def whitened_ranges(rig: Rig, captured: Captured, truth: Truth, name: str) -> Array:
+def whitened_ranges(rig: Rig, captured: CaptureSet, truth: Truth, name: str) -> Array:
     """Differences between measured ranges and those to the true board, in stated standard deviations.
 
     For scanners whose beams start in their origin.
@@ -77,7 +77,7 @@ def whitened_ranges(rig: Rig, captured: Captured, truth: Truth, name: str) -> Ar
     return np.concatenate(whitened)
 
 
-def whitened_pixels(captured: Captured, truth: Truth, sigma: float) -> Array:
+def whitened_pixels(captured: CaptureSet, truth: Truth, sigma: float) -> Array:
     poses, whitened = boards(truth, "camera"), []
     for capture, (detection,) in captured.detections["camera"].items():
         assert isinstance(detection, BoardCorners)
@@ -194,7 +194,7 @@ def test_a_sensor_that_does_not_see_the_board_says_so() -> None:
     _, captured, _ = simulate_detections(stage, 0)
     behind = range(SMALL.samples, 2 * SMALL.samples)
     assert not set(behind) & set(captured.detections["camera"])
-    assert "image" in captured.misses[behind[0], "camera"]
+    assert "image" in captured.rejections[behind[0], "camera"]
 
 
 def test_a_chessboard_is_seen_whole_or_not_at_all() -> None:
@@ -212,5 +212,5 @@ def test_two_rings_are_no_plane() -> None:
     few = MultibeamKnobs(count=1, rings=2, lowest=-1.0, highest=1.0)
     scenario = SMALL.model_copy(update={"multibeam": few, "spinning": SpinningKnobs(count=0)})
     _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
-    missed = [capture for capture, sensor in captured.misses if sensor == "lidar"]
+    missed = [capture for capture, sensor in captured.rejections if sensor == "lidar"]
     assert (len(captured.detections["lidar"]), len(missed)) == (0, len(truth.boards))

@@ -8,20 +8,20 @@ from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate.options import Options, Progress, check_estimator, rig_estimator, silent
 from calgraph.captures import (
     ActivityMeter,
-    Captured,
-    Found,
-    Timeline,
-    captured_from,
+    CaptureSet,
+    DetectionResult,
+    RecordingTimeline,
+    build_timeline,
+    captures_from_detections,
     check_timeline,
-    details,
-    detectors,
+    collect_detections,
+    detect_in_holds,
     find_holds,
-    gather,
-    is_snapshots,
+    is_snapshot_recording,
     learn_backgrounds,
-    observe,
-    survey,
-    thinned,
+    limit_messages,
+    make_detectors,
+    plan_previews,
 )
 from calgraph.config import CameraSpec, Cylinder, People, Rig
 from calgraph.diagnostics import assemble, with_outlook
@@ -64,7 +64,7 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
 
 def calibrate_detections(
     rig: Rig,
-    found: Mapping[str, Mapping[int, Found]],
+    found: Mapping[str, Mapping[int, DetectionResult]],
     options: Options,
     cameras: Mapping[str, CameraModel] | None = None,
     progress: Progress = silent,
@@ -73,8 +73,9 @@ def calibrate_detections(
 
     Args:
         rig: sensors and board; topics and captures do not matter.
-        found: by sensor and capture, what was seen of the board; see :func:`calgraph.detection.corners_seen`,
-            :func:`calgraph.detection.plane_seen` and :func:`calgraph.detection.segment_seen`.
+        found: by sensor and capture, the detections of the board; see
+            :func:`calgraph.detection.board_corners_from_pixels`,
+            :func:`calgraph.detection.plane_patch_from_points` and :func:`calgraph.detection.segment_from_points`.
         options: how to calibrate.
         cameras: intrinsics by camera; those of the rig if left out.
         progress: told how far each step is.
@@ -84,7 +85,9 @@ def calibrate_detections(
     """
     _check_board(rig, options)
     rng = np.random.default_rng(options.seed)
-    return _kept_and_solved(prepare(rig, captured_from(rig, found, cameras), options, rng, progress), options)
+    return _kept_and_solved(
+        prepare(rig, captures_from_detections(rig, found, cameras), options, rng, progress), options
+    )
 
 
 def _kept_and_solved(problem: Problem, options: Options) -> Calibration:
@@ -109,7 +112,7 @@ def _check_board(rig: Rig, options: Options) -> None:
 
 def capture_board(
     rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = silent
-) -> Captured:
+) -> CaptureSet:
     """Finds the times at which the board rests, and the board in what every sensor measured then."""
     if len(rig.sensors) < 2:
         raise CalibrationError(
@@ -118,22 +121,22 @@ def capture_board(
     cameras = read_cameras(rig, recording)
     timeline = _survey(rig, recording, progress)
     check_timeline(rig, timeline, recording.end)
-    holds = thinned(find_holds(timeline, rig.capture), rig)
+    holds = limit_messages(find_holds(timeline, rig.capture), rig)
     backgrounds = learn_backgrounds(_empty_room(rig, recording), rig)
-    detect = detectors(rig, cameras, backgrounds, options.tags, rng)
+    detect = make_detectors(rig, cameras, backgrounds, options.tags, rng)
 
     def detecting(done: float) -> None:
         progress("detecting", done / (len(holds) * len(rig.sensors)))
 
-    observations = observe(
+    observations = detect_in_holds(
         recording.records(rig.topics.values()), holds, rig.topics, detect,
-        keep=details(holds, rig), progress=detecting,
+        preview_sizes=plan_previews(holds, rig), progress=detecting,
     )  # fmt: skip
-    return gather(rig, timeline, holds, observations, cameras)
+    return collect_detections(rig, timeline, holds, observations, cameras)
 
 
 def prepare(
-    rig: Rig, captured: Captured, options: Options, rng: np.random.Generator, progress: Progress = silent
+    rig: Rig, captured: CaptureSet, options: Options, rng: np.random.Generator, progress: Progress = silent
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
     seen = captured.detections
@@ -181,7 +184,7 @@ def solve_jointly(problem: Problem) -> tuple[Joint, SpanningTree]:
     return joint, tree
 
 
-def _survey(rig: Rig, recording: Recording, progress: Progress) -> Timeline:
+def _survey(rig: Rig, recording: Recording, progress: Progress) -> RecordingTimeline:
     """When every sensor measured; and where no trigger tells the holds, how much its view changed each time."""
     trigger = rig.capture.trigger
     watched = [*rig.topics.values(), *([trigger] if trigger else [])]
@@ -189,11 +192,13 @@ def _survey(rig: Rig, recording: Recording, progress: Progress) -> Timeline:
     def reading(arrival: float) -> None:
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
-    timeline = survey(recording.records(watched), recording.start, rig.topics, trigger, progress=reading)
-    if trigger or is_snapshots(timeline):
+    timeline = build_timeline(recording.records(watched), recording.start, rig.topics, trigger, progress=reading)
+    if trigger or is_snapshot_recording(timeline):
         return timeline
     meters = {name: ActivityMeter() for name in rig.sensors}
-    return survey(recording.records(watched), recording.start, rig.topics, None, meters=meters, progress=reading)
+    return build_timeline(
+        recording.records(watched), recording.start, rig.topics, None, meters=meters, progress=reading
+    )
 
 
 def _empty_room(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:

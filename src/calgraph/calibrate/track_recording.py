@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from calgraph.calibrate.options import Options, Progress, silent
-from calgraph.captures import as_scans
+from calgraph.captures import to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
@@ -71,7 +71,7 @@ def _read(
     length = max(recording.end - recording.start, 1e-9)
     for record in recording.records(list(names)):
         name = names[record.topic]
-        for scan in as_scans([record.decode()]):
+        for scan in to_scans([record.decode()]):
             frames.setdefault(name, scan.frame_id)
             gathered[name].add(scan)
         progress("reading", (record.arrival - recording.start) / length)

@@ -1,16 +1,24 @@
-"""When the board rests, which messages were measured then, and what is found in them."""
+"""Holds: the times in which the board rests; the messages measured in them, and the detections of the board."""
 
-from calgraph.captures.detect import Captured, Detect, Observation, gather, observe, thinned
-from calgraph.captures.detectors import as_scans, detectors, learn_backgrounds
-from calgraph.captures.from_detections import Found, captured_from
-from calgraph.captures.holds import Hold, find_holds, is_snapshots
+from calgraph.captures.detect import (
+    CaptureSet,
+    Detector,
+    SensorCapture,
+    collect_detections,
+    detect_in_holds,
+    limit_messages,
+)
+from calgraph.captures.detectors import learn_backgrounds, make_detectors, to_scans
+from calgraph.captures.from_detections import DetectionResult, captures_from_detections
+from calgraph.captures.holds import Hold, find_holds, is_snapshot_recording
 from calgraph.captures.motion_detection import ActivityMeter
-from calgraph.captures.previews import Detail, details
-from calgraph.captures.timeline import SensorTimes, Timeline, survey
+from calgraph.captures.previews import PreviewSize, plan_previews
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.captures.validate_recording import check_timeline
 
 __all__ = [
-    "ActivityMeter", "Captured", "Detail", "Detect", "Found", "Hold", "Observation", "SensorTimes", "Timeline",
-    "as_scans", "captured_from", "check_timeline", "details", "detectors", "find_holds", "gather", "is_snapshots",
-    "learn_backgrounds", "observe", "survey", "thinned",
+    "ActivityMeter", "CaptureSet", "DetectionResult", "Detector", "Hold", "PreviewSize", "RecordingTimeline",
+    "SensorCapture", "SensorTimes", "build_timeline", "captures_from_detections", "check_timeline",
+    "collect_detections", "detect_in_holds", "find_holds", "is_snapshot_recording", "learn_backgrounds",
+    "limit_messages", "make_detectors", "plan_previews", "to_scans",
 ]  # fmt: skip

@@ -1,44 +1,45 @@
-"""The noise of a camera's corners as its images show it: what rig.yaml states is a start value."""
+"""The noise of a camera's corners, estimated from its PnP residuals; rig.yaml states the start value."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calgraph.detection import BoardCorners, Detection
 
-# Corners are not trusted beyond this, whatever their residuals say: distortion bends a whole board at once, px.
+# Least noise of a corner, px: an error of the distortion model shifts all corners of a board alike, which the
+# residuals of one PnP do not show.
 _FLOOR = 0.05
-# Residuals beyond the pose's six unknowns from which their size is known to about a fifth.
+# Least degrees of freedom for an estimate: the relative standard deviation of a noise is 1 / sqrt(2 x 24) = 14 %.
 _ENOUGH = 24
 
 
-def with_measured_noise(
-    seen: Mapping[int, Sequence[Detection]], stated: float
+def scale_by_measured_noise(
+    detections: Mapping[int, Sequence[Detection]], stated: float
 ) -> dict[int, tuple[Detection, ...]]:
-    """A camera's detections with covariances for the noise that all of its residuals show together.
+    """Scales the covariances of one camera's detections to the noise estimated from all their residuals.
 
     Args:
-        seen: one camera's detections by capture, each with a covariance for the larger of the stated noise and of
-            its own residuals.
+        detections: one camera's detections by capture; each covariance is for the larger of the stated noise and
+            the RMS of its residuals.
         stated: standard deviation of a corner in x and in y, pixels.
 
     Returns:
-        The same detections, each with a covariance for the larger of the measured noise and of its own residuals;
-        unchanged if there are too few corners to measure it.
+        The same detections, each with a covariance for the larger of the estimated noise and the RMS of its
+        residuals; unchanged if there are too few corners for an estimate.
     """
-    boards = [d for found in seen.values() for d in found if isinstance(d, BoardCorners)]
+    boards = [d for found in detections.values() for d in found if isinstance(d, BoardCorners)]
     freedom = sum(2 * len(d.pixels) - 6 for d in boards)
     if freedom < _ENOUGH:
-        return {capture: tuple(found) for capture, found in seen.items()}
+        return {capture: tuple(found) for capture, found in detections.items()}
     squares = sum(2 * len(d.pixels) * d.rms**2 for d in boards)
     variance = max(squares / freedom, _FLOOR**2)
 
-    def rescaled(detection: Detection) -> Detection:
+    def rescale(detection: Detection) -> Detection:
         if not isinstance(detection, BoardCorners):
             return detection
-        own = detection.rms**2
-        scale = max(variance, own) / max(stated**2, own)
+        squared_rms = detection.rms**2
+        scale = max(variance, squared_rms) / max(stated**2, squared_rms)
         return replace(
             detection, covariance=scale * detection.covariance, plane_covariance=scale * detection.plane_covariance
         )
 
-    return {capture: tuple(map(rescaled, found)) for capture, found in seen.items()}
+    return {capture: tuple(map(rescale, found)) for capture, found in detections.items()}

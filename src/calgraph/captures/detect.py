@@ -1,4 +1,4 @@
-"""From holds to detections: each hold's messages are gathered from the stream, searched, and let go."""
+"""From holds to detections: the messages of one hold at a time are collected from the stream and searched."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.captures.camera_noise import with_measured_noise
+from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.captures.holds import Hold
-from calgraph.captures.previews import Detail, snapshot
-from calgraph.captures.timeline import Timeline
+from calgraph.captures.previews import PreviewSize, make_preview
+from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Rig
 from calgraph.detection import Detection
 from calgraph.errors import Rejected
@@ -17,27 +17,27 @@ from calgraph.geometry import Array
 from calgraph.result import Snapshot
 from calgraph.sensors import CameraModel, Message, RecordedMessage
 
-Detect = Callable[[Sequence[Any]], tuple[Detection, ...] | Rejected]
+Detector = Callable[[Sequence[Any]], tuple[Detection, ...] | Rejected]
 """Finds the board in the messages that one sensor sent during one hold."""
 
 # More messages of a resting board sharpen the detection only slowly; images also cost the most time.
-_AT_MOST = {"camera": 2, "lidar2d": 20, "lidar3d": 5}
+_MAX_MESSAGES = {"camera": 2, "lidar2d": 20, "lidar3d": 5}
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
-    """What one sensor saw in one capture."""
+class SensorCapture:
+    """What one sensor detected in one capture."""
 
     capture: int
     sensor: str
-    found: tuple[Detection, ...] | Rejected
+    detections: tuple[Detection, ...] | Rejected
     snapshot: Snapshot | None = None
-    """What it looked like, where that is kept."""
+    """A preview of its messages, where one is kept."""
 
 
 @dataclass(frozen=True, eq=False)
-class Captured:
-    """All that a recording says of a rig: everything the solvers need."""
+class CaptureSet:
+    """The detections of all captures of a recording: everything that the solvers need."""
 
     start: float
     """Start of the recording, s."""
@@ -45,108 +45,107 @@ class Captured:
     """frame_id by sensor, as its messages state it."""
     holds: tuple[Hold, ...]
     detections: Mapping[str, Mapping[int, tuple[Detection, ...]]]
-    """By sensor and capture; several candidates where it is open which of them is the board."""
-    misses: Mapping[tuple[int, str], str]
+    """By sensor and capture; several candidates where the sensor alone does not decide which one is the board."""
+    rejections: Mapping[tuple[int, str], str]
     """By capture and sensor, why there is no detection."""
     cameras: Mapping[str, CameraModel]
     """Intrinsics by camera."""
     snapshots: tuple[Snapshot, ...] = ()
-    """What the captures looked like, for pictures; not part of a dumped problem."""
+    """Previews of the captures for report and viewer; not part of a saved problem."""
 
 
-def gather(
+def collect_detections(
     rig: Rig,
-    timeline: Timeline,
+    timeline: RecordingTimeline,
     holds: Sequence[Hold],
-    observations: Iterable[Observation],
+    sensor_captures: Iterable[SensorCapture],
     cameras: Mapping[str, CameraModel],
-) -> Captured:
-    """Sorts observations into detections and misses; weighs cameras by the noise that all their corners show."""
+) -> CaptureSet:
+    """Sorts by detections and rejections; scales covariances of cameras by the noise of all their corners."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}
-    misses: dict[tuple[int, str], str] = {}
+    rejections: dict[tuple[int, str], str] = {}
     snapshots: list[Snapshot] = []
-    for seen in observations:
-        if seen.snapshot:
-            snapshots.append(seen.snapshot)
-        if isinstance(seen.found, Rejected):
-            misses[seen.capture, seen.sensor] = seen.found.reason
+    for sensor_capture in sensor_captures:
+        if sensor_capture.snapshot:
+            snapshots.append(sensor_capture.snapshot)
+        if isinstance(sensor_capture.detections, Rejected):
+            rejections[sensor_capture.capture, sensor_capture.sensor] = sensor_capture.detections.reason
         else:
-            detections[seen.sensor][seen.capture] = seen.found
+            detections[sensor_capture.sensor][sensor_capture.capture] = sensor_capture.detections
     for name, spec in rig.cameras().items():
-        detections[name] = with_measured_noise(detections[name], spec.noise.pixel)
+        detections[name] = scale_by_measured_noise(detections[name], spec.noise.pixel)
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
-    return Captured(timeline.start, frames, tuple(holds), detections, misses, cameras, tuple(snapshots))
+    return CaptureSet(timeline.start, frames, tuple(holds), detections, rejections, cameras, tuple(snapshots))
 
 
-def observe(
+def detect_in_holds(
     records: Iterable[RecordedMessage],
     holds: Sequence[Hold],
     topics: Mapping[str, str],
-    detect: Mapping[str, Detect],
+    detectors: Mapping[str, Detector],
     *,
-    keep: Mapping[int, Detail] | None = None,
+    preview_sizes: Mapping[int, PreviewSize] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Iterator[Observation]:
+) -> Iterator[SensorCapture]:
     """Detects the board for every sensor in every hold, with the messages of one hold in memory at a time.
 
     Args:
         records: all records of the sensors, streamed.
         holds: with the stamps of the messages to use.
         topics: topic by sensor.
-        detect: detector by sensor.
-        keep: by capture, how much of its messages is kept for pictures; nothing of captures that are not in it.
-        progress: called with the number of observations made.
+        detectors: by sensor.
+        preview_sizes: by capture, the size of the previews of its messages; captures that are not in it have none.
+        progress: called with the number of holds and sensors done.
 
     Yields:
-        One observation for every hold and sensor.
+        The detections of every hold and sensor.
     """
-    sensors = {topic: name for name, topic in topics.items()}
-    wanted: dict[tuple[str, float], list[int]] = {}
-    waiting: dict[tuple[int, str], int] = {}
+    sensor_by_topic = {topic: name for name, topic in topics.items()}
+    captures_of_message: dict[tuple[str, float], list[int]] = {}
+    missing_messages: dict[tuple[int, str], int] = {}
     done = 0
 
-    def observed(capture: int, name: str, messages: Sequence[Message]) -> Observation:
-        detail = (keep or {}).get(capture)
-        kept = snapshot(capture, name, messages, detail) if detail else None
-        return Observation(capture, name, detect[name](messages), kept)
+    def detect_in(capture: int, name: str, messages: Sequence[Message]) -> SensorCapture:
+        detail = (preview_sizes or {}).get(capture)
+        kept = make_preview(capture, name, messages, detail) if detail else None
+        return SensorCapture(capture, name, detectors[name](messages), kept)
 
     for hold in holds:
         for name in topics:
             chosen = hold.stamps[name]
-            waiting[hold.index, name] = len(chosen)
+            missing_messages[hold.index, name] = len(chosen)
             for stamp in chosen:
-                wanted.setdefault((name, float(stamp)), []).append(hold.index)
-    gathered: dict[tuple[int, str], list[Message]] = {}
+                captures_of_message.setdefault((name, float(stamp)), []).append(hold.index)
+    received: dict[tuple[int, str], list[Message]] = {}
     for record in records:
-        name = sensors.get(record.topic, "")
-        for capture in wanted.pop((name, record.stamp), ()):
+        name = sensor_by_topic.get(record.topic, "")
+        for capture in captures_of_message.pop((name, record.stamp), ()):
             key = capture, name
-            gathered.setdefault(key, []).append(record.decode())
-            waiting[key] -= 1
-            if waiting[key] == 0:
-                del waiting[key]
+            received.setdefault(key, []).append(record.decode())
+            missing_messages[key] -= 1
+            if missing_messages[key] == 0:
+                del missing_messages[key]
                 done += 1
-                yield observed(capture, name, gathered.pop(key))
+                yield detect_in(capture, name, received.pop(key))
                 if progress:
                     progress(done)
-    for capture, name in waiting:
-        messages = gathered.get((capture, name))
-        nothing = Rejected("no message was measured entirely within the hold")
-        yield observed(capture, name, messages) if messages else Observation(capture, name, nothing)
+    for capture, name in missing_messages:
+        messages = received.get((capture, name))
+        rejected = Rejected("no message was measured entirely within the hold")
+        yield detect_in(capture, name, messages) if messages else SensorCapture(capture, name, rejected)
 
 
-def thinned(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
-    """The same holds with as many messages of each sensor as are worth looking at, spread over the hold."""
+def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
+    """The same holds with the messages of each sensor that sharpen a detection, spread over the hold."""
+    limits = {name: _MAX_MESSAGES[spec.kind] for name, spec in rig.sensors.items()}
     return tuple(
-        replace(
-            hold, stamps={n: _spread(stamps, _AT_MOST[rig.sensors[n].kind]) for n, stamps in hold.stamps.items()}
-        )
+        replace(hold, stamps={name: _sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
         for hold in holds
     )
 
 
-def _spread(stamps: Array, count: int) -> Array:
+def _sample_evenly(stamps: Array, count: int) -> Array:
     if len(stamps) <= count:
         return stamps
-    chosen: Array = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
-    return chosen
+    sampled: Array = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
+    return sampled

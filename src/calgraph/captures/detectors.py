@@ -1,4 +1,4 @@
-"""One detector for every sensor of a rig, with what it learnt of the background."""
+"""The detector of every sensor of a rig, and the background models of its scanners."""
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.captures.detect import Detect
+from calgraph.captures.detect import Detector
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.detection import Averaging, CameraDetector, CloudBackground, Detection, find_patches, find_segments
 from calgraph.errors import InputError, Rejected
@@ -24,14 +24,14 @@ _log = logging.getLogger(__name__)
 
 Background = CloudBackground | ScanBackground
 
-# A background needs a few messages, but not thousands: a fast scanner sends enough in a second or two.
-_ENOUGH = 60
+# Most messages that a background is learned from: a fast scanner sends them in a second or two.
+_MAX_BACKGROUND_MESSAGES = 60
 
 
 def learn_backgrounds(
     records: Iterable[RecordedMessage], rig: Rig, *, progress: Callable[[float], None] | None = None
 ) -> Mapping[str, Background]:
-    """Models of what the scanners see without target and operator.
+    """Learns what the scanners measure without target and operator.
 
     Args:
         records: the scanners' records in the background window.
@@ -42,31 +42,31 @@ def learn_backgrounds(
         By scanner; no entry for one that measured nothing in the window.
     """
     by_topic = {spec.topic: name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)}
-    seen: dict[str, list[Message]] = {}
+    messages_by_sensor: dict[str, list[Message]] = {}
     for record in records:
         if progress:
             progress(record.arrival)
-        messages = seen.setdefault(by_topic[record.topic], [])
-        if len(messages) < _ENOUGH:
+        messages = messages_by_sensor.setdefault(by_topic[record.topic], [])
+        if len(messages) < _MAX_BACKGROUND_MESSAGES:
             messages.append(record.decode())
-    known: dict[str, Background] = {}
+    backgrounds: dict[str, Background] = {}
     for name in by_topic.values() if rig.capture.background else ():
         try:
-            known[name] = background_of(seen.get(name, []), rig.sensors[name])
+            backgrounds[name] = learn_background(messages_by_sensor.get(name, []), rig.sensors[name])
         except InputError as error:
-            # One dead scanner does not keep the others from being calibrated.
+            # A scanner without measurements does not keep the others from being calibrated.
             _log.warning("%s: %s; it looks for the board by size and shape", name, error)
-    return known
+    return backgrounds
 
 
-def background_of(messages: Sequence[Message], spec: object) -> Background:
-    """The model of one scanner's background."""
+def learn_background(messages: Sequence[Message], spec: object) -> Background:
+    """The background model of one scanner."""
     if isinstance(spec, Lidar2dSpec):
-        return ScanBackground.build(as_scans(messages))
+        return ScanBackground.build(to_scans(messages))
     return CloudBackground.build([m for m in messages if isinstance(m, PointCloud)])
 
 
-def as_scans(messages: Iterable[Message]) -> list[LaserScan]:
+def to_scans(messages: Iterable[Message]) -> list[LaserScan]:
     """Scans of a 2-D scanner, also where its driver sends them as clouds."""
     return [
         m if isinstance(m, LaserScan) else convert_cloud_to_scan(m)
@@ -75,51 +75,51 @@ def as_scans(messages: Iterable[Message]) -> list[LaserScan]:
     ]
 
 
-def detectors(
+def make_detectors(
     rig: Rig,
     cameras: Mapping[str, CameraModel],
     backgrounds: Mapping[str, Background],
-    tags: Averaging,
+    averaging: Averaging,
     rng: np.random.Generator,
-) -> Mapping[str, Detect]:
+) -> Mapping[str, Detector]:
     """The detector of each sensor.
 
     Args:
         rig: the rig.
         cameras: intrinsics by camera.
         backgrounds: by scanner; those without one search by size and shape.
-        tags: how a camera makes one plane of several tags.
+        averaging: how a camera estimates the plane of several tags.
         rng: source of the detectors' samples.
     """
-    found: dict[str, Detect] = {}
+    detectors: dict[str, Detector] = {}
     seeds = rng.integers(2**63, size=len(rig.sensors)).tolist()
     for (name, spec), seed in zip(rig.sensors.items(), seeds, strict=True):
         background = backgrounds.get(name)
         if isinstance(spec, CameraSpec):
-            found[name] = CameraDetector(rig.boards, cameras[name], spec.noise, tags).find
+            detectors[name] = CameraDetector(rig.boards, cameras[name], spec.noise, averaging).find
         elif isinstance(spec, Lidar3dSpec):
-            known = background if isinstance(background, CloudBackground) else None
-            found[name] = partial(_patches, rig=rig, spec=spec, background=known, seed=seed)
+            cloud_background = background if isinstance(background, CloudBackground) else None
+            detectors[name] = partial(_detect_patches, rig=rig, spec=spec, background=cloud_background, seed=seed)
         else:
-            quiet = background if isinstance(background, ScanBackground) else None
-            found[name] = partial(_segments, rig=rig, spec=spec, background=quiet, seed=seed)
-    return found
+            scan_background = background if isinstance(background, ScanBackground) else None
+            detectors[name] = partial(_detect_segments, rig=rig, spec=spec, background=scan_background, seed=seed)
+    return detectors
 
 
-def _patches(
+def _detect_patches(
     messages: Sequence[PointCloud], rig: Rig, spec: Lidar3dSpec, background: CloudBackground | None, seed: int
 ) -> tuple[Detection, ...] | Rejected:
-    return find_patches(messages, rig.boards, spec.noise, background, _generator(seed, messages))
+    return find_patches(messages, rig.boards, spec.noise, background, _make_generator(seed, messages))
 
 
-def _segments(
+def _detect_segments(
     messages: Sequence[Message], rig: Rig, spec: Lidar2dSpec, background: ScanBackground | None, seed: int
 ) -> tuple[Detection, ...] | Rejected:
-    scans = as_scans(messages)
-    return find_segments(scans, rig.boards, spec.noise, background, _generator(seed, scans))
+    scans = to_scans(messages)
+    return find_segments(scans, rig.boards, spec.noise, background, _make_generator(seed, scans))
 
 
-def _generator(seed: int, messages: Sequence[PointCloud | LaserScan]) -> np.random.Generator:
-    """Samples for one sensor and capture, the same in whatever order the captures are searched."""
+def _make_generator(seed: int, messages: Sequence[PointCloud | LaserScan]) -> np.random.Generator:
+    """The generator of one sensor and capture, independent of the order in which captures are searched."""
     first = messages[0].stamp if messages else 0.0
     return np.random.default_rng([seed, int(np.float64(first).view(np.uint64))])

@@ -1,73 +1,77 @@
-"""Captures whose detections somebody else made, instead of a recording that they are found in."""
+"""Captures from detections that were made outside calgraph, without a recording."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calgraph.captures.detect import Captured, Observation, gather
+from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.holds import Hold
-from calgraph.captures.timeline import SensorTimes, Timeline
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.errors import InputError, Rejected
 from calgraph.sensors import CameraModel
 
-Found = Detection | Sequence[Detection] | Rejected
-"""What a sensor saw in a capture: the board, several things of which one is the board, or nothing, and why."""
+DetectionResult = Detection | Sequence[Detection] | Rejected
+"""Of one sensor in one capture: the board, several candidates of which one is the board, or why there is none."""
 
-_SEEN_BY = {"camera": BoardCorners, "lidar2d": Segment, "lidar3d": PlanePatch}
+_DETECTION_TYPES = {"camera": BoardCorners, "lidar2d": Segment, "lidar3d": PlanePatch}
 
 
-def captured_from(
+def captures_from_detections(
     rig: Rig,
-    found: Mapping[str, Mapping[int, Found]],
+    detections: Mapping[str, Mapping[int, DetectionResult]],
     cameras: Mapping[str, CameraModel] | None = None,
-) -> Captured:
-    """What the sensors of a rig saw, from detections made elsewhere.
+) -> CaptureSet:
+    """Builds the captures of a rig from detections made outside calgraph.
 
     Args:
         rig: sensors and board. Topics do not matter.
-        found: by sensor, and by capture: all sensors' detections under one number are of the same resting board.
+        detections: by sensor, and by capture: all sensors' detections under one number are of the same resting
+            board.
         cameras: intrinsics by camera; those of the rig if left out.
 
     Raises:
-        InputError: a sensor is not the rig's, or sees what its kind cannot see, or a camera has no intrinsics.
+        InputError: a sensor is not the rig's, a detection does not fit the sensor's kind, or a camera has no
+                intrinsics.
     """
-    cameras = _cameras(rig) if cameras is None else cameras
-    lacking = set(rig.cameras()) - set(cameras)
-    if lacking:
-        raise InputError(f"cameras: lacks {', '.join(sorted(lacking))}")
-    unknown = set(found) - set(rig.sensors)
+    cameras = _stated_intrinsics(rig) if cameras is None else cameras
+    missing = set(rig.cameras()) - set(cameras)
+    if missing:
+        raise InputError(f"cameras: lacks {', '.join(sorted(missing))}")
+    unknown = set(detections) - set(rig.sensors)
     if unknown:
-        raise InputError(f"found: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
-    captures = sorted({capture for by_capture in found.values() for capture in by_capture})
-    observations = [
-        Observation(capture, name, _candidates(rig, name, capture, found.get(name, {}).get(capture)))
+        raise InputError(f"detections: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
+    captures = sorted({capture for by_capture in detections.values() for capture in by_capture})
+    sensor_captures = [
+        SensorCapture(capture, name, _to_candidates(rig, name, capture, detections.get(name, {}).get(capture)))
         for capture in captures
         for name in rig.sensors
     ]
-    never = np.zeros(0)
-    times = {name: SensorTimes(never, 0.0, never, spec.frame_id or "") for name, spec in rig.sensors.items()}
+    no_times = np.zeros(0)
+    times = {name: SensorTimes(no_times, 0.0, no_times, spec.frame_id or "") for name, spec in rig.sensors.items()}
     holds = [Hold(capture, 0.0, 0.0) for capture in captures]
-    return gather(rig, Timeline(0.0, times, never), holds, observations, cameras)
+    return collect_detections(rig, RecordingTimeline(0.0, times, no_times), holds, sensor_captures, cameras)
 
 
-def _candidates(rig: Rig, name: str, capture: int, found: Found | None) -> tuple[Detection, ...] | Rejected:
-    if found is None:
+def _to_candidates(
+    rig: Rig, name: str, capture: int, result: DetectionResult | None
+) -> tuple[Detection, ...] | Rejected:
+    if result is None:
         return Rejected("no detection was given")
-    if isinstance(found, Rejected):
-        return found
-    candidates = (found,) if isinstance(found, Detection) else tuple(found)
+    if isinstance(result, Rejected):
+        return result
+    candidates = (result,) if isinstance(result, Detection) else tuple(result)
     kind = rig.sensors[name].kind
     for detection in candidates:
-        if not isinstance(detection, _SEEN_BY[kind]):
+        if not isinstance(detection, _DETECTION_TYPES[kind]):
             raise InputError(
-                f"found: {name} is a {kind} and sees {_SEEN_BY[kind].__name__}, got {type(detection).__name__} "
-                f"in capture {capture}"
+                f"detections: {name} is a {kind} and detects {_DETECTION_TYPES[kind].__name__}, got "
+                f"{type(detection).__name__} in capture {capture}"
             )
     return candidates or Rejected("no detection was given")
 
 
-def _cameras(rig: Rig) -> Mapping[str, CameraModel]:
-    """Intrinsics that the rig states."""
+def _stated_intrinsics(rig: Rig) -> Mapping[str, CameraModel]:
+    """The intrinsics stated in the rig."""
     return {name: spec.intrinsics.camera() for name, spec in rig.cameras().items() if spec.intrinsics}

@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.captures.motion_detection import still_spans
-from calgraph.captures.timeline import SensorTimes, Timeline
+from calgraph.captures.motion_detection import find_still_spans
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Capture
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 
-# Messages of one pose in a folder of snapshots lie this close together (s), and poses farther apart.
+# Most time between messages of one pose in a recording of snapshots; poses are farther apart, s.
 _SNAPSHOT = 1.0
-# A sensor slower than this (s between messages) shows no motion: it cannot tell when the board rests.
+# Longest period of a sensor, s, for which its messages show when the board moves.
 _SLOW = 0.5
 
 
@@ -29,7 +29,7 @@ class Hold:
     """By sensor, the stamps of the messages measured entirely within the hold."""
 
 
-def find_holds(timeline: Timeline, capture: Capture) -> tuple[Hold, ...]:
+def find_holds(timeline: RecordingTimeline, capture: Capture) -> tuple[Hold, ...]:
     """Finds the holds: by trigger, from separate snapshots, or by stillness.
 
     Args:
@@ -42,28 +42,29 @@ def find_holds(timeline: Timeline, capture: Capture) -> tuple[Hold, ...]:
     Raises:
         CalibrationError: there is none.
     """
-    single = capture.trigger is None and is_snapshots(timeline)
+    snapshots = capture.trigger is None and is_snapshot_recording(timeline)
     if capture.trigger:
-        spans = _by_trigger(timeline)
-    elif single:
-        spans = _by_snapshot(timeline)
+        spans = _find_spans_by_trigger(timeline)
+    elif snapshots:
+        spans = _find_spans_of_snapshots(timeline)
     else:
-        spans = _by_stillness(timeline)
-    closed = [*capture.exclude, *([capture.background] if capture.background else [])]
+        spans = _find_spans_by_stillness(timeline)
+    excluded = [*capture.exclude, *([capture.background] if capture.background else [])]
     allowed = [
         (start, end)
         for start, end in spans
-        if not any(start - timeline.start < b and end - timeline.start > a for a, b in closed)
+        if not any(start - timeline.start < b and end - timeline.start > a for a, b in excluded)
     ]
     if not allowed:
-        raise CalibrationError(_why_none(timeline, capture))
+        raise CalibrationError(_explain_no_holds(timeline, capture))
+    sensors = timeline.sensors.items()
     return tuple(
-        Hold(i, start, end, {name: _within(times, start, end, single) for name, times in timeline.sensors.items()})
+        Hold(i, start, end, {name: _select_stamps(times, start, end, snapshots) for name, times in sensors})
         for i, (start, end) in enumerate(allowed)
     )
 
 
-def _why_none(timeline: Timeline, capture: Capture) -> str:
+def _explain_no_holds(timeline: RecordingTimeline, capture: Capture) -> str:
     if capture.trigger and not len(timeline.triggers):
         return (
             f"the topic {capture.trigger} has no message: check capture.trigger, or leave it out to find the "
@@ -77,37 +78,37 @@ def _why_none(timeline: Timeline, capture: Capture) -> str:
     return "the board never rests: hold it still twice as long as the slowest sensor takes, or record a trigger"
 
 
-def _by_trigger(timeline: Timeline) -> list[tuple[float, float]]:
+def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, float]]:
     """From each trigger until every sensor has measured twice (MSG-Cal, III), or until the next trigger."""
     spans = []
-    for start, following in zip(timeline.triggers, [*timeline.triggers[1:], np.inf], strict=True):
-        second = [start]
+    for start, next_trigger in zip(timeline.triggers, [*timeline.triggers[1:], np.inf], strict=True):
+        measured_twice = [start]
         for times in timeline.sensors.values():
             after = np.unique(times.stamps[times.stamps >= start])
             if len(after) >= 2:
-                second.append(after[1] + times.duration)
-        spans.append((float(start), float(min(max(second), following))))
+                measured_twice.append(after[1] + times.duration)
+        spans.append((float(start), float(min(max(measured_twice), next_trigger))))
     return spans
 
 
-def is_snapshots(timeline: Timeline) -> bool:
-    """Whether the recording is a series of single shots: no two messages of a sensor within a shot's time."""
+def is_snapshot_recording(timeline: RecordingTimeline) -> bool:
+    """Whether the recording is a series of snapshots: no two messages of a sensor belong to one pose."""
     gaps = [np.diff(times.stamps) for times in timeline.sensors.values() if len(times.stamps) > 1]
     return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * _SNAPSHOT)
 
 
-def _by_snapshot(timeline: Timeline) -> list[tuple[float, float]]:
+def _find_spans_of_snapshots(timeline: RecordingTimeline) -> list[tuple[float, float]]:
     stamps = np.sort(np.concatenate([times.stamps for times in timeline.sensors.values()]))
     groups = np.split(stamps, np.flatnonzero(np.diff(stamps) > _SNAPSHOT) + 1)
     return [(float(group[0]), float(group[-1])) for group in groups if len(group) > 1]
 
 
-def _by_stillness(timeline: Timeline) -> list[tuple[float, float]]:
-    """Where no fast sensor sees a change for as long as the slowest needs to measure once in full."""
+def _find_spans_by_stillness(timeline: RecordingTimeline) -> list[tuple[float, float]]:
+    """Where no fast sensor measures a change for as long as the slowest needs for one full measurement."""
     fast = [times for times in timeline.sensors.values() if times.period <= _SLOW]
     if not fast:
         return []
-    spans = [still_spans(times.stamps, times.activity) for times in fast]
+    spans = [find_still_spans(times.stamps, times.activity) for times in fast]
     common = spans[0]
     for other in spans[1:]:
         common = _intersect(common, other)
@@ -124,13 +125,13 @@ def _intersect(a: Array, b: Array) -> Array:
     return np.stack([start[overlap], end[overlap]], axis=1)
 
 
-def _within(times: SensorTimes, start: float, end: float, whole: bool) -> Array:
+def _select_stamps(times: SensorTimes, start: float, end: float, snapshots: bool) -> Array:
     """Stamps of the messages that were measured entirely between start and end.
 
-    A sensor whose messages do not say how long they took may have stamped their first or their last point: only
-    a message with one more before it in the hold is then safe (MSG-Cal's second measurement).
+    Where messages do not state how long they took, their stamp may be of the first or of the last point: only a
+    message with another one before it in the hold is then used (MSG-Cal's second measurement).
     """
-    if whole:
+    if snapshots:
         return times.stamps[(times.stamps >= start) & (times.stamps <= end)]
     inside = times.stamps[(times.stamps >= start) & (times.stamps + times.duration <= end + 1e-6)]
     return inside if times.duration > 0 else inside[1:]

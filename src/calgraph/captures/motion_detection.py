@@ -1,4 +1,4 @@
-"""How much a sensor's view changes from one message to the next: holds of the board are where nothing does."""
+"""How much a sensor's view changes from one message to the next; during a hold of the board nothing does."""
 
 import cv2
 import numpy as np
@@ -8,10 +8,10 @@ from calgraph.geometry import Array
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 
 Signature = NDArray[np.float64] | NDArray[np.int64]
-"""What is compared of a message: grey values, ranges, or the numbers of the cells that are occupied."""
+"""What is compared of a message: grey values, ranges, or the keys of occupied cells."""
 
-# Clouds are compared by the cells of this size (m) that their points fall into. A point that only crossed into the
-# next cell has not moved: noise does that.
+# Clouds are compared by their occupied cells of this size, m. A point in a cell next to one that was occupied has
+# not moved: noise alone takes points across borders of cells.
 _CELL = 0.2
 _PACK = np.array([1, 2**21, 2**42])
 _WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
@@ -21,27 +21,28 @@ class ActivityMeter:
     """Compares each message of one sensor with the one before."""
 
     def __init__(self) -> None:
-        self._before: Signature | None = None
+        self._previous: Signature | None = None
 
-    def change(self, message: Message) -> float:
+    def measure_change(self, message: Message) -> float:
         """Share of the view, in 0..1, that differs from the message before; 0 for the first."""
-        now = _signature(message)
-        before, self._before = self._before, now
-        if before is None:
+        current = _compute_signature(message)
+        previous, self._previous = self._previous, current
+        if previous is None:
             return 0.0
         if isinstance(message, PointCloud):
-            came, went = np.setdiff1d(now, _grown(before)), np.setdiff1d(before, _grown(now))
-            return (len(came) + len(went)) / max(len(now) + len(before), 1)
-        if now.shape != before.shape:
+            appeared = np.setdiff1d(current, _dilate_cells(previous))
+            vanished = np.setdiff1d(previous, _dilate_cells(current))
+            return (len(appeared) + len(vanished)) / max(len(current) + len(previous), 1)
+        if current.shape != previous.shape:
             return 1.0
-        if not now.size:
+        if not current.size:
             return 0.0
         if isinstance(message, Image):
-            return float(np.mean(np.abs(now - before) > 12))
-        return float(np.mean(np.abs(now - before) > np.maximum(0.05, 0.02 * np.minimum(now, before))))
+            return float(np.mean(np.abs(current - previous) > 12))
+        return float(np.mean(np.abs(current - previous) > np.maximum(0.05, 0.02 * np.minimum(current, previous))))
 
 
-def _signature(message: Message) -> Signature:
+def _compute_signature(message: Message) -> Signature:
     if isinstance(message, Image):
         height, width = message.gray.shape
         return np.asarray(
@@ -49,7 +50,7 @@ def _signature(message: Message) -> Signature:
             dtype=np.float64,
         )
     if isinstance(message, LaserScan):
-        # A beam without return is far: one that loses its wall has seen something change.
+        # A beam without return counts as far: a return that appears or vanishes is a change.
         return np.where(message.valid, message.ranges, 100.0)
     if isinstance(message, PointCloud):
         cells = np.floor(message.points / _CELL).astype(np.int64) + 2**20
@@ -57,15 +58,15 @@ def _signature(message: Message) -> Signature:
     return np.zeros(0)
 
 
-def _grown(cells: Signature) -> Signature:
+def _dilate_cells(cells: Signature) -> Signature:
     return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
 
 
-def still_spans(stamps: Array, activity: Array) -> Array:
+def find_still_spans(stamps: Array, activity: Array) -> Array:
     """Spans in which a sensor's view rests.
 
-    The level between rest and motion is found from the activity itself (Otsu's threshold on its logarithm), as
-    noise differs from sensor to sensor.
+    The level between rest and motion is Otsu's threshold on the logarithm of the activity, as noise differs from
+    sensor to sensor.
 
     Args:
         stamps: (N,) s, ascending.
@@ -76,7 +77,7 @@ def still_spans(stamps: Array, activity: Array) -> Array:
     """
     if len(stamps) < 3:
         return np.zeros((0, 2))
-    level = _otsu(np.log10(activity[1:] + 1e-4))
+    level = _compute_otsu_threshold(np.log10(activity[1:] + 1e-4))
     moving = np.log10(activity + 1e-4) > level
     moving[0] = False
     edges = np.flatnonzero(moving)
@@ -85,7 +86,7 @@ def still_spans(stamps: Array, activity: Array) -> Array:
     return np.stack([stamps[first], stamps[np.maximum(last, first)]], axis=1)[last > first]
 
 
-def _otsu(values: Array) -> float:
+def _compute_otsu_threshold(values: Array) -> float:
     """The threshold that best splits values into two classes (Otsu 1979)."""
     ordered = np.sort(values)
     n = np.arange(1, len(ordered))

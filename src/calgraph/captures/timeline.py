@@ -1,4 +1,4 @@
-"""When each sensor measured: the only thing the search for captures keeps of a whole recording."""
+"""When each sensor measured: all that the search for captures keeps of a whole recording."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ class SensorTimes:
     stamps: Array
     """(N,) header stamps in ascending order, s."""
     duration: float
-    """How long one message takes to measure, s; 0 for images, and where the messages do not say."""
+    """Duration of one measurement, s; 0 for images, and where the messages do not state it."""
     activity: Array
-    """(N,) how much changed since the message before, 0 where that was not asked for."""
+    """(N,) share of the view that changed since the message before; 0 where it was not measured."""
     frame_id: str = ""
     """The frame its messages state."""
-    message: str = ""
-    """What its messages are: ``Image``, ``LaserScan``, ``PointCloud``, ...; empty where there are none."""
+    message_type: str = ""
+    """Type of its messages: ``Image``, ``LaserScan``, ``PointCloud``, ...; empty where there are none."""
 
     @property
     def period(self) -> float:
@@ -32,7 +32,7 @@ class SensorTimes:
 
 
 @dataclass(frozen=True, eq=False)
-class Timeline:
+class RecordingTimeline:
     """When all sensors measured, and when captures were triggered."""
 
     start: float
@@ -42,7 +42,7 @@ class Timeline:
     """(T,) s, ascending."""
 
 
-def survey(
+def build_timeline(
     records: Iterable[RecordedMessage],
     start: float,
     topics: Mapping[str, str],
@@ -50,8 +50,8 @@ def survey(
     *,
     meters: Mapping[str, ActivityMeter] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Timeline:
-    """Passes once over a recording and notes when each sensor measured.
+) -> RecordingTimeline:
+    """Reads a recording once and collects when each sensor measured.
 
     Args:
         records: all records of the sensors and of the trigger, streamed.
@@ -79,20 +79,20 @@ def survey(
             continue
         stamps[name].append(record.stamp)
         meter = (meters or {}).get(name)
-        # One message tells how long a sensor takes; decoding them all would take as long as the detection.
+        # The duration is taken from one message: decoding all of them would take as long as the detection.
         message = record.decode() if meter or name not in first else None
         if name not in first:
             duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0
             first[name] = duration, getattr(message, "frame_id", ""), type(message).__name__
-        activity[name].append(meter.change(message) if meter and message else 0.0)
-    return Timeline(
+        activity[name].append(meter.measure_change(message) if meter and message else 0.0)
+    return RecordingTimeline(
         start,
-        {name: _sorted(stamps[name], activity[name], *first.get(name, (0.0, "", ""))) for name in topics},
+        {name: _sort_times(stamps[name], activity[name], *first.get(name, (0.0, "", ""))) for name in topics},
         np.unique(np.array(triggers)),
     )
 
 
-def _sorted(
+def _sort_times(
     stamps: list[float], activity: list[float], duration: float, frame_id: str, message: str
 ) -> SensorTimes:
     order = np.argsort(stamps, kind="stable")

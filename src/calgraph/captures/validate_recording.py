@@ -1,23 +1,23 @@
-"""Whether a recording can belong to a rig: what does not fit is named here, before it shows as missing boards."""
+"""Checks that a recording fits a rig, before any detection: message types, stamps, trigger and windows."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from calgraph.captures.timeline import Timeline
+from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Rig
 from calgraph.errors import InputError
 
-_MESSAGES: Mapping[str, tuple[str, ...]] = {
+_MESSAGES_OF_KIND: Mapping[str, tuple[str, ...]] = {
     "camera": ("Image",),
     "lidar2d": ("LaserScan", "PointCloud"),
     "lidar3d": ("PointCloud",),
 }
-_SENDERS = {"Image": "camera", "LaserScan": "lidar2d", "PointCloud": "lidar3d"}
+_KIND_OF_MESSAGE = {"Image": "camera", "LaserScan": "lidar2d", "PointCloud": "lidar3d"}
 
 
-def check_timeline(rig: Rig, timeline: Timeline, end: float) -> None:
-    """Compares what a recording holds with what its rig says.
+def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
+    """Checks the messages of a recording against its rig.
 
     Args:
         rig: the rig.
@@ -53,27 +53,30 @@ def _check_windows(rig: Rig, length: float) -> None:
         )
 
 
-def _check_messages(name: str, rig: Rig, timeline: Timeline) -> None:
-    spec, sent = rig.sensors[name], timeline.sensors[name].message
-    if sent and sent not in _MESSAGES[spec.kind]:
-        sender = f"; a {_SENDERS[sent]} sends those" if sent in _SENDERS else ""
+def _check_messages(name: str, rig: Rig, timeline: RecordingTimeline) -> None:
+    spec, sent = rig.sensors[name], timeline.sensors[name].message_type
+    if sent and sent not in _MESSAGES_OF_KIND[spec.kind]:
+        sender = f"; a {_KIND_OF_MESSAGE[sent]} sends those" if sent in _KIND_OF_MESSAGE else ""
         raise InputError(
             f"sensors.{name}.topic: {spec.topic} has {sent} messages{sender}, but its kind {spec.kind} needs "
-            f"{' or '.join(_MESSAGES[spec.kind])}"
+            f"{' or '.join(_MESSAGES_OF_KIND[spec.kind])}"
         )
 
 
-def _check_stamps(name: str, timeline: Timeline) -> None:
-    own = timeline.sensors[name].stamps
-    if len(own) > 1 and own[0] == own[-1]:
+def _check_stamps(name: str, timeline: RecordingTimeline) -> None:
+    stamps = timeline.sensors[name].stamps
+    if len(stamps) > 1 and stamps[0] == stamps[-1]:
         raise InputError(
-            f"sensors.{name}: all its {len(own)} messages have the header stamp {own[0]:.3f} s; have its driver "
-            "stamp them, or leave the sensor out"
+            f"sensors.{name}: all its {len(stamps)} messages have the header stamp {stamps[0]:.3f} s; have its "
+            "driver stamp them, or leave the sensor out"
         )
     others = [times.stamps for other, times in timeline.sensors.items() if other != name]
-    elsewhere = np.concatenate([*others, timeline.triggers])
-    if len(own) and len(elsewhere) and (own[-1] < elsewhere.min() or own[0] > elsewhere.max()):
+    other_stamps = np.concatenate([*others, timeline.triggers])
+    if not len(stamps) or not len(other_stamps):
+        return
+    first, last = other_stamps.min(), other_stamps.max()
+    if stamps[-1] < first or stamps[0] > last:
         raise InputError(
-            f"sensors.{name}: its header stamps run from {own[0]:.3f} to {own[-1]:.3f} s, those of the other "
-            f"sensors and triggers from {elsewhere.min():.3f} to {elsewhere.max():.3f} s: their clocks differ"
+            f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
+            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ"
         )

@@ -1,15 +1,19 @@
-"""Finding the target in the messages of one capture."""
+"""Detection of the board in the messages of one capture."""
 
 from calgraph.detection.camera import Averaging, CameraDetector, find_boards
 from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
-from calgraph.detection.from_measurements import corners_seen, plane_seen, segment_seen
+from calgraph.detection.from_measurements import (
+    board_corners_from_pixels,
+    plane_patch_from_points,
+    segment_from_points,
+)
 from calgraph.detection.landmarks import Landmarks, landmarks
 from calgraph.detection.lidar2d import find_segments
 from calgraph.detection.lidar3d import find_patches
 
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "Landmarks", "PlanePatch",
-    "Segment", "corners_seen", "find_boards", "find_patches", "find_segments", "landmarks", "plane_of",
-    "plane_seen", "segment_seen",
+    "Segment", "board_corners_from_pixels", "find_boards", "find_patches", "find_segments", "landmarks",
+    "plane_of", "plane_patch_from_points", "segment_from_points",
 ]  # fmt: skip

@@ -16,7 +16,7 @@ _SAME_BEAM = 1e-5
 """Beams of several scans whose directions differ by less are one, rad."""
 
 
-def corners_seen(
+def board_corners_from_pixels(
     corners_board: Array, pixels: Array, camera: CameraModel, noise: PixelNoise | None = None, board: int = 0
 ) -> BoardCorners | Rejected:
     """The board as a camera sees it, from printed corners and where they are in the image.
@@ -45,7 +45,7 @@ def corners_seen(
     return pose if isinstance(pose, Rejected) else board_corners(pose, marks, spots, board)
 
 
-def plane_seen(points: Array, noise: RangeNoise | None = None) -> PlanePatch | Rejected:
+def plane_patch_from_points(points: Array, noise: RangeNoise | None = None) -> PlanePatch | Rejected:
     """The board as a 3-D scanner sees it, from the points on it.
 
     Args:
@@ -71,7 +71,7 @@ def plane_seen(points: Array, noise: RangeNoise | None = None) -> PlanePatch | R
     return PlanePatch(fit.parameters, fit.covariance, points[fit.inliers], center)
 
 
-def segment_seen(points: Array, noise: RangeNoise | None = None) -> Segment | Rejected:
+def segment_from_points(points: Array, noise: RangeNoise | None = None) -> Segment | Rejected:
     """The board as a 2-D scanner sees it, from the ends of the beams on it.
 
     Args:

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures import Captured, Hold, Observation, SensorTimes, Timeline, gather
+from calgraph.captures import CaptureSet, Hold, RecordingTimeline, SensorCapture, SensorTimes, collect_detections
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.detection import Detection, PlanePatch, landmarks
 from calgraph.detection.board_edges import BLUR
@@ -57,7 +57,7 @@ class DetectionKnobs:
 
 def simulate_detections(
     stage: Stage, seed: int, knobs: DetectionKnobs | None = None
-) -> tuple[Rig, Captured, Truth]:
+) -> tuple[Rig, CaptureSet, Truth]:
     """One recording's detections: the corners in view and the beams on the board, truth plus Gaussian noise.
 
     Every sensor measures at some time of its own in the hold. In a disturbed one, some therefore see the board
@@ -82,11 +82,13 @@ def simulate_detections(
     holds = [Hold(i, t0 + hold.start, t0 + hold.end) for i, hold in enumerate(stage.timeline.holds)]
     cameras = {s.name: s.camera for s in stage.robot if isinstance(s, MountedCamera)}
     rig = rig.model_copy(update={"sensors": sensors})
-    captured = gather(rig, Timeline(t0, times, np.zeros(0)), holds, _observations(stage, seed, knobs), cameras)
+    captured = collect_detections(
+        rig, RecordingTimeline(t0, times, np.zeros(0)), holds, _observations(stage, seed, knobs), cameras
+    )
     return rig, captured, truth_of(stage)
 
 
-def _observations(stage: Stage, seed: int, knobs: DetectionKnobs) -> Iterator[Observation]:
+def _observations(stage: Stage, seed: int, knobs: DetectionKnobs) -> Iterator[SensorCapture]:
     for k, sensor in enumerate(stage.robot):
         detect = _detector(sensor, stage.scenario.board, knobs)
         T_sensor_world = se3.inverse(sensor.T_world_sensor)
@@ -94,7 +96,7 @@ def _observations(stage: Stage, seed: int, knobs: DetectionKnobs) -> Iterator[Ob
             # A generator for each: a slip in one capture must not change the noise in another.
             rng = np.random.default_rng((stage.seed, seed, 1 + k, 1 + i))
             stance = stage.timeline.stance(rng.uniform(hold.start, hold.end)) or hold.stance
-            yield Observation(i, sensor.name, detect(T_sensor_world @ board_pose(stance), rng))
+            yield SensorCapture(i, sensor.name, detect(T_sensor_world @ board_pose(stance), rng))
 
 
 def _detector(

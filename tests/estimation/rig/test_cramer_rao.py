@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
 from calgraph.estimation import cramer_rao
@@ -18,7 +18,7 @@ STEP = 1e-5
 
 
 def numerical_bound(
-    rig: Rig, captured: Captured, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
+    rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
 ) -> dict[str, Array]:
     names = [name for name in T_root_sensor if name != rig.root]
     H = np.zeros((6 * len(names), 6 * len(names)))
@@ -40,7 +40,7 @@ def numerical_bound(
     return {name: covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(names)}
 
 
-def measurements(rig: Rig, captured: Captured, name: str, capture: int) -> Callable[[Array], Array]:
+def measurements(rig: Rig, captured: CaptureSet, name: str, capture: int) -> Callable[[Array], Array]:
     """From poses ``T_sensor_board`` (K, 4, 4) to measurements (K, N) in standard deviations."""
     spec, (detection,) = rig.sensors[name], captured.detections[name][capture]
     if isinstance(spec, CameraSpec):
@@ -69,7 +69,7 @@ def derivatives(
     return central(*sensors), central(*boards)
 
 
-def without_edges(captured: Captured) -> Captured:
+def without_edges(captured: CaptureSet) -> CaptureSet:
     """What the numbers above know of: planes and prints, not where sheets end."""
     blunt = {
         name: {

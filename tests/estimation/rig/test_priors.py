@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bundle_scenes import Scene, scene
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.prior_tests import doubts_of_known
 from calgraph.errors import InputError
@@ -160,9 +160,9 @@ def rig() -> Rig:
 
 
 @pytest.fixture
-def captured(rig: Rig) -> Captured:
+def captured(rig: Rig) -> CaptureSet:
     nothing = dict.fromkeys(rig.sensors, "")
-    return Captured(0.0, nothing, (), {name: {} for name in rig.sensors}, {}, {})
+    return CaptureSet(0.0, nothing, (), {name: {} for name in rig.sensors}, {}, {})
 
 
 @pytest.fixture
@@ -172,7 +172,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: Captured, file: Path) -> None:
+def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: CaptureSet, file: Path) -> None:
     priors, groups = known_poses(rig, captured, PriorFile(read_poses(file), (0.01, 0.1)), [])
     assert [prior.sensor for prior in priors] == ["camera", "laser"]
     np.testing.assert_array_equal(np.array(priors[1].T_root_sensor)[:3, 3], [1, 1, 0])
@@ -180,7 +180,7 @@ def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: Captu
     assert groups == ()
 
 
-def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: Captured, file: Path) -> None:
+def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, file: Path) -> None:
     priors, groups = known_poses(rig, captured, PriorFile(read_poses(file), (0, 0)), [])
     assert priors == ()
     assert [list(group.T_group_sensor) for group in groups] == [["lidar", "camera", "laser"]]
@@ -202,7 +202,7 @@ def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: Captured, file
     ],
 )
 def test_what_cannot_be_known_so_is_refused(
-    rig: Rig, captured: Captured, file: Path, prior: object, rigid: list[tuple[str, ...]], message: str
+    rig: Rig, captured: CaptureSet, file: Path, prior: object, rigid: list[tuple[str, ...]], message: str
 ) -> None:
     poses = read_poses(file)
     known = None if prior is None else PriorFile(poses, None if prior == "none" else (0, 0))

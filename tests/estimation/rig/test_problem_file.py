@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from board_scenes import boards, observe, random_pose
-from calgraph.captures import Captured, Hold
+from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
 from calgraph.errors import InputError, Rejected
@@ -64,12 +64,12 @@ def problem() -> Problem:
     holds = tuple(
         Hold(i, 1e9 + i, 1e9 + i + 1 / 3, {"lidar": 1e9 + rng.random(i), "camera": np.empty(0)}) for i in range(12)
     )
-    captured = Captured(
+    captured = CaptureSet(
         start=1773380642.793312,
         frames={"lidar": "velodyne", "laser ä/1": "", "camera": "optical", "blind": "b"},
         holds=holds,
         detections=detections,
-        misses={(i, n): f"it's “{n}”\n" for n, seen in detections.items() for i in range(12) if i not in seen},
+        rejections={(i, n): f"it's “{n}”\n" for n, seen in detections.items() for i in range(12) if i not in seen},
         cameras={"camera": CameraModel("fisheye", 640, 480, np.diag([500.1, 499.9, 1]), np.array([0.1, 0, 0, 0]))},
     )
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
@@ -186,7 +186,7 @@ def test_the_recipe_of_the_page_reads_it(saved: Path, monkeypatch: pytest.Monkey
 
 def test_a_problem_without_anything_found_comes_back(problem: Problem, tmp_path: Path) -> None:
     nothing: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in RIG.sensors}
-    captured = dataclasses.replace(problem.captured, holds=(), detections=nothing, misses={})
+    captured = dataclasses.replace(problem.captured, holds=(), detections=nothing, rejections={})
     empty = Problem(RIG, captured, {}, SpanningTree("lidar", {}, {"lidar": np.eye(4)}), Solver())
     save_problem(empty, tmp_path / "empty.npz")
     assert bits(load_problem(tmp_path / "empty.npz")) == bits(empty)

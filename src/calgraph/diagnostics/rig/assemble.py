@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from calgraph.captures import Captured, Hold
+from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.board_pictures import Used, board_outlines, board_views
 from calgraph.diagnostics.rig.prior_tests import doubts_of_known
@@ -61,7 +61,7 @@ def assemble(problem: Problem, tree: SpanningTree, joint: Joint) -> Calibration:
 
 
 def _pose(
-    name: str, rig: Rig, captured: Captured, tree: SpanningTree, joint: Joint, doubt: str, rival: float
+    name: str, rig: Rig, captured: CaptureSet, tree: SpanningTree, joint: Joint, doubt: str, rival: float
 ) -> SensorPose:
     spec = rig.sensors[name]
     T, covariance = joint.T_root_sensor[name], joint.covariance[name]
@@ -84,7 +84,7 @@ def _ordered(joint: Joint, names: Sequence[str]) -> Array:
 
 
 def _edge(
-    names: tuple[str, str], pair: PairwiseEstimate | Rejected, tree: SpanningTree, captured: Captured
+    names: tuple[str, str], pair: PairwiseEstimate | Rejected, tree: SpanningTree, captured: CaptureSet
 ) -> Edge:
     common = len(set(captured.detections[names[0]]) & set(captured.detections[names[1]]))
     if isinstance(pair, Rejected):
@@ -103,13 +103,13 @@ def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:
     return used
 
 
-def _row(hold: Hold, name: str, captured: Captured, used: Used, joint: Joint) -> CaptureRow:
+def _row(hold: Hold, name: str, captured: CaptureSet, used: Used, joint: Joint) -> CaptureRow:
     residual, reason = None, ""
     if (hold.index, name) in used:
         matched = np.concatenate(list(used[hold.index, name].values()))
         residual = float(np.sqrt(np.mean(matched**2)))
     elif hold.index not in captured.detections[name]:
-        reason = captured.misses[hold.index, name]
+        reason = captured.rejections[hold.index, name]
     elif (hold.index, name) in joint.rejected:
         reason = joint.rejected[hold.index, name]
     elif any(hold.index in seen for other, seen in captured.detections.items() if other != name):
@@ -127,7 +127,7 @@ def _row(hold: Hold, name: str, captured: Captured, used: Used, joint: Joint) ->
     )
 
 
-def _unconnected(rig: Rig, captured: Captured, pairs: Pairs, connected: Collection[str]) -> dict[str, str]:
+def _unconnected(rig: Rig, captured: CaptureSet, pairs: Pairs, connected: Collection[str]) -> dict[str, str]:
     """Why each sensor outside the root's tree is there, as the rest of a sentence that starts with its name."""
     alone = {name: _why_alone(name, captured, pairs) for name in rig.sensors if name not in connected}
     if not captured.detections[rig.root]:
@@ -137,10 +137,10 @@ def _unconnected(rig: Rig, captured: Captured, pairs: Pairs, connected: Collecti
     return alone
 
 
-def _why_alone(name: str, captured: Captured, pairs: Pairs) -> str:
+def _why_alone(name: str, captured: CaptureSet, pairs: Pairs) -> str:
     seen = captured.detections[name]
     if not seen:
-        misses = [reason for (_, sensor), reason in captured.misses.items() if sensor == name]
+        misses = [reason for (_, sensor), reason in captured.rejections.items() if sensor == name]
         commonest = max(misses, key=misses.count)
         return f"found the board in none of {len(captured.holds)} captures, mostly because: {commonest}"
     reasons = [

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
 from calgraph.estimation.rig.observations import Beams, Corners, relative
@@ -19,7 +19,7 @@ Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 _POINTS = 300
 
 
-def board_views(captured: Captured, used: Used, joint: Joint) -> tuple[BoardView, ...]:
+def board_views(captured: CaptureSet, used: Used, joint: Joint) -> tuple[BoardView, ...]:
     """What each sensor saw in each capture: as the bundle used it, otherwise what was detected first."""
     solved = list(_of_bundle(joint.adjusted)) if joint.adjusted else []
     shown = {(view.capture, view.sensor) for view in solved}
@@ -32,7 +32,7 @@ def board_views(captured: Captured, used: Used, joint: Joint) -> tuple[BoardView
     return tuple(sorted([*solved, *detected], key=lambda view: (view.capture, view.sensor)))
 
 
-def board_outlines(rig: Rig, captured: Captured, used: Used, joint: Joint) -> tuple[BoardOutline, ...]:
+def board_outlines(rig: Rig, captured: CaptureSet, used: Used, joint: Joint) -> tuple[BoardOutline, ...]:
     """The board of each capture: where the bundle has the sheet, or as a camera or cloud saw it."""
     solved = list(_sheets(rig, captured, joint.adjusted)) if joint.adjusted else []
     placed = {outline.capture for outline in solved}
@@ -68,7 +68,7 @@ def _seen(detection: Detection) -> Array:
     return np.asarray(seen[:: len(seen) // _POINTS + 1])
 
 
-def _sheets(rig: Rig, captured: Captured, adjusted: Adjusted) -> Iterator[BoardOutline]:
+def _sheets(rig: Rig, captured: CaptureSet, adjusted: Adjusted) -> Iterator[BoardOutline]:
     """The sheets of boards whose print a camera saw: of others, the bundle knows the plane only."""
     bundle, T_root_board = adjusted.bundle, adjusted.solved.state.T_root_board
     drawn: set[int] = set()
@@ -87,7 +87,7 @@ def _printed(found: Sequence[Detection], pixel: Array) -> int:
     return next(d.board for d in found if isinstance(d, BoardCorners) and np.array_equal(d.pixels[0], pixel))
 
 
-def _detected(rig: Rig, captured: Captured, used: Used, joint: Joint, capture: int) -> BoardOutline | None:
+def _detected(rig: Rig, captured: CaptureSet, used: Used, joint: Joint, capture: int) -> BoardOutline | None:
     """The board of one capture as it was detected, best by a camera; None if neither camera nor cloud did."""
     seen: list[tuple[Array, Detection]] = [
         (T, captured.detections[name][capture][k])

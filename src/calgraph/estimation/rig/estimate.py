@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
 from calgraph.estimation.rig.board_observations import Sighting, placed, seen_in, sightings
@@ -35,7 +35,7 @@ _CONTRADICTS = "lies elsewhere than the other sensors have the board in this cap
 
 def solve_bundle(
     rig: Rig,
-    captured: Captured,
+    captured: CaptureSet,
     estimates: Sequence[PairwiseEstimate],
     T_root_sensor: Mapping[str, Array],
     *,
@@ -99,7 +99,7 @@ def solve_bundle(
 
 
 def cramer_rao(
-    rig: Rig, captured: Captured, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
+    rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
 ) -> dict[str, Array]:
     """The least covariance (6, 6) that any unbiased estimate of each sensor's pose can have, in the root's axes.
 
@@ -122,7 +122,7 @@ def cramer_rao(
 
 
 def build(
-    rig: Rig, captured: Captured, boards: Sequence[Sighting], T_root_sensor: Mapping[str, Array]
+    rig: Rig, captured: CaptureSet, boards: Sequence[Sighting], T_root_sensor: Mapping[str, Array]
 ) -> tuple[Bundle, State]:
     """The bundle of sighted boards, and its start."""
     names = tuple(T_root_sensor)
@@ -142,7 +142,7 @@ def build(
     return weighed(bundle, state), state
 
 
-def _printed_on(captured: Captured, boards: Sequence[Sighting]) -> Index:
+def _printed_on(captured: CaptureSet, boards: Sequence[Sighting]) -> Index:
     """(C,) which of the rig's boards each sighting is of, as cameras saw it; the first where none did."""
     seen = [[d.board for _, d in seen_in(b, captured.detections) if isinstance(d, BoardCorners)] for b in boards]
     return np.array([found[0] if found else 0 for found in seen], dtype=np.intp)
@@ -157,7 +157,7 @@ def weighed(bundle: Bundle, state: State) -> Bundle:
     return bundle.with_views(views)
 
 
-def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) -> Views:
+def _views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[Sighting]) -> Views:
     """What one sensor saw of the boards."""
     spec = rig.sensors[name]
     seen = [
@@ -174,7 +174,7 @@ def _views(rig: Rig, captured: Captured, name: str, boards: Sequence[Sighting]) 
 
 
 def _outlined(
-    plain: Bundle, solved: Solved, rig: Rig, captured: Captured, boards: Sequence[Sighting]
+    plain: Bundle, solved: Solved, rig: Rig, captured: CaptureSet, boards: Sequence[Sighting]
 ) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
     """The bundle with outlines, settled, and the views that it leaves out.
 

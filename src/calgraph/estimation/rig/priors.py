@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
@@ -64,13 +64,13 @@ class RigidFile:
     sensors: tuple[str, ...]
 
 
-def frame_id(sensor: str, rig: Rig, captured: Captured) -> str:
+def frame_id(sensor: str, rig: Rig, captured: CaptureSet) -> str:
     """The frame of a sensor: rig.yaml's, else that of its messages, else its name."""
     return rig.sensors[sensor].frame_id or captured.frames[sensor] or sensor
 
 
 def known_poses(
-    rig: Rig, captured: Captured, prior: PriorFile | None, rigid: Sequence[RigidFile]
+    rig: Rig, captured: CaptureSet, prior: PriorFile | None, rigid: Sequence[RigidFile]
 ) -> tuple[tuple[PosePrior, ...], tuple[RigidGroup, ...]]:
     """What files say of a rig's sensors, as plain data.
 

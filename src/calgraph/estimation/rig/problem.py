@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from calgraph.captures import Captured
+from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
@@ -44,7 +44,7 @@ class Problem:
     """
 
     rig: Rig
-    captured: Captured
+    captured: CaptureSet
     """All detections, and why others are missing."""
     pairs: Pairs
     """Estimate, or the reason why there is none, by pair of sensors."""
@@ -76,14 +76,14 @@ def check_problem(problem: Problem) -> None:
         raise InputError(f"sensors and frames: must be those of the rig, {', '.join(sensors)}")
     if set(captured.cameras) != set(problem.rig.cameras()):
         raise InputError(f"cameras: must be those of the rig, {', '.join(problem.rig.cameras())}")
-    _check_names("misses", (name for _, name in captured.misses), sensors)
+    _check_names("misses", (name for _, name in captured.rejections), sensors)
     _check_names("pairs", chain.from_iterable(problem.pairs), sensors)
     _check_names("parents", tree.parents.values(), tree.T_root_sensor)
     if {tree.root, *tree.parents} != set(tree.T_root_sensor) or tree.root in tree.parents:
         raise InputError(f"parents: must be given for all sensors in the tree but its root {tree.root}")
     for hold in captured.holds:
         for name, seen in captured.detections.items():
-            if hold.index not in seen and (hold.index, name) not in captured.misses:
+            if hold.index not in seen and (hold.index, name) not in captured.rejections:
                 raise InputError(f"misses: must say why {name} has no detection in capture {hold.index}")
     for estimate in estimated(problem.pairs):
         _check_matches(estimate, captured.detections)

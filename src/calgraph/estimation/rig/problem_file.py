@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures import Captured, Hold
+from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
@@ -136,7 +136,9 @@ def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
         "start": captured.start,
         "frames": dict(captured.frames),
         "cameras": {name: camera.model for name, camera in captured.cameras.items()},
-        "misses": [{"capture": i, "sensor": name, "reason": why} for (i, name), why in captured.misses.items()],
+        "misses": [
+            {"capture": i, "sensor": name, "reason": why} for (i, name), why in captured.rejections.items()
+        ],
         "pairs": [
             {"sensors": names} | ({"rejected": pair.reason} if isinstance(pair, Rejected) else {})
             for names, pair in problem.pairs.items()
@@ -165,12 +167,12 @@ def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
 
 def _decoded(structure: _Structure, arrays: Arrays) -> Problem:
     sensors = structure.sensors
-    captured = Captured(
+    captured = CaptureSet(
         start=structure.start,
         frames=structure.frames,
         holds=_holds(sensors, arrays),
         detections=_detections(sensors, arrays),
-        misses={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
+        rejections={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
         cameras=_cameras(structure, arrays),
     )
     poses = {row["sensor"]: row["T_root_sensor"] for row in _TREE.unpack_named(arrays, sensors)}
