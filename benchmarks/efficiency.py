@@ -28,11 +28,11 @@ from calgraph.calibrate import Options, prepare, solve_problem
 from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.detection import BoardCorners
-from calgraph.estimation import Estimator, Problem, Solver, cramer_rao
-from calgraph.estimation.rig.board_observations import Sighting
-from calgraph.estimation.rig.board_outlines import with_outlines
-from calgraph.estimation.rig.bundle_solver import linearize
-from calgraph.estimation.rig.estimate import build, weighed
+from calgraph.estimation import Estimator, Problem, SolverOptions, cramer_rao
+from calgraph.estimation.rig.board_observations import BoardObservation
+from calgraph.estimation.rig.board_outlines import add_outlines
+from calgraph.estimation.rig.bundle_solver import linearize_bundle
+from calgraph.estimation.rig.estimate import build_bundle, update_noise
 from calgraph.geometry import Array, se3
 from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
 from simulated import poses_of, recorded
@@ -209,7 +209,7 @@ def solution(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Map
     """``T_root_sensor`` by sensor, and covariances (6, 6) where the estimator states them."""
     if estimator == "pairwise":
         return problem.tree.T_root_sensor, {}
-    solver = Solver.model_validate({**problem.solver.model_dump(), "estimator": estimator, "folds": 0})
+    solver = SolverOptions.model_validate({**problem.solver.model_dump(), "estimator": estimator, "folds": 0})
     calibration = solve_problem(replace(problem, solver=solver))
     return poses_of(calibration), {sensor.name: sensor.covariance for sensor in calibration.sensors}
 
@@ -221,18 +221,18 @@ def ideal_errors(recording: Recording) -> Array:
     """
     seen, T_root_sensor = recording.captured.detections, recording.T_root_sensor
     boards = [
-        Sighting(capture, {name: 0 for name in T_root_sensor if capture in seen[name]})
+        BoardObservation(capture, {name: 0 for name in T_root_sensor if capture in seen[name]})
         for capture in recording.T_root_board
         if any(capture in found for found in seen.values())
     ]
-    bundle, start = build(recording.noise, recording.captured, boards, T_root_sensor)
+    bundle, start = build_bundle(recording.noise, recording.captured, boards, T_root_sensor)
     truth = replace(start, T_root_board=np.array([recording.T_root_board[board.capture] for board in boards]))
-    bundle, laid = with_outlines(bundle, truth, recording.noise, recording.captured.detections, boards, 0.0)
-    truth = replace(truth, own=laid.own)
-    exact = weighed(replace(bundle, sway=np.zeros_like(bundle.sway)), truth)
-    H, g, _ = linearize(exact, truth).reduced()
-    steps = -np.linalg.solve(H, g)[: 6 * bundle.bodies].reshape(-1, 6)
-    by_name = dict(zip(bundle.names[1:], steps, strict=True))
+    bundle, laid = add_outlines(bundle, truth, recording.noise, recording.captured.detections, boards, 0.0)
+    truth = replace(truth, extra=laid.extra)
+    exact = update_noise(replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance)), truth)
+    H, g, _ = linearize_bundle(exact, truth).eliminate_boards()
+    steps = -np.linalg.solve(H, g)[: 6 * bundle.body_count].reshape(-1, 6)
+    by_name = dict(zip(bundle.sensors[1:], steps, strict=True))
     return np.array([by_name[name] for name in recording.rig.sensors if name != recording.rig.root])
 
 

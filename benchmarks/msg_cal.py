@@ -15,7 +15,7 @@ import numpy as np
 
 from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate import Options, prepare, solve_problem
-from calgraph.estimation import Joint
+from calgraph.estimation import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import start_poses
 from calgraph.pairwise import estimate_pairs, estimated
@@ -59,7 +59,7 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     tree = start_poses(rig.root, estimates, "tree", rng)
     at_root = start_poses(rig.root, estimates, "identity", rng)
 
-    def judge(joint: Joint) -> tuple[float, float, float]:
+    def judge(joint: RigSolution) -> tuple[float, float, float]:
         metres, degrees = errors(dict(joint.T_root_sensor), truth)
         return float(metres.mean()), float(degrees.mean()), joint.graph_error
 

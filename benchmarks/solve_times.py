@@ -25,10 +25,10 @@ from scipy.optimize import OptimizeResult, least_squares
 from calgraph.calibrate import Options, prepare
 from calgraph.captures import CaptureSet
 from calgraph.detection import BoardCorners
-from calgraph.estimation import Joint, Problem, solve_bundle
-from calgraph.estimation.rig.board_observations import sightings
-from calgraph.estimation.rig.bundle_solver import solve
-from calgraph.estimation.rig.estimate import build
+from calgraph.estimation import Problem, RigSolution, solve_bundle
+from calgraph.estimation.rig.board_observations import group_detections
+from calgraph.estimation.rig.bundle_solver import minimize_bundle
+from calgraph.estimation.rig.estimate import build_bundle
 from calgraph.pairwise import estimated, selected_matches
 from calgraph.simulation import (
     CameraKnobs,
@@ -98,7 +98,7 @@ def numbers(captured: CaptureSet) -> int:
     return sum(2 * len(d.pixels) if isinstance(d, BoardCorners) else len(d.points) for d in found)
 
 
-def joint_solution(problem: Problem) -> Joint:
+def joint_solution(problem: Problem) -> RigSolution:
     """The bundle, from pairs to covariances."""
     estimates, start = estimated(problem.pairs), problem.tree.T_root_sensor
     return solve_bundle(problem.rig, problem.captured, estimates, start, keep=problem.solver.keep)
@@ -107,12 +107,12 @@ def joint_solution(problem: Problem) -> Joint:
 def compared(problem: Problem, repeat: int) -> str:
     """One solution of the bundle beside scipy's of the same problem: seconds, their ratio, difference in cost."""
     keep = problem.solver.keep
-    boards = sightings([(pair, selected_matches(pair, keep)) for pair in estimated(problem.pairs)])
-    bundle, start = build(problem.rig, problem.captured, boards, problem.tree.T_root_sensor)
-    bundle = replace(bundle, sway=np.zeros(len(bundle.names)))
-    ours, solved = timed(lambda: solve(bundle, start), repeat)
-    scipys, cost = timed(lambda: scipy_cost(SparseProblem(bundle, start), solved.system.cost), 1)
-    return f"{ours:8.3f}{scipys:9.2f}{scipys / ours:7.1f}{cost / solved.system.cost - 1:11.1e}"
+    boards = group_detections([(pair, selected_matches(pair, keep)) for pair in estimated(problem.pairs)])
+    bundle, start = build_bundle(problem.rig, problem.captured, boards, problem.tree.T_root_sensor)
+    bundle = replace(bundle, bias_variance=np.zeros(len(bundle.sensors)))
+    ours, solved = timed(lambda: minimize_bundle(bundle, start), repeat)
+    scipys, cost = timed(lambda: scipy_cost(SparseProblem(bundle, start), solved.equations.cost), 1)
+    return f"{ours:8.3f}{scipys:9.2f}{scipys / ours:7.1f}{cost / solved.equations.cost - 1:11.1e}"
 
 
 def scipy_cost(problem: SparseProblem, goal: float) -> float:

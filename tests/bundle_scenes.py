@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.estimation.rig.bundle_solver import Bundle, State
-from calgraph.estimation.rig.observations import Beams, Corners, Views, relative
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
+from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 
@@ -26,31 +26,31 @@ class Scene:
     """What sensors measure of boards, without noise."""
 
     bundle: Bundle
-    truth: State
+    truth: BundleState
 
     def measured(self, rng: np.random.Generator, noise: float = 1.0, sway: float = 0.0) -> Bundle:
         """The bundle with Gaussian noise so many times that stated, and views displaced by ``sway`` (m)."""
-        swaying = replace(self.bundle, sway=np.full(len(self.bundle.names), sway**2))
+        swaying = replace(self.bundle, bias_variance=np.full(len(self.bundle.sensors), sway**2))
         views = []
         for s, own in enumerate(self.bundle.views):
-            T = relative(self.truth.T_root_sensor[s], self.truth.T_root_board[own.board])
-            spread = np.sqrt(swaying.swaying(s)[:6])
+            T = relative_poses(self.truth.T_root_sensor[s], self.truth.T_root_board[own.board])
+            spread = np.sqrt(swaying.bias_variances(s)[:6])
             T = se3.retract(T, spread * rng.normal(size=(len(T), 6)))
             views.append(remeasured(own, T, rng, noise))
         return replace(self.bundle, views=tuple(views))
 
     def without_sway(self) -> "Scene":
         """The scene in which views are known not to err as a whole."""
-        return replace(self, bundle=replace(self.bundle, sway=np.zeros(len(self.bundle.names))))
+        return replace(self, bundle=replace(self.bundle, bias_variance=np.zeros(len(self.bundle.sensors))))
 
 
-def remeasured(views: Views, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> Views:
+def remeasured(views: BoardViews, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> BoardViews:
     """The views with what they measure of boards at other poses, with noise so many times that stated."""
-    error = views.linearize(T_sensor_board, np.zeros(views.unknowns)).residual
-    if isinstance(views, Corners):
-        sigma = views.noise.pixel * views.scale
+    error = views.linearize(T_sensor_board, np.zeros(views.extra_count)).residual
+    if isinstance(views, CornerObservations):
+        sigma = views.noise.pixel * views.noise_scale
         return replace(views, pixels=views.pixels + sigma * (error + noise * rng.normal(size=error.shape)))
-    assert isinstance(views, Beams)
+    assert isinstance(views, RangeObservations)
     drawn = error[:, 0] + noise * rng.normal(size=len(error))
     return replace(views, ranges=views.ranges + views.sigma * drawn)
 
@@ -62,11 +62,13 @@ def scene(sensors: Sequence[str] = ("lidar", "camera", "laser"), boards: int = 2
     # As sensors are counted from the first, the root.
     T_root_sensor = se3.inverse(T_root_sensor[0]) @ T_root_sensor
     T_root_board = se3.inverse(sensor_pose(sensors[0], np.random.default_rng(seed))) @ board_poses(boards, rng)
-    views = [views_of(name, relative(T, T_root_board)) for name, T in zip(sensors, T_root_sensor, strict=True)]
+    views = [
+        views_of(name, relative_poses(T, T_root_board)) for name, T in zip(sensors, T_root_sensor, strict=True)
+    ]
     bundle = Bundle(
         tuple(sensors), tuple(views), np.arange(len(sensors)), np.full(len(sensors), 1e-6), lever=0.5 * WIDTH
     )
-    return Scene(bundle, State(T_root_sensor, T_root_board, np.zeros(0)))
+    return Scene(bundle, BundleState(T_root_sensor, T_root_board, np.zeros(0)))
 
 
 def sensor_pose(name: str, rng: np.random.Generator) -> Array:
@@ -83,19 +85,19 @@ def board_poses(count: int, rng: np.random.Generator) -> Array:
     return se3.pose(so3.exp(rng.uniform(-0.4, 0.4, (count, 3))) @ facing, t)
 
 
-def views_of(name: str, T_sensor_board: Array) -> Views:
+def views_of(name: str, T_sensor_board: Array) -> BoardViews:
     """What a sensor measures of boards (C, 4, 4) before it, without noise."""
     count = len(T_sensor_board)
     if name == "camera":
         points = se3.apply(T_sensor_board, CORNERS)
         pixels = CAMERA.project(points.reshape(-1, 3))
         start = np.arange(count) * len(CORNERS)
-        return Corners(np.arange(count), start, np.tile(CORNERS, (count, 1)), pixels, CAMERA, PIXEL)
+        return CornerObservations(np.arange(count), start, np.tile(CORNERS, (count, 1)), pixels, CAMERA, PIXEL)
     points_of = _cut if name.startswith("laser") else _swept
     ends = [points_of(T) for T in T_sensor_board]
     ranges = np.linalg.norm(np.concatenate(ends), axis=1)
     start = np.cumsum([0, *[len(points) for points in ends[:-1]]])
-    return Beams(
+    return RangeObservations(
         np.arange(count), start, np.concatenate(ends) / ranges[:, None], ranges, RANGE,
         np.full(len(ranges), RANGE.range),
     )  # fmt: skip

@@ -3,8 +3,8 @@
 import numpy as np
 
 from bundle_scenes import Scene, scene
-from calgraph.estimation.rig.bundle_solver import Bundle, State, moved
-from calgraph.estimation.rig.observations import relative
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, retract_state
+from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array
 
 
@@ -12,23 +12,23 @@ def quiet(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8
     return scene(kinds, boards).without_sway()
 
 
-def residuals(bundle: Bundle, state: State) -> Array:
+def residuals(bundle: Bundle, state: BundleState) -> Array:
     parts = [
-        own.linearize(relative(T, state.T_root_board[own.board]), np.zeros(0)).residual.ravel()
+        own.linearize(relative_poses(T, state.T_root_board[own.board]), np.zeros(0)).residual.ravel()
         for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
     ]
     return np.concatenate(parts)
 
 
-def residuals_after(bundle: Bundle, state: State, step: Array) -> Array:
+def residuals_after(bundle: Bundle, state: BundleState, step: Array) -> Array:
     """After a step of all sensors but the root, and of all boards."""
-    split = bundle.size
-    return residuals(bundle, moved(bundle, state, step[:split], step[split:].reshape(-1, 6)))
+    split = bundle.parameter_count
+    return residuals(bundle, retract_state(bundle, state, step[:split], step[split:].reshape(-1, 6)))
 
 
-def dense_jacobian(bundle: Bundle, state: State, at: Array | None = None) -> Array:
+def dense_jacobian(bundle: Bundle, state: BundleState, at: Array | None = None) -> Array:
     """By all unknowns, after a step from the state."""
-    size = bundle.size + 6 * len(state.T_root_board)
+    size = bundle.parameter_count + 6 * len(state.T_root_board)
     at = np.zeros(size) if at is None else at
     ahead, behind = (
         np.stack([residuals_after(bundle, state, at + step) for step in steps], axis=-1)

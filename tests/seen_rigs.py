@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.detection import Detection
-from calgraph.estimation import Estimable, Joint, solve_bundle
+from calgraph.estimation import Estimable, RigSolution, solve_bundle
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.simulation import (
@@ -50,7 +50,7 @@ class Seen:
         }
         return replace(self, captured=replace(self.captured, detections=detections))
 
-    def solved(self, *estimate: Estimable) -> Joint:
+    def solved(self, *estimate: Estimable) -> RigSolution:
         """From the true poses, and with matches all of which are believed."""
         return solve_bundle(self.rig, self.captured, self.agreeing(), self.T_root_sensor, estimate=estimate)
 
@@ -64,12 +64,12 @@ class Seen:
         believed, residuals = np.ones(len(common), dtype=bool), np.zeros(len(common))
         return PairwiseEstimate(a, b, T_a_b, np.eye(6), matches, believed, residuals)
 
-    def mahalanobis(self, joint: Joint, name: str) -> float:
+    def mahalanobis(self, joint: RigSolution, name: str) -> float:
         """Squared distance of a sensor's pose from the truth, over its degrees of freedom."""
         error = se3.difference(joint.T_root_sensor[name], self.T_root_sensor[name])
         return float(error @ np.linalg.solve(joint.covariance[name], error)) / 6
 
-    def error(self, joint: Joint, name: str) -> float:
+    def error(self, joint: RigSolution, name: str) -> float:
         """m."""
         return float(np.linalg.norm((joint.T_root_sensor[name] - self.T_root_sensor[name])[:3, 3]))
 

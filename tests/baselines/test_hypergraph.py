@@ -12,7 +12,7 @@ import scipy.stats
 from board_scenes import SIZE, boards, observe
 from calgraph.baselines import solve_hypergraph
 from calgraph.errors import Rejected
-from calgraph.estimation import Joint
+from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph import Method, SpanningTree, Start, spanning_tree, start_poses
 from calgraph.pairwise import Candidates, PairwiseEstimate, estimate_pair
@@ -41,7 +41,7 @@ def world(seed: int, captures: int = 40, moved: int = 0) -> World:
     return truth, seen, pairs, spanning_tree("lidar", pairs)
 
 
-def nees(joint: Joint, truth: Mapping[str, Array]) -> Array:
+def nees(joint: RigSolution, truth: Mapping[str, Array]) -> Array:
     values = []
     for name, T in truth.items():
         if name != "lidar":
@@ -68,12 +68,12 @@ def test_the_joint_solution_beats_the_tree_it_starts_from() -> None:
 
 
 @pytest.fixture(scope="module")
-def solved() -> list[tuple[dict[str, Array], Joint]]:
+def solved() -> list[tuple[dict[str, Array], RigSolution]]:
     """Truth and solution of twelve rigs."""
     return [(truth, solve_hypergraph(tree, pairs, seen)) for truth, seen, pairs, tree in map(world, range(12))]
 
 
-def test_covariances_hold_what_they_promise(solved: list[tuple[dict[str, Array], Joint]]) -> None:
+def test_covariances_hold_what_they_promise(solved: list[tuple[dict[str, Array], RigSolution]]) -> None:
     """Mean NEES of twelve rigs, three sensors and six degrees of freedom each, within its 99.9 % interval."""
     values = np.concatenate([nees(joint, truth) for truth, joint in solved])
     low, high = scipy.stats.chi2.interval(0.999, 6 * len(values)) / np.array(6 * len(values))
@@ -82,7 +82,7 @@ def test_covariances_hold_what_they_promise(solved: list[tuple[dict[str, Array],
 
 @pytest.mark.parametrize(("a", "b"), [("camera", "front"), ("front", "left"), ("left", "camera")])
 def test_covariances_between_sensors_hold_what_they_promise(
-    a: str, b: str, solved: list[tuple[dict[str, Array], Joint]]
+    a: str, b: str, solved: list[tuple[dict[str, Array], RigSolution]]
 ) -> None:
     """As above, for a pair that the root is not in."""
     values = []

@@ -11,7 +11,7 @@ from typer.testing import Result
 
 from calgraph.calibrate import Options, prepare
 from calgraph.errors import Rejected
-from calgraph.estimation import PriorFile, RigidFile, knowing, load_problem, save_problem
+from calgraph.estimation import PriorFile, RigidFile, load_problem, save_problem, with_prior_poses
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph import spanning_tree
 from calgraph.io import save_yaml
@@ -197,7 +197,7 @@ def test_a_wrong_prior_is_called_out(known: Known, tmp_path: Path, run: Run) -> 
 
 def test_known_poses_are_kept_in_a_dump(known: Known, tmp_path: Path, run: Run) -> None:
     poses = known.poses(tmp_path / "poses.yaml")
-    problem = knowing(
+    problem = with_prior_poses(
         load_problem(known.dump),
         PriorFile(read_poses(poses), (0.01, float(np.radians(0.5)))),
         [RigidFile(read_poses(poses), ("laser_front", "laser_left"))],

@@ -8,7 +8,7 @@ import numpy as np
 from calgraph.baselines import hypergraph_factors as edges
 from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, solve
 from calgraph.detection import Detection, Segment, plane_of
-from calgraph.estimation.rig.solution import Joint
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, Filter, PairwiseEstimate, selected_matches
@@ -38,7 +38,7 @@ def solve_hypergraph(
     *,
     keep: Filter = "ransac",
     optimize: bool = True,
-) -> Joint:
+) -> RigSolution:
     """Solves for all connected sensors at once.
 
     Args:
@@ -54,7 +54,9 @@ def solve_hypergraph(
     names = list(tree.T_root_sensor)
     pairs = [e for e in estimates if e.sensor_a in names and e.sensor_b in names]
     if not pairs:
-        return Joint("hypergraph", {tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0)
+        return RigSolution(
+            "hypergraph", {tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0
+        )
     graph = _Graph(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[selected_matches(pair, keep)]:
@@ -71,7 +73,7 @@ def solve_hypergraph(
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}
     chi2 = sum(float(np.sum(residuals[factor.name] ** 2)) for factor in observed)
     scatter = _scatter(chi2, graph.freedom - 6 * (len(names) - 1))
-    return Joint(
+    return RigSolution(
         estimator="hypergraph",
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
         joint_covariance=covariance * scatter,

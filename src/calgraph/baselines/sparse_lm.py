@@ -96,10 +96,10 @@ def solve(
         if gain > 0:
             done = cost - trial_cost <= 1e-10 * cost + 1e-14
             values, cost, H, g = trial, trial_cost, trial_H, trial_g
-            damping = damping.eased(gain)
+            damping = damping.accept_step(gain)
         else:
             done = predicted <= 1e-10 * cost + 1e-14
-            damping = damping.raised()
+            damping = damping.reject_step()
         if done:
             return Solution(values, cost, iteration, converged=True)
     return Solution(values, cost, iterations, converged=False)

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from calgraph.detection import Averaging
 from calgraph.errors import InputError
-from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, Solver
+from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, SolverOptions
 from calgraph.graph import Method, Start
 from calgraph.pairwise import Filter
 from calgraph.result import Calibration
@@ -38,7 +38,7 @@ class Options:
     """Which of a rig's sensors are fixed to each other, and how."""
     keep: Filter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
-    folds: int = Solver().folds
+    folds: int = SolverOptions().folds
     """In how many parts a rig's captures are left out for cross-validation; 0 for none."""
     start: Start = "tree"
     """Where a rig's joint solution starts: its spanning tree, the identity, or all pairs averaged by a method."""

@@ -27,14 +27,14 @@ from calgraph.config import CameraSpec, Cylinder, People, Rig
 from calgraph.diagnostics import assemble, with_outlook
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import (
-    Joint,
     Problem,
-    Solver,
-    attached,
-    knowing,
-    replayable,
+    RigSolution,
+    SolverOptions,
+    attach_by_priors,
+    round_trip,
     save_problem,
     solve_bundle,
+    with_prior_poses,
 )
 from calgraph.graph import SpanningTree, start_poses
 from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
@@ -147,25 +147,25 @@ def prepare(
         joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
         pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
-    solver = Solver(
+    solver = SolverOptions(
         estimator=rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
     )
-    return replayable(knowing(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
+    return round_trip(with_prior_poses(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
 
 
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
     joint, tree = solve_jointly(problem)
     rig, calibration = problem.rig, assemble(problem, tree, joint)
-    if joint.adjusted is None:
+    if joint.solved_bundle is None:
         return calibration
     # The boards that are tried need no seed of the user's: any draw of so many serves.
     return with_outlook(
-        calibration, joint.adjusted, rig.board_size, problem.solver.folds, np.random.default_rng(0)
+        calibration, joint.solved_bundle, rig.board_size, problem.solver.folds, np.random.default_rng(0)
     )
 
 
-def solve_jointly(problem: Problem) -> tuple[Joint, SpanningTree]:
+def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     """The joint solution, and the tree that it started from.
 
     Raises:
@@ -173,7 +173,7 @@ def solve_jointly(problem: Problem) -> tuple[Joint, SpanningTree]:
     """
     rig, captured, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
-    tree = attached(problem.tree, estimated(pairs), solver.priors, solver.groups)
+    tree = attach_by_priors(problem.tree, estimated(pairs), solver.priors, solver.groups)
     if solver.estimator == "bundle":
         joint = solve_bundle(
             rig, captured, estimated(pairs), tree.T_root_sensor,

@@ -25,11 +25,11 @@ def verify_problem(
     """
     problem = replace(problem, solver=problem.solver.model_copy(update={"estimator": "bundle"}))
     joint, tree = solve_jointly(problem)
-    if joint.adjusted is None:
+    if joint.solved_bundle is None:
         raise CalibrationError(
             f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
         )
-    scatter = resample(joint.adjusted, rounds, rng, lambda done: progress("resampling", done))
+    scatter = resample(joint.solved_bundle, rounds, rng, lambda done: progress("resampling", done))
     return assemble(problem, tree, joint), scatter
 
 
@@ -45,7 +45,7 @@ def audit_problem(
     problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
     joint, tree = solve_jointly(problem)
     calibration = assemble(problem, tree, joint)
-    return calibration, audit(calibration, joint.adjusted, given, tolerance)
+    return calibration, audit(calibration, joint.solved_bundle, given, tolerance)
 
 
 def check_network(

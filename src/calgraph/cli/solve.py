@@ -43,7 +43,7 @@ def solve(
     Exit codes are those of calibrate.
     """
     from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
-    from calgraph.estimation import knowing, load_problem, replayable
+    from calgraph.estimation import load_problem, round_trip, with_prior_poses
 
     known, groups = known_files(prior, prior_stddev, rigid)
     problem = load_problem(file)
@@ -52,7 +52,7 @@ def solve(
     besides: dict[str, object] = {} if folds is None else {"folds": folds}
     besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
     problem = replace(problem, solver=problem.solver.model_copy(update=chosen | besides))
-    problem = replayable(knowing(problem, known, groups))
+    problem = round_trip(with_prior_poses(problem, known, groups))
     with replacing_folder(out) as folder:
         calibration = solve_problem(problem)
         write_results(calibration, problem.rig, folder)

@@ -4,32 +4,32 @@ from calgraph.estimation.network.estimate import JointNetwork, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle
 from calgraph.estimation.rig.extra_parameters import Estimable
-from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attached
-from calgraph.estimation.rig.problem import Estimator, Problem, Solver, check_problem, knowing
-from calgraph.estimation.rig.problem_file import load_problem, replayable, save_problem
-from calgraph.estimation.rig.solution import Adjusted, Joint, MeasuredNoise
+from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attach_by_priors
+from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions, check_problem, with_prior_poses
+from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
+from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
 
 __all__ = [
-    "Adjusted",
     "Estimable",
     "Estimator",
-    "Joint",
     "JointNetwork",
     "MeasuredNoise",
     "PosePrior",
     "PriorFile",
     "Problem",
+    "RigSolution",
     "RigidFile",
     "RigidGroup",
     "ScannerPrior",
-    "Solver",
-    "attached",
+    "SolvedBundle",
+    "SolverOptions",
+    "attach_by_priors",
     "check_problem",
     "cramer_rao",
-    "knowing",
     "load_problem",
-    "replayable",
+    "round_trip",
     "save_problem",
     "solve_bundle",
     "solve_network",
+    "with_prior_poses",
 ]

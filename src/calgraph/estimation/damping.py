@@ -17,10 +17,10 @@ class Damping:
     growth: float = 2.0
     """By how much it grows if the next step fails, too."""
 
-    def eased(self, gain: float) -> "Damping":
+    def accept_step(self, gain: float) -> "Damping":
         """After a step that gained so many times what was foreseen."""
         return Damping(max(self.value * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), _LEAST))
 
-    def raised(self) -> "Damping":
+    def reject_step(self) -> "Damping":
         """After a step that gained nothing."""
         return Damping(self.value * self.growth, 2 * self.growth)

@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.detection import BoardCorners
 from calgraph.diagnostics.rig.board_pictures import Used, board_outlines, board_views
-from calgraph.estimation import Joint
+from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
 from seen_rigs import QUICK, Seen, seen
@@ -19,7 +19,7 @@ def one() -> Seen:
 
 
 @pytest.fixture(scope="module")
-def joint(one: Seen) -> Joint:
+def joint(one: Seen) -> RigSolution:
     return one.solved()
 
 
@@ -29,12 +29,12 @@ def used(one: Seen) -> Used:
 
 
 @pytest.fixture(scope="module")
-def views(one: Seen, used: Used, joint: Joint) -> tuple[BoardView, ...]:
+def views(one: Seen, used: Used, joint: RigSolution) -> tuple[BoardView, ...]:
     return board_views(one.captured, used, joint)
 
 
 @pytest.fixture(scope="module")
-def outlines(one: Seen, used: Used, joint: Joint) -> tuple[BoardOutline, ...]:
+def outlines(one: Seen, used: Used, joint: RigSolution) -> tuple[BoardOutline, ...]:
     return board_outlines(one.rig, one.captured, used, joint)
 
 
@@ -61,7 +61,7 @@ def test_points_are_off_by_their_noise_on_both_sides(views: tuple[BoardView, ...
 
 
 def test_distances_are_positive_beyond_the_sheet_as_the_scanner_sees_it(
-    joint: Joint, views: tuple[BoardView, ...], outlines: tuple[BoardOutline, ...]
+    joint: RigSolution, views: tuple[BoardView, ...], outlines: tuple[BoardOutline, ...]
 ) -> None:
     sheets = {o.capture: o.corners for o in outlines if o.board is not None}
     compared = [v for v in views if v.capture in sheets and v.off is not None and v.off.ndim == 1]
@@ -85,8 +85,8 @@ def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline,
         assert np.linalg.norm(outline.corners - truth, axis=1).max() < 0.02
 
 
-def test_without_a_bundle_nothing_is_predicted(one: Seen, used: Used, joint: Joint) -> None:
-    other = replace(joint, adjusted=None, estimator="hypergraph")
+def test_without_a_bundle_nothing_is_predicted(one: Seen, used: Used, joint: RigSolution) -> None:
+    other = replace(joint, solved_bundle=None, estimator="hypergraph")
     views = board_views(one.captured, used, other)
     assert all(v.used and v.off is None for v in views)
     outlines = board_outlines(one.rig, one.captured, used, other)

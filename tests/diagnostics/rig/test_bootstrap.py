@@ -6,15 +6,15 @@ import numpy as np
 
 from bundle_scenes import scene
 from calgraph.diagnostics.rig.bootstrap import Scatter, resample
-from calgraph.estimation.rig.bundle_solver import Bundle, solve
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
+from calgraph.estimation.rig.solution import SolvedBundle
 
 BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
 
 
 def scatter(bundle: Bundle, seed: int, boards: int = BOARDS) -> dict[str, Scatter]:
     exact = scene(boards=boards)
-    adjusted = Adjusted(bundle, solve(bundle, exact.truth), np.arange(boards))
+    adjusted = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(boards))
     return resample(adjusted, ROUNDS, np.random.default_rng(seed), lambda _: None)
 
 
@@ -41,7 +41,7 @@ def test_errors_larger_than_assumed_make_covariances_optimistic() -> None:
 def test_measured_sway_keeps_covariances_of_correlated_errors_honest() -> None:
     exact = scene(boards=BOARDS)
     bundle = exact.measured(np.random.default_rng(0), sway=5 * SWAY)
-    found = scatter(replace(bundle, sway=np.full(3, (5 * SWAY) ** 2)), 0)
+    found = scatter(replace(bundle, bias_variance=np.full(3, (5 * SWAY) ** 2)), 0)
     assert all(s.verdict != "optimistic" for s in found.values())
 
 

@@ -9,9 +9,9 @@ from scipy.stats import t as student
 from bundle_scenes import Scene, scene
 from calgraph.diagnostics.rig.cross_validation import cross_validate
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import Bundle, solve
-from calgraph.estimation.rig.observations import Corners
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
+from calgraph.estimation.rig.observations import CornerObservations
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import LeftOut
 
 SEEDS, SWAY = 12, 0.001
@@ -19,8 +19,8 @@ SEEDS, SWAY = 12, 0.001
 
 def left_out(exact: Scene, bundle: Bundle, folds: int = 4) -> dict[str, LeftOut]:
     """Cross-validation of a bundle whose every capture shows one board."""
-    solved = solve(bundle, exact.truth)
-    return cross_validate(Adjusted(bundle, solved, np.arange(len(exact.truth.T_root_board))), folds)
+    solved = minimize_bundle(bundle, exact.truth)
+    return cross_validate(SolvedBundle(bundle, solved, np.arange(len(exact.truth.T_root_board))), folds)
 
 
 def test_errors_are_as_large_as_noise_and_covariances_say() -> None:
@@ -28,7 +28,7 @@ def test_errors_are_as_large_as_noise_and_covariances_say() -> None:
     found = []
     for seed in range(SEEDS):
         predicted = left_out(exact, exact.measured(np.random.default_rng(seed), sway=SWAY))
-        found.append([predicted[name].ratio ** 2 for name in exact.bundle.names])
+        found.append([predicted[name].ratio ** 2 for name in exact.bundle.sensors])
     spread = np.std(found, axis=0, ddof=1) / np.sqrt(SEEDS)
     # Right in 99 of 100 such tests, of three sensors each.
     assert np.all(np.abs(np.mean(found, axis=0) - 1) < student.ppf(1 - 0.01 / 6, SEEDS - 1) * spread)
@@ -51,7 +51,7 @@ def test_errors_that_every_view_of_a_sensor_shares_do_not_hide() -> None:
     exact = scene()
     bundle = exact.measured(np.random.default_rng(0), sway=SWAY)
     lidar, camera, laser = bundle.views
-    assert isinstance(camera, Corners)
+    assert isinstance(camera, CornerObservations)
     # A focal length that is off by three in a hundred: poses follow, the rest shows in captures left out.
     centre = np.array([[camera.camera.K[0, 2], camera.camera.K[1, 2]]])
     wrong = replace(camera, pixels=centre + 1.03 * (camera.pixels - centre))
@@ -63,7 +63,7 @@ def test_sensors_alone_with_a_board_are_not_predicted() -> None:
     exact = scene(("lidar", "laser"))
     lidar, laser = exact.measured(np.random.default_rng(0)).views
     first = np.arange(20) < 10
-    bundle = replace(exact.bundle, views=(lidar.where(first), laser))
+    bundle = replace(exact.bundle, views=(lidar.select(first), laser))
     predicted = left_out(exact, bundle)
     assert {name: p.views for name, p in predicted.items()} == {"lidar": 10, "laser": 10}
 
@@ -72,7 +72,7 @@ def test_sensors_without_views_in_the_other_captures_are_not_predicted() -> None
     exact = scene()
     lidar, camera, laser = exact.measured(np.random.default_rng(0)).views
     once = np.arange(20) == 3
-    assert set(left_out(exact, replace(exact.bundle, views=(lidar, camera, laser.where(once))))) == {
+    assert set(left_out(exact, replace(exact.bundle, views=(lidar, camera, laser.select(once))))) == {
         "lidar",
         "camera",
     }

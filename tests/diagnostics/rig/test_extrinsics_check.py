@@ -11,10 +11,10 @@ from bundle_scenes import Scene, scene
 from calgraph.diagnostics.comparison import Audit, Tolerance
 from calgraph.diagnostics.rig.extrinsics_check import audit
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import solve
-from calgraph.estimation.rig.covariances import covariance
-from calgraph.estimation.rig.observations import relative
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.bundle_solver import minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, KnownPoses, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameTree, Hanging
@@ -26,23 +26,23 @@ def precise() -> Scene:
     """Sensors with a fifth of the usual noise: 24 boards then tell all axes to within the tolerance."""
     exact = scene(("lidar", "camera", "laser", "laser_2"), boards=24).without_sway()
     views = tuple(
-        own.weighed(relative(T, exact.truth.T_root_board), 0.2)
+        own.update_noise(relative_poses(T, exact.truth.T_root_board), 0.2)
         for own, T in zip(exact.bundle.views, exact.truth.T_root_sensor, strict=True)
     )
     return replace(exact, bundle=replace(exact.bundle, views=views))
 
 
 EXACT = precise()
-NAMES = EXACT.bundle.names
+NAMES = EXACT.bundle.sensors
 KINDS = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d", "laser_2": "lidar2d"}
 
 
 @cache
-def calibrated(seed: int | None = None) -> tuple[Calibration, Adjusted]:
+def calibrated(seed: int | None = None) -> tuple[Calibration, SolvedBundle]:
     """What a calibration finds of boards measured with noise, or without."""
     bundle = EXACT.bundle if seed is None else EXACT.measured(np.random.default_rng(seed))
-    solved = solve(bundle, EXACT.truth)
-    joint = covariance(bundle, solved.state, solved.system)
+    solved = minimize_bundle(bundle, EXACT.truth)
+    joint = pose_covariance(bundle, solved.state, solved.equations)
     sensors = tuple(
         SensorPose(
             name, None if i == 0 else NAMES[0], f"{name}_frame", KINDS[name],  # type: ignore[arg-type]
@@ -51,7 +51,7 @@ def calibrated(seed: int | None = None) -> tuple[Calibration, Adjusted]:
         for i, name in enumerate(NAMES)
     )  # fmt: skip
     boards = np.arange(len(EXACT.truth.T_root_board))
-    return Calibration(NAMES[0], sensors, joint_covariance=joint), Adjusted(bundle, solved, boards)
+    return Calibration(NAMES[0], sensors, joint_covariance=joint), SolvedBundle(bundle, solved, boards)
 
 
 def true_poses(moved: str = "", by: Array | None = None) -> KnownPoses:

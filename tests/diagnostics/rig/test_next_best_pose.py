@@ -8,10 +8,10 @@ from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
 from calgraph.diagnostics.rig.next_best_pose import suggest
 from calgraph.diagnostics.rig.pose_description import placed_in_words
 from calgraph.diagnostics.verdict import verdict
-from calgraph.estimation.rig.bundle_solver import Bundle, State, solve
-from calgraph.estimation.rig.covariances import covariance
-from calgraph.estimation.rig.observations import relative
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 
@@ -31,11 +31,13 @@ def upright(count: int) -> Array:
     return se3.pose(so3.exp(np.outer(rng.uniform(-0.6, 0.6, count), [0, 0, 1])) @ FACING, boards[:, :3, 3])
 
 
-def adjusted(boards: Array) -> Adjusted:
+def adjusted(boards: Array) -> SolvedBundle:
     """Level sensors that all saw these boards."""
-    views = tuple(views_of(name, relative(T, boards)) for name, T in zip(NAMES, T_ROBOT_SENSOR, strict=True))
+    views = tuple(views_of(name, relative_poses(T, boards)) for name, T in zip(NAMES, T_ROBOT_SENSOR, strict=True))
     bundle = Bundle(NAMES, views, np.arange(3), np.full(3, 1e-6), lever=0.5 * WIDTH)
-    return Adjusted(bundle, solve(bundle, State(T_ROBOT_SENSOR, boards, np.zeros(0))), np.arange(len(boards)))
+    return SolvedBundle(
+        bundle, minimize_bundle(bundle, BundleState(T_ROBOT_SENSOR, boards, np.zeros(0))), np.arange(len(boards))
+    )
 
 
 def suggested(boards: Array) -> tuple[Suggestion, ...]:
@@ -44,7 +46,7 @@ def suggested(boards: Array) -> tuple[Suggestion, ...]:
 
 def laser_deviations(boards: Array) -> Array:
     at = adjusted(boards)
-    spread = covariance(at.bundle, at.solved.state, at.solved.system)
+    spread = pose_covariance(at.bundle, at.minimized.state, at.minimized.equations)
     return np.asarray(np.sqrt(np.diag(spread))[12:])
 
 
@@ -67,7 +69,7 @@ def test_boards_held_upright_are_to_be_tilted_before_the_scanner_that_they_leave
 
 def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
     at = adjusted(upright(20))
-    spread = covariance(at.bundle, at.solved.state, at.solved.system)[12:, 12:]
+    spread = pose_covariance(at.bundle, at.minimized.state, at.minimized.equations)[12:, 12:]
     found = verdict("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
     assert found.grade == "unobservable"
     assert found.reason.startswith(
@@ -94,7 +96,7 @@ def test_deviations_shrink_by_as_much_as_promised() -> None:
 
 def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:
     exact = scene(boards=12)
-    known = Adjusted(exact.bundle, solve(exact.bundle, exact.truth), np.arange(12))
+    known = SolvedBundle(exact.bundle, minimize_bundle(exact.bundle, exact.truth), np.arange(12))
     suggestions = suggest(known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
     assert suggestions
     # Three more boards among twelve like them shrink deviations by a tenth.

@@ -28,11 +28,11 @@ def without_edges(_: str, detection: Detection) -> Detection:
 
 def test_without_cameras_sheets_lie_where_they_were_seen_to_end() -> None:
     one = seen(BLIND)
-    adjusted = one.solved().adjusted
+    adjusted = one.solved().solved_bundle
     assert adjusted is not None
     boards = {i: board.T_root_board for i, board in enumerate(one.truth.boards)}
     T_truth = np.array([boards[int(capture)] for capture in adjusted.captures])
-    off = se3.inverse(T_truth) @ adjusted.solved.state.T_root_board
+    off = se3.inverse(T_truth) @ adjusted.minimized.state.T_root_board
     centers, turns = np.linalg.norm(off[:, :2, 3], axis=1), np.abs(off[:, 0, 1])
     # Turned by half a turn a sheet looks the same; a few cannot be laid.
     assert np.mean((centers < 0.01) & (turns < 0.02)) > 0.8

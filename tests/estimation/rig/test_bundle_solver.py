@@ -9,36 +9,40 @@ import scipy.optimize
 
 from bundle_scenes import scene
 from calgraph.errors import CalibrationError
-from calgraph.estimation.rig.bundle_solver import Bundle, Prior, State, moved, solve
-from calgraph.estimation.rig.covariances import covariance
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPrior, minimize_bundle, retract_state
+from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.geometry import se3, so3
 from dense_bundles import dense_jacobian, quiet, residuals_after
 
 
-def disturbed(state: State, rng: np.random.Generator, size: float = 0.02) -> State:
+def disturbed(state: BundleState, rng: np.random.Generator, size: float = 0.02) -> BundleState:
     """A start off the truth, the root excepted."""
     sensors = size * rng.normal(size=(len(state.T_root_sensor), 6))
     sensors[0] = 0
     boards = size * rng.normal(size=(len(state.T_root_board), 6))
-    return State(se3.retract(state.T_root_sensor, sensors), se3.retract(state.T_root_board, boards), state.own)
+    return BundleState(
+        se3.retract(state.T_root_sensor, sensors), se3.retract(state.T_root_board, boards), state.extra
+    )
 
 
-def solved_by_scipy(bundle: Bundle, start: State, **options: Any) -> tuple[State, float]:
+def solved_by_scipy(bundle: Bundle, start: BundleState, **options: Any) -> tuple[BundleState, float]:
     """The best state, and its cost."""
     oracle = scipy.optimize.least_squares(
         lambda step: residuals_after(bundle, start, step),
-        np.zeros(bundle.size + 6 * len(start.T_root_board)),
+        np.zeros(bundle.parameter_count + 6 * len(start.T_root_board)),
         jac=lambda step: dense_jacobian(bundle, start, step),
         x_scale="jac",
         **options,
     )
-    best = moved(bundle, start, oracle.x[: bundle.size], oracle.x[bundle.size :].reshape(-1, 6))
+    best = retract_state(
+        bundle, start, oracle.x[: bundle.parameter_count], oracle.x[bundle.parameter_count :].reshape(-1, 6)
+    )
     return best, float(oracle.cost)
 
 
 def test_exact_measurements_give_the_truth_from_a_poor_start(rng: np.random.Generator) -> None:
     exact = quiet()
-    solved = solve(exact.bundle, disturbed(exact.truth, rng, size=0.1))
+    solved = minimize_bundle(exact.bundle, disturbed(exact.truth, rng, size=0.1))
     assert solved.converged
     error = se3.difference(solved.state.T_root_sensor, exact.truth.T_root_sensor)
     # Settled means that what is left is a thousandth of a standard deviation.
@@ -49,20 +53,20 @@ def test_least_squares_of_scipy_are_the_same(rng: np.random.Generator) -> None:
     exact = quiet(boards=5)
     # So little noise that no residual is held off by the robust loss.
     bundle, start = exact.measured(rng, noise=0.3), disturbed(exact.truth, rng, size=0.003)
-    solved = solve(bundle, start)
+    solved = minimize_bundle(bundle, start)
     best, cost = solved_by_scipy(bundle, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    assert solved.system.cost == pytest.approx(cost, rel=1e-7)
+    assert solved.equations.cost == pytest.approx(cost, rel=1e-7)
     assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-6
 
 
 def test_outliers_pull_as_in_scipys_huber(rng: np.random.Generator) -> None:
     exact = quiet(("lidar", "laser"), boards=6)
     bundle, start = exact.measured(rng, noise=1.5), disturbed(exact.truth, rng, size=0.003)
-    solved = solve(bundle, start)
+    solved = minimize_bundle(bundle, start)
     best, cost = solved_by_scipy(
         bundle, start, loss="huber", f_scale=2.5, max_nfev=300, xtol=1e-13, ftol=1e-13, gtol=1e-13
     )
-    assert solved.system.cost <= cost * (1 + 1e-7)
+    assert solved.equations.cost <= cost * (1 + 1e-7)
     # By small parts of the standard deviations, which are millimetres.
     assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-4
 
@@ -70,27 +74,27 @@ def test_outliers_pull_as_in_scipys_huber(rng: np.random.Generator) -> None:
 def test_a_prior_pulls_as_a_kalman_update(rng: np.random.Generator) -> None:
     exact = quiet()
     bundle = exact.measured(rng, noise=0.3)
-    free = solve(bundle, exact.truth)
-    P = covariance(bundle, free.state, free.system)[6:12, 6:12]
+    free = minimize_bundle(bundle, exact.truth)
+    P = pose_covariance(bundle, free.state, free.equations)[6:12, 6:12]
     sizes = np.array([2, 3, 4, 2, 3, 4]) * 1e-4
     R = np.diag(sizes**2)
     known = se3.retract(free.state.T_root_sensor[1], np.array([5, -5, 5, -5, 5, -5]) * 1e-4)
-    pulled = solve(replace(bundle, priors=(Prior(1, known, np.diag(sizes**-2)),)), exact.truth)
+    pulled = minimize_bundle(replace(bundle, priors=(SensorPrior(1, known, np.diag(sizes**-2)),)), exact.truth)
     gain = P @ np.linalg.inv(P + R)
     moved_by = se3.difference(pulled.state.T_root_sensor[1], free.state.T_root_sensor[1])
     expected = gain @ se3.difference(known, free.state.T_root_sensor[1])
     np.testing.assert_allclose(moved_by, expected, atol=0.02 * np.abs(expected).max())
-    spread = covariance(bundle, pulled.state, pulled.system)[6:12, 6:12]
+    spread = pose_covariance(bundle, pulled.state, pulled.equations)[6:12, 6:12]
     np.testing.assert_allclose(spread, P - gain @ P, atol=0.02 * np.abs(P - gain @ P).max())
 
 
 def test_a_prior_alone_decides_where_a_sensor_without_views_is() -> None:
     exact = quiet()
     blind = replace(
-        exact.bundle, views=(*exact.bundle.views[:2], exact.bundle.views[2].where(np.zeros(8, dtype=bool)))
+        exact.bundle, views=(*exact.bundle.views[:2], exact.bundle.views[2].select(np.zeros(8, dtype=bool)))
     )
     known = se3.retract(exact.truth.T_root_sensor[2], np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.3]))
-    solved = solve(replace(blind, priors=(Prior(2, known, 1e6 * np.eye(6)),)), exact.truth)
+    solved = minimize_bundle(replace(blind, priors=(SensorPrior(2, known, 1e6 * np.eye(6)),)), exact.truth)
     np.testing.assert_allclose(solved.state.T_root_sensor[2], known, atol=1e-8)
 
 
@@ -101,7 +105,7 @@ def test_sensors_on_one_body_stay_as_far_apart_as_they_are(rng: np.random.Genera
     # The body as a whole is off at the start, far enough for several steps.
     turn = se3.pose(so3.exp(np.array([0.1, -0.1, 0.1])), np.array([0.1, -0.1, 0.1]))
     T[1:3] = turn @ T[1:3]
-    solved = solve(bundle, replace(exact.truth, T_root_sensor=T)).state.T_root_sensor
+    solved = minimize_bundle(bundle, replace(exact.truth, T_root_sensor=T)).state.T_root_sensor
     np.testing.assert_allclose(se3.inverse(solved[1]) @ solved[2], se3.inverse(T[1]) @ T[2], atol=1e-12)
     assert np.abs(se3.difference(solved[1], exact.truth.T_root_sensor[1])).max() < 0.01
 
@@ -109,35 +113,39 @@ def test_sensors_on_one_body_stay_as_far_apart_as_they_are(rng: np.random.Genera
 def test_sensors_on_the_roots_body_do_not_move(rng: np.random.Generator) -> None:
     exact = quiet()
     bundle = replace(exact.measured(rng), body=np.array([0, 0, 1]))
-    solved = solve(bundle, exact.truth)
+    solved = minimize_bundle(bundle, exact.truth)
     np.testing.assert_array_equal(solved.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
-    assert not covariance(bundle, solved.state, solved.system)[:12].any()
+    assert not pose_covariance(bundle, solved.state, solved.equations)[:12].any()
 
 
 def test_a_sensor_left_without_views_stays_and_leaves_the_others_alone(rng: np.random.Generator) -> None:
     exact = quiet()
     bundle = exact.measured(rng)
-    blind = replace(bundle, views=(*bundle.views[:2], bundle.views[2].where(np.zeros(8, dtype=bool))))
-    with_blind = solve(blind, exact.truth)
+    blind = replace(bundle, views=(*bundle.views[:2], bundle.views[2].select(np.zeros(8, dtype=bool))))
+    with_blind = minimize_bundle(blind, exact.truth)
     pair = Bundle(("lidar", "camera"), bundle.views[:2], np.arange(2), np.zeros(2), bundle.lever)
-    without = solve(pair, replace(exact.truth, T_root_sensor=exact.truth.T_root_sensor[:2]))
+    without = minimize_bundle(pair, replace(exact.truth, T_root_sensor=exact.truth.T_root_sensor[:2]))
     np.testing.assert_allclose(with_blind.state.T_root_sensor[:2], without.state.T_root_sensor, atol=1e-6)
     np.testing.assert_allclose(with_blind.state.T_root_sensor[2], exact.truth.T_root_sensor[2], atol=1e-12)
     # Nothing is known of it but that it is somewhere on the robot.
-    assert covariance(blind, with_blind.state, with_blind.system)[12:15, 12:15].max() == pytest.approx(100.0)
+    assert pose_covariance(blind, with_blind.state, with_blind.equations)[12:15, 12:15].max() == pytest.approx(
+        100.0
+    )
 
 
 def test_a_board_that_one_sensor_alone_saw_changes_nothing(rng: np.random.Generator) -> None:
     exact = quiet()
     bundle = exact.measured(rng)
     alone = np.arange(8) != 7
-    one_more = replace(bundle, views=(bundle.views[0].where(alone), bundle.views[1], bundle.views[2].where(alone)))
-    fewer = replace(bundle, views=tuple(views.where(alone) for views in bundle.views))
-    found, expected = solve(one_more, exact.truth), solve(fewer, exact.truth)
+    one_more = replace(
+        bundle, views=(bundle.views[0].select(alone), bundle.views[1], bundle.views[2].select(alone))
+    )
+    fewer = replace(bundle, views=tuple(views.select(alone) for views in bundle.views))
+    found, expected = minimize_bundle(one_more, exact.truth), minimize_bundle(fewer, exact.truth)
     np.testing.assert_allclose(found.state.T_root_sensor, expected.state.T_root_sensor, atol=1e-6)
     np.testing.assert_allclose(
-        covariance(one_more, found.state, found.system),
-        covariance(fewer, expected.state, expected.system),
+        pose_covariance(one_more, found.state, found.equations),
+        pose_covariance(fewer, expected.state, expected.equations),
         rtol=1e-3, atol=1e-12,
     )  # fmt: skip
 
@@ -145,14 +153,18 @@ def test_a_board_that_one_sensor_alone_saw_changes_nothing(rng: np.random.Genera
 def test_the_cost_never_rises(rng: np.random.Generator) -> None:
     exact = scene(boards=8)
     bundle, start = exact.measured(rng, noise=3.0, sway=0.02), disturbed(exact.truth, rng, size=0.3)
-    costs = [solve(bundle, start, iterations=n).system.cost for n in (1, 2, 3, 5, 8, 20)]
+    costs = [minimize_bundle(bundle, start, iterations=n).equations.cost for n in (1, 2, 3, 5, 8, 20)]
     assert np.all(np.diff(costs) <= 0)
 
 
 def test_a_solver_that_was_stopped_early_says_so(rng: np.random.Generator) -> None:
     exact = quiet()
     start = disturbed(exact.truth, rng, size=0.2)
-    assert [solve(exact.bundle, start, iterations=count).converged for count in (1, 5, 20)] == [False, False, True]
+    assert [minimize_bundle(exact.bundle, start, iterations=count).converged for count in (1, 5, 20)] == [
+        False,
+        False,
+        True,
+    ]
 
 
 def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
@@ -160,4 +172,4 @@ def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
     T = exact.truth.T_root_sensor.copy()
     T[1] = T[1] @ np.diag([-1.0, 1, -1, 1])
     with pytest.raises(CalibrationError, match="behind a camera"):
-        solve(exact.bundle, replace(exact.truth, T_root_sensor=T))
+        minimize_bundle(exact.bundle, replace(exact.truth, T_root_sensor=T))

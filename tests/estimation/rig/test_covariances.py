@@ -4,40 +4,40 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.estimation.rig.bundle_solver import linearize, moved
-from calgraph.estimation.rig.covariances import covariance, view_spreads
-from calgraph.estimation.rig.observations import relative
+from calgraph.estimation.rig.bundle_solver import linearize_bundle, retract_state
+from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
+from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, se3
 from dense_bundles import dense_jacobian, quiet
 
 
 def test_covariance_is_the_dense_inverse() -> None:
     exact = quiet(boards=6)
-    system = linearize(exact.bundle, exact.truth)
+    system = linearize_bundle(exact.bundle, exact.truth)
     J = dense_jacobian(exact.bundle, exact.truth)
     expected = np.linalg.inv(J.T @ J)[:12, :12]
-    found = covariance(exact.bundle, exact.truth, system)[6:, 6:]
+    found = pose_covariance(exact.bundle, exact.truth, system)[6:, 6:]
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), atol=1e-4)
 
 
 def test_the_root_has_no_covariance() -> None:
     exact = quiet()
-    spread = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))
+    spread = pose_covariance(exact.bundle, exact.truth, linearize_bundle(exact.bundle, exact.truth))
     np.testing.assert_array_equal(spread[:6], np.zeros((6, len(spread))))
 
 
 def test_covariance_where_views_measure_is_the_dense_one() -> None:
     exact = quiet(boards=4)
-    factor = view_spreads(exact.bundle, linearize(exact.bundle, exact.truth))[1][2]
+    factor = view_covariance_factors(exact.bundle, linearize_bundle(exact.bundle, exact.truth))[1][2]
     J = dense_jacobian(exact.bundle, exact.truth)
     everything = np.linalg.inv(J.T @ J)
     T_root_camera, T_root_board = exact.truth.T_root_sensor[1], exact.truth.T_root_board[2]
 
     def before(step: Array) -> Array:
-        after = moved(exact.bundle, exact.truth, step[:12], step[12:].reshape(-1, 6))
-        T = relative(after.T_root_sensor[1], after.T_root_board[2])
-        return se3.difference(T, relative(T_root_camera, T_root_board))
+        after = retract_state(exact.bundle, exact.truth, step[:12], step[12:].reshape(-1, 6))
+        T = relative_poses(after.T_root_sensor[1], after.T_root_board[2])
+        return se3.difference(T, relative_poses(T_root_camera, T_root_board))
 
     steps = 1e-6 * np.eye(len(everything))
     by_all = np.stack([(before(s) - before(-s)) / 2e-6 for s in steps], axis=-1)
@@ -51,7 +51,7 @@ def test_covariance_where_views_measure_is_the_dense_one() -> None:
 def test_sensors_on_one_body_are_certain_of_each_other() -> None:
     exact = quiet()
     bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
-    spread = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:, 6:]
+    spread = pose_covariance(bundle, exact.truth, linearize_bundle(bundle, exact.truth))[6:, 6:]
     apart = se3.relative_covariance(exact.truth.T_root_sensor[1], exact.truth.T_root_sensor[2], spread)
     assert np.abs(apart).max() < 1e-9 * np.abs(spread).max()
 
@@ -59,7 +59,7 @@ def test_sensors_on_one_body_are_certain_of_each_other() -> None:
 def test_a_body_is_as_certain_as_its_sensors_together() -> None:
     """The laser's views fix the camera, too, and so does the other way round: each adds information."""
     exact = quiet()
-    alone = covariance(exact.bundle, exact.truth, linearize(exact.bundle, exact.truth))[6:12, 6:12]
+    alone = pose_covariance(exact.bundle, exact.truth, linearize_bundle(exact.bundle, exact.truth))[6:12, 6:12]
     bundle = replace(exact.bundle, body=np.array([0, 1, 1]))
-    together = covariance(bundle, exact.truth, linearize(bundle, exact.truth))[6:12, 6:12]
+    together = pose_covariance(bundle, exact.truth, linearize_bundle(bundle, exact.truth))[6:12, 6:12]
     assert np.linalg.eigvalsh(alone - together).min() > 0

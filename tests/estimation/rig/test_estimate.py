@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calgraph.estimation import Joint, cramer_rao, solve_bundle
+from calgraph.estimation import RigSolution, cramer_rao, solve_bundle
 from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, set_stage
 from seen_rigs import QUICK, Seen, seen, seen_on
@@ -18,7 +18,7 @@ DISTURBED = QUICK.model_copy(update={"disturbed": 0.2})
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[tuple[Seen, Joint]]:
+def runs() -> list[tuple[Seen, RigSolution]]:
     stage = set_stage(SMALL, 1)
     found = [seen_on(stage, seed) for seed in range(RUNS)]
     return [(one, one.solved()) for one in found]
@@ -36,7 +36,7 @@ def interval(count: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", ["camera", "laser_front"])
-def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[Seen, Joint]], name: str) -> None:
+def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[Seen, RigSolution]], name: str) -> None:
     errors = [se3.difference(joint.T_root_sensor[name], one.T_root_sensor[name]) for one, joint in runs]
     squared = [e @ np.linalg.solve(bound(one)[name], e) / 6 for e, (one, _) in zip(errors, runs, strict=True)]
     low, high = interval(6 * RUNS)
@@ -45,18 +45,18 @@ def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[Seen, Joint]]
 
 
 @pytest.mark.parametrize("name", ["camera", "laser_front"])
-def test_errors_are_as_the_covariance_says(runs: list[tuple[Seen, Joint]], name: str) -> None:
+def test_errors_are_as_the_covariance_says(runs: list[tuple[Seen, RigSolution]], name: str) -> None:
     low, high = interval(6 * RUNS)
     nees = np.mean([one.mahalanobis(joint, name) for one, joint in runs])
     # Sway that chance makes appear widens the covariance of a rig without any.
     assert 0.8 * low < nees < 1.1 * high
 
 
-def test_nothing_right_is_rejected(runs: list[tuple[Seen, Joint]]) -> None:
+def test_nothing_right_is_rejected(runs: list[tuple[Seen, RigSolution]]) -> None:
     assert sum(len(joint.rejected) for _, joint in runs) <= 1
 
 
-def test_the_noise_found_is_the_noise_stated(runs: list[tuple[Seen, Joint]]) -> None:
+def test_the_noise_found_is_the_noise_stated(runs: list[tuple[Seen, RigSolution]]) -> None:
     scales = np.array([[noise.scale for noise in joint.noise.values()] for _, joint in runs])
     np.testing.assert_allclose(scales.mean(axis=0), 1.0, atol=0.05)
 

@@ -8,7 +8,7 @@ import pytest
 from calgraph.config import Board, Checkerboard
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import InputError
-from calgraph.estimation import Estimable, Joint
+from calgraph.estimation import Estimable, RigSolution
 from calgraph.result import Estimated
 from calgraph.simulation import CameraKnobs
 from seen_rigs import QUICK, Seen, seen
@@ -62,8 +62,8 @@ def misprinted(right: Seen) -> Seen:
     return replace(right.changed(moved), rig=rig)
 
 
-def one(joint: Joint, of: str, quantity: str) -> Estimated:
-    (found,) = [e for e in joint.estimated if (e.of, e.quantity) == (of, quantity)]
+def one(joint: RigSolution, of: str, quantity: str) -> Estimated:
+    (found,) = [e for e in joint.extra_parameters if (e.of, e.quantity) == (of, quantity)]
     return found
 
 
@@ -85,7 +85,7 @@ def test_a_biased_scanner_is_placed_right_if_its_bias_is_estimated(biased: Seen)
 
 def test_focal_length_is_recovered(misfocused: Seen, right: Seen) -> None:
     joint, truth = misfocused.solved("intrinsics"), right.captured.cameras["camera"]
-    for found, true in zip(joint.estimated, truth.intrinsics, strict=True):
+    for found, true in zip(joint.extra_parameters, truth.intrinsics, strict=True):
         assert abs(found.value - true) < 3.5 * found.stddev
     assert one(joint, "camera", "fx").stddev < 0.003 * truth.focal[0]
 
@@ -98,7 +98,7 @@ def test_a_misfocused_camera_is_placed_right_if_its_intrinsics_are_estimated(mis
 def test_a_tags_place_is_recovered(misprinted: Seen) -> None:
     joint = misprinted.solved("tags")
     # What is stated too far to the right is found as much to the left; one tag is where it is by definition.
-    (free,) = [e for e in joint.estimated if (e.of, e.quantity) == ("tag 0", "x")]
+    (free,) = [e for e in joint.extra_parameters if (e.of, e.quantity) == ("tag 0", "x")]
     assert abs(free.value + 0.003) < 3 * free.stddev
     assert free.stddev < 0.001
 
@@ -111,8 +111,8 @@ def test_a_camera_is_placed_right_if_the_misprint_is_estimated(misprinted: Seen)
 
 def test_what_is_right_stays_right_if_all_is_estimated(right: Seen) -> None:
     joint = right.solved("tags", "range_bias", "intrinsics")
-    stated = np.array([e.stated for e in joint.estimated])
-    z = (np.array([e.value for e in joint.estimated]) - stated) / [e.stddev for e in joint.estimated]
+    stated = np.array([e.stated for e in joint.extra_parameters])
+    z = (np.array([e.value for e in joint.extra_parameters]) - stated) / [e.stddev for e in joint.extra_parameters]
     assert np.abs(z).max() < 4
     assert right.mahalanobis(joint, "camera") < 3
 

@@ -7,7 +7,13 @@ import pytest
 
 from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of
 from calgraph.config import RangeNoise
-from calgraph.estimation.rig.observations import Beams, Corners, Rows, Views, relative
+from calgraph.estimation.rig.observations import (
+    BoardViews,
+    CornerObservations,
+    LinearizedResiduals,
+    RangeObservations,
+    relative_poses,
+)
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 
@@ -25,13 +31,13 @@ UGLY = {
 }
 
 
-def jacobian(rows: Rows, views: Views) -> Array:
+def jacobian(rows: LinearizedResiduals, views: BoardViews) -> Array:
     """(N·k, 6 + e) by the pose of the view that each measurement is in, and the sensor's own unknowns."""
     view = np.repeat(np.arange(len(views.start)), np.diff(views.start, append=len(rows.residual)))
-    return np.asarray(rows.jacobian @ rows.basis[view]).reshape(-1, rows.basis.shape[-1])
+    return np.asarray(rows.jacobian @ rows.local_jacobian[view]).reshape(-1, rows.local_jacobian.shape[-1])
 
 
-def numerical(views: Views, T: Array, own: Array) -> Array:
+def numerical(views: BoardViews, T: Array, own: Array) -> Array:
     """The same by central differences."""
 
     def residual(step: Array) -> Array:
@@ -42,8 +48,10 @@ def numerical(views: Views, T: Array, own: Array) -> Array:
     return np.stack([(residual(step) - residual(-step)) / (2 * STEP) for step in steps], axis=-1)
 
 
-def corners(camera: CameraModel) -> Corners:
-    return Corners(np.array([0]), np.array([0]), CORNERS, np.full((len(CORNERS), 2), 200.0), camera, PIXEL)
+def corners(camera: CameraModel) -> CornerObservations:
+    return CornerObservations(
+        np.array([0]), np.array([0]), CORNERS, np.full((len(CORNERS), 2), 200.0), camera, PIXEL
+    )
 
 
 @pytest.mark.parametrize("pose", [ORDINARY, *UGLY.values()], ids=["ordinary", *UGLY])
@@ -63,7 +71,10 @@ def test_corners_are_differentiated_as_numbers_say(camera: CameraModel, pose: Ar
 )
 def test_corners_are_differentiated_by_intrinsics_and_by_the_tags_places(camera: CameraModel) -> None:
     tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
-    views, T = replace(corners(camera), intrinsics=True, tags=centers, tag=tag), ORDINARY[None]
+    views, T = (
+        replace(corners(camera), estimate_intrinsics=True, tag_centers=centers, tag_index=tag),
+        ORDINARY[None],
+    )
     own = np.concatenate([camera.intrinsics, [0.01, -0.02, 0.1, -0.01, 0.02, -0.2]])
     expected = numerical(views, T, own)
     assert np.abs(expected[:, 6:]).max(axis=0).min() > 0
@@ -74,7 +85,7 @@ def test_corners_are_differentiated_by_intrinsics_and_by_the_tags_places(camera:
 
 def test_a_tag_turns_about_its_own_centre() -> None:
     tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
-    views = replace(corners(CAMERA), tags=centers, tag=tag)
+    views = replace(corners(CAMERA), tag_centers=centers, tag_index=tag)
     T, quarter = ORDINARY[None], np.array([0, 0, np.pi / 2, 0, 0, 0])
     still, turned = (views.linearize(T, own).residual for own in (np.zeros(6), quarter))
     # A quarter turn brings each corner where the next one was, and leaves other tags alone.
@@ -86,7 +97,7 @@ def test_a_tag_turns_about_its_own_centre() -> None:
 @pytest.mark.parametrize("kind", ["lidar", "laser"])
 def test_beams_are_differentiated_as_numbers_say(kind: str, bias: int) -> None:
     truth = scene((kind,), boards=6, seed=3).truth
-    T = relative(truth.T_root_sensor[0], truth.T_root_board)
+    T = relative_poses(truth.T_root_sensor[0], truth.T_root_board)
     views = beams(kind, T, bias)
     # Off the poses that the beams were made for: then their places on the boards matter.
     T, own = se3.retract(T, np.tile([0.1, -0.2, 0.1, 0.1, -0.1, 0.2], (6, 1))), np.full(bias, 0.03)
@@ -112,7 +123,7 @@ def test_residual_of_a_beam_is_how_much_farther_the_board_is_than_measured() -> 
 
 
 def test_a_range_bias_is_what_a_scanner_measures_too_much() -> None:
-    views = replace(one_beam(np.array([1.0, 0.0, 0.0]), 2.03), unknowns=1)
+    views = replace(one_beam(np.array([1.0, 0.0, 0.0]), 2.03), extra_count=1)
     T = se3.pose(np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]), np.array([2.0, 0.3, 0.2]))[None]
     assert views.linearize(T, np.array([0.03])).residual[0, 0] == pytest.approx(0.0, abs=1e-12)
 
@@ -128,28 +139,28 @@ def test_errors_of_a_beams_direction_count_more_the_flatter_it_meets_the_board(i
     reach = distance * n[0] / (n[0] * np.cos(angle) + n[1] * np.sin(angle))
     expected = np.std(reach + rng.normal(0, noise.range, len(angle)))
     beam = replace(one_beam(np.array([1.0, 0.0, 0.0]), distance), noise=noise)
-    assert beam.weighed(T, 1.0).sigma[0] == pytest.approx(expected, rel=0.01)
+    assert beam.update_noise(T, 1.0).sigma[0] == pytest.approx(expected, rel=0.01)
 
 
 def test_noise_is_stated_noise_times_its_scale() -> None:
     views = one_beam(np.array([1.0, 0.0, 0.0]), 1.9)
     T = se3.pose(np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]), np.array([2.0, 0.3, 0.2]))[None]
-    assert views.weighed(T, 3.0).sigma[0] == pytest.approx(3 * 0.012, rel=1e-3)
+    assert views.update_noise(T, 3.0).sigma[0] == pytest.approx(3 * 0.012, rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["camera", "lidar", "laser"])
 def test_some_of_the_views_say_what_they_said_among_all(kind: str) -> None:
     truth = scene((kind,), boards=5).truth
-    T = se3.retract(relative(truth.T_root_sensor[0], truth.T_root_board), np.full((5, 6), 0.01))
+    T = se3.retract(relative_poses(truth.T_root_sensor[0], truth.T_root_board), np.full((5, 6), 0.01))
     views, keep = (
-        views_of(kind, relative(truth.T_root_sensor[0], truth.T_root_board)),
+        views_of(kind, relative_poses(truth.T_root_sensor[0], truth.T_root_board)),
         np.array([0, 1, 0, 1, 1], bool),
     )
     rows, kept = (
         views.linearize(T, np.zeros(0)),
         np.repeat(keep, np.diff(views.start, append=len(views.linearize(T, np.zeros(0)).residual))),
     )
-    some = views.where(keep)
+    some = views.select(keep)
     np.testing.assert_array_equal(some.board, [1, 3, 4])
     np.testing.assert_array_equal(some.linearize(T[keep], np.zeros(0)).residual, rows.residual[kept])
 
@@ -157,18 +168,20 @@ def test_some_of_the_views_say_what_they_said_among_all(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["camera", "lidar", "laser"])
 def test_no_views_left_say_nothing(kind: str) -> None:
     truth = scene((kind,), boards=5).truth
-    views = views_of(kind, relative(truth.T_root_sensor[0], truth.T_root_board)).where(np.zeros(5, dtype=bool))
+    views = views_of(kind, relative_poses(truth.T_root_sensor[0], truth.T_root_board)).select(
+        np.zeros(5, dtype=bool)
+    )
     assert len(views.linearize(np.zeros((0, 4, 4)), np.zeros(0)).residual) == 0
 
 
-def one_beam(direction: Array, measured: float) -> Beams:
-    return Beams(
+def one_beam(direction: Array, measured: float) -> RangeObservations:
+    return RangeObservations(
         np.array([0]), np.array([0]), direction[None], np.array([measured]), RangeNoise(range=0.012, angle=1e-5),
         np.array([0.012]),
     )  # fmt: skip
 
 
-def beams(kind: str, T_sensor_board: Array, bias: int) -> Beams:
+def beams(kind: str, T_sensor_board: Array, bias: int) -> RangeObservations:
     views = views_of(kind, T_sensor_board)
-    assert isinstance(views, Beams)
-    return replace(views, unknowns=bias)
+    assert isinstance(views, RangeObservations)
+    return replace(views, extra_count=bias)

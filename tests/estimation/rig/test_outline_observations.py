@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.detection import PlanePatch
-from calgraph.estimation.rig.bundle_solver import Unknown, linearize, solve
-from calgraph.estimation.rig.covariances import covariance
-from calgraph.estimation.rig.observations import relative
-from calgraph.estimation.rig.outline_observations import Outline
+from calgraph.estimation.rig.bundle_solver import ExtraParameter, linearize_bundle, minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.outline_observations import OutlineObservations
 from calgraph.geometry import Array, se3, so3
 
 HALF = np.array([WIDTH, HEIGHT]) / 2
@@ -41,10 +41,12 @@ def patch(edges: Array) -> PlanePatch:
     return PlanePatch(np.array([0, 0, -1, 2.0]), np.eye(3), np.zeros((0, 3)), np.array([0, 0, 2.0]), edges=edges)
 
 
-def outline(T_sensor_board: Array, edges: list[Array]) -> Outline:
+def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
     """Of boards (V, 4, 4), weighed there."""
-    views = Outline.of(range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)))
-    return views.weighed(T_sensor_board, 1.0)
+    views = OutlineObservations.from_detections(
+        range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1))
+    )
+    return views.update_noise(T_sensor_board, 1.0)
 
 
 def test_outlines_are_differentiated_as_numbers_say() -> None:
@@ -61,7 +63,7 @@ def test_outlines_are_differentiated_as_numbers_say() -> None:
     rows = views.linearize(T, own)
     view = np.repeat([0, 1], np.diff(views.start, append=len(rows.residual)))
     assert len(view) > 40
-    np.testing.assert_allclose((rows.jacobian @ rows.basis[view])[:, 0], numbers, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose((rows.jacobian @ rows.local_jacobian[view])[:, 0], numbers, rtol=1e-5, atol=1e-4)
 
 
 def test_a_sheet_that_is_farther_to_one_side_than_it_was_seen_is_off_by_that_much() -> None:
@@ -103,7 +105,7 @@ def test_some_of_the_outlines_say_what_they_said_among_all() -> None:
     T = se3.retract(BEFORE, rng.uniform(-0.2, 0.2, (4, 6)))
     views = outline(T, [edges_of(one, crossings(rng, each=3)) for one in T])
     keep: NDArray[np.intp] = np.array([3, 1])
-    some = views.where(keep)
+    some = views.select(keep)
     parts = np.split(views.linearize(T, np.zeros(1)).residual, views.start[1:])
     np.testing.assert_array_equal(some.board, keep)
     np.testing.assert_array_equal(
@@ -113,7 +115,7 @@ def test_some_of_the_outlines_say_what_they_said_among_all() -> None:
 
 def test_middles_are_where_the_sheet_was_seen_to_end() -> None:
     places = crossings(np.random.default_rng(3))
-    views, found = outline(BEFORE[None], [edges_of(BEFORE, places)]).middles(BEFORE[None])
+    views, found = outline(BEFORE[None], [edges_of(BEFORE, places)]).edge_points(BEFORE[None])
     np.testing.assert_allclose(found, places.mean(axis=1), atol=1e-9)
     assert not views.any()
 
@@ -121,21 +123,27 @@ def test_middles_are_where_the_sheet_was_seen_to_end() -> None:
 def test_outlines_place_a_lidar_by_as_much_as_they_say() -> None:
     """Two LiDARs: outlines make every axis surer than their planes alone, and covariances hold."""
     exact = scene(("lidar", "lidar_2"), boards=8).without_sway()
-    T_sensor_board = [relative(T, exact.truth.T_root_board) for T in exact.truth.T_root_sensor]
-    growth = [Unknown("", "outline", "m", 0.0, 0.01, (2 + s,)) for s in range(2)]
-    state = replace(exact.truth, own=np.zeros(2))
+    T_sensor_board = [relative_poses(T, exact.truth.T_root_board) for T in exact.truth.T_root_sensor]
+    growth = [ExtraParameter("", "outline", "m", 0.0, 0.01, (2 + s,)) for s in range(2)]
+    state = replace(exact.truth, extra=np.zeros(2))
     nees, stated, plain = [], [], []
     for seed in range(24):
         rng = np.random.default_rng(seed)
         measured = exact.measured(rng)
         outlines = tuple(outline(T, [edges_of(one, crossings(rng)) for one in T]) for T in T_sensor_board)
-        bundle = replace(measured, outlines=outlines, outlined=(0, 1), unknowns=tuple(growth), sway=np.zeros(4))
-        solved = solve(bundle, state)
-        spread = covariance(bundle, solved.state, solved.system)[6:, 6:]
+        bundle = replace(
+            measured,
+            outlines=outlines,
+            outline_sensor=(0, 1),
+            extra_parameters=tuple(growth),
+            bias_variance=np.zeros(4),
+        )
+        solved = minimize_bundle(bundle, state)
+        spread = pose_covariance(bundle, solved.state, solved.equations)[6:, 6:]
         error = se3.difference(solved.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
         nees.append(error @ np.linalg.solve(spread, error) / 6)
         stated.append(np.sqrt(np.diag(spread)))
-        without = covariance(measured, exact.truth, linearize(measured, exact.truth))[6:, 6:]
+        without = pose_covariance(measured, exact.truth, linearize_bundle(measured, exact.truth))[6:, 6:]
         plain.append(np.sqrt(np.diag(without)))
     assert np.mean(nees) == pytest.approx(1.0, abs=0.3)
     assert np.all(np.mean(stated, axis=0) < np.mean(plain, axis=0))

@@ -11,18 +11,18 @@ from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.prior_tests import doubts_of_known
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import Bundle, Prior, Solved, solve
-from calgraph.estimation.rig.covariances import covariance
+from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, SensorPrior, minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.priors import (
     PosePrior,
     PriorFile,
     RigidFile,
     RigidGroup,
-    attached,
-    bodies,
-    free,
-    known_poses,
-    with_groups,
+    apply_rigid_groups,
+    assign_bodies,
+    attach_by_priors,
+    resolve_prior_poses,
+    without_priors,
 )
 from calgraph.geometry import Array, se3
 from calgraph.graph import SpanningTree
@@ -38,7 +38,7 @@ STDDEV = np.repeat([0.02, np.radians(0.5)], 3)
 
 def group_of(exact: Scene, names: tuple[str, ...], wrong: Array | None = None) -> RigidGroup:
     """Sensors as they truly stand to each other, the last of them off by a step (6,)."""
-    poses = {name: exact.truth.T_root_sensor[exact.bundle.names.index(name)] for name in names}
+    poses = {name: exact.truth.T_root_sensor[exact.bundle.sensors.index(name)] for name in names}
     if wrong is not None:
         poses[names[-1]] = se3.retract(poses[names[-1]], wrong)
     return RigidGroup.model_validate(
@@ -46,15 +46,15 @@ def group_of(exact: Scene, names: tuple[str, ...], wrong: Array | None = None) -
     )
 
 
-def grouped(bundle: Bundle, group: RigidGroup) -> Solved:
-    start = with_groups(solve(bundle, EXACT.truth).state, bundle.names, [group])
-    return solve(replace(bundle, body=bodies(bundle.names, [group])), start)
+def grouped(bundle: Bundle, group: RigidGroup) -> MinimizedBundle:
+    start = apply_rigid_groups(minimize_bundle(bundle, EXACT.truth).state, bundle.sensors, [group])
+    return minimize_bundle(replace(bundle, body=assign_bodies(bundle.sensors, [group])), start)
 
 
 def with_prior(bundle: Bundle, sensor: int, off: Array) -> Bundle:
     """The bundle with a prior that is off by a step (6,)."""
     T = se3.retract(EXACT.truth.T_root_sensor[sensor], off)
-    return replace(bundle, priors=(Prior(sensor, T, np.diag(STDDEV**-2)),))
+    return replace(bundle, priors=(SensorPrior(sensor, T, np.diag(STDDEV**-2)),))
 
 
 def test_a_group_stays_rigid(rng: np.random.Generator) -> None:
@@ -68,7 +68,7 @@ def test_a_group_makes_its_sensors_more_certain_and_more_right() -> None:
     group, errors = group_of(EXACT, PAIR), []
     for seed in range(SEEDS):
         bundle = EXACT.measured(np.random.default_rng(seed))
-        alone, together = solve(bundle, EXACT.truth), grouped(bundle, group)
+        alone, together = minimize_bundle(bundle, EXACT.truth), grouped(bundle, group)
         errors.append(
             [
                 np.sum(se3.difference(s.state.T_root_sensor[2:], EXACT.truth.T_root_sensor[2:])[:, :3] ** 2)
@@ -76,8 +76,8 @@ def test_a_group_makes_its_sensors_more_certain_and_more_right() -> None:
             ]
         )
         spread = [
-            np.trace(covariance(b, s.state, s.system)[12:, 12:])
-            for b, s in ((bundle, alone), (replace(bundle, body=bodies(bundle.names, [group])), together))
+            np.trace(pose_covariance(b, s.state, s.equations)[12:, 12:])
+            for b, s in ((bundle, alone), (replace(bundle, body=assign_bodies(bundle.sensors, [group])), together))
         ]
         assert spread[1] < spread[0]
     separate, shared = np.sqrt(np.mean(errors, axis=0))
@@ -90,14 +90,14 @@ def test_right_priors_and_groups_are_not_doubted() -> None:
         rng = np.random.default_rng(seed)
         bundle = with_prior(EXACT.measured(rng), 1, STDDEV * rng.normal(size=6))
         group = group_of(EXACT, PAIR)
-        assert doubts_of_known(bundle, solve(bundle, EXACT.truth), []) == {}
-        bundle = replace(bundle, body=bodies(bundle.names, [group]))
+        assert doubts_of_known(bundle, minimize_bundle(bundle, EXACT.truth), []) == {}
+        bundle = replace(bundle, body=assign_bodies(bundle.sensors, [group]))
         assert doubts_of_known(bundle, grouped(bundle, group), [group]) == {}
 
 
 def test_a_wrong_prior_is_called_out_with_its_size(rng: np.random.Generator) -> None:
     bundle = with_prior(EXACT.measured(rng), 1, np.array([0, 0, 0.2, 0, 0, 0]))
-    doubts = doubts_of_known(bundle, solve(bundle, EXACT.truth), [])
+    doubts = doubts_of_known(bundle, minimize_bundle(bundle, EXACT.truth), [])
     assert set(doubts) == {"camera"}
     # Ten standard deviations of the prior, to which those of the captures add little.
     said = doubts["camera"].removeprefix("the prior of camera disagrees with the captures by ").split()
@@ -107,7 +107,7 @@ def test_a_wrong_prior_is_called_out_with_its_size(rng: np.random.Generator) -> 
 
 def test_a_wrong_group_is_called_out_by_its_sensors(rng: np.random.Generator) -> None:
     group = group_of(EXACT, PAIR, wrong=np.array([0.03, 0, 0, 0, 0, 0]))
-    bundle = replace(EXACT.measured(rng), body=bodies(EXACT.bundle.names, [group]))
+    bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
     doubts = doubts_of_known(bundle, grouped(bundle, group), [group])
     assert set(doubts) == set(PAIR)
     assert all("is fixed to laser" in why and "as rig says" in why for why in doubts.values())
@@ -115,33 +115,35 @@ def test_a_wrong_group_is_called_out_by_its_sensors(rng: np.random.Generator) ->
 
 def test_of_sensors_fixed_to_the_root_the_one_that_is_not_is_named(rng: np.random.Generator) -> None:
     group = group_of(EXACT, ("lidar", "laser", "camera"), wrong=np.array([0, 0.03, 0, 0, 0, 0]))
-    bundle = replace(EXACT.measured(rng), body=bodies(EXACT.bundle.names, [group]))
+    bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
     doubts = doubts_of_known(bundle, grouped(bundle, group), [group])
     assert "that camera is fixed to lidar, laser as rig says" in doubts["camera"]
 
 
 def test_a_sensor_that_no_capture_ties_says_so() -> None:
     bundle = EXACT.bundle
-    blind = replace(bundle, views=(*bundle.views[:3], bundle.views[3].where(np.zeros(8, dtype=bool))))
+    blind = replace(bundle, views=(*bundle.views[:3], bundle.views[3].select(np.zeros(8, dtype=bool))))
     blind = with_prior(blind, 3, np.zeros(6))
-    solved = solve(blind, EXACT.truth)
+    solved = minimize_bundle(blind, EXACT.truth)
     assert doubts_of_known(blind, solved, []) == {
         "laser_2": "no capture ties laser_2 to another sensor: it is where it was said to be"
     }
     np.testing.assert_allclose(
-        covariance(blind, solved.state, solved.system)[18:, 18:], np.diag(STDDEV**2), rtol=1e-4, atol=1e-12
+        pose_covariance(blind, solved.state, solved.equations)[18:, 18:], np.diag(STDDEV**2), rtol=1e-4, atol=1e-12
     )
 
 
 def test_without_what_is_known_sensors_are_free_but_those_without_views() -> None:
     bundle = EXACT.bundle
-    blind = replace(bundle, views=(*bundle.views[:1], bundle.views[1].where(np.zeros(8, bool)), *bundle.views[2:]))
-    np.testing.assert_array_equal(free(with_prior(blind, 1, np.zeros(6))).body, [0, 0, 1, 2])
+    blind = replace(
+        bundle, views=(*bundle.views[:1], bundle.views[1].select(np.zeros(8, bool)), *bundle.views[2:])
+    )
+    np.testing.assert_array_equal(without_priors(with_prior(blind, 1, np.zeros(6))).body, [0, 0, 1, 2])
 
 
 def test_bodies_are_numbered_from_that_of_the_root() -> None:
     groups = [group_of(EXACT, PAIR), group_of(EXACT, ("camera", "lidar"))]
-    np.testing.assert_array_equal(bodies(EXACT.bundle.names, groups), [0, 0, 1, 1])
+    np.testing.assert_array_equal(assign_bodies(EXACT.bundle.sensors, groups), [0, 0, 1, 1])
 
 
 # From files
@@ -173,7 +175,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: CaptureSet, file: Path) -> None:
-    priors, groups = known_poses(rig, captured, PriorFile(read_poses(file), (0.01, 0.1)), [])
+    priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_poses(file), (0.01, 0.1)), [])
     assert [prior.sensor for prior in priors] == ["camera", "laser"]
     np.testing.assert_array_equal(np.array(priors[1].T_root_sensor)[:3, 3], [1, 1, 0])
     np.testing.assert_allclose(np.diag(priors[0].covariance), [1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
@@ -181,7 +183,7 @@ def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: Captu
 
 
 def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, file: Path) -> None:
-    priors, groups = known_poses(rig, captured, PriorFile(read_poses(file), (0, 0)), [])
+    priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_poses(file), (0, 0)), [])
     assert priors == ()
     assert [list(group.T_group_sensor) for group in groups] == [["lidar", "camera", "laser"]]
 
@@ -207,7 +209,7 @@ def test_what_cannot_be_known_so_is_refused(
     poses = read_poses(file)
     known = None if prior is None else PriorFile(poses, None if prior == "none" else (0, 0))
     with pytest.raises(InputError, match=message):
-        known_poses(rig, captured, known, [RigidFile(poses, sensors) for sensors in rigid])
+        resolve_prior_poses(rig, captured, known, [RigidFile(poses, sensors) for sensors in rigid])
 
 
 def prior_of(sensor: str, x: float) -> PosePrior:
@@ -224,18 +226,18 @@ def estimate(a: str, b: str, x: float) -> PairwiseEstimate:
 
 def test_a_prior_ties_what_captures_tie_to_its_sensor() -> None:
     root = SpanningTree("lidar", {}, {"lidar": np.eye(4)})
-    tree = attached(root, [estimate("camera", "laser", 2.0)], [prior_of("camera", 1.0)], [])
+    tree = attach_by_priors(root, [estimate("camera", "laser", 2.0)], [prior_of("camera", 1.0)], [])
     assert dict(tree.parents) == {"camera": "lidar", "laser": "camera"}
     np.testing.assert_array_equal(tree.T_root_sensor["laser"][:3, 3], [3, 0, 0])
 
 
 def test_a_group_ties_a_sensor_to_the_one_that_captures_tie() -> None:
     tree = SpanningTree("lidar", {"laser": "lidar"}, {"lidar": np.eye(4), "laser": EXACT.truth.T_root_sensor[2]})
-    tied = attached(tree, [], [], [group_of(EXACT, PAIR)])
+    tied = attach_by_priors(tree, [], [], [group_of(EXACT, PAIR)])
     assert tied.parents["laser_2"] == "laser"
     np.testing.assert_allclose(tied.T_root_sensor["laser_2"], EXACT.truth.T_root_sensor[3], atol=1e-12)
 
 
 def test_what_captures_tie_hangs_where_it_did() -> None:
     tree = SpanningTree("lidar", {"camera": "lidar"}, {"lidar": np.eye(4), "camera": np.eye(4)})
-    assert attached(tree, [], [prior_of("camera", 1.0)], []) is tree
+    assert attach_by_priors(tree, [], [prior_of("camera", 1.0)], []) is tree

@@ -17,7 +17,7 @@ from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation import Problem, Solver, load_problem, replayable, save_problem
+from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem
 from calgraph.estimation.rig.problem_file import DETECTIONS
 from calgraph.graph import SpanningTree, spanning_tree
 from calgraph.pairwise import PairwiseEstimate, estimate_pairs, estimated
@@ -75,7 +75,7 @@ def problem() -> Problem:
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
     assert estimated(pairs)
     pairs = {**pairs, ("lidar", "blind"): Rejected("no capture shows the board to both")}
-    return Problem(RIG, captured, pairs, spanning_tree("lidar", estimated(pairs)), Solver(keep="none"))
+    return Problem(RIG, captured, pairs, spanning_tree("lidar", estimated(pairs)), SolverOptions(keep="none"))
 
 
 @pytest.fixture
@@ -140,7 +140,7 @@ def test_the_same_problem_gives_the_same_file(saved: Path, tmp_path: Path) -> No
 
 def test_what_is_solved_lies_in_memory_as_what_comes_from_a_file(problem: Problem) -> None:
     """Sums over an array in another order differ in their last bit."""
-    found = [d for by in replayable(problem).captured.detections.values() for seen in by.values() for d in seen]
+    found = [d for by in round_trip(problem).captured.detections.values() for seen in by.values() for d in seen]
     arrays = [array for d in found for array in vars(d).values() if isinstance(array, np.ndarray)]
     assert len(arrays) > 100
     assert all(array.flags.c_contiguous and array.flags.owndata for array in arrays)
@@ -187,7 +187,7 @@ def test_the_recipe_of_the_page_reads_it(saved: Path, monkeypatch: pytest.Monkey
 def test_a_problem_without_anything_found_comes_back(problem: Problem, tmp_path: Path) -> None:
     nothing: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in RIG.sensors}
     captured = dataclasses.replace(problem.captured, holds=(), detections=nothing, rejections={})
-    empty = Problem(RIG, captured, {}, SpanningTree("lidar", {}, {"lidar": np.eye(4)}), Solver())
+    empty = Problem(RIG, captured, {}, SpanningTree("lidar", {}, {"lidar": np.eye(4)}), SolverOptions())
     save_problem(empty, tmp_path / "empty.npz")
     assert bits(load_problem(tmp_path / "empty.npz")) == bits(empty)
 

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 
 from bundle_scenes import Scene, scene
-from calgraph.estimation.rig.bundle_solver import linearize, solve
-from calgraph.estimation.rig.covariances import reduced_covariance
-from calgraph.estimation.rig.normal_equations import ViewSums
-from calgraph.estimation.rig.observations import Beams, relative
-from calgraph.estimation.rig.relinearization import visit
+from calgraph.estimation.rig.bundle_solver import linearize_bundle, minimize_bundle
+from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.estimation.rig.normal_equations import ViewNormalEquations
+from calgraph.estimation.rig.observations import RangeObservations, relative_poses
+from calgraph.estimation.rig.relinearization import linearize_views
 from calgraph.geometry import Array, se3, so3
 
 STILL, SWAY = np.zeros(0), np.zeros(6)
 
 
-def seen(rng: np.random.Generator) -> tuple[Beams, Array]:
+def seen(rng: np.random.Generator) -> tuple[RangeObservations, Array]:
     """What a 3-D scanner measures of boards, and their poses before it."""
     exact = scene(("lidar",), boards=6)
     (views,) = exact.measured(rng).views
-    assert isinstance(views, Beams)
-    return views, relative(exact.truth.T_root_sensor[0], exact.truth.T_root_board)
+    assert isinstance(views, RangeObservations)
+    return views, relative_poses(exact.truth.T_root_sensor[0], exact.truth.T_root_board)
 
 
-def gradients(sums: ViewSums) -> Array:
+def gradients(sums: ViewNormalEquations) -> Array:
     """(V, p) in standard deviations of what each view tells best."""
     return np.asarray(sums.gradient / np.sqrt(np.trace(sums.information, axis1=-2, axis2=-1))[:, None])
 
@@ -32,10 +32,14 @@ def gradients(sums: ViewSums) -> Array:
 def test_sums_moved_by_a_step_of_the_solver_are_those_of_all_beams(rng: np.random.Generator) -> None:
     views, T = seen(rng)
     near = se3.retract(T, 3e-4 * rng.normal(size=(6, 6)))
-    moved = visit(views, T, STILL, SWAY).moved(views, near, STILL)
-    anew = visit(views, near, STILL, SWAY).sums
+    moved = linearize_views(views, T, STILL, SWAY).extrapolate(views, near, STILL)
+    anew = linearize_views(views, near, STILL, SWAY).equations
     assert moved is not None
-    np.testing.assert_allclose(moved.square + 2 * moved.held, anew.square + 2 * anew.held, rtol=1e-3)
+    np.testing.assert_allclose(
+        moved.squared_residuals + 2 * moved.robust_cost_offset,
+        anew.squared_residuals + 2 * anew.robust_cost_offset,
+        rtol=1e-3,
+    )
     assert np.abs(gradients(moved) - gradients(anew)).max() < 0.1
 
 
@@ -44,18 +48,20 @@ def test_the_smaller_the_step_the_nearer_are_sums_to_those_of_all_beams(rng: np.
     off = []
     for size in (1e-3, 1e-4):
         near = se3.retract(T, np.full((6, 6), size))
-        moved = visit(views, T, STILL, SWAY).moved(views, near, STILL)
+        moved = linearize_views(views, T, STILL, SWAY).extrapolate(views, near, STILL)
         assert moved is not None
-        off.append(np.abs(gradients(moved) - gradients(visit(views, near, STILL, SWAY).sums)).max())
+        off.append(np.abs(gradients(moved) - gradients(linearize_views(views, near, STILL, SWAY).equations)).max())
     assert off[1] < 0.15 * off[0]
 
 
 def test_a_board_that_slides_and_turns_in_its_plane_has_not_moved(rng: np.random.Generator) -> None:
     views, T = seen(rng)
     slid = T @ se3.pose(so3.exp(np.array([0, 0, 1.0])), np.array([0.4, -0.3, 0]))
-    moved = visit(views, T, STILL, SWAY).moved(views, slid, STILL)
+    moved = linearize_views(views, T, STILL, SWAY).extrapolate(views, slid, STILL)
     assert moved is not None
-    np.testing.assert_allclose(moved.gradient, visit(views, slid, STILL, SWAY).sums.gradient, atol=1e-6)
+    np.testing.assert_allclose(
+        moved.gradient, linearize_views(views, slid, STILL, SWAY).equations.gradient, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("step", [[0, 0.02, 0, 0, 0, 0], [0, 0, 0, 0.03, 0, 0]], ids=["moved", "turned"])
@@ -63,14 +69,14 @@ def test_sums_are_not_moved_far(step: list[float], rng: np.random.Generator) -> 
     views, T = seen(rng)
     far = T.copy()
     far[2] = T[2] @ se3.retract(np.eye(4), np.array(step)[[0, 2, 1, 3, 4, 5]])
-    assert visit(views, T, STILL, SWAY).moved(views, far, STILL) is None
+    assert linearize_views(views, T, STILL, SWAY).extrapolate(views, far, STILL) is None
 
 
 def test_an_unknown_bias_is_moved_along(rng: np.random.Generator) -> None:
     views, T = seen(rng)
-    views, zero, biased = replace(views, unknowns=1), np.zeros(1), np.array([0.002])
-    moved = visit(views, T, zero, np.zeros(7)).moved(views, T, biased)
-    anew = visit(views, T, biased, np.zeros(7)).sums
+    views, zero, biased = replace(views, extra_count=1), np.zeros(1), np.array([0.002])
+    moved = linearize_views(views, T, zero, np.zeros(7)).extrapolate(views, T, biased)
+    anew = linearize_views(views, T, biased, np.zeros(7)).equations
     assert moved is not None
     assert np.abs(gradients(moved) - gradients(anew)).max() < 0.1
 
@@ -80,12 +86,12 @@ def test_solutions_are_those_of_all_measurements_to_a_thousandth_of_their_errors
     exact: Scene = scene(boards=12)
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        bundle = replace(exact.measured(rng, noise=1.2, sway=sway), sway=np.full(3, sway**2))
+        bundle = replace(exact.measured(rng, noise=1.2, sway=sway), bias_variance=np.full(3, sway**2))
         start = replace(
             exact.truth, T_root_board=se3.retract(exact.truth.T_root_board, 0.02 * rng.normal(size=(12, 6)))
         )
-        solved = solve(bundle, start)
-        system = linearize(bundle, solved.state)
-        P, (_, g, _) = reduced_covariance(system), system.reduced()
+        solved = minimize_bundle(bundle, start)
+        system = linearize_bundle(bundle, solved.state)
+        P, (_, g, _) = parameter_covariance(system), system.eliminate_boards()
         assert solved.converged
         assert np.all(np.abs(P @ g) < 1e-3 * np.sqrt(np.diag(P)))

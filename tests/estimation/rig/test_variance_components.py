@@ -8,27 +8,27 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bundle_scenes import Scene, remeasured, scene
-from calgraph.estimation.rig.bundle_solver import Bundle, Solved, solve
-from calgraph.estimation.rig.covariances import covariance, view_spreads
-from calgraph.estimation.rig.observations import Beams, Views, relative
-from calgraph.estimation.rig.variance_components import with_measured_scatter, wrong_views
+from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
+from calgraph.estimation.rig.observations import BoardViews, RangeObservations, relative_poses
+from calgraph.estimation.rig.variance_components import find_outlier_views, update_variance_components
 from calgraph.geometry import se3
 
 SEEDS = 20
 
 
-def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, Solved]:
+def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, MinimizedBundle]:
     """The bundle after rounds of solving and measuring both noise and sway."""
-    solved = solve(bundle, exact.truth)
+    solved = minimize_bundle(bundle, exact.truth)
     for _ in range(rounds):
-        spreads = view_spreads(bundle, solved.system)
-        bundle = with_measured_scatter(bundle, solved, spreads)
-        solved = solve(bundle, solved.state, iterations=3)
+        spreads = view_covariance_factors(bundle, solved.equations)
+        bundle = update_variance_components(bundle, solved, spreads)
+        solved = minimize_bundle(bundle, solved.state, iterations=3)
     return bundle, solved
 
 
-def contradicting(bundle: Bundle, solved: Solved) -> list[NDArray[np.bool_]]:
-    return wrong_views(bundle, solved.system, view_spreads(bundle, solved.system))
+def contradicting(bundle: Bundle, solved: MinimizedBundle) -> list[NDArray[np.bool_]]:
+    return find_outlier_views(bundle, solved.equations, view_covariance_factors(bundle, solved.equations))
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.5, 1.0, 2.0])
@@ -37,11 +37,11 @@ def test_noise_stated_wrongly_is_measured(noise: float) -> None:
     found = []
     for seed in range(SEEDS):
         bundle = exact.measured(np.random.default_rng(seed), noise)
-        solved = solve(bundle, exact.truth)
+        solved = minimize_bundle(bundle, exact.truth)
         for _ in range(3):
-            bundle = with_measured_scatter(bundle, solved, view_spreads(bundle, solved.system))
-            solved = solve(bundle, solved.state, iterations=3)
-        found.append([views.scale for views in bundle.views])
+            bundle = update_variance_components(bundle, solved, view_covariance_factors(bundle, solved.equations))
+            solved = minimize_bundle(bundle, solved.state, iterations=3)
+        found.append([views.noise_scale for views in bundle.views])
     # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as three more.
     freedom = np.array([6 * 108 - 18, 108, len(exact.bundle.views[2].start) * 50])
     spread = noise / np.sqrt(2 * freedom * SEEDS)
@@ -57,7 +57,7 @@ def test_noise_is_measured_where_no_view_tells_it_alone(noise: float) -> None:
         measured = exact.measured(np.random.default_rng(seed), noise)
         # Two beams on a board fit it, however wrong they are.
         bundle = replace(measured, views=(*measured.views[:2], with_two_beams(measured.views[2])))
-        found.append(settled(exact, bundle, rounds=6)[0].views[2].scale)
+        found.append(settled(exact, bundle, rounds=6)[0].views[2].noise_scale)
     freedom = 2 * 15 - 6
     spread = noise / np.sqrt(2 * freedom * SEEDS)
     pull = 3 / freedom * abs(np.log(noise)) * noise
@@ -66,9 +66,9 @@ def test_noise_is_measured_where_no_view_tells_it_alone(noise: float) -> None:
     assert abs(np.mean(found) - noise) < 3 * spread + pull + taken
 
 
-def with_two_beams(views: Views) -> Views:
+def with_two_beams(views: BoardViews) -> BoardViews:
     """The views with the first and the last beam of each."""
-    assert isinstance(views, Beams)
+    assert isinstance(views, RangeObservations)
     ends = np.stack([views.start, np.append(views.start[1:], len(views.ranges)) - 1], axis=-1).ravel()
     return replace(
         views,
@@ -84,7 +84,7 @@ def test_the_noise_of_one_sensor_is_not_anothers() -> None:
     loud = exact.measured(np.random.default_rng(0), 3.0)
     quiet = exact.measured(np.random.default_rng(1), 1.0)
     bundle, _ = settled(exact, replace(quiet, views=(quiet.views[0], loud.views[1], quiet.views[2])))
-    scales = [views.scale for views in bundle.views]
+    scales = [views.noise_scale for views in bundle.views]
     assert scales == pytest.approx([1, 3, 1], rel=0.25)
 
 
@@ -92,7 +92,10 @@ def test_the_noise_of_one_sensor_is_not_anothers() -> None:
 def test_sway_is_measured_as_large_as_it_is_on_average(sway: float) -> None:
     exact = scene(("lidar", "camera", "laser", "camera"), boards=15)
     variances = np.array(
-        [settled(exact, exact.measured(np.random.default_rng(seed), sway=sway))[0].sway for seed in range(SEEDS)]
+        [
+            settled(exact, exact.measured(np.random.default_rng(seed), sway=sway))[0].bias_variance
+            for seed in range(SEEDS)
+        ]
     )
     # Each sensor's variance over the true one: its mean over seeds against their own scatter.
     relative_size = variances / sway**2
@@ -103,7 +106,7 @@ def test_sway_is_measured_as_large_as_it_is_on_average(sway: float) -> None:
 def test_without_sway_hardly_any_is_measured() -> None:
     exact = scene(boards=15)
     sways = np.sqrt([
-        settled(exact, exact.measured(np.random.default_rng(seed)))[0].sway for seed in range(SEEDS)
+        settled(exact, exact.measured(np.random.default_rng(seed)))[0].bias_variance for seed in range(SEEDS)
     ])  # fmt: skip
     # Scatter of some views is larger by chance; even then it is a small part of the noise.
     assert np.median(sways) < 5e-4
@@ -115,7 +118,7 @@ def test_with_sway_errors_are_as_the_covariance_says() -> None:
     nees = []
     for seed in range(2 * SEEDS):
         bundle, solved = settled(exact, exact.measured(np.random.default_rng(seed), sway=0.005))
-        spread = covariance(bundle, solved.state, solved.system)[6:, 6:]
+        spread = pose_covariance(bundle, solved.state, solved.equations)[6:, 6:]
         error = se3.difference(solved.state.T_root_sensor, exact.truth.T_root_sensor)[1:].ravel()
         nees.append(error @ np.linalg.solve(spread, error))
     low, high = chi2.ppf([0.005, 0.995], 12 * len(nees)) / (12 * len(nees))
@@ -127,19 +130,19 @@ def moved_views(exact: Scene, bundle: Bundle, sensor: int, wrong: list[int], rng
     """The bundle in which one sensor saw some boards 5 cm and 3 degrees off."""
     off = np.zeros((len(exact.truth.T_root_board), 6))
     off[wrong] = 0.05 * rng.choice([-1, 1], (len(wrong), 6))
-    T = relative(exact.truth.T_root_sensor[sensor], exact.truth.T_root_board)
+    T = relative_poses(exact.truth.T_root_sensor[sensor], exact.truth.T_root_board)
     views = list(bundle.views)
     views[sensor] = remeasured(exact.bundle.views[sensor], se3.retract(T, off), rng, 1.0)
-    return replace(bundle, views=tuple(views), sway=np.full(len(views), 0.003**2))
+    return replace(bundle, views=tuple(views), bias_variance=np.full(len(views), 0.003**2))
 
 
 def named(exact: Scene, bundle: Bundle, rounds: int = 3) -> list[tuple[int, int]]:
     """Sensors and boards of the views called wrong, left out round by round."""
     found = []
     for _ in range(rounds):
-        wrong = contradicting(bundle, solve(bundle, exact.truth))
+        wrong = contradicting(bundle, minimize_bundle(bundle, exact.truth))
         found += [(s, int(board)) for s, bad in enumerate(wrong) for board in bundle.views[s].board[bad]]
-        left = tuple(views.where(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
+        left = tuple(views.select(~bad) for views, bad in zip(bundle.views, wrong, strict=True))
         bundle = replace(bundle, views=left)
     return found
 
@@ -171,5 +174,5 @@ def test_right_views_are_not_called_wrong() -> None:
 def test_of_one_board_only_the_worst_view_is_called_wrong() -> None:
     exact, rng = scene(("lidar", "camera", "lidar2", "laser"), boards=10), np.random.default_rng(0)
     bundle = moved_views(exact, moved_views(exact, exact.measured(rng), 1, [3], rng), 3, [3], rng)
-    found = contradicting(bundle, solve(bundle, exact.truth))
+    found = contradicting(bundle, minimize_bundle(bundle, exact.truth))
     assert sum(bool(bad[3]) for bad in found) == 1

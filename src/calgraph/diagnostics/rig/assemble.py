@@ -12,14 +12,14 @@ from calgraph.diagnostics.verdict import doubts, rivals, verdict
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
-from calgraph.estimation.rig.solution import Joint
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.result import Calibration, CaptureRow, Edge, SensorPose
 
 
-def assemble(problem: Problem, tree: SpanningTree, joint: Joint) -> Calibration:
+def assemble(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibration:
     """Collects everything a calibration tells its user.
 
     Args:
@@ -33,8 +33,8 @@ def assemble(problem: Problem, tree: SpanningTree, joint: Joint) -> Calibration:
     used = {seen: r for seen, r in _residuals_of_used(within).items() if seen not in joint.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
     doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
-    adjusted, groups = joint.adjusted, problem.solver.groups
-    of_known = doubts_of_known(adjusted.bundle, adjusted.solved, groups) if adjusted else {}
+    adjusted, groups = joint.solved_bundle, problem.solver.groups
+    of_known = doubts_of_known(adjusted.bundle, adjusted.minimized, groups) if adjusted else {}
     for name, why in of_known.items():
         doubted[name] = f"{doubted[name]}; {why}" if name in doubted else why
     if not joint.converged:
@@ -54,14 +54,14 @@ def assemble(problem: Problem, tree: SpanningTree, joint: Joint) -> Calibration:
         outlines=board_outlines(rig, captured, used, joint),
         board_views=board_views(captured, used, joint),
         estimator=joint.estimator,
-        estimated=joint.estimated,
+        estimated=joint.extra_parameters,
         joint_covariance=_ordered(joint, root_first),
         snapshots=captured.snapshots,
     )
 
 
 def _pose(
-    name: str, rig: Rig, captured: CaptureSet, tree: SpanningTree, joint: Joint, doubt: str, rival: float
+    name: str, rig: Rig, captured: CaptureSet, tree: SpanningTree, joint: RigSolution, doubt: str, rival: float
 ) -> SensorPose:
     spec = rig.sensors[name]
     T, covariance = joint.T_root_sensor[name], joint.covariance[name]
@@ -76,7 +76,7 @@ def _pose(
     )
 
 
-def _ordered(joint: Joint, names: Sequence[str]) -> Array:
+def _ordered(joint: RigSolution, names: Sequence[str]) -> Array:
     """The joint covariance of the sensors in another order."""
     order = list(joint.T_root_sensor)
     rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
@@ -103,7 +103,7 @@ def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:
     return used
 
 
-def _row(hold: Hold, name: str, captured: CaptureSet, used: Used, joint: Joint) -> CaptureRow:
+def _row(hold: Hold, name: str, captured: CaptureSet, used: Used, joint: RigSolution) -> CaptureRow:
     residual, reason = None, ""
     if (hold.index, name) in used:
         matched = np.concatenate(list(used[hold.index, name].values()))

@@ -7,13 +7,13 @@ import numpy as np
 
 from calgraph.diagnostics.rig.cross_validation import cross_validate
 from calgraph.diagnostics.rig.next_best_pose import suggest
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 
 
 def with_outlook(
     calibration: Calibration,
-    adjusted: Adjusted,
+    adjusted: SolvedBundle,
     size: tuple[float, float],
     folds: int,
     rng: np.random.Generator,

@@ -7,8 +7,8 @@ import numpy as np
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
-from calgraph.estimation.rig.observations import Beams, Corners, relative
-from calgraph.estimation.rig.solution import Adjusted, Joint
+from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, BoardView
 
@@ -19,12 +19,12 @@ Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 _POINTS = 300
 
 
-def board_views(captured: CaptureSet, used: Used, joint: Joint) -> tuple[BoardView, ...]:
+def board_views(captured: CaptureSet, used: Used, joint: RigSolution) -> tuple[BoardView, ...]:
     """What each sensor saw in each capture: as the bundle used it, otherwise what was detected first."""
-    solved = list(_of_bundle(joint.adjusted)) if joint.adjusted else []
+    solved = list(_of_bundle(joint.solved_bundle)) if joint.solved_bundle else []
     shown = {(view.capture, view.sensor) for view in solved}
     detected = [
-        BoardView(capture, name, joint.adjusted is None and (capture, name) in used, _seen(found[0]))
+        BoardView(capture, name, joint.solved_bundle is None and (capture, name) in used, _seen(found[0]))
         for name, by_capture in captured.detections.items()
         for capture, found in by_capture.items()
         if (capture, name) not in shown
@@ -32,9 +32,9 @@ def board_views(captured: CaptureSet, used: Used, joint: Joint) -> tuple[BoardVi
     return tuple(sorted([*solved, *detected], key=lambda view: (view.capture, view.sensor)))
 
 
-def board_outlines(rig: Rig, captured: CaptureSet, used: Used, joint: Joint) -> tuple[BoardOutline, ...]:
+def board_outlines(rig: Rig, captured: CaptureSet, used: Used, joint: RigSolution) -> tuple[BoardOutline, ...]:
     """The board of each capture: where the bundle has the sheet, or as a camera or cloud saw it."""
-    solved = list(_sheets(rig, captured, joint.adjusted)) if joint.adjusted else []
+    solved = list(_sheets(rig, captured, joint.solved_bundle)) if joint.solved_bundle else []
     placed = {outline.capture for outline in solved}
     detected = (
         _detected(rig, captured, used, joint, hold.index) for hold in captured.holds if hold.index not in placed
@@ -42,17 +42,17 @@ def board_outlines(rig: Rig, captured: CaptureSet, used: Used, joint: Joint) -> 
     return tuple(sorted([*solved, *filter(None, detected)], key=lambda outline: outline.capture))
 
 
-def _of_bundle(adjusted: Adjusted) -> Iterator[BoardView]:
-    bundle, state = adjusted.bundle, adjusted.solved.state
-    for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
+def _of_bundle(adjusted: SolvedBundle) -> Iterator[BoardView]:
+    bundle, state = adjusted.bundle, adjusted.minimized.state
+    for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         if not len(views.board):  # placed by what is known of it
             continue
-        T_sensor_board = relative(state.T_root_sensor[s], state.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, state.own[bundle.own(s)]).residual
-        if isinstance(views, Corners):
-            seen, off = views.pixels, -residual * views.scale * views.noise.pixel
+        T_sensor_board = relative_poses(state.T_root_sensor[s], state.T_root_board[views.board])
+        residual = views.linearize(T_sensor_board, state.extra[bundle.extra_indices(s)]).residual
+        if isinstance(views, CornerObservations):
+            seen, off = views.pixels, -residual * views.noise_scale * views.noise.pixel
         else:
-            assert isinstance(views, Beams)
+            assert isinstance(views, RangeObservations)
             count = np.diff(views.start, append=len(views.ranges))
             normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
             seen = views.directions * views.ranges[:, None]
@@ -68,13 +68,13 @@ def _seen(detection: Detection) -> Array:
     return np.asarray(seen[:: len(seen) // _POINTS + 1])
 
 
-def _sheets(rig: Rig, captured: CaptureSet, adjusted: Adjusted) -> Iterator[BoardOutline]:
+def _sheets(rig: Rig, captured: CaptureSet, adjusted: SolvedBundle) -> Iterator[BoardOutline]:
     """The sheets of boards whose print a camera saw: of others, the bundle knows the plane only."""
-    bundle, T_root_board = adjusted.bundle, adjusted.solved.state.T_root_board
+    bundle, T_root_board = adjusted.bundle, adjusted.minimized.state.T_root_board
     drawn: set[int] = set()
-    for name, views in zip(bundle.names, bundle.views, strict=True):
+    for name, views in zip(bundle.sensors, bundle.views, strict=True):
         for board, start in zip(views.board.tolist(), views.start, strict=True):
-            if isinstance(views, Corners) and board not in drawn:
+            if isinstance(views, CornerObservations) and board not in drawn:
                 drawn.add(board)
                 capture = int(adjusted.captures[board])
                 found = captured.detections[name][capture]
@@ -87,7 +87,7 @@ def _printed(found: Sequence[Detection], pixel: Array) -> int:
     return next(d.board for d in found if isinstance(d, BoardCorners) and np.array_equal(d.pixels[0], pixel))
 
 
-def _detected(rig: Rig, captured: CaptureSet, used: Used, joint: Joint, capture: int) -> BoardOutline | None:
+def _detected(rig: Rig, captured: CaptureSet, used: Used, joint: RigSolution, capture: int) -> BoardOutline | None:
     """The board of one capture as it was detected, best by a camera; None if neither camera nor cloud did."""
     seen: list[tuple[Array, Detection]] = [
         (T, captured.detections[name][capture][k])

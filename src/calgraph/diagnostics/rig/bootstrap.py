@@ -11,11 +11,18 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from calgraph.estimation.rig.board_information import board_shares
-from calgraph.estimation.rig.bundle_solver import SETTLED, Bundle, State, System, pose_jacobian, solve
-from calgraph.estimation.rig.covariances import reduced_covariance
-from calgraph.estimation.rig.relinearization import Visit
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.board_information import information_by_board
+from calgraph.estimation.rig.bundle_solver import (
+    COARSE_TOLERANCE,
+    Bundle,
+    BundleEquations,
+    BundleState,
+    minimize_bundle,
+    pose_jacobian,
+)
+from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.estimation.rig.relinearization import CachedLinearization
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, Index, se3
 
 Honesty = Literal["honest", "optimistic", "pessimistic"]
@@ -60,7 +67,7 @@ class Scatter:
 
 
 def resample(
-    adjusted: Adjusted, rounds: int, rng: np.random.Generator, progress: Callable[[float], None]
+    adjusted: SolvedBundle, rounds: int, rng: np.random.Generator, progress: Callable[[float], None]
 ) -> dict[str, Scatter]:
     """Compares the covariances of poses with their scatter over resampled captures.
 
@@ -73,11 +80,11 @@ def resample(
     Returns:
         By sensor; none for those that do not move.
     """
-    bundle, state, system = adjusted.bundle, adjusted.solved.state, adjusted.solved.system
+    bundle, state, system = adjusted.bundle, adjusted.minimized.state, adjusted.minimized.equations
     captures, capture = np.unique(adjusted.captures, return_inverse=True)
-    shares = np.zeros((len(captures), bundle.size, bundle.size))
-    np.add.at(shares, capture, board_shares(bundle, system))
-    V = reduced_covariance(system)
+    shares = np.zeros((len(captures), bundle.parameter_count, bundle.parameter_count))
+    np.add.at(shares, capture, information_by_board(bundle, system))
+    V = parameter_covariance(system)
     turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)
     squares, stated = np.zeros(axes.shape[:2]), np.sqrt(_variances(axes, V))
@@ -85,7 +92,7 @@ def resample(
     for i in range(rounds):
         often = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
         drawn, near, at = _drawn(bundle, state, system, np.repeat(np.arange(len(capture)), often[capture]))
-        solved = solve(drawn, at, near, iterations=_STEPS, settled=SETTLED, exact=False)
+        solved = minimize_bundle(drawn, at, near, iterations=_STEPS, tolerance=COARSE_TOLERANCE, exact=False)
         both = zip(solved.state.T_root_sensor, state.T_root_sensor, strict=True)
         moves = np.array([se3.difference(T, T_whole) for T, T_whole in both])
         expected = np.maximum(_variances(axes, _move_covariance(shares, V, often)), _LEAST * stated**2)
@@ -94,20 +101,22 @@ def resample(
     ratio = np.sqrt(squares)
     low, high = _interval(axes[free] @ V, shares, rounds)
     return {
-        bundle.names[s]: Scatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
+        bundle.sensors[s]: Scatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
         for i, s in enumerate(np.flatnonzero(free))
     }
 
 
-def _drawn(bundle: Bundle, state: State, system: System, boards: Index) -> tuple[Bundle, list[Visit], State]:
+def _drawn(
+    bundle: Bundle, state: BundleState, system: BundleEquations, boards: Index
+) -> tuple[Bundle, list[CachedLinearization], BundleState]:
     """Bundle, visits and state of some boards, each as often as it was drawn."""
     views, visits = [], []
-    for own, visit in zip(bundle.all_views, system.visits, strict=True):
+    for own, visit in zip(bundle.all_views, system.cache, strict=True):
         view_of = np.full(len(state.T_root_board), -1)
         view_of[own.board] = np.arange(len(own.board))
         seen = np.flatnonzero(view_of[boards] >= 0)
-        views.append(replace(own.where(view_of[boards[seen]]), board=seen))
-        visits.append(visit.where(view_of[boards[seen]]))
+        views.append(replace(own.select(view_of[boards[seen]]), board=seen))
+        visits.append(visit.select(view_of[boards[seen]]))
     return bundle.with_views(views), visits, replace(state, T_root_board=state.T_root_board[boards])
 
 

@@ -16,21 +16,21 @@ from numpy.typing import NDArray
 
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import (
-    FAINT,
-    SETTLED,
+    BOARD_PRIOR_INFORMATION,
+    COARSE_TOLERANCE,
     Bundle,
-    State,
-    System,
-    linearize,
-    moved,
-    relative_jacobians,
-    solve,
+    BundleEquations,
+    BundleState,
+    linearize_bundle,
+    minimize_bundle,
+    retract_state,
+    view_jacobians,
 )
-from calgraph.estimation.rig.covariances import reduced_covariance
-from calgraph.estimation.rig.normal_equations import summed
-from calgraph.estimation.rig.observations import Beams, Corners, Views, relative
-from calgraph.estimation.rig.relinearization import Visit
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.estimation.rig.normal_equations import accumulate
+from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.relinearization import CachedLinearization
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.result import LeftOut
 from calgraph.result.calibration import rms
@@ -61,7 +61,7 @@ class _Errors:
     """(V,) how many directions were predicted."""
 
 
-def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
+def cross_validate(adjusted: SolvedBundle, folds: int) -> dict[str, LeftOut]:
     """Leaves out every capture once, in so many solutions.
 
     The noise and sway are those of the whole solution, which is also where the others start.
@@ -80,45 +80,49 @@ def cross_validate(adjusted: Adjusted, folds: int) -> dict[str, LeftOut]:
         raise InputError(f"--folds: must be 0 for none, or 2 and more, got {folds}")
     bundle = adjusted.bundle
     units: dict[str, Literal["px", "m"]] = {
-        name: "px" if isinstance(views, Corners) else "m"
-        for name, views in zip(bundle.names, bundle.views, strict=True)
+        name: "px" if isinstance(views, CornerObservations) else "m"
+        for name, views in zip(bundle.sensors, bundle.views, strict=True)
     }
     _, number = np.unique(adjusted.captures, return_inverse=True)
     fold_of = number % folds
-    errors: dict[str, list[_Errors]] = {name: [] for name in bundle.names}
-    visits = adjusted.solved.system.visits
+    errors: dict[str, list[_Errors]] = {name: [] for name in bundle.sensors}
+    visits = adjusted.minimized.equations.cache
     for fold in range(min(folds, int(number.max()) + 1)):
         others, near = _of_boards(bundle, visits, fold_of != fold)
-        trained = solve(others, adjusted.solved.state, near, settled=SETTLED, exact=False)
-        spread = reduced_covariance(trained.system)
+        trained = minimize_bundle(others, adjusted.minimized.state, near, tolerance=COARSE_TOLERANCE, exact=False)
+        spread = parameter_covariance(trained.equations)
         # An outline is what a scanner saw itself: it must not place the board for it.
         left, near = _of_boards(bundle.without_outlines(), visits[: len(bundle.views)], fold_of == fold)
         state, system = _placed(left, trained.state, near)
-        for s, name in enumerate(bundle.names):
+        for s, name in enumerate(bundle.sensors):
             if len(left.views[s].board):
                 errors[name].append(_errors(left, state, system, spread, s))
     summaries = {name: _summary(found, units[name]) for name, found in errors.items()}
     return {name: summary for name, summary in summaries.items() if summary}
 
 
-def _of_boards(bundle: Bundle, visits: Sequence[Visit], kept: NDArray[np.bool_]) -> tuple[Bundle, list[Visit]]:
+def _of_boards(
+    bundle: Bundle, visits: Sequence[CachedLinearization], kept: NDArray[np.bool_]
+) -> tuple[Bundle, list[CachedLinearization]]:
     """The bundle and visits with the views of some boards (C,) only."""
     keep = [kept[views.board] for views in bundle.all_views]
-    views = [views.where(some) for views, some in zip(bundle.all_views, keep, strict=True)]
-    return bundle.with_views(views), [at.where(some) for at, some in zip(visits, keep, strict=True)]
+    views = [views.select(some) for views, some in zip(bundle.all_views, keep, strict=True)]
+    return bundle.with_views(views), [at.select(some) for at, some in zip(visits, keep, strict=True)]
 
 
-def _placed(bundle: Bundle, state: State, visits: Sequence[Visit]) -> tuple[State, System]:
+def _placed(
+    bundle: Bundle, state: BundleState, visits: Sequence[CachedLinearization]
+) -> tuple[BundleState, BundleEquations]:
     """Boards where all sensors together have them, with sensors held."""
-    held, system = np.zeros(bundle.size), linearize(bundle, state, visits)
+    held, system = np.zeros(bundle.parameter_count), linearize_bundle(bundle, state, visits)
     for _ in range(_STEPS):
         step = _times(_inverse(system.H_board), -system.g_board)
-        state = moved(bundle, state, held, step)
-        system = linearize(bundle, state, visits)
+        state = retract_state(bundle, state, held, step)
+        system = linearize_bundle(bundle, state, visits)
     return state, system
 
 
-def _errors(bundle: Bundle, state: State, system: System, spread: Array, sensor: int) -> _Errors:
+def _errors(bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int) -> _Errors:
     """How far one sensor's views are from what the others predict, to first order about the placed boards.
 
     All algebra is in metres on the board: rotations are multiplied by the lever.
@@ -130,14 +134,14 @@ def _errors(bundle: Bundle, state: State, system: System, spread: Array, sensor:
         spread: (G, G) covariance of the sensors.
         sensor: which one is predicted.
     """
-    views, own = bundle.views[sensor], state.own[bundle.own(sensor)]
-    T_placed = relative(state.T_root_sensor[sensor], state.T_root_board[views.board])
-    said = summed(views.linearize(T_placed, own), views.start)
-    meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.unknowns])
+    views, own = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
+    T_placed = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
+    said = accumulate(views.linearize(T_placed, own), views.start)
+    meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.extra_count])
     A, b = said.information / meters / meters[:, None], said.gradient / meters
     x, X = _prediction(bundle, state, system, spread, sensor)
     X, free = _placing(X * meters * meters[:, None])
-    X += np.diag(bundle.swaying(sensor) * meters**2)
+    X += np.diag(bundle.bias_variances(sensor) * meters**2)
     # Where the others leave the board free, it is where the sensor itself has it.
     least = _RANK * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _roots(free @ A @ free, least)
@@ -153,20 +157,22 @@ def _errors(bundle: Bundle, state: State, system: System, spread: Array, sensor:
     T_predicted = se3.retract(T_placed, x[:, :6] / meters[:6])
     T_own = se3.retract(T_placed, -_times(inverse @ inverse, b)[:, :6] / meters[:6])
     tilted = tested & _knows_tilt(A, T_placed, bundle.lever)
-    error, along = _sizes(views.where(tested), T_predicted[tested], own)
+    error, along = _sizes(views.select(tested), T_predicted[tested], own)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
     return _Errors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], freedom[tested])
 
 
-def _prediction(bundle: Bundle, state: State, system: System, spread: Array, sensor: int) -> tuple[Array, Array]:
+def _prediction(
+    bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int
+) -> tuple[Array, Array]:
     """By how much the other sensors move each board before this one, (V, p), and its covariance (V, p, p)."""
     at, board = system.views[sensor], bundle.views[sensor].board
-    of_sensor, B = relative_jacobians(bundle, state, sensor)
-    Jt = np.swapaxes(at.by_board, -1, -2)
-    L = _inverse(system.H_board[board] - Jt @ at.information @ at.by_board)
+    of_sensor, B = view_jacobians(bundle, state, sensor)
+    Jt = np.swapaxes(at.J_board, -1, -2)
+    L = _inverse(system.H_board[board] - Jt @ at.information @ at.J_board)
     step = -_times(L, system.g_board[board] - _times(Jt, at.gradient))
-    coupling = system.coupling[board]
-    coupling[..., bundle.columns(sensor)] -= Jt @ at.information @ at.by_sensor
+    coupling = system.H_board_sensor[board]
+    coupling[..., bundle.columns(sensor)] -= Jt @ at.information @ at.J_sensor
     by_sensors = -B @ L @ coupling
     by_sensors[..., bundle.columns(sensor)] += of_sensor
     return _times(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ spread @ np.swapaxes(by_sensors, -1, -2)
@@ -210,12 +216,12 @@ def _knows_tilt(A: Array, T_sensor_board: Array, lever: float) -> NDArray[np.boo
     return np.asarray(np.linalg.eigvalsh(spread)[:, -1] < (_TILT * lever) ** 2, dtype=np.bool_)
 
 
-def _sizes(views: Views, T_sensor_board: Array, own: Array) -> tuple[Array, Array]:
+def _sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[Array, Array]:
     """Distances (N,) in px between corners, or in m from the board's plane; and those along the beam, m."""
     residual = views.linearize(T_sensor_board, own).residual
-    if isinstance(views, Corners):
-        return np.linalg.norm(residual, axis=1) * views.scale * views.noise.pixel, np.zeros(0)
-    assert isinstance(views, Beams)
+    if isinstance(views, CornerObservations):
+        return np.linalg.norm(residual, axis=1) * views.noise_scale * views.noise.pixel, np.zeros(0)
+    assert isinstance(views, RangeObservations)
     along = residual[:, 0] * views.sigma
     count = np.diff(views.start, append=len(views.ranges))
     normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
@@ -247,4 +253,6 @@ def _times(A: Array, x: Array) -> Array:
 def _inverse(H_board: Array) -> Array:
     """Covariances of boards (V, 6, 6), wide where nothing places them; a general inverse would spoil the rest."""
     values, vectors = np.linalg.eigh(H_board)
-    return np.asarray((vectors / np.maximum(values, FAINT)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
+    return np.asarray(
+        (vectors / np.maximum(values, BOARD_PRIOR_INFORMATION)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    )

@@ -7,15 +7,15 @@ import numpy as np
 
 from calgraph.diagnostics.comparison import Audit, Misfit, Tolerance, compare
 from calgraph.errors import CalibrationError
-from calgraph.estimation.rig.bundle_solver import Bundle, State, solve
-from calgraph.estimation.rig.observations import Beams, Corners, relative
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
+from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 from calgraph.result import Calibration, KnownPoses
 
 
 def audit(
-    found: Calibration, adjusted: Adjusted | None, given: KnownPoses, tolerance: Tolerance | None = None
+    found: Calibration, adjusted: SolvedBundle | None, given: KnownPoses, tolerance: Tolerance | None = None
 ) -> Audit:
     """Compares given extrinsics with those found.
 
@@ -42,38 +42,38 @@ def audit(
     return best if len(best.failed) < len(from_root.failed) else from_root
 
 
-def _misfits(adjusted: Adjusted, T_root_sensor: Mapping[str, Array]) -> dict[str, Misfit]:
+def _misfits(adjusted: SolvedBundle, T_root_sensor: Mapping[str, Array]) -> dict[str, Misfit]:
     """By sensor, its residuals under given poses and under those found, boards placed anew for both."""
-    bundle, state = adjusted.bundle, adjusted.solved.state
+    bundle, state = adjusted.bundle, adjusted.minimized.state
     views = tuple(
-        own.where(np.full(len(own.board), name in T_root_sensor))
-        for name, own in zip(bundle.names, bundle.views, strict=True)
+        own.select(np.full(len(own.board), name in T_root_sensor))
+        for name, own in zip(bundle.sensors, bundle.views, strict=True)
     )
     held = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
-    poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.names, state.T_root_sensor, strict=True)]
+    poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.sensors, state.T_root_sensor, strict=True)]
     given = _residuals(held, replace(state, T_root_sensor=np.array(poses)))
     found = _residuals(held, state)
     return {
-        name: Misfit("px" if isinstance(own, Corners) else "m", given[s], found[s])
-        for s, (name, own) in enumerate(zip(bundle.names, views, strict=True))
+        name: Misfit("px" if isinstance(own, CornerObservations) else "m", given[s], found[s])
+        for s, (name, own) in enumerate(zip(bundle.sensors, views, strict=True))
         if len(own.board)
     }
 
 
-def _residuals(held: Bundle, state: State) -> list[float]:
+def _residuals(held: Bundle, state: BundleState) -> list[float]:
     """By sensor, the root mean square of what separates its measurements from the boards, px or m."""
     try:
-        placed = solve(held, state).state
+        placed = minimize_bundle(held, state).state
     except CalibrationError:
         # So far off that boards are behind a camera.
         return [float("inf")] * len(held.views)
     sizes = []
     for s, views in enumerate(held.views):
-        T_sensor_board = relative(placed.T_root_sensor[s], placed.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, placed.own[held.own(s)]).residual
-        if isinstance(views, Beams):
+        T_sensor_board = relative_poses(placed.T_root_sensor[s], placed.T_root_board[views.board])
+        residual = views.linearize(T_sensor_board, placed.extra[held.extra_indices(s)]).residual
+        if isinstance(views, RangeObservations):
             residual = residual * views.sigma[:, None]
-        elif isinstance(views, Corners):
-            residual = residual * views.scale * views.noise.pixel
+        elif isinstance(views, CornerObservations):
+            residual = residual * views.noise_scale * views.noise.pixel
         sizes.append(float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0)
     return sizes

@@ -14,11 +14,11 @@ import numpy as np
 from calgraph.diagnostics.rig.pose_description import placed_in_words
 from calgraph.diagnostics.rig.predicted_observations import imagined
 from calgraph.diagnostics.verdict import WEAK, axis_names
-from calgraph.estimation.rig.board_information import board_shares
-from calgraph.estimation.rig.bundle_solver import Bundle, State, linearize, pose_jacobian
-from calgraph.estimation.rig.covariances import reduced_covariance
-from calgraph.estimation.rig.observations import relative
-from calgraph.estimation.rig.solution import Adjusted
+from calgraph.estimation.rig.board_information import information_by_board
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
+from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 
@@ -33,7 +33,7 @@ _TILT = np.radians(60)
 
 
 def suggest(
-    adjusted: Adjusted, kinds: Mapping[str, str], size: tuple[float, float], rng: np.random.Generator
+    adjusted: SolvedBundle, kinds: Mapping[str, str], size: tuple[float, float], rng: np.random.Generator
 ) -> tuple[Suggestion, ...]:
     """The next board poses that would help the least certain sensor most, in units of what is called weak.
 
@@ -46,19 +46,19 @@ def suggest(
     Returns:
         Boards in the order of their use, each beside those before it; none where none would help much.
     """
-    bundle, solved = adjusted.bundle, adjusted.solved
+    bundle, solved = adjusted.bundle, adjusted.minimized
     seen = solved.state.T_root_board
     state = replace(solved.state, T_root_board=_candidates(bundle, solved.state, rng))
-    sensors = list(zip(bundle.names, bundle.views, state.T_root_sensor, strict=True))
+    sensors = list(zip(bundle.sensors, bundle.views, state.T_root_sensor, strict=True))
     views = tuple(
-        imagined(own, kinds[name], relative(T, seen[own.board]), relative(T, state.T_root_board), size)
+        imagined(own, kinds[name], relative_poses(T, seen[own.board]), relative_poses(T, state.T_root_board), size)
         for name, own, T in sensors
     )
     looking = replace(bundle.without_outlines(), views=views, priors=())
-    gains = board_shares(looking, linearize(looking, state))
+    gains = information_by_board(looking, linearize_bundle(looking, state))
     turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = (turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)).reshape(6 * len(turns), -1)
-    V, limits = reduced_covariance(solved.system), np.tile(np.repeat(WEAK, 3), len(turns))
+    V, limits = parameter_covariance(solved.equations), np.tile(np.repeat(WEAK, 3), len(turns))
     found: list[Suggestion] = []
     for _ in range(_CHOICES):
         before = _deviations(axes, V) / limits
@@ -73,9 +73,9 @@ def suggest(
             break
         V = beside[best]
         after = _deviations(axes, V) / limits
-        sensor, axis = bundle.names[worst // 6], worst % 6
+        sensor, axis = bundle.sensors[worst // 6], worst % 6
         seeing = {
-            name: relative(T, state.T_root_board[best])
+            name: relative_poses(T, state.T_root_board[best])
             for (name, _, T), own in zip(sensors, views, strict=True)
             if best in own.board
         }
@@ -107,7 +107,7 @@ def _log_volume(axes: Array, V: Array) -> Array:
     return np.asarray(0.5 * np.linalg.slogdet(np.eye(len(axes)) + axes @ V @ axes.T)[1])
 
 
-def _candidates(bundle: Bundle, state: State, rng: np.random.Generator) -> Array:
+def _candidates(bundle: Bundle, state: BundleState, rng: np.random.Generator) -> Array:
     """``T_root_board`` (K, 4, 4): near boards that were seen, before a sensor that saw them, turned any way."""
     seen = np.array([(s, board) for s, own in enumerate(bundle.views) for board in own.board])
     sensor, board = rng.choice(seen, _CANDIDATES).T

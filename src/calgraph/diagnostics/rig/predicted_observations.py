@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.estimation.rig.observations import Beams, Corners, Views
+from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations
 from calgraph.geometry import Array, Index, se3
 
 # A sensor sees boards within this angle of one it saw, at distances that differ by at most this factor.
@@ -17,7 +17,7 @@ _TURNED = np.radians(65)
 _GRID = 7
 
 
-def imagined(views: Views, kind: str, T_seen: Array, T_tried: Array, size: tuple[float, float]) -> Views:
+def imagined(views: BoardViews, kind: str, T_seen: Array, T_tried: Array, size: tuple[float, float]) -> BoardViews:
     """Views of those of the boards tried that the sensor would see; what they measure is exact.
 
     Args:
@@ -28,9 +28,9 @@ def imagined(views: Views, kind: str, T_seen: Array, T_tried: Array, size: tuple
         size: width and height of the board, m.
     """
     shown = np.flatnonzero(_in_view(T_seen, T_tried))
-    if isinstance(views, Corners):
+    if isinstance(views, CornerObservations):
         return _corners(views, shown, T_tried)
-    assert isinstance(views, Beams)
+    assert isinstance(views, RangeObservations)
     if kind == "lidar2d":
         return _cuts(views, shown, T_tried, size)
     return _patches(views, shown, T_seen, T_tried, size)
@@ -46,19 +46,21 @@ def _in_view(T_seen: Array, T_tried: Array) -> NDArray[np.bool_]:
     return np.asarray(facing & np.any(aside & as_far, axis=-1), dtype=np.bool_)
 
 
-def _corners(views: Corners, shown: Index, T_tried: Array) -> Corners:
+def _corners(views: CornerObservations, shown: Index, T_tried: Array) -> CornerObservations:
     """All corners that were ever seen at once, of boards that lie in the image as a whole."""
     counts = np.diff(views.start, append=len(views.pixels))
     if not len(counts):
         return views
-    most = views.where(np.full(len(shown), np.argmax(counts)))
+    most = views.select(np.full(len(shown), np.argmax(counts)))
     points = se3.apply(T_tried[shown], most.corners_board.reshape(len(shown), counts.max(), 3))
     pixels = views.camera.project(points.reshape(-1, 3))
     inside = np.all(views.camera.contains(pixels).reshape(points.shape[:2]), axis=1)
-    return replace(most, board=shown, pixels=pixels).where(np.flatnonzero(inside))
+    return replace(most, board=shown, pixels=pixels).select(np.flatnonzero(inside))
 
 
-def _patches(views: Beams, shown: Index, T_seen: Array, T_tried: Array, size: tuple[float, float]) -> Beams:
+def _patches(
+    views: RangeObservations, shown: Index, T_seen: Array, T_tried: Array, size: tuple[float, float]
+) -> RangeObservations:
     """Beams of a 3-D scanner all over the board, as densely in solid angle as it had them."""
     counts = np.diff(views.start, append=len(views.ranges))
     density = float(np.median(counts / _solid_angle(T_seen, size))) if len(counts) else 0.0
@@ -77,7 +79,7 @@ def _solid_angle(T_sensor_board: Array, size: tuple[float, float]) -> Array:
     return np.asarray(size[0] * size[1] * np.abs(np.sum(center * T_sensor_board[:, :3, 2], axis=-1)) / distance**3)
 
 
-def _cuts(views: Beams, shown: Index, T_tried: Array, size: tuple[float, float]) -> Beams:
+def _cuts(views: RangeObservations, shown: Index, T_tried: Array, size: tuple[float, float]) -> RangeObservations:
     """Beams of a 2-D scanner along its cut through the board, as densely in angle as it had them."""
     ends, length = _chords(T_tried[shown], size)
     long = length > min(size) / 3
@@ -113,7 +115,9 @@ def _span(directions: Array) -> float:
     return float(np.ptp(angles))
 
 
-def _beams(views: Beams, shown: Index, T_tried: Array, places: Array, counts: Array) -> Beams:
+def _beams(
+    views: RangeObservations, shown: Index, T_tried: Array, places: Array, counts: Array
+) -> RangeObservations:
     """Beams to places (V, n, 3) on the boards, which stand for ``counts`` (V,) of them."""
     points = se3.apply(T_tried[shown], places).reshape(-1, 3)
     ranges = np.linalg.norm(points, axis=-1)
@@ -125,5 +129,5 @@ def _beams(views: Beams, shown: Index, T_tried: Array, places: Array, counts: Ar
         directions=points / ranges[:, None],
         ranges=ranges,
         sigma=np.ones(len(ranges)),
-    ).weighed(T_tried[shown], views.scale)
+    ).update_noise(T_tried[shown], views.noise_scale)
     return replace(beams, sigma=beams.sigma * np.sqrt(each / np.repeat(np.maximum(counts, 1e-6), each)))

@@ -17,15 +17,15 @@ Node = tuple[int, str, int]
 
 
 @dataclass(frozen=True)
-class Sighting:
+class BoardObservation:
     """One board in one capture, as some sensors saw it."""
 
     capture: int
-    seen: Mapping[str, int]
+    detection_index: Mapping[str, int]
     """By sensor, which of its detections."""
 
 
-def sightings(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]]]) -> list[Sighting]:
+def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]]]) -> list[BoardObservation]:
     """Boards that at least two sensors saw together, in order of captures.
 
     Args:
@@ -45,19 +45,21 @@ def sightings(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]]]) -> 
     together: dict[int, list[tuple[int, Node]]] = {}
     for node, n in nodes.items():
         together.setdefault(int(labels[n]), []).append((int(links[n]), node))
-    found = [_sighting(members) for members in together.values()]
-    return sorted((s for s in found if len(s.seen) > 1), key=lambda s: s.capture)
+    found = [_select_detections(members) for members in together.values()]
+    return sorted((s for s in found if len(s.detection_index) > 1), key=lambda s: s.capture)
 
 
-def _sighting(members: Sequence[tuple[int, Node]]) -> Sighting:
+def _select_detections(members: Sequence[tuple[int, Node]]) -> BoardObservation:
     """Of several detections of one sensor the one that most others agree with."""
     ranked = sorted(members, key=lambda member: (member[0], -member[1][2]))
-    return Sighting(ranked[0][1][0], {sensor: k for _, (_, sensor, k) in ranked})
+    return BoardObservation(ranked[0][1][0], {sensor: k for _, (_, sensor, k) in ranked})
 
 
-def placed(sighting: Sighting, detections: Mapping[str, Candidates], T_root_sensor: Mapping[str, Array]) -> Array:
+def initial_board_pose(
+    sighting: BoardObservation, detections: Mapping[str, Candidates], T_root_sensor: Mapping[str, Array]
+) -> Array:
     """``T_root_board`` (4, 4) about where the sensors saw it: by a camera if one did, else in its plane."""
-    found = [(T_root_sensor[name], d) for name, d in seen_in(sighting, detections)]
+    found = [(T_root_sensor[name], d) for name, d in detections_of(sighting, detections)]
     cameras = [(T, d) for T, d in found if isinstance(d, BoardCorners)]
     if cameras:
         T, best = min(cameras, key=lambda seen: float(np.trace(seen[1].covariance)))
@@ -78,6 +80,8 @@ def placed(sighting: Sighting, detections: Mapping[str, Candidates], T_root_sens
     return se3.pose(np.stack([x, across @ x, n], axis=-1), center)
 
 
-def seen_in(sighting: Sighting, detections: Mapping[str, Candidates]) -> Iterator[tuple[str, Detection]]:
+def detections_of(
+    sighting: BoardObservation, detections: Mapping[str, Candidates]
+) -> Iterator[tuple[str, Detection]]:
     """The sensors of a sighting with what they saw."""
-    return ((name, detections[name][sighting.capture][k]) for name, k in sighting.seen.items())
+    return ((name, detections[name][sighting.capture][k]) for name, k in sighting.detection_index.items())

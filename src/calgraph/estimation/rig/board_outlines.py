@@ -8,30 +8,35 @@ from scipy.special import chdtri
 
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
-from calgraph.estimation.rig.board_observations import Sighting, seen_in
-from calgraph.estimation.rig.bundle_solver import Bundle, Solved, State, Unknown
-from calgraph.estimation.rig.covariances import covariance, reduced_covariance
-from calgraph.estimation.rig.observations import Beams, relative
-from calgraph.estimation.rig.outline_observations import Outline
-from calgraph.estimation.rig.rectangle_registration import laid
+from calgraph.estimation.rig.board_observations import BoardObservation, detections_of
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, ExtraParameter, MinimizedBundle
+from calgraph.estimation.rig.covariances import parameter_covariance, pose_covariance
+from calgraph.estimation.rig.observations import RangeObservations, relative_poses
+from calgraph.estimation.rig.outline_observations import OutlineObservations
+from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.geometry import Array, Index, se3
 from calgraph.pairwise import Candidates
 
 # Standard deviation of how much too far out a scanner may see a sheet end, m, before anything is measured.
-_GROWTH = 0.01
+_OUTLINE_OFFSET_STDDEV = 0.01
 # Sheets whose sides are farther out than this, m, and surely so, are cut otherwise than the target's size says.
-_WRONG_SIZE, _SURE = 0.012, 4.0
+_MAX_OUTLINE_OFFSET, _OFFSET_SIGMAS = 0.012, 4.0
 # Edges that scatter by so many times their noise are not those of a rectangle of this size.
-_SHAPELESS = 3.0
+_MAX_OUTLINE_NOISE_SCALE = 3.0
 # Directions of which outlines take less than this share of the variance are not told by them.
-_TOLD = 0.05
+_MIN_VARIANCE_SHARE = 0.05
 # Outlines contradict planes and prints if chance would have them differ so once in so many.
-_CHANCE = 1e-4
+_CONTRADICTION_CHANCE = 1e-4
 
 
-def with_outlines(
-    bundle: Bundle, state: State, rig: Rig, seen: Mapping[str, Candidates], boards: Sequence[Sighting], sway: float
-) -> tuple[Bundle, State]:
+def add_outlines(
+    bundle: Bundle,
+    state: BundleState,
+    rig: Rig,
+    seen: Mapping[str, Candidates],
+    boards: Sequence[BoardObservation],
+    sway: float,
+) -> tuple[Bundle, BundleState]:
     """The bundle with where scanners saw sheets end, and a state in which sheets lie about there.
 
     Cameras know how the sheet lies; without one, it is laid by its outline, if enough of that was seen and of one
@@ -46,60 +51,67 @@ def with_outlines(
         sway: that outlines begin with, m².
     """
     size = np.array([board.size for board in rig.boards]) / 2
-    printed = np.array([_printed(board, seen) for board in boards], dtype=np.intp)
+    printed = np.array([_board_number(board, seen) for board in boards], dtype=np.intp)
     lies, half = printed >= 0, size[np.maximum(printed, 0)]
     ends = {
-        s: Outline.of(
-            views.board.tolist(), [_surface(seen, boards[i], name) for i in views.board], half[views.board]
+        s: OutlineObservations.from_detections(
+            views.board.tolist(), [_surface_of(seen, boards[i], name) for i in views.board], half[views.board]
         )
-        for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True))
-        if isinstance(views, Beams)
+        for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True))
+        if isinstance(views, RangeObservations)
     }
     T_root_board = state.T_root_board.copy()
     if len(size) == 1:
         lost = np.flatnonzero(~lies)
-        in_planes, lies[lost] = laid(_seen_to_end(ends, state, lost), size[0])
+        in_planes, lies[lost] = register_rectangles(_edge_points(ends, state, lost), size[0])
         T_root_board[lost] = T_root_board[lost] @ in_planes
     placed = replace(state, T_root_board=T_root_board)
-    outlines: list[Outline] = []
-    unknowns: list[Unknown] = []
+    outlines: list[OutlineObservations] = []
+    unknowns: list[ExtraParameter] = []
     for s, seen_ends in ends.items():
-        outline = seen_ends.where(lies[seen_ends.board])
-        T_sensor_board = relative(state.T_root_sensor[s], T_root_board[outline.board])
+        outline = seen_ends.select(lies[seen_ends.board])
+        T_sensor_board = relative_poses(state.T_root_sensor[s], T_root_board[outline.board])
         unknowns.append(
-            Unknown(bundle.names[s], "outline", "m", 0.0, _GROWTH, (len(bundle.names) + len(outlines),))
+            ExtraParameter(
+                bundle.sensors[s],
+                "outline",
+                "m",
+                0.0,
+                _OUTLINE_OFFSET_STDDEV,
+                (len(bundle.sensors) + len(outlines),),
+            )
         )
-        outlines.append(outline.weighed(T_sensor_board, 1.0))
+        outlines.append(outline.update_noise(T_sensor_board, 1.0))
     several = replace(
         bundle,
         outlines=tuple(outlines),
-        outlined=tuple(ends),
-        sway=np.append(bundle.sway, np.full(len(outlines), sway)),
-        unknowns=(*bundle.unknowns, *unknowns),
+        outline_sensor=tuple(ends),
+        bias_variance=np.append(bundle.bias_variance, np.full(len(outlines), sway)),
+        extra_parameters=(*bundle.extra_parameters, *unknowns),
     )
-    return several, replace(placed, own=np.append(state.own, np.zeros(len(unknowns))))
+    return several, replace(placed, extra=np.append(state.extra, np.zeros(len(unknowns))))
 
 
-def without_wrong_outlines(bundle: Bundle, solved: Solved) -> tuple[Bundle, tuple[str, ...]]:
+def drop_wrong_outlines(bundle: Bundle, solved: MinimizedBundle) -> tuple[Bundle, tuple[str, ...]]:
     """The bundle without the outlines that are not those of sheets of the stated size; and of each, why."""
-    spread = np.sqrt(np.diag(reduced_covariance(solved.system)))[6 * bundle.bodies :]
+    spread = np.sqrt(np.diag(parameter_covariance(solved.equations)))[6 * bundle.body_count :]
     outlines, remarks = [], []
     for k, outline in enumerate(bundle.outlines, start=len(bundle.views)):
-        name, own = bundle.names[bundle.seer(k)], bundle.own(k)
-        growth, doubt = float(solved.state.own[own].sum()), float(spread[own].sum())
+        name, own = bundle.sensors[bundle.sensor_of(k)], bundle.extra_indices(k)
+        growth, doubt = float(solved.state.extra[own].sum()), float(spread[own].sum())
         why = ""
-        if abs(growth) > _WRONG_SIZE and abs(growth) > _SURE * doubt:
+        if abs(growth) > _MAX_OUTLINE_OFFSET and abs(growth) > _OFFSET_SIGMAS * doubt:
             where = "outside" if growth > 0 else "inside"
             why = f"{1000 * abs(growth):.0f} mm {where} the target's size on average"
-        elif outline.scale > _SHAPELESS:
-            why = f"{outline.scale:.1f} times as far from its sides as their noise explains"
+        elif outline.noise_scale > _MAX_OUTLINE_NOISE_SCALE:
+            why = f"{outline.noise_scale:.1f} times as far from its sides as their noise explains"
         if why:
             remarks.append(f"{name} sees the board's edges {why}: they are not used; is size the sheet's?")
-        outlines.append(outline.where(np.full(len(outline.board), not why)))
+        outlines.append(outline.select(np.full(len(outline.board), not why)))
     return bundle.with_views([*bundle.views, *outlines]), tuple(remarks)
 
 
-def contradict(plain: tuple[Bundle, Solved], outlined: tuple[Bundle, Solved]) -> bool:
+def outlines_contradict(plain: tuple[Bundle, MinimizedBundle], outlined: tuple[Bundle, MinimizedBundle]) -> bool:
     """Whether outlines have sensors elsewhere than planes and prints do, by more than chance explains.
 
     A solution from fewer measurements differs from one that also has others by ``d``, which has the covariance
@@ -112,33 +124,35 @@ def contradict(plain: tuple[Bundle, Solved], outlined: tuple[Bundle, Solved]) ->
         outlined: the same one with them, solved.
     """
     (P, T), (Q, T_outlined) = (
-        (covariance(b, s.state, s.system), s.state.T_root_sensor) for b, s in (plain, outlined)
+        (pose_covariance(b, s.state, s.equations), s.state.T_root_sensor) for b, s in (plain, outlined)
     )
     d = se3.difference(T_outlined, T).ravel()
     free = np.diag(P) > 0
     whiten = np.linalg.inv(np.linalg.cholesky(P[np.ix_(free, free)]))
     kept, directions = np.linalg.eigh(whiten @ Q[np.ix_(free, free)] @ whiten.T)
-    told = kept < 1 - _TOLD
+    told = kept < 1 - _MIN_VARIANCE_SHARE
     squares = (directions.T @ whiten @ d[free])[told] ** 2 / (1 - kept[told])
-    return bool(np.sum(squares) > chdtri(max(np.sum(told), 1), _CHANCE))
+    return bool(np.sum(squares) > chdtri(max(np.sum(told), 1), _CONTRADICTION_CHANCE))
 
 
-def _surface(seen: Mapping[str, Candidates], board: Sighting, name: str) -> PlanePatch | Segment:
-    found = seen[name][board.capture][board.seen[name]]
+def _surface_of(seen: Mapping[str, Candidates], board: BoardObservation, name: str) -> PlanePatch | Segment:
+    found = seen[name][board.capture][board.detection_index[name]]
     assert not isinstance(found, BoardCorners)
     return found
 
 
-def _printed(board: Sighting, seen: Mapping[str, Candidates]) -> int:
+def _board_number(board: BoardObservation, seen: Mapping[str, Candidates]) -> int:
     """Which of the rig's boards cameras saw; -1 where none did."""
-    return next((d.board for _, d in seen_in(board, seen) if isinstance(d, BoardCorners)), -1)
+    return next((d.board for _, d in detections_of(board, seen) if isinstance(d, BoardCorners)), -1)
 
 
-def _seen_to_end(ends: Mapping[int, Outline], state: State, boards: Index) -> list[Array]:
+def _edge_points(ends: Mapping[int, OutlineObservations], state: BundleState, boards: Index) -> list[Array]:
     """Of some boards (n,), the points (M, 2) in their planes where scanners, by number, saw them end."""
     board, points = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
     for s, outline in ends.items():
-        view, found = outline.middles(relative(state.T_root_sensor[s], state.T_root_board[outline.board]))
+        view, found = outline.edge_points(
+            relative_poses(state.T_root_sensor[s], state.T_root_board[outline.board])
+        )
         board.append(outline.board[view])
         points.append(found)
     of, all_points = np.concatenate(board), np.concatenate(points)

@@ -9,28 +9,41 @@ from numpy.typing import NDArray
 from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
-from calgraph.estimation.rig.board_observations import Sighting, placed, seen_in, sightings
-from calgraph.estimation.rig.board_outlines import contradict, with_outlines, without_wrong_outlines
-from calgraph.estimation.rig.bundle_solver import SETTLED, Bundle, Solved, State, linearize, solve, stacked
-from calgraph.estimation.rig.covariances import covariance, view_spreads
-from calgraph.estimation.rig.extra_parameters import Estimable, estimated_values, with_unknowns
-from calgraph.estimation.rig.observations import Beams, Corners, Views, relative
-from calgraph.estimation.rig.priors import PosePrior, RigidGroup, free, with_groups, with_known
-from calgraph.estimation.rig.solution import Adjusted, Joint, MeasuredNoise
-from calgraph.estimation.rig.variance_components import with_measured_scatter, wrong_views
+from calgraph.estimation.rig.board_observations import (
+    BoardObservation,
+    detections_of,
+    group_detections,
+    initial_board_pose,
+)
+from calgraph.estimation.rig.board_outlines import add_outlines, drop_wrong_outlines, outlines_contradict
+from calgraph.estimation.rig.bundle_solver import (
+    COARSE_TOLERANCE,
+    Bundle,
+    BundleState,
+    MinimizedBundle,
+    linearize_bundle,
+    minimize_bundle,
+    stack_poses,
+)
+from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
+from calgraph.estimation.rig.extra_parameters import Estimable, add_extra_parameters, summarize_extra_parameters
+from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
+from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
+from calgraph.estimation.rig.variance_components import find_outlier_views, update_variance_components
 from calgraph.geometry import Array, Index
 from calgraph.pairwise import Filter, PairwiseEstimate, selected_matches
 
 # Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
-_SWAY = 0.003
+_INITIAL_VIEW_BIAS = 0.003
 # Rounds of solving, measuring the noise and leaving out what is wrong, until nothing changes by more than a share.
-_ROUNDS = 12
+_MAX_ROUNDS = 12
 # Outlines come to a solution that has settled.
-_OUTLINE_ROUNDS = 4
-_STEPS = 4
+_MAX_OUTLINE_ROUNDS = 4
+_STEPS_PER_ROUND = 4
 # That share of noises, and of sways, which are told by few views and never as surely.
-_SETTLED, _SETTLED_SWAY = 0.02, 0.05
-_CONTRADICTS = "lies elsewhere than the other sensors have the board in this capture"
+_NOISE_TOLERANCE, _BIAS_TOLERANCE = 0.02, 0.05
+_OUTLIER_VIEW = "lies elsewhere than the other sensors have the board in this capture"
 
 
 def solve_bundle(
@@ -43,7 +56,7 @@ def solve_bundle(
     estimate: Sequence[Estimable] = (),
     priors: Sequence[PosePrior] = (),
     groups: Sequence[RigidGroup] = (),
-) -> Joint:
+) -> RigSolution:
     """Solves for all connected sensors and all boards at once.
 
     The noise of single measurements, and by how much whole views err, are measured on the way; views that
@@ -60,41 +73,45 @@ def solve_bundle(
         groups: sensors that are fixed to each other.
     """
     among = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
-    boards = sightings([(pair, selected_matches(pair, keep)) for pair in among])
+    boards = group_detections([(pair, selected_matches(pair, keep)) for pair in among])
     if len(T_root_sensor) == 1:
-        return Joint("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
-    bundle, state = build(rig, captured, boards, T_root_sensor)
-    bundle = free(bundle)
+        return RigSolution("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
+    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
+    bundle = without_priors(bundle)
     if estimate:
-        bundle, state = with_unknowns(bundle, state, rig, _printed_on(captured, boards), estimate)
-    bundle, solved, rejected = _settled(bundle, solve(bundle, state, settled=SETTLED, exact=False), _ROUNDS)
-    outlined, outlined_solved, more = _outlined(bundle, solved, rig, captured, boards)
-    if contradict((bundle, solved), (outlined, outlined_solved)):
+        bundle, state = add_extra_parameters(bundle, state, rig, _board_numbers(captured, boards), estimate)
+    bundle, solved, rejected = _estimate_variance_components(
+        bundle, minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False), _MAX_ROUNDS
+    )
+    outlined, outlined_solved, more = _solve_with_outlines(bundle, solved, rig, captured, boards)
+    if outlines_contradict((bundle, solved), (outlined, outlined_solved)):
         remarks: tuple[str, ...] = (
             "where scanners see the board end contradicts planes and prints: outlines are not used; is size the "
             "sheet's, and does nothing but the sheet stand out beside it?",
         )
     else:
         bundle, solved, rejected = outlined, outlined_solved, rejected | more
-        bundle, remarks = without_wrong_outlines(bundle, solved)
+        bundle, remarks = drop_wrong_outlines(bundle, solved)
     # What was known had no part so far: were it wrong, it would pass for noise.
-    bundle = with_known(bundle, priors, groups)
-    solved = solve(bundle, with_groups(solved.state, bundle.names, groups), settled=SETTLED)
-    names = bundle.names
-    return Joint(
+    bundle = with_priors(bundle, priors, groups)
+    solved = minimize_bundle(
+        bundle, apply_rigid_groups(solved.state, bundle.sensors, groups), tolerance=COARSE_TOLERANCE
+    )
+    names = bundle.sensors
+    return RigSolution(
         estimator="bundle",
         T_root_sensor=dict(zip(names, solved.state.T_root_sensor, strict=True)),
-        joint_covariance=covariance(bundle, solved.state, solved.system),
-        residuals=dict(_residuals(bundle, solved)),
+        joint_covariance=pose_covariance(bundle, solved.state, solved.equations),
+        residuals=dict(_residuals_by_sensor(bundle, solved)),
         converged=solved.converged,
         remarks=remarks,
-        rejected={(boards[i].capture, name): _CONTRADICTS for i, name in sorted(rejected)},
+        rejected={(boards[i].capture, name): _OUTLIER_VIEW for i, name in sorted(rejected)},
         noise={
-            name: MeasuredNoise(views.scale, float(np.sqrt(sway)))
-            for name, views, sway in zip(names, bundle.views, bundle.sway[: len(names)], strict=True)
+            name: MeasuredNoise(views.noise_scale, float(np.sqrt(sway)))
+            for name, views, sway in zip(names, bundle.views, bundle.bias_variance[: len(names)], strict=True)
         },
-        estimated=estimated_values(bundle, solved.state, solved.system),
-        adjusted=Adjusted(bundle, solved, np.array([board.capture for board in boards])),
+        extra_parameters=summarize_extra_parameters(bundle, solved.state, solved.equations),
+        solved_bundle=SolvedBundle(bundle, solved, np.array([board.capture for board in boards])),
     )
 
 
@@ -110,87 +127,94 @@ def cramer_rao(
         T_root_board: true poses (4, 4) of the board by capture.
     """
     seen = {c: {n: 0 for n in T_root_sensor if c in captured.detections[n]} for c in T_root_board}
-    boards = [Sighting(c, by) for c, by in seen.items() if by]
-    bundle, state = build(rig, captured, boards, T_root_sensor)
-    truth = replace(state, T_root_board=stacked([T_root_board[board.capture] for board in boards]))
-    bundle, laid = with_outlines(bundle, truth, rig, captured.detections, boards, 0.0)
-    truth = replace(truth, own=laid.own)
-    exact = replace(weighed(bundle, truth), sway=np.zeros_like(bundle.sway))
-    spread = covariance(exact, truth, linearize(exact, truth))
-    blocks = spread.reshape(len(bundle.names), 6, len(bundle.names), 6)
-    return {name: blocks[i, :, i] for i, name in enumerate(bundle.names)}
+    boards = [BoardObservation(c, by) for c, by in seen.items() if by]
+    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
+    truth = replace(state, T_root_board=stack_poses([T_root_board[board.capture] for board in boards]))
+    bundle, laid = add_outlines(bundle, truth, rig, captured.detections, boards, 0.0)
+    truth = replace(truth, extra=laid.extra)
+    exact = replace(update_noise(bundle, truth), bias_variance=np.zeros_like(bundle.bias_variance))
+    spread = pose_covariance(exact, truth, linearize_bundle(exact, truth))
+    blocks = spread.reshape(len(bundle.sensors), 6, len(bundle.sensors), 6)
+    return {name: blocks[i, :, i] for i, name in enumerate(bundle.sensors)}
 
 
-def build(
-    rig: Rig, captured: CaptureSet, boards: Sequence[Sighting], T_root_sensor: Mapping[str, Array]
-) -> tuple[Bundle, State]:
+def build_bundle(
+    rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation], T_root_sensor: Mapping[str, Array]
+) -> tuple[Bundle, BundleState]:
     """The bundle of sighted boards, and its start."""
     names = tuple(T_root_sensor)
-    views = tuple(_views(rig, captured, name, boards) for name in names)
+    views = tuple(_select_views(rig, captured, name, boards) for name in names)
     bundle = Bundle(
         names,
         views,
         body=np.arange(len(names)),
-        sway=np.full(len(names), _SWAY**2),
+        bias_variance=np.full(len(names), _INITIAL_VIEW_BIAS**2),
         lever=0.5 * max(rig.board_size),
     )
-    state = State(
-        stacked([T_root_sensor[name] for name in names]),
-        stacked([placed(board, captured.detections, T_root_sensor) for board in boards]),
+    state = BundleState(
+        stack_poses([T_root_sensor[name] for name in names]),
+        stack_poses([initial_board_pose(board, captured.detections, T_root_sensor) for board in boards]),
         np.zeros(0),
     )
-    return weighed(bundle, state), state
+    return update_noise(bundle, state), state
 
 
-def _printed_on(captured: CaptureSet, boards: Sequence[Sighting]) -> Index:
+def _board_numbers(captured: CaptureSet, boards: Sequence[BoardObservation]) -> Index:
     """(C,) which of the rig's boards each sighting is of, as cameras saw it; the first where none did."""
-    seen = [[d.board for _, d in seen_in(b, captured.detections) if isinstance(d, BoardCorners)] for b in boards]
+    seen = [
+        [d.board for _, d in detections_of(b, captured.detections) if isinstance(d, BoardCorners)] for b in boards
+    ]
     return np.array([found[0] if found else 0 for found in seen], dtype=np.intp)
 
 
-def weighed(bundle: Bundle, state: State) -> Bundle:
+def update_noise(bundle: Bundle, state: BundleState) -> Bundle:
     """The bundle with the noise that measurements have if taken at this state."""
     views = [
-        own.weighed(relative(state.T_root_sensor[bundle.seer(k)], state.T_root_board[own.board]), own.scale)
+        own.update_noise(
+            relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[own.board]),
+            own.noise_scale,
+        )
         for k, own in enumerate(bundle.all_views)
     ]
     return bundle.with_views(views)
 
 
-def _views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[Sighting]) -> Views:
+def _select_views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[BoardObservation]) -> BoardViews:
     """What one sensor saw of the boards."""
     spec = rig.sensors[name]
     seen = [
-        (i, captured.detections[name][board.capture][board.seen[name]])
+        (i, captured.detections[name][board.capture][board.detection_index[name]])
         for i, board in enumerate(boards)
-        if name in board.seen
+        if name in board.detection_index
     ]
     indices = [i for i, _ in seen]
     if isinstance(spec, CameraSpec):
         corners = [d for _, d in seen if isinstance(d, BoardCorners)]
-        return Corners.of(indices, corners, captured.cameras[name], spec.noise)
+        return CornerObservations.from_detections(indices, corners, captured.cameras[name], spec.noise)
     surfaces = [d for _, d in seen if not isinstance(d, BoardCorners)]
-    return Beams.of(indices, surfaces, spec.noise)
+    return RangeObservations.from_detections(indices, surfaces, spec.noise)
 
 
-def _outlined(
-    plain: Bundle, solved: Solved, rig: Rig, captured: CaptureSet, boards: Sequence[Sighting]
-) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
+def _solve_with_outlines(
+    plain: Bundle, solved: MinimizedBundle, rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation]
+) -> tuple[Bundle, MinimizedBundle, set[tuple[int, str]]]:
     """The bundle with outlines, settled, and the views that it leaves out.
 
     Outlines come when planes and prints are right: they must not bend these, nor choose sides far off.
     """
-    bundle, state = with_outlines(plain, solved.state, rig, captured.detections, boards, _SWAY**2)
+    bundle, state = add_outlines(plain, solved.state, rig, captured.detections, boards, _INITIAL_VIEW_BIAS**2)
     if not bundle.outlines:
         return plain, solved, set()
-    near = (*solved.system.visits, *[None] * len(bundle.outlines))
-    solved = solve(bundle, state, near, iterations=_STEPS, settled=SETTLED, exact=False)
-    return _settled(bundle, solved, _OUTLINE_ROUNDS, first=len(bundle.views))
+    near = (*solved.equations.cache, *[None] * len(bundle.outlines))
+    solved = minimize_bundle(
+        bundle, state, near, iterations=_STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
+    )
+    return _estimate_variance_components(bundle, solved, _MAX_OUTLINE_ROUNDS, first=len(bundle.views))
 
 
-def _settled(
-    bundle: Bundle, solved: Solved, rounds: int, first: int = 0
-) -> tuple[Bundle, Solved, set[tuple[int, str]]]:
+def _estimate_variance_components(
+    bundle: Bundle, solved: MinimizedBundle, rounds: int, first: int = 0
+) -> tuple[Bundle, MinimizedBundle, set[tuple[int, str]]]:
     """The bundle with its noise and sway measured and wrong views left out; and those, by board and sensor.
 
     Noise and sway are measured, and wrong views sought, from the first ones on: what is before has settled.
@@ -198,20 +222,22 @@ def _settled(
     rejected: set[tuple[int, str]] = set()
     seen = np.array([len(views.board) for views in bundle.all_views])
     for _ in range(rounds):
-        before, spreads = bundle, view_spreads(bundle, solved.system)
-        contradicting = wrong_views(bundle, solved.system, spreads, first)
-        bundle = with_measured_scatter(bundle, solved, spreads, first)
-        bundle, wrong = _without(bundle, contradicting, seen)
+        before, spreads = bundle, view_covariance_factors(bundle, solved.equations)
+        contradicting = find_outlier_views(bundle, solved.equations, spreads, first)
+        bundle = update_variance_components(bundle, solved, spreads, first)
+        bundle, wrong = _remove_outlier_views(bundle, contradicting, seen)
         rejected |= wrong
-        if _alike(before, bundle):
+        if _has_converged(before, bundle):
             break
-        kept = zip(solved.system.visits, before.all_views, bundle.all_views, strict=True)
+        kept = zip(solved.equations.cache, before.all_views, bundle.all_views, strict=True)
         near = [at if views is was else None for at, was, views in kept]
-        solved = solve(bundle, solved.state, near, iterations=_STEPS, settled=SETTLED, exact=False)
+        solved = minimize_bundle(
+            bundle, solved.state, near, iterations=_STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
+        )
     return bundle, solved, rejected
 
 
-def _without(
+def _remove_outlier_views(
     bundle: Bundle, contradicting: Sequence[NDArray[np.bool_]], seen: NDArray[np.intp]
 ) -> tuple[Bundle, set[tuple[int, str]]]:
     """The bundle without the views that contradict the others, (K,) masks; and those, by board and sensor.
@@ -221,25 +247,28 @@ def _without(
     wrong = [bad & (len(bad) - bad.sum() > count / 2) for bad, count in zip(contradicting, seen, strict=True)]
     rejected = {
         (int(board), name)
-        for name, views, bad in zip(bundle.names, bundle.views, wrong[: len(bundle.views)], strict=True)
+        for name, views, bad in zip(bundle.sensors, bundle.views, wrong[: len(bundle.views)], strict=True)
         for board in views.board[bad]
     }
     left = [
-        views.where(~bad) if np.any(bad) else views for views, bad in zip(bundle.all_views, wrong, strict=True)
+        views.select(~bad) if np.any(bad) else views for views, bad in zip(bundle.all_views, wrong, strict=True)
     ]
     return bundle.with_views(left), rejected
 
 
-def _alike(a: Bundle, b: Bundle) -> bool:
+def _has_converged(a: Bundle, b: Bundle) -> bool:
     """Whether two bundles have the same views, and nearly the same noise."""
     same_views = all(len(p.board) == len(q.board) for p, q in zip(a.all_views, b.all_views, strict=True))
-    same_noise = all(abs(p.scale / q.scale - 1) < _SETTLED for p, q in zip(a.all_views, b.all_views, strict=True))
-    smallest = np.minimum(a.sway, b.sway)
-    same_sway = bool(np.all(np.abs(a.sway - b.sway) <= 2 * _SETTLED_SWAY * smallest + 1e-9))
+    same_noise = all(
+        abs(p.noise_scale / q.noise_scale - 1) < _NOISE_TOLERANCE
+        for p, q in zip(a.all_views, b.all_views, strict=True)
+    )
+    smallest = np.minimum(a.bias_variance, b.bias_variance)
+    same_sway = bool(np.all(np.abs(a.bias_variance - b.bias_variance) <= 2 * _BIAS_TOLERANCE * smallest + 1e-9))
     return same_views and same_noise and same_sway
 
 
-def _residuals(bundle: Bundle, solved: Solved) -> Iterator[tuple[str, Array]]:
-    for s, (name, views) in enumerate(zip(bundle.names, bundle.views, strict=True)):
-        T_sensor_board = relative(solved.state.T_root_sensor[s], solved.state.T_root_board[views.board])
-        yield name, views.linearize(T_sensor_board, solved.state.own[bundle.own(s)]).residual
+def _residuals_by_sensor(bundle: Bundle, solved: MinimizedBundle) -> Iterator[tuple[str, Array]]:
+    for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
+        T_sensor_board = relative_poses(solved.state.T_root_sensor[s], solved.state.T_root_board[views.board])
+        yield name, views.linearize(T_sensor_board, solved.state.extra[bundle.extra_indices(s)]).residual

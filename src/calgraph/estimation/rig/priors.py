@@ -10,7 +10,7 @@ from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import Bundle, Prior, State, stacked
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPrior, stack_poses
 from calgraph.geometry import Array, Index, se3
 from calgraph.graph import SpanningTree, grown
 from calgraph.pairwise import PairwiseEstimate
@@ -39,7 +39,7 @@ class RigidGroup(StrictModel):
     source: str
     """Who says so."""
 
-    def carried(self, by: str, T_root_by: Array) -> Iterator[tuple[str, Array]]:
+    def propagate_pose(self, by: str, T_root_by: Array) -> Iterator[tuple[str, Array]]:
         """All sensors with their ``T_root_sensor`` (4, 4), if one of them is where it is said to be."""
         T_by_group = se3.inverse(np.array(self.T_group_sensor[by]))
         for name, T_group_sensor in self.T_group_sensor.items():
@@ -69,7 +69,7 @@ def frame_id(sensor: str, rig: Rig, captured: CaptureSet) -> str:
     return rig.sensors[sensor].frame_id or captured.frames[sensor] or sensor
 
 
-def known_poses(
+def resolve_prior_poses(
     rig: Rig, captured: CaptureSet, prior: PriorFile | None, rigid: Sequence[RigidFile]
 ) -> tuple[tuple[PosePrior, ...], tuple[RigidGroup, ...]]:
     """What files say of a rig's sensors, as plain data.
@@ -79,20 +79,22 @@ def known_poses(
             to two groups.
     """
     frames = {name: frame_id(name, rig, captured) for name in rig.sensors}
-    groups = [_group(file.poses, file.sensors, frames) for file in rigid]
+    groups = [_resolve_group(file.poses, file.sensors, frames) for file in rigid]
     priors: list[PosePrior] = []
     if prior is not None:
         found = prior.poses.frames_of(frames)
         root = prior.poses.frame(rig.root, frames)
         if prior.stddev == (0, 0):
-            groups.append(_group(prior.poses, (rig.root, *(n for n in found if n != rig.root)), frames))
+            groups.append(_resolve_group(prior.poses, (rig.root, *(n for n in found if n != rig.root)), frames))
         else:
-            priors = [_prior(prior, name, root, frame) for name, frame in found.items() if name != rig.root]
+            priors = [
+                _resolve_prior(prior, name, root, frame) for name, frame in found.items() if name != rig.root
+            ]
     _check_groups(groups, rig)
     return tuple(priors), tuple(groups)
 
 
-def attached(
+def attach_by_priors(
     tree: SpanningTree,
     estimates: Sequence[PairwiseEstimate],
     priors: Sequence[PosePrior],
@@ -104,43 +106,45 @@ def attached(
         for group in groups
         for by in tree.T_root_sensor
         if by in group.T_group_sensor
-        for name, T in group.carried(by, tree.T_root_sensor[by])
+        for name, T in group.propagate_pose(by, tree.T_root_sensor[by])
     )
     by_prior = ((prior.sensor, tree.root, np.array(prior.T_root_sensor)) for prior in priors)
     for name, parent, T in chain(by_group, by_prior):
         if name not in tree.T_root_sensor:
             further = SpanningTree(tree.root, {**tree.parents, name: parent}, {**tree.T_root_sensor, name: T})
-            return attached(grown(further, estimates), estimates, priors, groups)
+            return attach_by_priors(grown(further, estimates), estimates, priors, groups)
     return tree
 
 
-def with_groups(state: State, names: Sequence[str], groups: Sequence[RigidGroup]) -> State:
+def apply_rigid_groups(state: BundleState, names: Sequence[str], groups: Sequence[RigidGroup]) -> BundleState:
     """The state with sensors of a group as it says: they follow the one that was placed first."""
     poses = dict(zip(names, state.T_root_sensor, strict=True))
     for group in groups:
         by = next((name for name in names if name in group.T_group_sensor), None)
         if by is not None:
-            poses |= {name: T for name, T in group.carried(by, poses[by]) if name in poses}
-    return replace(state, T_root_sensor=stacked([poses[name] for name in names]))
+            poses |= {name: T for name, T in group.propagate_pose(by, poses[by]) if name in poses}
+    return replace(state, T_root_sensor=stack_poses([poses[name] for name in names]))
 
 
-def with_known(bundle: Bundle, priors: Sequence[PosePrior], groups: Sequence[RigidGroup]) -> Bundle:
+def with_priors(bundle: Bundle, priors: Sequence[PosePrior], groups: Sequence[RigidGroup]) -> Bundle:
     """The bundle with what is known of its sensors."""
     known = tuple(
-        Prior(bundle.names.index(p.sensor), np.array(p.T_root_sensor), np.linalg.inv(np.array(p.covariance)))
+        SensorPrior(
+            bundle.sensors.index(p.sensor), np.array(p.T_root_sensor), np.linalg.inv(np.array(p.covariance))
+        )
         for p in priors
     )
-    return replace(bundle, body=bodies(bundle.names, groups), priors=known)
+    return replace(bundle, body=assign_bodies(bundle.sensors, groups), priors=known)
 
 
-def free(bundle: Bundle) -> Bundle:
+def without_priors(bundle: Bundle) -> Bundle:
     """The bundle with nothing known; sensors that saw no board with another one stay where they start."""
     tied = np.array([len(views.board) > 0 for views in bundle.views])
     tied[0] = False
     return replace(bundle, body=np.where(tied, np.cumsum(tied), 0), priors=())
 
 
-def bodies(names: Sequence[str], groups: Sequence[RigidGroup]) -> Index:
+def assign_bodies(names: Sequence[str], groups: Sequence[RigidGroup]) -> Index:
     """(S,) number of the rigid body that each sensor is on, in the order of their first sensors."""
     group_of = {name: i for i, group in enumerate(groups) for name in group.T_group_sensor}
     label = [("group", group_of[name]) if name in group_of else ("sensor", i) for i, name in enumerate(names)]
@@ -148,7 +152,7 @@ def bodies(names: Sequence[str], groups: Sequence[RigidGroup]) -> Index:
     return np.array([number[body] for body in label], dtype=np.intp)
 
 
-def _group(poses: KnownPoses, sensors: Sequence[str], frames: Mapping[str, str]) -> RigidGroup:
+def _resolve_group(poses: KnownPoses, sensors: Sequence[str], frames: Mapping[str, str]) -> RigidGroup:
     unknown = [name for name in sensors if name not in frames]
     if unknown:
         raise InputError(
@@ -163,7 +167,7 @@ def _group(poses: KnownPoses, sensors: Sequence[str], frames: Mapping[str, str])
     return RigidGroup(T_group_sensor={name: T_a_b.tolist() for name, T_a_b in T.items()}, source=str(poses.path))
 
 
-def _prior(file: PriorFile, name: str, root: str, frame: str) -> PosePrior:
+def _resolve_prior(file: PriorFile, name: str, root: str, frame: str) -> PosePrior:
     if file.stddev is None:
         covariance = file.poses.covariance(root, frame)
     else:

@@ -12,14 +12,14 @@ from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.estimation.rig.extra_parameters import Estimable
-from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, known_poses
+from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, Filter, Pairs, PairwiseEstimate, estimated
 
 Estimator = Literal["bundle", "hypergraph"]
 
 
-class Solver(StrictModel):
+class SolverOptions(StrictModel):
     """How to solve a problem."""
 
     estimator: Estimator = "bundle"
@@ -50,10 +50,10 @@ class Problem:
     """Estimate, or the reason why there is none, by pair of sensors."""
     tree: SpanningTree
     """What is connected to the root, and the start poses."""
-    solver: Solver
+    solver: SolverOptions
 
 
-def knowing(problem: Problem, prior: PriorFile | None, rigid: Sequence[RigidFile]) -> Problem:
+def with_prior_poses(problem: Problem, prior: PriorFile | None, rigid: Sequence[RigidFile]) -> Problem:
     """The problem with what files say of the poses in place of what was known of them, where there is any.
 
     Raises:
@@ -61,7 +61,7 @@ def knowing(problem: Problem, prior: PriorFile | None, rigid: Sequence[RigidFile
     """
     if prior is None and not rigid:
         return problem
-    priors, groups = known_poses(problem.rig, problem.captured, prior, rigid)
+    priors, groups = resolve_prior_poses(problem.rig, problem.captured, prior, rigid)
     return replace(problem, solver=problem.solver.model_copy(update={"priors": priors, "groups": groups}))
 
 

@@ -13,7 +13,7 @@ from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation.rig.problem import Problem, Solver, check_problem
+from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
@@ -74,7 +74,7 @@ class _Structure(StrictModel):
 
     format: str
     rig: Rig
-    solver: Solver
+    solver: SolverOptions
     sensors: tuple[str, ...]
     """Names; the tables count sensors in this order."""
     start: float
@@ -93,7 +93,7 @@ def save_problem(problem: Problem, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    content, arrays = _encoded(problem)
+    content, arrays = _encode(problem)
     write_archive(path, _STRUCTURE, content, arrays)
 
 
@@ -107,25 +107,25 @@ def load_problem(path: Path) -> Problem:
     content, arrays = read_archive(path, _STRUCTURE, FORMAT)
     structure = validated(_Structure, content, path / _STRUCTURE)
     try:
-        problem = _decoded(structure, arrays)
+        problem = _decode(structure, arrays)
         check_problem(problem)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return problem
 
 
-def replayable(problem: Problem) -> Problem:
+def round_trip(problem: Problem) -> Problem:
     """The problem as it will come back from a file.
 
     The values are the same; but how an array lies in memory may decide the last bit of what is computed from it.
     Snapshots, of which nothing is computed, are kept.
     """
-    content, arrays = _encoded(problem)
-    again = _decoded(_Structure.model_validate(content), arrays)
+    content, arrays = _encode(problem)
+    again = _decode(_Structure.model_validate(content), arrays)
     return replace(again, captured=replace(again.captured, snapshots=problem.captured.snapshots))
 
 
-def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _encode(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     captured, tree = problem.captured, problem.tree
     number = {name: i for i, name in enumerate(captured.detections)}
     content = {
@@ -165,7 +165,7 @@ def _encoded(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
     return content, arrays
 
 
-def _decoded(structure: _Structure, arrays: Arrays) -> Problem:
+def _decode(structure: _Structure, arrays: Arrays) -> Problem:
     sensors = structure.sensors
     captured = CaptureSet(
         start=structure.start,
@@ -210,7 +210,7 @@ def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, t
 
 
 def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:
-    rows = _as_many(_CAMERAS, arrays, len(structure.cameras), "cameras")
+    rows = _unpack_exactly(_CAMERAS, arrays, len(structure.cameras), "cameras")
     return {
         name: CameraModel(model, **row) for (name, model), row in zip(structure.cameras.items(), rows, strict=True)
     }
@@ -218,7 +218,7 @@ def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:
 
 def _pairs(structure: _Structure, arrays: Arrays) -> Pairs:
     known = sum(pair.rejected is None for pair in structure.pairs)
-    rows = iter(_as_many(_ESTIMATES, arrays, known, "pairs that are not rejected"))
+    rows = iter(_unpack_exactly(_ESTIMATES, arrays, known, "pairs that are not rejected"))
     return {
         pair.sensors: PairwiseEstimate(*pair.sensors, **next(rows))
         if pair.rejected is None
@@ -227,7 +227,7 @@ def _pairs(structure: _Structure, arrays: Arrays) -> Pairs:
     }
 
 
-def _as_many(table: Table, arrays: Arrays, count: int, what: str) -> list[dict[str, Any]]:
+def _unpack_exactly(table: Table, arrays: Arrays, count: int, what: str) -> list[dict[str, Any]]:
     rows = table.unpack(arrays)
     if len(rows) != count:
         raise InputError(f"{table.name}: must have a row for each of the {count} {what}, has {len(rows)}")

@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, Index, se3, so3
 
 # So many points are needed to lay a sheet.
-_ENOUGH = 6
-_TURNS = np.radians(np.arange(0.0, 180.0, 5.0))
-_FINE = np.radians(np.arange(-4.0, 4.5, 1.0))
+_MIN_POINTS = 6
+_COARSE_ANGLES = np.radians(np.arange(0.0, 180.0, 5.0))
+_FINE_ANGLES = np.radians(np.arange(-4.0, 4.5, 1.0))
 # A rectangle is shifted so many times to where it fits better: while its turn is sought, and then.
-_ROUGHLY, _FINELY = 2, 6
+_COARSE_ITERATIONS, _FINE_ITERATIONS = 2, 6
 # Of a point the distance from the outline counts up to this, m.
-_FAR = 0.05
+_MAX_DISTANCE = 0.05
 # A sheet is laid right if points are on average as near to its sides as this, m; turned otherwise, so much worse.
-_NEAR, _WORSE = 0.02, 1.5
+_MAX_MEAN_DISTANCE, _AMBIGUITY_RATIO = 0.02, 1.5
 # What is turned by less is not turned otherwise, rad.
-_ALIKE = np.radians(20.0)
+_MIN_ANGLE_APART = np.radians(20.0)
 
 
-def laid(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]]:
+def register_rectangles(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]]:
     """How sheets lie, told by points on their outlines alone.
 
     Args:
@@ -33,18 +33,20 @@ def laid(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]
         was seen, and it fits one way only.
     """
     found = np.tile(np.eye(4), (len(points), 1, 1))
-    told = np.array([len(own) >= _ENOUGH for own in points], dtype=np.bool_)
+    told = np.array([len(own) >= _MIN_POINTS for own in points], dtype=np.bool_)
     if not told.any():
         return found, told
-    own, counted = _padded([p for p, enough in zip(points, told, strict=True) if enough])
+    own, counted = _pad_points([p for p, enough in zip(points, told, strict=True) if enough])
     each = np.arange(len(own))
-    _, misses = _shifted(own, counted, np.broadcast_to(_TURNS, (len(own), len(_TURNS))), half, _ROUGHLY)
+    _, misses = _register_shifts(
+        own, counted, np.broadcast_to(_COARSE_ANGLES, (len(own), len(_COARSE_ANGLES))), half, _COARSE_ITERATIONS
+    )
     best = np.argmin(misses, axis=1)
-    apart = np.abs((_TURNS - _TURNS[best, None] + np.pi / 2) % np.pi - np.pi / 2)
-    rival = np.where(apart > _ALIKE, misses, np.inf).min(axis=1)
-    certain = (misses[each, best] <= _NEAR) & (rival >= _WORSE * misses[each, best])
-    turns = _TURNS[best, None] + _FINE
-    centers, misses = _shifted(own, counted, turns, half, _FINELY)
+    apart = np.abs((_COARSE_ANGLES - _COARSE_ANGLES[best, None] + np.pi / 2) % np.pi - np.pi / 2)
+    rival = np.where(apart > _MIN_ANGLE_APART, misses, np.inf).min(axis=1)
+    certain = (misses[each, best] <= _MAX_MEAN_DISTANCE) & (rival >= _AMBIGUITY_RATIO * misses[each, best])
+    turns = _COARSE_ANGLES[best, None] + _FINE_ANGLES
+    centers, misses = _register_shifts(own, counted, turns, half, _FINE_ITERATIONS)
     best = np.argmin(misses, axis=1)
     R = so3.exp(np.column_stack([np.zeros((len(own), 2)), turns[each, best]]))
     shifts = np.column_stack([centers[each, best], np.zeros(len(own))])
@@ -54,14 +56,14 @@ def laid(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]
     return found, sure
 
 
-def _padded(points: Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
+def _pad_points(points: Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
     """Points (n, M, 2) of all sheets, and which count (n, M): shorter lists are filled with their first point."""
     most = max(map(len, points))
     filled = np.stack([np.concatenate([own, np.tile(own[0], (most - len(own), 1))]) for own in points])
     return filled, np.arange(most) < np.array([[len(own)] for own in points])
 
 
-def _shifted(
+def _register_shifts(
     points: Array, counted: NDArray[np.bool_], turns: Array, half: Array, rounds: int
 ) -> tuple[Array, Array]:
     """Where rectangles turned by (n, A) are nearest to points (n, M, 2) on their outlines, of which (n, M) count.
@@ -75,15 +77,15 @@ def _shifted(
     counted = counted[:, None]
     centers = (turned.min(axis=2) + turned.max(axis=2)) / 2
     for _ in range(rounds):
-        off, nearest = _from_sides(turned - centers[:, :, None], half)
-        shifts = [_mean(off[..., axis], counted & (nearest == axis)) for axis in (0, 1)]
+        off, nearest = _offsets_from_sides(turned - centers[:, :, None], half)
+        shifts = [_limited_mean(off[..., axis], counted & (nearest == axis)) for axis in (0, 1)]
         centers = centers + np.stack(shifts, axis=-1)
-    off, nearest = _from_sides(turned - centers[:, :, None], half)
+    off, nearest = _offsets_from_sides(turned - centers[:, :, None], half)
     distance = np.abs(np.where(nearest == 0, off[..., 0], off[..., 1]))
-    return centers, _mean(distance, np.broadcast_to(counted, distance.shape))
+    return centers, _limited_mean(distance, np.broadcast_to(counted, distance.shape))
 
 
-def _from_sides(points: Array, half: Array) -> tuple[Array, Index]:
+def _offsets_from_sides(points: Array, half: Array) -> tuple[Array, Index]:
     """Offsets (..., 2) of points from the nearer of two parallel sides, and across which axis the nearest is."""
     off = points - np.copysign(half, points)
     beside = np.maximum(np.abs(points) - half, 0)
@@ -93,7 +95,7 @@ def _from_sides(points: Array, half: Array) -> tuple[Array, Index]:
     return off, np.asarray(far_y < far_x, dtype=np.intp)
 
 
-def _mean(values: Array, counted: NDArray[np.bool_]) -> Array:
+def _limited_mean(values: Array, counted: NDArray[np.bool_]) -> Array:
     """Means over the last axis of the counted ones of values, limited in size; 0 where there are none."""
-    limited = np.clip(values, -_FAR, _FAR)
+    limited = np.clip(values, -_MAX_DISTANCE, _MAX_DISTANCE)
     return np.asarray(np.sum(limited * counted, axis=-1) / np.maximum(counted.sum(axis=-1), 1))

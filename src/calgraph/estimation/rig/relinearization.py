@@ -10,40 +10,42 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.estimation.rig.normal_equations import ViewSums, judged
-from calgraph.estimation.rig.observations import Views
+from calgraph.estimation.rig.normal_equations import ViewNormalEquations, accumulate_biased
+from calgraph.estimation.rig.observations import BoardViews
 from calgraph.geometry import Array, Index
 
 # Sums are moved as long as, in every view, measurements change by less than this, root mean square, in standard
 # deviations,
-_SHIFT = 0.3
+_MAX_RESIDUAL_CHANGE = 0.3
 # and the board turns by less than this, rad.
-_TURN = 0.01
+_MAX_ROTATION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Visit:
+class CachedLinearization:
     """What one sensor's views say where their measurements were looked at."""
 
     T_sensor_board: Array
     """(V, 4, 4)."""
-    own: Array
+    extra: Array
     """(e,) the sensor's own unknowns."""
-    sums: ViewSums
+    equations: ViewNormalEquations
 
-    def moved(self, views: Views, T_sensor_board: Array, own: Array) -> ViewSums | None:
+    def extrapolate(self, views: BoardViews, T_sensor_board: Array, own: Array) -> ViewNormalEquations | None:
         """The sums at other poses (V, 4, 4) and own unknowns (e,); None if that is too far away."""
         cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
-        change = views.change(self.T_sensor_board, T_sensor_board, own - self.own)
-        near = (self.sums.squared(change) <= _SHIFT**2 * self.sums.count) & (cosine >= 1 - _TURN**2 / 2)
-        return self.sums.moved(change, views.basis(T_sensor_board)) if np.all(near) else None
+        change = views.local_difference(self.T_sensor_board, T_sensor_board, own - self.extra)
+        near = (
+            self.equations.squared_change(change) <= _MAX_RESIDUAL_CHANGE**2 * self.equations.residual_count
+        ) & (cosine >= 1 - _MAX_ROTATION**2 / 2)
+        return self.equations.extrapolate(change, views.local_jacobian(T_sensor_board)) if np.all(near) else None
 
-    def where(self, keep: NDArray[np.bool_] | Index) -> "Visit":
+    def select(self, keep: NDArray[np.bool_] | Index) -> "CachedLinearization":
         """The visit of some of the views: a mask (V,), or their numbers, which may repeat."""
-        return Visit(self.T_sensor_board[keep], self.own, self.sums.where(keep))
+        return CachedLinearization(self.T_sensor_board[keep], self.extra, self.equations.select(keep))
 
 
-def visit(views: Views, T_sensor_board: Array, own: Array, sway: Array) -> Visit:
+def linearize_views(views: BoardViews, T_sensor_board: Array, own: Array, sway: Array) -> CachedLinearization:
     """Looks at every measurement of the views.
 
     Args:
@@ -53,4 +55,4 @@ def visit(views: Views, T_sensor_board: Array, own: Array, sway: Array) -> Visit
         sway: (6 + e,) variances of the displacement of one view, along the sensor's axes.
     """
     rows = views.linearize(T_sensor_board, own)
-    return Visit(T_sensor_board, own, judged(rows, views.start, sway))
+    return CachedLinearization(T_sensor_board, own, accumulate_biased(rows, views.start, sway))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.estimation.rig.bundle_solver import Bundle, Solved
+from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle
 from calgraph.geometry import Array, Index
 from calgraph.result import Estimated
 
@@ -16,23 +16,23 @@ class MeasuredNoise:
 
     scale: float
     """Standard deviation of single measurements, over that stated in rig.yaml."""
-    sway: float
+    view_bias: float
     """Standard deviation of the displacement that all measurements of one view share, m."""
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class SolvedBundle:
     """A solved bundle, for whoever asks it more: how well it predicts, what a further board would tell."""
 
     bundle: Bundle
     """With the noise that was measured, and without the views that were wrong."""
-    solved: Solved
+    minimized: MinimizedBundle
     captures: Index
     """(C,) the capture of each board."""
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class RigSolution:
     """A joint solution of a rig's connected sensors."""
 
     estimator: str
@@ -52,9 +52,9 @@ class Joint:
     """By sensor, where it was measured."""
     graph_error: float = float("nan")
     """Sum of squared errors over all of a hypergraph's edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
-    estimated: tuple[Estimated, ...] = ()
+    extra_parameters: tuple[Estimated, ...] = ()
     """What was estimated besides poses."""
-    adjusted: Adjusted | None = None
+    solved_bundle: SolvedBundle | None = None
     """What the bundle ended with; None for other estimators, and where no two sensors share a board."""
 
     @property
