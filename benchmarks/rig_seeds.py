@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from calgraph.calibrate import Options, prepare, solve_problem
+from calgraph.calibrate import Options, build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
 from calgraph.simulation import RigScenario, Truth
@@ -29,7 +29,9 @@ def main() -> None:
     for seed in range(arguments.seeds):
         rig, captured, truth = recorded(scenario, seed)
         began = time.perf_counter()
-        calibration = solve_problem(prepare(rig, captured, Options(), np.random.default_rng(seed)))
+        calibration = solve_problem(
+            build_problem_from_captures(rig, captured, Options(), np.random.default_rng(seed))
+        )
         seconds = time.perf_counter() - began
         metres, degrees = errors(poses_of(calibration), truth)
         complete = len(calibration.sensors) == len(rig.sensors)

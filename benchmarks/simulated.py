@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.calibrate import Options, capture_board
+from calgraph.calibrate import Options, collect_captures
 from calgraph.captures import (
     CaptureSet,
     Hold,
@@ -63,7 +63,7 @@ def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
         simulate_rig(scenario, out, seed)
         rig = load_rig(out / "rig.yaml")
         with open_recording(out / "recording") as recording:
-            captured = capture_board(rig, recording, Options(), np.random.default_rng(seed))
+            captured = collect_captures(rig, recording, Options(), np.random.default_rng(seed))
         return rig, captured, load_truth(out / "truth.yaml")
 
 

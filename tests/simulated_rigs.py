@@ -13,7 +13,7 @@ from calgraph.calibrate import Options, calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import Recording
-from calgraph.recording.recording import TopicInfo, wanted_topics
+from calgraph.recording.recording import TopicInfo, select_topics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraInfo, Message, RecordedMessage, Trigger
 from calgraph.simulation import (
@@ -42,7 +42,7 @@ class SimulatedRecording:
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[RecordedMessage]:
-        wanted = wanted_topics(self.path, self.topics, topics)
+        wanted = select_topics(self.path, self.topics, topics)
         return (
             r
             for r in self.messages

@@ -50,7 +50,7 @@ figure = go.Figure()
 for view in calibration.floor:
     x, y = view.background.T
     figure.add_scattergl(x=x, y=y, mode="markers", marker={"size": 3}, name=view.sensor, legendgroup=view.sensor)
-    for walk in view.walks:
+    for walk in view.tracks:
         x, y = walk.T
         figure.add_scattergl(x=x, y=y, mode="lines", line={"color": "#bbb", "width": 1}, showlegend=False)
 for sensor in calibration.sensors:

@@ -62,7 +62,7 @@ print("± mm:", (1000 * stddev[:3]).round(2), " ± degrees:", np.degrees(stddev[
 # %%
 # Why should you believe it? What the sensors saw in captures that were left out, against what the others
 # predict of it: the ratio of errors to what is expected is about 1 if standard deviations hold.
-for name, left_out in calibration.left_out.items():
+for name, left_out in calibration.cross_validation.items():
     print(f"{name:12} {left_out.views} captures, ratio {left_out.ratio:.2f}")
 
 # %%

@@ -23,7 +23,7 @@ scenario = RigScenario(
     bearings=(-20, 0, 20), radii=(1.7, 2.5), samples=2,
 )  # fmt: skip
 rig, captured, _ = simulate_detections(set_stage(scenario, 0), seed=0)
-problem = calgraph.prepare(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
+problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
 calibration = calgraph.solve_problem(problem)
 print(calibration.to_dataframe()[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())
 

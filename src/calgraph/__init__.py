@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from calgraph.calibrate import (
         Options,
+        bootstrap_covariances,
+        build_problem,
+        build_problem_from_captures,
         calibrate_detections,
         calibrate_network,
         calibrate_rig,
         calibrate_tracks,
-        pose_problem,
-        prepare,
         solve_problem,
-        verify_problem,
     )
     from calgraph.captures import CaptureSet, captures_from_detections
     from calgraph.config import (
@@ -58,12 +58,12 @@ __all__ = [
     "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec",
     "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch",
     "PointCloud", "PoseGraph", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "Segment",
-    "SensorPose", "Tag", "Track", "Tracked", "average", "board_corners_from_pixels", "calibrate_detections",
-    "calibrate_network", "calibrate_rig", "calibrate_tracks", "captures_from_detections", "colorize_points",
-    "estimate_pair", "export", "load_calibration", "load_problem", "load_rig", "open_recording",
-    "open_recordings", "plane", "plane_patch_from_points", "pose_problem", "prepare", "save_calibration",
-    "save_problem", "se2", "se3", "segment_from_points", "so3", "solve_problem", "track_scanner",
-    "verify_problem", "write_report",
+    "SensorPose", "Tag", "Track", "Tracked", "average", "board_corners_from_pixels", "bootstrap_covariances",
+    "build_problem", "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
+    "calibrate_tracks", "captures_from_detections", "colorize_points", "estimate_pair", "export",
+    "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
+    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points", "so3",
+    "solve_problem", "track_scanner", "write_report",
 ]  # fmt: skip
 
 _ROOMS = (

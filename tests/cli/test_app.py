@@ -11,8 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from calgraph.cli.app import COMMANDS, SIMULATIONS, app, guarded
-from calgraph.cli.lazy_commands import Place
+from calgraph.cli.app import COMMANDS, SIMULATIONS, app, handle_errors
+from calgraph.cli.lazy_commands import LazyCommand
 from calgraph.errors import CalibrationError, InputError, RecordingError
 
 Run = Callable[..., Result]
@@ -23,7 +23,7 @@ def guarded_exit(error: BaseException) -> Result:
         raise error
 
     small = typer.Typer()
-    small.command()(guarded(command))
+    small.command()(handle_errors(command))
     return CliRunner().invoke(small)
 
 
@@ -47,8 +47,8 @@ def test_every_command_has_help_within_80_columns(command: list[str]) -> None:
 
 
 @pytest.mark.parametrize("place", [*COMMANDS.values(), *SIMULATIONS.values()], ids=lambda place: place.function)
-def test_the_list_says_of_a_command_what_its_help_does(place: Place) -> None:
-    assert (place.command().__doc__ or "").splitlines()[0] == place.summary
+def test_the_list_says_of_a_command_what_its_help_does(place: LazyCommand) -> None:
+    assert (place.load().__doc__ or "").splitlines()[0] == place.summary
 
 
 def test_the_list_of_commands_waits_for_none_of_them() -> None:

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import app
-from calgraph.cli.simulate import _KNOBS
+from calgraph.cli.simulate import _MODEL_OPTIONS
 from calgraph.config import load_rig
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.simulation import RigScenario, load_truth
@@ -37,15 +37,15 @@ def help_text() -> str:
 
 
 def test_every_field_of_the_scenario_has_an_option() -> None:
-    assert [knob.path for knob in _KNOBS.values()] == list(leaves(RigScenario))
+    assert [knob.path for knob in _MODEL_OPTIONS.values()] == list(leaves(RigScenario))
 
 
 def test_the_help_shows_every_option(help_text: str) -> None:
-    assert [knob.option for knob in _KNOBS.values() if knob.option not in help_text] == []
+    assert [knob.option for knob in _MODEL_OPTIONS.values() if knob.option not in help_text] == []
 
 
 def test_every_option_is_described() -> None:
-    assert [knob.option for knob in _KNOBS.values() if not knob.field.description] == []
+    assert [knob.option for knob in _MODEL_OPTIONS.values() if not knob.field.description] == []
 
 
 def test_the_help_fits_80_columns(help_text: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import app
-from calgraph.cli.simulate_network import _KNOBS
+from calgraph.cli.simulate_network import _MODEL_OPTIONS
 from calgraph.io.yaml_reading import read_yaml
 
 Run = Callable[..., Result]
@@ -22,11 +22,11 @@ def help_text() -> str:
 
 
 def test_the_help_shows_every_option(help_text: str) -> None:
-    assert [knob.option for knob in _KNOBS.values() if knob.option not in help_text] == []
+    assert [knob.option for knob in _MODEL_OPTIONS.values() if knob.option not in help_text] == []
 
 
 def test_every_option_is_described() -> None:
-    assert [knob.option for knob in _KNOBS.values() if not knob.field.description] == []
+    assert [knob.option for knob in _MODEL_OPTIONS.values() if not knob.field.description] == []
 
 
 def test_the_recording_and_what_belongs_to_it_are_written(run: Run, tmp_path: Path) -> None:

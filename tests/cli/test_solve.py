@@ -145,7 +145,7 @@ def test_more_than_poses_is_estimated_on_request(dumped: Path, tmp_path: Path, r
         "solve", dumped / "problem.npz", "-o", out, "--estimate", "range_bias", "--estimate", "intrinsics"
     )
     assert result.exit_code == 0, result.output
-    estimated = load_calibration(out / "calibration.yaml").estimated
+    estimated = load_calibration(out / "calibration.yaml").estimated_parameters
     assert {"range bias", "fx", "cy"} <= {one.quantity for one in estimated}
     assert "range bias" in result.stdout
     assert "range bias" in (out / "report.html").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ def sent(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     ]  # fmt: skip
     return sent_to_a_terminal(
         "import sys; from calgraph.cli import main, progress\n"
-        "progress._PATIENCE = 0.0  # bars are for work that takes longer than this recording may\n"
+        "progress._MIN_DURATION = 0.0  # bars are for work that takes longer than this recording may\n"
         f"sys.argv = {arguments!r}; main()"
     )
 

@@ -1,6 +1,6 @@
 import pytest
 
-from calgraph.config.sensor_names import sensor_names
+from calgraph.config.sensor_names import name_sensors
 
 
 @pytest.mark.parametrize(
@@ -19,19 +19,19 @@ from calgraph.config.sensor_names import sensor_names
     ],
 )
 def test_a_name_is_the_telling_part_of_the_topic(topic: str, kind: str, name: str) -> None:
-    assert sensor_names({topic: kind}) == {topic: name}
+    assert name_sensors({topic: kind}) == {topic: name}
 
 
 def test_names_that_would_be_the_same_take_more_of_the_topic() -> None:
     topics = {"/left/camera/image": "camera", "/right/camera/image": "camera"}
-    assert list(sensor_names(topics).values()) == ["left_camera", "right_camera"]
+    assert list(name_sensors(topics).values()) == ["left_camera", "right_camera"]
 
 
 def test_the_kind_tells_sensors_of_one_name_apart() -> None:
     topics = {"/front/image_raw": "camera", "/front/scan": "lidar2d"}
-    assert list(sensor_names(topics).values()) == ["front_camera", "front_laser"]
+    assert list(name_sensors(topics).values()) == ["front_camera", "front_laser"]
 
 
 def test_the_rest_is_numbered() -> None:
     topics = dict.fromkeys(("/scan", "/scans", "/laser_scan"), "lidar2d")
-    assert len(set(sensor_names(topics).values())) == 3
+    assert len(set(name_sensors(topics).values())) == 3

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.calibrate import Options, capture_board, prepare, solve_problem
+from calgraph.calibrate import Options, build_problem_from_captures, collect_captures, solve_problem
 from calgraph.config import Board, Checkerboard, Rig
 from calgraph.graph import Start
 from calgraph.recording.recording import JoinedRecording
@@ -77,10 +77,11 @@ def recorded_rig() -> Staged:
 
 def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:
     rig, recording, _ = recorded_rig
-    captured = capture_board(rig, recording, Options(), np.random.default_rng(0))
+    captured = collect_captures(rig, recording, Options(), np.random.default_rng(0))
     starts: tuple[Start, ...] = ("tree", "consensus")
     along_tree, consensus = (
-        solve_problem(prepare(rig, captured, Options(start=start), np.random.default_rng(0))) for start in starts
+        solve_problem(build_problem_from_captures(rig, captured, Options(start=start), np.random.default_rng(0)))
+        for start in starts
     )
     for sensor in along_tree.sensors:
         T = consensus[sensor.name].T_root_sensor

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calgraph.errors import InputError
-from calgraph.io import replacing, replacing_folder, write_text
+from calgraph.io import replace_folder_atomically, write_atomically, write_text
 
 
 def names(folder: Path) -> list[str]:
@@ -14,7 +14,7 @@ def names(folder: Path) -> list[str]:
 
 
 def test_the_file_is_not_there_before_the_block_ends(tmp_path: Path) -> None:
-    with replacing(tmp_path / "a.txt") as temporary:
+    with write_atomically(tmp_path / "a.txt") as temporary:
         temporary.write_text("new")
         assert not (tmp_path / "a.txt").exists()
     assert (tmp_path / "a.txt").read_text() == "new"
@@ -23,7 +23,7 @@ def test_the_file_is_not_there_before_the_block_ends(tmp_path: Path) -> None:
 
 def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
     write_text(tmp_path / "a.txt", "old")
-    with suppress(ZeroDivisionError), replacing(tmp_path / "a.txt") as temporary:
+    with suppress(ZeroDivisionError), write_atomically(tmp_path / "a.txt") as temporary:
         temporary.write_text("half")
         raise ZeroDivisionError
     assert (tmp_path / "a.txt").read_text() == "old"
@@ -42,7 +42,7 @@ def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
 
 def test_a_new_folder_appears_with_its_files(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
-    with replacing_folder(out) as temporary:
+    with replace_folder_atomically(out) as temporary:
         (temporary / "a.txt").write_text("a")
         assert not out.exists()
     assert names(out) == ["a.txt"]
@@ -50,7 +50,7 @@ def test_a_new_folder_appears_with_its_files(tmp_path: Path) -> None:
 
 
 def test_an_error_leaves_no_folder(tmp_path: Path) -> None:
-    with suppress(ZeroDivisionError), replacing_folder(tmp_path / "out") as temporary:
+    with suppress(ZeroDivisionError), replace_folder_atomically(tmp_path / "out") as temporary:
         (temporary / "a.txt").write_text("a")
         raise ZeroDivisionError
     assert names(tmp_path) == []
@@ -60,7 +60,7 @@ def test_files_of_others_in_the_folder_stay(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
     (tmp_path / "out" / "a.txt").write_text("old")
-    with replacing_folder(tmp_path / "out") as temporary:
+    with replace_folder_atomically(tmp_path / "out") as temporary:
         (temporary / "a.txt").write_text("new")
     assert names(tmp_path / "out") == ["a.txt", "mine.txt"]
     assert (tmp_path / "out" / "a.txt").read_text() == "new"
@@ -69,7 +69,7 @@ def test_files_of_others_in_the_folder_stay(tmp_path: Path) -> None:
 def test_a_folder_inside_replaces_its_namesake_whole(tmp_path: Path) -> None:
     (tmp_path / "out" / "plots").mkdir(parents=True)
     (tmp_path / "out" / "plots" / "stale.png").write_text("x")
-    with replacing_folder(tmp_path / "out") as temporary:
+    with replace_folder_atomically(tmp_path / "out") as temporary:
         (temporary / "plots").mkdir()
         (temporary / "plots" / "fresh.png").write_text("x")
     assert names(tmp_path / "out" / "plots") == ["fresh.png"]
@@ -79,6 +79,6 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     write_text(tmp_path / "out", "x")
     with (
         pytest.raises(InputError, match="is a file, a folder is to be written there"),
-        replacing_folder(tmp_path / "out"),
+        replace_folder_atomically(tmp_path / "out"),
     ):
         pass

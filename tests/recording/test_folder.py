@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.errors import InputError, RecordingError
 from calgraph.recording import open_recording
-from calgraph.recording.folder import stamp_of_name
+from calgraph.recording.folder import parse_stamp
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud
 
 POINTS = np.array([[1.0, 2, 3], [4, 5, 6]])
@@ -53,12 +53,12 @@ def png(value: int = 7) -> bytes:
     ],
 )
 def test_file_names_are_seconds_or_nanoseconds(name: str, stamp: float) -> None:
-    assert stamp_of_name(name) == stamp
+    assert parse_stamp(name) == stamp
 
 
 @pytest.mark.parametrize("name", ["pose1", "", "1.2.3", "-1", "1e3", "nan"])
 def test_other_file_names_are_no_times(name: str) -> None:
-    assert stamp_of_name(name) is None
+    assert parse_stamp(name) is None
 
 
 def test_badly_named_file_is_an_error_that_says_how_to_name_it(tmp_path: Path) -> None:

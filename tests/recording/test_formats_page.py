@@ -7,7 +7,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from calgraph.config import Intrinsics, load_rig
-from calgraph.recording.intrinsics import camera_of_yaml
+from calgraph.recording.intrinsics import camera_from_yaml
 
 
 @pytest.fixture
@@ -28,4 +28,4 @@ def test_intrinsics_of_the_page_are_read(examples: list[str]) -> None:
 
 def test_camera_info_of_the_page_is_read(examples: list[str]) -> None:
     text = next(text for text in examples if text.startswith("width:"))
-    assert camera_of_yaml(YAML(typ="safe").load(text)).model == "fisheye"
+    assert camera_from_yaml(YAML(typ="safe").load(text)).model == "fisheye"

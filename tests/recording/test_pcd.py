@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.recording.pcd import decompress_lzf, read_pcd
 from calgraph.recording.ply import read_ply
-from calgraph.recording.point_cloud_columns import cloud_of_columns
+from calgraph.recording.point_cloud_columns import cloud_from_columns
 
 POINTS = np.array(
     [(1.5, -2, 3, 7, 0.0), (np.nan, np.nan, np.nan, 8, 0.01), (4, 5, 6.25, 300, 0.02)],
@@ -72,7 +72,7 @@ def test_every_kind_of_pcd_gives_the_same_columns(tmp_path: Path, kind: str) -> 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_cloud_of_a_pcd_leaves_out_nan_points(tmp_path: Path, kind: str) -> None:
-    cloud = cloud_of_columns(read_pcd(pcd(tmp_path / "1.pcd", kind)), 5.0)
+    cloud = cloud_from_columns(read_pcd(pcd(tmp_path / "1.pcd", kind)), 5.0)
     np.testing.assert_array_equal(cloud.points, [[1.5, -2, 3], [4, 5, 6.25]])
     np.testing.assert_array_equal(cloud.rings, [7, 300])
 
@@ -174,7 +174,7 @@ def ply(path: Path, kind: str, header: str = PLY_HEADER) -> Path:
 
 @pytest.mark.parametrize("kind", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_every_kind_of_ply_gives_its_vertices(tmp_path: Path, kind: str) -> None:
-    cloud = cloud_of_columns(read_ply(ply(tmp_path / "1.ply", kind)), 5.0)
+    cloud = cloud_from_columns(read_ply(ply(tmp_path / "1.ply", kind)), 5.0)
     np.testing.assert_array_equal(cloud.points, [[1, 2.5, 3], [5, 6, 7]])
     np.testing.assert_array_equal(cloud.rings, [4, 8])
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calgraph.recording.point_cloud_columns import cloud_of_columns, columns_of_point_cloud2, relative_times
+from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2, to_relative_times
 from calgraph.sensors import PointCloud
 
 Array = np.ndarray[Any, Any]
@@ -45,7 +45,7 @@ def message(
 
 
 def read(cloud: SimpleNamespace, stamp: float = EPOCH) -> PointCloud:
-    return cloud_of_columns(columns_of_point_cloud2(cloud), stamp, "lidar")
+    return cloud_from_columns(columns_from_point_cloud2(cloud), stamp, "lidar")
 
 
 def xyz(points: Array, code: str = "f4") -> dict[str, tuple[str, Array]]:
@@ -120,7 +120,7 @@ SWEEP = np.linspace(0, 0.1, 11)
 
 
 def times(values: Array, stamp: float) -> Array:
-    found = relative_times(values, stamp)
+    found = to_relative_times(values, stamp)
     assert found is not None
     return found
 
@@ -153,4 +153,4 @@ def test_times_of_a_sweep_of_several_seconds_are_relative_even_early_in_a_simula
 
 @pytest.mark.parametrize("values", [np.array([0, 1e5, 1e30]), np.array([0.0, np.nan]), np.array([7e8, 7e8 + 1])])
 def test_times_that_make_no_sense_are_left_out(values: Array) -> None:
-    assert relative_times(values, EPOCH) is None
+    assert to_relative_times(values, EPOCH) is None

@@ -73,7 +73,7 @@ def test_walls_and_walks_lie_where_they_were_seen(html: str, network: Calibratio
     np.testing.assert_allclose(np.array([points["x"], points["y"]]).T, network.floor[0].background, atol=1e-5)
     walked = lines_of(floor, "hall")[0]
     np.testing.assert_allclose(
-        walked[np.isfinite(walked[:, 0])], np.concatenate(network.floor[0].walks), atol=1e-5
+        walked[np.isfinite(walked[:, 0])], np.concatenate(network.floor[0].tracks), atol=1e-5
     )
 
 

@@ -18,7 +18,7 @@ from calgraph.report.image_view import camera_images
 from calgraph.report.overlays import overlay
 from calgraph.report.thumbnails import thumbnail
 from calgraph.result import Calibration, Snapshot
-from calgraph.result.used_intrinsics import cameras_of
+from calgraph.result.used_intrinsics import calibrated_cameras
 
 
 def painted_of(html: str) -> list[dict[str, Any]]:
@@ -42,7 +42,7 @@ def seen_by(pictured: Calibration, camera: str) -> int:
 
 
 def test_the_sheet_is_drawn_where_the_joint_solution_has_it(pictured: Calibration, rig: Rig) -> None:
-    camera, capture = cameras_of(pictured, rig)["camera"], seen_by(pictured, "camera")
+    camera, capture = calibrated_cameras(pictured, rig)["camera"], seen_by(pictured, "camera")
     drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
     corners = next(o.corners for o in pictured.outlines if o.capture == capture)
     expected = camera.project(se3.apply(se3.inverse(pictured["camera"].T_root_sensor), corners))
@@ -53,7 +53,7 @@ def test_the_sheet_is_drawn_where_the_joint_solution_has_it(pictured: Calibratio
 
 
 def test_marks_are_drawn_where_corners_are_predicted(pictured: Calibration, rig: Rig) -> None:
-    camera, capture = cameras_of(pictured, rig)["camera"], seen_by(pictured, "camera")
+    camera, capture = calibrated_cameras(pictured, rig)["camera"], seen_by(pictured, "camera")
     drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
     (tag,) = drawn.marks
     np.testing.assert_allclose(tag[::12][:4], drawn.seen - drawn.off, atol=1e-9)
@@ -61,7 +61,7 @@ def test_marks_are_drawn_where_corners_are_predicted(pictured: Calibration, rig:
 
 def test_points_of_all_scanners_lie_on_the_board(pictured: Calibration, rig: Rig) -> None:
     """In captures with odd numbers, which three scanners saw."""
-    camera = cameras_of(pictured, rig)["camera"]
+    camera = calibrated_cameras(pictured, rig)["camera"]
     odd = [v.capture for v in pictured.board_views if v.sensor == "camera" and v.capture % 2]
     every = [overlay(pictured, rig, pictured["camera"], camera, capture) for capture in odd]
     drawn = next(one for one in every if np.isfinite(one.sheets[0]).all())
@@ -85,16 +85,16 @@ def test_differences_are_drawn_as_many_times_larger_as_is_said(pictured: Calibra
     path = re.findall(r'<path class="error" d="(.*?)"', html)[0]
     ends = np.array([[float(x) for x in pair.split()] for pair in re.findall(r"[ML]([-\d. ]+)", path)])
     view = next(v for v in pictured.board_views if (v.capture, v.sensor) == (int(capture), "camera"))
-    assert view.off is not None
-    np.testing.assert_allclose(ends[1::2] - ends[::2], int(factor) * view.off, atol=0.11)
+    assert view.residuals is not None
+    np.testing.assert_allclose(ends[1::2] - ends[::2], int(factor) * view.residuals, atol=0.11)
 
 
 def test_points_are_coloured_by_their_distance(pictured: Calibration, rig: Rig) -> None:
     """Half of the points of every view lie far before the board, half far beyond it."""
     split = tuple(
         v
-        if v.off is None or v.off.ndim > 1
-        else dataclasses.replace(v, off=np.where(np.arange(len(v.off)) % 2, 1.0, -1.0))
+        if v.residuals is None or v.residuals.ndim > 1
+        else dataclasses.replace(v, residuals=np.where(np.arange(len(v.residuals)) % 2, 1.0, -1.0))
         for v in pictured.board_views
     )
     html = camera_images(dataclasses.replace(pictured, board_views=split), rig)
@@ -130,7 +130,7 @@ def test_only_what_a_camera_sees_is_coloured(pictured: Calibration, rig: Rig) ->
     trace = painted_of(fused_view(pictured, rig))[0]
     points = np.array([trace["x"], trace["y"], trace["z"]]).T
     seen = np.zeros(len(points), dtype=bool)
-    for name, camera in cameras_of(pictured, rig).items():
+    for name, camera in calibrated_cameras(pictured, rig).items():
         pixels = camera.project(se3.apply(se3.inverse(pictured[name].T_root_sensor), points))
         # Coordinates are rounded to millimetres on the page.
         seen |= (np.abs(pixels / [1280, 720] - 0.5) < 0.51).all(axis=1)

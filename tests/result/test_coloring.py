@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry.se3 import pose
-from calgraph.result import Snapshot, colored
+from calgraph.result import Snapshot, colorize_from_snapshots
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), np.zeros(0))
@@ -22,7 +22,9 @@ def taken(sensor: str, rgb: list[int]) -> Snapshot:
 
 
 def test_each_point_has_the_colour_of_the_first_picture_that_shows_it() -> None:
-    colors, seen = colored(POINTS, [taken("left", RED), taken("right", BLUE)], CAMERAS, T_ROOT_SENSOR)
+    colors, seen = colorize_from_snapshots(
+        POINTS, [taken("left", RED), taken("right", BLUE)], CAMERAS, T_ROOT_SENSOR
+    )
     assert seen.tolist() == [True, True, True, False]
     assert np.abs(colors.astype(int) - [RED, RED, BLUE, NONE]).max() <= 2
 
@@ -32,6 +34,6 @@ def test_pictures_of_cameras_without_intrinsics_or_pose_are_left(
     unknown: dict[str, dict[str, object]],
 ) -> None:
     known = {"cameras": CAMERAS, "T_root_sensor": T_ROOT_SENSOR} | unknown
-    colors, seen = colored(POINTS, [taken("left", RED)], **known)  # type: ignore[arg-type]
+    colors, seen = colorize_from_snapshots(POINTS, [taken("left", RED)], **known)  # type: ignore[arg-type]
     assert not seen.any()
     assert not colors.any()

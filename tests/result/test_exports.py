@@ -395,7 +395,7 @@ def test_json_has_what_was_seen_on_the_floor(calibration: Calibration, rng: np.r
     (seen,) = json.loads(export(dataclasses.replace(calibration, floor=(view,)), "json"))["floor"]
     assert seen["sensor"] == "laser"
     np.testing.assert_allclose(seen["background"], view.background)
-    np.testing.assert_allclose(seen["walks"][1], view.walks[1])
+    np.testing.assert_allclose(seen["walks"][1], view.tracks[1])
 
 
 def test_json_has_null_for_what_is_not_finite(calibration: Calibration) -> None:

@@ -41,9 +41,12 @@ def test_a_camera_moved_sideways_sees_corners_elsewhere(rig: Calibration, camera
 
 def test_noise_is_told_as_it_is(rig: Calibration, cameras: Cameras, rng: np.random.Generator) -> None:
     views = [view for view in rig.board_views if view.sensor == CAMERA]
-    off = [rng.normal(0, 0.3, view.seen.shape) for view in views]
+    off = [rng.normal(0, 0.3, view.measured.shape) for view in views]
     noisy = replace(
-        rig, board_views=tuple(replace(v, seen=v.seen + o, off=o) for v, o in zip(views, off, strict=True))
+        rig,
+        board_views=tuple(
+            replace(v, measured=v.measured + o, residuals=o) for v, o in zip(views, off, strict=True)
+        ),
     )
     expected = np.sqrt(np.mean(np.sum(np.concatenate(off) ** 2, axis=1)))
     assert misfits(noisy, cameras, Choice())[CAMERA].rms == pytest.approx(expected, rel=1e-6)
@@ -56,5 +59,5 @@ def test_of_two_boards_each_view_belongs_to_its_own(rig: Calibration, cameras: C
 
 
 def test_views_that_were_not_used_do_not_count(rig: Calibration, cameras: Cameras) -> None:
-    unused = tuple(replace(v, used=False, off=None) if v.sensor == "laser" else v for v in rig.board_views)
+    unused = tuple(replace(v, used=False, residuals=None) if v.sensor == "laser" else v for v in rig.board_views)
     assert "laser" not in misfits(replace(rig, board_views=unused), cameras, Choice())

@@ -2,36 +2,21 @@
 
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.network import DEPTHS, calibrate_network, calibrate_tracks
-from calgraph.calibrate.options import NetworkEstimator, Options, Progress, Weights, silent
+from calgraph.calibrate.options import NetworkEstimator, Options, Progress, Weights, no_progress
 from calgraph.calibrate.rig import (
+    build_problem,
+    build_problem_from_captures,
     calibrate_detections,
     calibrate_rig,
-    capture_board,
-    pose_problem,
-    prepare,
+    collect_captures,
     solve_problem,
 )
-from calgraph.calibrate.track_recording import follow_people
-from calgraph.calibrate.validate import audit_problem, check_network, verify_problem
+from calgraph.calibrate.track_recording import track_people
+from calgraph.calibrate.validate import bootstrap_covariances, compare_extrinsics, compare_network_extrinsics
 
 __all__ = [
-    "DEPTHS",
-    "NetworkEstimator",
-    "Options",
-    "Progress",
-    "Weights",
-    "audit_problem",
-    "calibrate",
-    "calibrate_detections",
-    "calibrate_network",
-    "calibrate_rig",
-    "calibrate_tracks",
-    "capture_board",
-    "check_network",
-    "follow_people",
-    "pose_problem",
-    "prepare",
-    "silent",
-    "solve_problem",
-    "verify_problem",
-]
+    "DEPTHS", "NetworkEstimator", "Options", "Progress", "Weights", "bootstrap_covariances", "build_problem",
+    "build_problem_from_captures", "calibrate", "calibrate_detections", "calibrate_network", "calibrate_rig",
+    "calibrate_tracks", "collect_captures", "compare_extrinsics", "compare_network_extrinsics", "no_progress",
+    "solve_problem", "track_people",
+]  # fmt: skip

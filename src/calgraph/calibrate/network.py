@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.options import Options, Progress, network_estimator, silent
-from calgraph.calibrate.track_recording import follow_people, scanner_noise, walking
+from calgraph.calibrate.options import Options, Progress, network_estimator, no_progress
+from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.config import Rig
 from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, extended, without
 from calgraph.errors import CalibrationError, InputError, Rejected
@@ -23,23 +23,23 @@ DEPTHS: Mapping[Feature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.03}
 
 
 def calibrate_network(
-    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+    rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates stationary 2-D scanners from people who walk through their views (lrf-network).
 
     Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
     """
     network_estimator(options)  # before minutes are spent on following
-    _earlier(rig, options)
-    followed, frames = follow_people(rig, recording, options, progress)
-    return calibrate_tracks(rig, followed, options, progress, frames=frames, start=recording.start)
+    _calibration_to_extend(rig, options)
+    tracks, frames = track_people(rig, recording, options, progress)
+    return calibrate_tracks(rig, tracks, options, progress, frames=frames, start=recording.start)
 
 
 def calibrate_tracks(
     rig: Rig,
-    followed: Mapping[str, Tracked | Rejected],
+    tracks: Mapping[str, Tracked | Rejected],
     options: Options,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     *,
     frames: Mapping[str, str] | None = None,
     start: float | None = None,
@@ -48,7 +48,7 @@ def calibrate_tracks(
 
     Args:
         rig: the network.
-        followed: by scanner, in its own frame and by its own clock; scanners may be left out.
+        tracks: by scanner, in its frame and by its clock; scanners may be left out.
         options: how to calibrate. The joint solution needs the beams (:class:`calgraph.tracking.Hits`) that ended
             on what was followed; averaging makes do with positions.
         progress: told how far each step is.
@@ -60,10 +60,10 @@ def calibrate_tracks(
         CalibrationError: nothing is connected to the root of a network that is to be extended.
     """
     estimator = network_estimator(options)
-    old = _earlier(rig, options)
-    followed = _of_all(rig, followed)
+    earlier = _calibration_to_extend(rig, options)
+    tracks = _complete_tracks(rig, tracks)
     rng = np.random.default_rng(options.seed)
-    tracked = {name: found for name, found in followed.items() if isinstance(found, Tracked)}
+    tracked = {name: found for name, found in tracks.items() if isinstance(found, Tracked)}
     depth = DEPTHS[options.feature]
     pairs = estimate_network_pairs(
         tracked,
@@ -73,26 +73,30 @@ def calibrate_tracks(
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
     )
-    sights = {name: Sights.of(known) for name, known in tracked.items()}
-    sure = placed(rig.root, pairs, sights, rng, options.average, weighted=options.weights == "weighted")
-    graph, names, averaged = sure.graph, sure.names, sure.averaged
+    observations = {name: Sights.of(known) for name, known in tracked.items()}
+    initialization = placed(
+        rig.root, pairs, observations, rng, options.average, weighted=options.weights == "weighted"
+    )
+    graph, names, averaged = initialization.graph, initialization.names, initialization.averaged
     joint = prior = None
     # A root that nothing is connected to may not even have been followed.
     if estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
-        solution = partial(solve_network, walking(rig), [tracked[name] for name in names], averaged, graph)
+        solution = partial(solve_network, moving_target(rig), [tracked[name] for name in names], averaged, graph)
         joint = solution()
-        if old:
-            prior = agreed_prior(earlier_poses(old, rig.root), names, joint)
+        if earlier:
+            prior = agreed_prior(earlier_poses(earlier, rig.root), names, joint)
             joint = solution(prior=prior)
         progress("solving", 1.0)
-    stated = {name: (frames or {}).get(name, "") for name in rig.sensors}
-    start = _first(tracked) if start is None else start
-    found = assemble_network(rig, stated, followed, sure.pairs, graph, names, averaged, start, joint)
-    return _extended(found, old, prior) if old else found
+    stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
+    start = _first_time(tracked) if start is None else start
+    calibration = assemble_network(
+        rig, stated_frames, tracks, initialization.pairs, graph, names, averaged, start, joint
+    )
+    return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
 
 
-def _earlier(rig: Rig, options: Options) -> Calibration | None:
+def _calibration_to_extend(rig: Rig, options: Options) -> Calibration | None:
     """What is to be extended, without what has moved since."""
     if options.extend is None:
         return None
@@ -100,22 +104,24 @@ def _earlier(rig: Rig, options: Options) -> Calibration | None:
     return without(options.extend, options.moved)
 
 
-def _of_all(rig: Rig, followed: Mapping[str, Tracked | Rejected]) -> dict[str, Tracked | Rejected]:
+def _complete_tracks(rig: Rig, tracks: Mapping[str, Tracked | Rejected]) -> dict[str, Tracked | Rejected]:
     """What each scanner of the rig followed."""
-    unknown = set(followed) - set(rig.sensors)
+    unknown = set(tracks) - set(rig.sensors)
     if unknown:
         raise InputError(f"followed: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
     for name, spec in rig.sensors.items():
         scanner_noise(name, spec)
-    return {name: followed.get(name, Rejected("no tracks were given")) for name in rig.sensors}
+    return {name: tracks.get(name, Rejected("no tracks were given")) for name in rig.sensors}
 
 
-def _first(tracked: Mapping[str, Tracked]) -> float:
+def _first_time(tracked: Mapping[str, Tracked]) -> float:
     return min((float(track.times[0]) for own in tracked.values() for track in own.tracks), default=0.0)
 
 
-def _extended(found: Calibration, old: Calibration, prior: ScannerPrior | None) -> Calibration:
+def _merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None) -> Calibration:
     if prior is None:
-        why = "; ".join(f"{name}: {reason}" for name, reason in found.unconnected.items())
-        raise CalibrationError(f"nothing to extend with: no scanner is connected to the root {found.root} ({why})")
-    return extended(found, old, prior)
+        why = "; ".join(f"{name}: {reason}" for name, reason in calibration.unconnected.items())
+        raise CalibrationError(
+            f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
+        )
+    return extended(calibration, earlier, prior)

@@ -19,7 +19,7 @@ Progress = Callable[[str, float], None]
 """Called with the name of the step under way and how much of it is done, 0..1."""
 
 
-def silent(_step: str, _done: float) -> None:
+def no_progress(_step: str, _done: float) -> None:
     """Progress for nobody."""
 
 
@@ -72,16 +72,16 @@ def rig_estimator(options: Options) -> Estimator:
     """
     if options.extend or options.moved:
         raise InputError("--extend and --moved: are for networks; a rig's earlier calibration is a --prior")
-    estimator: Estimator = _chosen(options.estimator, get_args(Estimator), "a rig with a board")
+    estimator: Estimator = _choose_estimator(options.estimator, get_args(Estimator), "a rig with a board")
     check_estimator(estimator, bool(options.prior or options.rigid), options.estimate)
     return estimator
 
 
-def check_estimator(estimator: Estimator, known: bool, estimate: Sequence[Estimable]) -> None:
+def check_estimator(estimator: Estimator, has_priors: bool, estimate: Sequence[Estimable]) -> None:
     """Raises InputError unless the estimator of a rig makes use of known poses, and of other unknowns."""
     if estimate and estimator != "bundle":
         raise InputError(f"--estimate: goes with --estimator bundle, got {estimator}")
-    if known and estimator != "bundle":
+    if has_priors and estimator != "bundle":
         raise InputError(f"--prior and --rigid: go with --estimator bundle, got {estimator}")
 
 
@@ -97,7 +97,7 @@ def network_estimator(options: Options) -> NetworkEstimator:
         raise InputError("--estimate: is for rigs with a board, not for networks")
     if options.prior or options.rigid:
         raise InputError("--prior and --rigid: are for rigs with a board, not for networks")
-    estimator: NetworkEstimator = _chosen(options.estimator, get_args(NetworkEstimator), "a network")
+    estimator: NetworkEstimator = _choose_estimator(options.estimator, get_args(NetworkEstimator), "a network")
     if options.moved and options.extend is None:
         raise InputError("--moved: goes with --extend")
     if options.extend and estimator != "joint":
@@ -105,8 +105,8 @@ def network_estimator(options: Options) -> NetworkEstimator:
     return estimator
 
 
-def _chosen(estimator: str | None, known: Sequence[str], what: str) -> Any:
+def _choose_estimator(estimator: str | None, available: Sequence[str], target: str) -> Any:
     """The estimator that was asked for, the first one if none was."""
-    if estimator not in (None, *known):
-        raise InputError(f"--estimator: {what} has {' and '.join(known)}, got {estimator}")
-    return estimator or known[0]
+    if estimator not in (None, *available):
+        raise InputError(f"--estimator: {target} has {' and '.join(available)}, got {estimator}")
+    return estimator or available[0]

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from calgraph.baselines import solve_hypergraph
-from calgraph.calibrate.options import Options, Progress, check_estimator, rig_estimator, silent
+from calgraph.calibrate.options import Options, Progress, check_estimator, no_progress, rig_estimator
 from calgraph.captures import (
     ActivityMeter,
     CaptureSet,
@@ -43,7 +43,9 @@ from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, RecordedMessage
 
 
-def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Calibration:
+def calibrate_rig(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
+) -> Calibration:
     """Calibrates a robot's sensors from one recording of a board carried around it (MSG-Cal).
 
     Args:
@@ -59,21 +61,21 @@ def calibrate_rig(rig: Rig, recording: Recording, options: Options, progress: Pr
         InputError: the rig does not fit the recording.
         CalibrationError: there is nothing to calibrate: one sensor alone, or a board that never rests.
     """
-    return _kept_and_solved(pose_problem(rig, recording, options, progress), options)
+    return _save_and_solve(build_problem(rig, recording, options, progress), options)
 
 
 def calibrate_detections(
     rig: Rig,
-    found: Mapping[str, Mapping[int, DetectionResult]],
+    detections: Mapping[str, Mapping[int, DetectionResult]],
     options: Options,
     cameras: Mapping[str, CameraModel] | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Calibration:
     """Calibrates a robot's sensors from detections made elsewhere, without any recording.
 
     Args:
         rig: sensors and board; topics and captures do not matter.
-        found: by sensor and capture, the detections of the board; see
+        detections: of the board, by sensor and capture; see
             :func:`calgraph.detection.board_corners_from_pixels`,
             :func:`calgraph.detection.plane_patch_from_points` and :func:`calgraph.detection.segment_from_points`.
         options: how to calibrate.
@@ -85,23 +87,26 @@ def calibrate_detections(
     """
     _check_board(rig, options)
     rng = np.random.default_rng(options.seed)
-    return _kept_and_solved(
-        prepare(rig, captures_from_detections(rig, found, cameras), options, rng, progress), options
+    return _save_and_solve(
+        build_problem_from_captures(
+            rig, captures_from_detections(rig, detections, cameras), options, rng, progress
+        ),
+        options,
     )
 
 
-def _kept_and_solved(problem: Problem, options: Options) -> Calibration:
+def _save_and_solve(problem: Problem, options: Options) -> Calibration:
     if options.dump:
         save_problem(problem, options.dump)
     return solve_problem(problem)
 
 
-def pose_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = silent) -> Problem:
+def build_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress) -> Problem:
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig, options)
     rng = np.random.default_rng(options.seed)
-    captured = capture_board(rig, recording, options, rng, progress)
-    return prepare(rig, captured, options, rng, progress)
+    captures = collect_captures(rig, recording, options, rng, progress)
+    return build_problem_from_captures(rig, captures, options, rng, progress)
 
 
 def _check_board(rig: Rig, options: Options) -> None:
@@ -110,8 +115,8 @@ def _check_board(rig: Rig, options: Options) -> None:
     rig_estimator(options)
 
 
-def capture_board(
-    rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = silent
+def collect_captures(
+    rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = no_progress
 ) -> CaptureSet:
     """Finds the times at which the board rests, and the board in what every sensor measured then."""
     if len(rig.sensors) < 2:
@@ -119,10 +124,10 @@ def capture_board(
             f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
         )
     cameras = read_cameras(rig, recording)
-    timeline = _survey(rig, recording, progress)
+    timeline = _read_timeline(rig, recording, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture), rig)
-    backgrounds = learn_backgrounds(_empty_room(rig, recording), rig)
+    backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
     detect = make_detectors(rig, cameras, backgrounds, options.tags, rng)
 
     def detecting(done: float) -> None:
@@ -135,22 +140,22 @@ def capture_board(
     return collect_detections(rig, timeline, holds, observations, cameras)
 
 
-def prepare(
-    rig: Rig, captured: CaptureSet, options: Options, rng: np.random.Generator, progress: Progress = silent
+def build_problem_from_captures(
+    rig: Rig, captures: CaptureSet, options: Options, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
-    seen = captured.detections
-    pairs = estimate_pairs(seen, rig.board_size, rng, lambda done: progress("pairing", done))
+    detections = captures.detections
+    pairs = estimate_pairs(detections, rig.board_size, rng, lambda done: progress("pairing", done))
     tree = start_poses(rig.root, estimated(pairs), options.start, rng)
     if options.keep == "ransac":
         # What three captures could not tell apart, all of them can: select once more under a joint solution.
-        joint = solve_hypergraph(tree, estimated(pairs), seen, keep=options.keep)
-        pairs = reconsider_pairs(pairs, joint.T_root_sensor, seen, rig.board_size)
+        joint = solve_hypergraph(tree, estimated(pairs), detections, keep=options.keep)
+        pairs = reconsider_pairs(pairs, joint.T_root_sensor, detections, rig.board_size)
         tree = start_poses(rig.root, estimated(pairs), options.start, rng)
     solver = SolverOptions(
         estimator=rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
     )
-    return round_trip(with_prior_poses(Problem(rig, captured, pairs, tree, solver), options.prior, options.rigid))
+    return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
 
 def solve_problem(problem: Problem) -> Calibration:
@@ -171,37 +176,37 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     Raises:
         InputError: the estimator makes no use of what is known or asked for.
     """
-    rig, captured, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
+    rig, captures, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
     tree = attach_by_priors(problem.tree, estimated(pairs), solver.priors, solver.groups)
     if solver.estimator == "bundle":
         joint = solve_bundle(
-            rig, captured, estimated(pairs), tree.T_root_sensor,
+            rig, captures, estimated(pairs), tree.T_root_sensor,
             keep=solver.keep, estimate=solver.estimate, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
-        joint = solve_hypergraph(tree, estimated(pairs), captured.detections, keep=solver.keep)
+        joint = solve_hypergraph(tree, estimated(pairs), captures.detections, keep=solver.keep)
     return joint, tree
 
 
-def _survey(rig: Rig, recording: Recording, progress: Progress) -> RecordingTimeline:
+def _read_timeline(rig: Rig, recording: Recording, progress: Progress) -> RecordingTimeline:
     """When every sensor measured; and where no trigger tells the holds, how much its view changed each time."""
     trigger = rig.capture.trigger
-    watched = [*rig.topics.values(), *([trigger] if trigger else [])]
+    topics = [*rig.topics.values(), *([trigger] if trigger else [])]
 
     def reading(arrival: float) -> None:
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
-    timeline = build_timeline(recording.records(watched), recording.start, rig.topics, trigger, progress=reading)
+    timeline = build_timeline(recording.records(topics), recording.start, rig.topics, trigger, progress=reading)
     if trigger or is_snapshot_recording(timeline):
         return timeline
     meters = {name: ActivityMeter() for name in rig.sensors}
     return build_timeline(
-        recording.records(watched), recording.start, rig.topics, None, meters=meters, progress=reading
+        recording.records(topics), recording.start, rig.topics, None, meters=meters, progress=reading
     )
 
 
-def _empty_room(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:
+def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:
     """What the scanners measured without target and operator."""
     window = rig.capture.background
     scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from calgraph.calibrate.options import Options, Progress, silent
+from calgraph.calibrate.options import Options, Progress, no_progress
 from calgraph.captures import to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
@@ -10,31 +10,31 @@ from calgraph.recording import Recording
 from calgraph.tracking import ScanGathering, ScanRun, Tracked, track_scanners
 
 # Scans that are in memory at once, more than so many only if they are of one scanner: of 1000 beams, 0.8 GB.
-_AT_ONCE = 100_000
+_MAX_SCANS_IN_MEMORY = 100_000
 
 
-def follow_people(
-    rig: Rig, recording: Recording, options: Options, progress: Progress = silent
+def track_people(
+    rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
 ) -> tuple[dict[str, Tracked | Rejected], dict[str, str]]:
     """What moved through each scanner's view, and the frames that their messages state."""
-    target = walking(rig)
+    target = moving_target(rig)
     noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
-    followed: dict[str, Tracked | Rejected] = {}
+    tracks: dict[str, Tracked | Rejected] = {}
     frames: dict[str, str] = {}
-    for names in _portions(rig, recording):
+    for names in _memory_batches(rig, recording):
 
-        def following(share: float, before: int = len(followed), own: int = len(names)) -> None:
+        def following(share: float, before: int = len(tracks), own: int = len(names)) -> None:
             progress("following", (before + share * own) / len(rig.sensors))
 
-        scans, stated = _read(recording, {rig.topics[name]: name for name in names}, progress)
+        scans, stated = _read_scans(recording, {rig.topics[name]: name for name in names}, progress)
         frames |= stated
-        followed |= track_scanners(
+        tracks |= track_scanners(
             scans, target, noise, feature=options.feature, jobs=options.jobs, progress=following
         )
-    return followed, frames
+    return tracks, frames
 
 
-def walking(rig: Rig) -> People | Cylinder:
+def moving_target(rig: Rig) -> People | Cylinder:
     """What walks through a network; raises InputError for a rig."""
     if not isinstance(rig.target, People | Cylinder):
         raise InputError("target.kind: a network needs people or cylinder")
@@ -48,21 +48,21 @@ def scanner_noise(name: str, spec: SensorSpec) -> RangeNoise:
     return spec.noise
 
 
-def _portions(rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:
+def _memory_batches(rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:
     """Names of the scanners that are read together, so that the memory holds what they measured."""
     counts = {topic.name: topic.count for topic in recording.topics}
-    portion: list[str] = []
+    batch: list[str] = []
     scans = 0
     for name, topic in rig.topics.items():
         scans += counts.get(topic, 0)
-        if portion and scans > _AT_ONCE:
-            yield portion
-            portion, scans = [], counts.get(topic, 0)
-        portion.append(name)
-    yield portion
+        if batch and scans > _MAX_SCANS_IN_MEMORY:
+            yield batch
+            batch, scans = [], counts.get(topic, 0)
+        batch.append(name)
+    yield batch
 
 
-def _read(
+def _read_scans(
     recording: Recording, names: Mapping[str, str], progress: Progress
 ) -> tuple[dict[str, tuple[ScanRun, ...]], dict[str, str]]:
     """The scans of some scanners, given by topic, and the frames they state."""

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import Options, Progress, silent
+from calgraph.calibrate.options import Options, Progress, no_progress
 from calgraph.calibrate.rig import solve_jointly
 from calgraph.config import Rig
 from calgraph.diagnostics import Audit, Scatter, Tolerance, assemble, audit, audit_network, resample
 from calgraph.errors import CalibrationError
 from calgraph.estimation import Problem
 from calgraph.recording import Recording
-from calgraph.result import Calibration, KnownPoses
+from calgraph.result import Calibration, ExtrinsicsFile
 
 
-def verify_problem(
-    problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = silent
+def bootstrap_covariances(
+    problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = no_progress
 ) -> tuple[Calibration, dict[str, Scatter]]:
     """A calibration, and by sensor how far its pose scatters when the captures are drawn anew.
 
@@ -33,8 +33,8 @@ def verify_problem(
     return assemble(problem, tree, joint), scatter
 
 
-def audit_problem(
-    problem: Problem, given: KnownPoses, tolerance: Tolerance | None = None
+def compare_extrinsics(
+    problem: Problem, given: ExtrinsicsFile, tolerance: Tolerance | None = None
 ) -> tuple[Calibration, Audit]:
     """What the captures say of given extrinsics: a calibration that knows nothing of them, and the comparison.
 
@@ -48,14 +48,14 @@ def audit_problem(
     return calibration, audit(calibration, joint.solved_bundle, given, tolerance)
 
 
-def check_network(
+def compare_network_extrinsics(
     rig: Rig,
     recording: Recording,
-    given: KnownPoses,
+    given: ExtrinsicsFile,
     options: Options,
     tolerance: Tolerance | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> tuple[Calibration, Audit]:
-    """What a recording says of the given poses of a network, as :func:`audit_problem` does of a rig's."""
+    """What a recording says of the given poses of a network, as :func:`compare_extrinsics` does of a rig's."""
     calibration = calibrate_network(rig, recording, options, progress)
     return calibration, audit_network(calibration, given, tolerance)

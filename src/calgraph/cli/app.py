@@ -13,14 +13,14 @@ import typer
 from rich.markup import escape
 
 from calgraph.cli.console import console
-from calgraph.cli.lazy_commands import Place, on_demand
+from calgraph.cli.lazy_commands import LazyCommand, lazy_group
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
 """Exit codes as shells give them for SIGINT, SIGPIPE and SIGTERM."""
 
 
-def guarded(command: Callable[..., None]) -> Callable[..., None]:
+def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
     """A command that ends quietly when interrupted, and in a line and an exit code on known errors.
 
     Exit codes: 1 for what the data do not determine, 2 for bad input.
@@ -32,7 +32,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
             command(*args, **options)
             sys.stdout.flush()
         except CalgraphError as error:
-            _complain(error)
+            _print_error(error)
             raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
         except KeyboardInterrupt:
             raise typer.Exit(_INTERRUPTED) from None
@@ -45,7 +45,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 COMMANDS = {
-    name: Place(f"calgraph.cli.{name}", name, summary)
+    name: LazyCommand(f"calgraph.cli.{name}", name, summary)
     for name, summary in {
         "calibrate": "Find the relative poses of all sensors of a rig or network.",
         "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
@@ -64,12 +64,12 @@ COMMANDS = {
     }.items()
 }
 SIMULATIONS = {
-    "rig": Place(
+    "rig": LazyCommand(
         "calgraph.cli.simulate",
         "simulate_rig_command",
         "Simulate a robot, a board, and an operator who carries it around; write the recording and the truth.",
     ),
-    "network": Place(
+    "network": LazyCommand(
         "calgraph.cli.simulate_network",
         "simulate_network_command",
         "Simulate 2-D scanners fixed in a building, and people who walk through it; write recording and truth.",
@@ -77,13 +77,13 @@ SIMULATIONS = {
 }
 
 app = typer.Typer(
-    cls=on_demand(COMMANDS, guarded),
+    cls=lazy_group(COMMANDS, handle_errors),
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 simulate = typer.Typer(
-    cls=on_demand(SIMULATIONS, guarded), no_args_is_help=True, help="Simulate recordings with known truth."
+    cls=lazy_group(SIMULATIONS, handle_errors), no_args_is_help=True, help="Simulate recordings with known truth."
 )
 app.add_typer(simulate, name="simulate")
 
@@ -118,7 +118,7 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
     sys.exit(_TERMINATED)
 
 
-def _complain(error: CalgraphError) -> None:
+def _print_error(error: CalgraphError) -> None:
     stderr = console(stderr=True)
     for line in str(error).splitlines():
         stderr.print(f"[bold red]calgraph:[/] {escape(line)}", soft_wrap=True)

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 import typer
 
 from calgraph.cli.console import console
-from calgraph.cli.model_options import knobs_of, settings, with_knobs
+from calgraph.cli.model_options import add_options, apply_options, list_options
 from calgraph.config import Board
 from calgraph.errors import InputError
-from calgraph.io import check_place, write_text
+from calgraph.io import check_output_path, write_text
 from calgraph.printing import (
     Paper,
     Wishes,
@@ -22,7 +22,7 @@ from calgraph.printing import (
     target_block,
 )
 
-_KNOBS = {knob.parameter: knob for knob in knobs_of(Wishes, {"kind": "Print"})}
+_MODEL_OPTIONS = {knob.parameter: knob for knob in list_options(Wishes, {"kind": "Print"})}
 
 
 def board_options(
@@ -56,10 +56,12 @@ def board_options(
 
     Print at 100 %, check the rulers on the print, and glue it to something flat and stiff.
     """
-    check_place(out)
+    check_output_path(out)
     chosen = None if paper.strip().lower() == "fit" else parse_paper(paper)
     if rig is None:
-        boards: tuple[Board, ...] = (design(_sheet(size, chosen), settings(Wishes(), _KNOBS, options)),)
+        boards: tuple[Board, ...] = (
+            design(_board_size(size, chosen), apply_options(Wishes(), _MODEL_OPTIONS, options)),
+        )
     elif size is None and not options:
         boards = read_boards(rig)
     else:
@@ -77,7 +79,7 @@ def board_options(
     console(stderr=True).print(f"Wrote {out}: {count} page{'s'[: count > 1]}; print at 100 %", markup=False)
 
 
-def _sheet(size: str | None, paper: Paper | None) -> tuple[float, float]:
+def _board_size(size: str | None, paper: Paper | None) -> tuple[float, float]:
     """Width and height of the board asked for, mm."""
     if size is not None:
         return parse_size(size, "--size: must be")
@@ -86,5 +88,5 @@ def _sheet(size: str | None, paper: Paper | None) -> tuple[float, float]:
     return max(paper.width, paper.height), min(paper.width, paper.height)
 
 
-board = with_knobs(board_options, _KNOBS, Wishes())
+board = add_options(board_options, _MODEL_OPTIONS, Wishes())
 """The command; what there is to choose of a print is read off :class:`Wishes`."""

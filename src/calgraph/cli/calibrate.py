@@ -6,14 +6,13 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.common_options import Results, RigFile, WholeJson
-from calgraph.cli.job_options import JobsOption, cores
-from calgraph.cli.printing import print_calibration, print_place
-from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, known_files
+from calgraph.cli.common_options import JobsOption, Results, RigFile, WholeJson, available_cores
+from calgraph.cli.printing import print_calibration, print_output_path
+from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.progress import progress_bars
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError
-from calgraph.io import check_place, replacing_folder, save_yaml
+from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, save_scene, to_json
 
@@ -168,9 +167,9 @@ def calibrate(
 
     rig = load_rig(rig_file)
     if dump and not _is_in(dump, out):
-        check_place(dump)
-    known, groups = known_files(prior, prior_stddev, rigid)
-    with replacing_folder(out) as folder:
+        check_output_path(dump)
+    known, groups = read_priors(prior, prior_stddev, rigid)
+    with replace_folder_atomically(out) as folder:
         options = story.Options(
             estimator=estimator.value if estimator else None,
             estimate=tuple(choice.value for choice in estimate or ()),
@@ -187,7 +186,7 @@ def calibrate(
             extend=load_calibration(extend) if extend else None,
             moved=tuple(moved or ()),
             seed=seed,
-            jobs=jobs or cores(),
+            jobs=jobs or available_cores(),
             dump=folder / dump.name if dump and _is_in(dump, out) else dump,
         )
         with open_recordings(recordings) as recording, progress_bars() as progress:
@@ -223,7 +222,7 @@ def show_results(calibration: Calibration, out: Path, *, json: bool) -> None:
         typer.echo(to_json(calibration))
     else:
         print_calibration(calibration)
-        print_place(out)
+        print_output_path(out)
     fail_if_unconnected(calibration)
 
 

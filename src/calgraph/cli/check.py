@@ -12,16 +12,15 @@ from rich.markup import escape
 from rich.table import Table
 
 from calgraph.cli.calibrate import write_results
-from calgraph.cli.common_options import RigFile
+from calgraph.cli.common_options import RigFile, available_cores
 from calgraph.cli.console import console
-from calgraph.cli.job_options import cores
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.config import Cylinder, People, Rig, load_rig
 from calgraph.errors import InputError
-from calgraph.io import replacing_folder, write_text
+from calgraph.io import replace_folder_atomically, write_text
 from calgraph.recording import open_recordings, with_intrinsics
-from calgraph.result import Calibration, KnownPoses, read_poses
+from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
     from calgraph.diagnostics import Audit, Misfit, Tolerance
@@ -71,9 +70,9 @@ def check(
             f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
         )
     allowed = Tolerance(tolerance[0], float(np.radians(tolerance[1])))
-    rig, given = load_rig(rig_file), read_poses(against)
-    with replacing_folder(out) if out else nullcontext() as folder:
-        calibration, audit, rig = _audited(rig, recordings, given, allowed, seed)
+    rig, given = load_rig(rig_file), read_extrinsics(against)
+    with replace_folder_atomically(out) if out else nullcontext() as folder:
+        calibration, audit, rig = _compare(rig, recordings, given, allowed, seed)
         content = _content(audit, against, allowed)
         if folder:
             write_results(calibration, rig, folder)
@@ -87,18 +86,18 @@ def check(
         raise typer.Exit(1)
 
 
-def _audited(
-    rig: Rig, recordings: list[Path], given: KnownPoses, allowed: "Tolerance", seed: int
+def _compare(
+    rig: Rig, recordings: list[Path], given: ExtrinsicsFile, allowed: "Tolerance", seed: int
 ) -> tuple[Calibration, "Audit", Rig]:
     """What the recording gives, what it says of the given poses, and the rig as resolved."""
     from calgraph import calibrate as story
 
     if isinstance(rig.target, People | Cylinder):
-        options = story.Options(seed=seed, jobs=cores())
+        options = story.Options(seed=seed, jobs=available_cores())
         with open_recordings(recordings) as recording, progress_bars() as progress:
-            return *story.check_network(rig, recording, given, options, allowed, progress), rig
+            return *story.compare_network_extrinsics(rig, recording, given, options, allowed, progress), rig
     problem = _problem(rig, recordings, seed)
-    return *story.audit_problem(problem, given, allowed), problem.rig
+    return *story.compare_extrinsics(problem, given, allowed), problem.rig
 
 
 def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
@@ -113,7 +112,7 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         check_problem(problem)
         return problem
     with open_recordings(recordings) as recording, progress_bars() as progress:
-        return story.pose_problem(with_intrinsics(rig, recording), recording, story.Options(seed=seed), progress)
+        return story.build_problem(with_intrinsics(rig, recording), recording, story.Options(seed=seed), progress)
 
 
 def _content(audit: "Audit", against: Path, tolerance: "Tolerance") -> str:
@@ -125,22 +124,22 @@ def _content(audit: "Audit", against: Path, tolerance: "Tolerance") -> str:
         "tolerance": asdict(tolerance),
         **asdict(audit),
     }
-    return json_module.dumps(_finite(content), ensure_ascii=False, allow_nan=False, indent=1)
+    return json_module.dumps(_replace_nonfinite(content), ensure_ascii=False, allow_nan=False, indent=1)
 
 
-def _finite(value: Any) -> Any:
+def _replace_nonfinite(value: Any) -> Any:
     """Plain values with null for numbers that JSON does not have."""
     if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
+        return {key: _replace_nonfinite(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(part) for part in value]
+        return [_replace_nonfinite(part) for part in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _print(audit: "Audit", against: Path, root: str) -> None:
     """A row a sensor: what FILE says minus what was found, along its axes; then what is to be said of each."""
-    paper = console()
-    paper.print(f"[bold]{escape(str(against))} minus what was found[/], along the sensors' own axes")
+    output = console()
+    output.print(f"[bold]{escape(str(against))} minus what was found[/], along the sensors' own axes")
     table = Table(box=None, pad_edge=False)
     table.add_column("sensor", overflow="fold")
     for head in ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""):
@@ -153,13 +152,13 @@ def _print(audit: "Audit", against: Path, root: str) -> None:
         ]
         table.add_row(escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), _SIGNS[sensor.outcome])
     table.add_row(escape(audit.reference), *[""] * 6, _misfit(audit.misfit), "")
-    paper.print(table)
-    paper.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as found")
+    output.print(table)
+    output.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as found")
     if audit.reference != root:
-        paper.print(f"Seen from {escape(root)}, several sensors are off: either it has moved, or they have.")
+        output.print(f"Seen from {escape(root)}, several sensors are off: either it has moved, or they have.")
     for sensor in audit.sensors:
         said = f"{sensor.sensor}: {sensor.outcome}{': ' if sensor.reason else ''}{sensor.reason}"
-        paper.print(f"{_SIGNS[sensor.outcome]} {escape(said)}")
+        output.print(f"{_SIGNS[sensor.outcome]} {escape(said)}")
 
 
 def _misfit(misfit: "Misfit | None") -> str:

@@ -6,12 +6,12 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import fail_if_unconnected, write_results
-from calgraph.cli.printing import print_calibration, print_errors, print_place
+from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
-from calgraph.io import replacing_folder
+from calgraph.io import replace_folder_atomically
 from calgraph.recording import open_recording, with_intrinsics
 from calgraph.simulation import RigScenario, load_truth, simulate_rig
 
@@ -30,7 +30,7 @@ def demo(
 
     if (out / "recording").exists() and not (out / "truth.yaml").exists():
         raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")
-    with replacing_folder(out) as folder:
+    with replace_folder_atomically(out) as folder:
         with progress_bars() as progress:
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
@@ -41,5 +41,5 @@ def demo(
         write_results(calibration, rig, folder / "result")
     print_calibration(calibration)
     print_errors(calibration, truth.T_root_sensor)
-    print_place(out / "result")
+    print_output_path(out / "result")
     fail_if_unconnected(calibration)

@@ -37,22 +37,22 @@ def inspect(
 
 
 def _print(recording: Path, inspection: Inspection) -> None:
-    paper = console()
+    output = console()
     title = f"{recording}: {inspection.duration:.1f} s, {sum(t.count for t in inspection.topics)} messages"
-    paper.print(f"[bold]{escape(title)}[/]")
+    output.print(f"[bold]{escape(title)}[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("topic", overflow="fold")
     for head in ("count", "Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms"):
         table.add_column(head, justify="right", no_wrap=True)
     for topic in inspection.topics:
         table.add_row(escape("\n".join((topic.name, *_details(topic)))), str(topic.count), *_times(topic))
-    paper.print(table)
-    paper.print("gap: longest time between stamps; delay: median arrival minus stamp")
+    output.print(table)
+    output.print("gap: longest time between stamps; delay: median arrival minus stamp")
     findings = [(topic.name, finding) for topic in inspection.topics for finding in topic.findings]
     for name, finding in findings:
-        paper.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")
+        output.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")
     if not findings and not inspection.damage:
-        paper.print("Nothing odd was found.")
+        output.print("Nothing odd was found.")
 
 
 def _details(topic: TopicReport) -> Sequence[str]:

@@ -17,13 +17,13 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import InputError
-from calgraph.io.yaml_reading import validated
+from calgraph.io.yaml_reading import validate_content
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 @dataclass(frozen=True)
-class Knob:
+class ModelOption:
     """One field of a settings model."""
 
     path: tuple[str, ...]
@@ -43,8 +43,10 @@ class Knob:
         return "_".join(self.path)
 
 
-def knobs_of(model: type[BaseModel], panels: Mapping[str, str], path: tuple[str, ...] = ()) -> Iterator[Knob]:
-    """The knobs of a settings model, in order.
+def list_options(
+    model: type[BaseModel], panels: Mapping[str, str], path: tuple[str, ...] = ()
+) -> Iterator[ModelOption]:
+    """The options of a settings model, in order.
 
     Args:
         model: the model; the fields' descriptions become the help.
@@ -55,33 +57,33 @@ def knobs_of(model: type[BaseModel], panels: Mapping[str, str], path: tuple[str,
     for name, field in model.model_fields.items():
         panel = panels.get((*path, name)[0], panel)
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            yield from knobs_of(field.annotation, panels, (*path, name))
+            yield from list_options(field.annotation, panels, (*path, name))
         elif get_origin(field.annotation) is not Literal or len(get_args(field.annotation)) > 1:
-            yield Knob((*path, name), field, panel)
+            yield ModelOption((*path, name), field, panel)
 
 
-def with_knobs(
-    command: Callable[..., None], knobs: Mapping[str, Knob], defaults: BaseModel
+def add_options(
+    command: Callable[..., None], model_options: Mapping[str, ModelOption], defaults: BaseModel
 ) -> Callable[..., None]:
-    """``command`` with an option for each knob in the place of its parameter ``**options``.
+    """``command`` with an option for each field in the place of its parameter ``**options``.
 
     An option that is not given does not reach the command.
 
     Args:
         command: takes its own parameters and ``**options``, the values by parameter.
-        knobs: by parameter.
+        model_options: by parameter.
         defaults: what the help shows as the defaults.
     """
 
     def run(**given: Any) -> None:
-        command(**{name: value for name, value in given.items() if value is not None or name not in knobs})
+        command(**{name: value for name, value in given.items() if value is not None or name not in model_options})
 
     own = [p for p in inspect.signature(command).parameters.values() if p.kind is not p.VAR_KEYWORD]
     options = [
         inspect.Parameter(
             name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_annotation(knob, defaults)
         )
-        for name, knob in knobs.items()
+        for name, knob in model_options.items()
     ]
     parameters = [*(p.replace(kind=p.KEYWORD_ONLY) for p in own), *options]
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -90,46 +92,46 @@ def with_knobs(
     return run
 
 
-def settings(start: Model, knobs: Mapping[str, Knob], given: Mapping[str, Any]) -> Model:
+def apply_options(initial: Model, model_options: Mapping[str, ModelOption], given: Mapping[str, Any]) -> Model:
     """The settings with the options given put over start values.
 
     Args:
-        start: the start values.
-        knobs: by parameter.
+        initial: the start values.
+        model_options: by parameter.
         given: values of the options by parameter, numbers and lists still as text.
 
     Raises:
         InputError: a value is wrong; the message names its option.
     """
-    content = start.model_dump(mode="json", exclude_none=True)
+    content = initial.model_dump(mode="json", exclude_none=True)
     for parameter, value in given.items():
-        _put(content, knobs[parameter].path, _parsed(knobs[parameter], value))
+        _set_value(content, model_options[parameter].path, _parse_value(model_options[parameter], value))
     here = Path("options")
     try:
-        return validated(type(start), content, here)
+        return validate_content(type(initial), content, here)
     except InputError as error:
         lines = (line.removeprefix(f"{here}: ") for line in str(error).splitlines())
-        raise InputError("\n".join(_in_terms_of_options(line, knobs) for line in lines)) from error
+        raise InputError("\n".join(_name_option(line, model_options) for line in lines)) from error
 
 
-def _annotation(knob: Knob, defaults: BaseModel) -> Any:
+def _annotation(option: ModelOption, defaults: BaseModel) -> Any:
     default: Any = defaults
-    for key in knob.path:
+    for key in option.path:
         default = getattr(default, key)
-    shown = _shown(default)
-    text = " ".join((knob.field.description or "").split())
-    is_flag = knob.field.annotation is bool
+    shown = _format_default(default)
+    text = " ".join((option.field.description or "").split())
+    is_flag = option.field.annotation is bool
     option = typer.Option(
-        f"{knob.option}/--no-{knob.option[2:]}" if is_flag else knob.option,
-        metavar=None if is_flag else _metavar(knob.field.annotation),
+        f"{option.option}/--no-{option.option[2:]}" if is_flag else option.option,
+        metavar=None if is_flag else _metavar(option.field.annotation),
         help=escape(f"{text} [default: {shown}]" if shown else text),
-        rich_help_panel=knob.panel,
+        rich_help_panel=option.panel,
         show_default=False,
     )
     return Annotated[bool | None if is_flag else str | None, option]
 
 
-def _shown(default: Any) -> str:
+def _format_default(default: Any) -> str:
     """A default as one would type it."""
     if isinstance(default, bool):
         return "yes" if default else "no"
@@ -151,22 +153,22 @@ def _metavar(annotation: Any) -> str:
     return {int: "INT", float: "N", str: "TEXT"}.get(kind, "YAML")
 
 
-def _parsed(knob: Knob, value: Any) -> Any:
+def _parse_value(option: ModelOption, value: Any) -> Any:
     """The value of an option; text that is no number stays text, for the model to complain of."""
     if isinstance(value, bool):
         return value
-    metavar = _metavar(knob.field.annotation)
+    metavar = _metavar(option.field.annotation)
     if metavar == "YAML":
         try:
             return YAML(typ="safe").load(value)
         except YAMLError as error:
-            raise InputError(f"{knob.option}: is not valid YAML, got {value!r}") from error
+            raise InputError(f"{option.option}: is not valid YAML, got {value!r}") from error
     if metavar == "N,N,...":
-        return [_number(part) for part in value.split(",") if part.strip()]
-    return _number(value) if metavar in ("INT", "N") else value
+        return [_parse_number(part) for part in value.split(",") if part.strip()]
+    return _parse_number(value) if metavar in ("INT", "N") else value
 
 
-def _number(text: str) -> int | float | str:
+def _parse_number(text: str) -> int | float | str:
     for kind in (int, float):
         try:
             return kind(text)
@@ -175,17 +177,19 @@ def _number(text: str) -> int | float | str:
     return text
 
 
-def _put(content: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+def _set_value(content: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
     *above, key = path
     for name in above:
         content = content[name]
     content[key] = value
 
 
-def _in_terms_of_options(line: str, knobs: Mapping[str, Knob]) -> str:
+def _name_option(line: str, model_options: Mapping[str, ModelOption]) -> str:
     """A complaint about a key, ``camera.rate: ...``, as one about the option that sets it."""
-    groups = {knob.path[0]: f"--{knob.path[0]}-*" for knob in knobs.values() if len(knob.path) > 1}
-    by_key = groups | {".".join(knob.path): knob.option for knob in knobs.values()} | {"the file": "options"}
+    groups = {one.path[0]: f"--{one.path[0]}-*" for one in model_options.values() if len(one.path) > 1}
+    by_key = (
+        groups | {".".join(knob.path): knob.option for knob in model_options.values()} | {"the file": "options"}
+    )
     for key in sorted(by_key, key=len, reverse=True):
         if match := re.match(rf"(unknown key )?{re.escape(key)}(?=[:.\[])", line):
             return f"{match[1] or ''}{by_key[key]}{line[match.end() :]}"

@@ -19,8 +19,8 @@ _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[re
 
 def print_calibration(calibration: Calibration) -> None:
     """Prints each sensor's pose, its standard deviation, and what is to be said against it."""
-    paper = console()
-    paper.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
+    output = console()
+    output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
     table = _table()
     axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
     heads = " ".join(("x", "y", "z")[axes]), " ".join(("roll", "pitch", "yaw")[turns])
@@ -32,27 +32,27 @@ def print_calibration(calibration: Calibration) -> None:
         T = sensor.T_root_sensor
         table.add_row(
             escape(sensor.name),
-            " ".join(f"{_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
-            " ".join(f"{_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
+            " ".join(f"{_format_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
+            " ".join(f"{_format_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
             *_deviations(sensor),
             *([_clock(sensor)] if timed else []),
             _GRADES[sensor.verdict.grade],
         )
-    paper.print(table)
-    if calibration.estimated:
-        _print_estimated(paper, calibration)
-    if calibration.left_out:
-        _print_left_out(paper, calibration)
+    output.print(table)
+    if calibration.estimated_parameters:
+        _print_estimated(output, calibration)
+    if calibration.cross_validation:
+        _print_cross_validation(output, calibration)
     for sensor in calibration.sensors:
         if sensor.verdict.grade != "good" or sensor.verdict.reason:
             reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
-            paper.print(
+            output.print(
                 f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
             )
     print_remarks(calibration)
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.suggestions, start=1):
-            paper.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
+            output.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
 
 
 def print_remarks(calibration: Calibration) -> None:
@@ -61,30 +61,30 @@ def print_remarks(calibration: Calibration) -> None:
         console().print(f"[yellow]![/] {escape(remark)}")
 
 
-def _print_left_out(paper: Console, calibration: Calibration) -> None:
+def _print_cross_validation(output: Console, calibration: Calibration) -> None:
     """Prints how far captures that were left out are from their prediction."""
-    paper.print("[bold]Captures left out, against what the other sensors predict[/] (ratio: to what is expected)")
+    output.print("[bold]Captures left out, against what the other sensors predict[/] (ratio: to what is expected)")
     table = _table()
     for head in ("captures", "RMS", "median", "along beam", "tilt", "ratio"):
         table.add_column(head, justify="right", no_wrap=True)
-    for name, one in calibration.left_out.items():
-        table.add_row(escape(name), str(one.views), *one.shown, f"{one.ratio:.2f}")
-    paper.print(table)
+    for name, one in calibration.cross_validation.items():
+        table.add_row(escape(name), str(one.views), *one.formatted, f"{one.ratio:.2f}")
+    output.print(table)
 
 
-def _print_estimated(paper: Console, calibration: Calibration) -> None:
+def _print_estimated(output: Console, calibration: Calibration) -> None:
     """Prints what was estimated besides poses."""
-    paper.print("[bold]Estimated besides[/]")
+    output.print("[bold]Estimated besides[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("of", overflow="fold")
     table.add_column("")
     for head in ("stated", "found", "±", ""):
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("")
-    for one in calibration.estimated:
+    for one in calibration.estimated_parameters:
         told = "" if one.measured else "[yellow]! told by no capture[/]"
-        table.add_row(escape(one.of), one.quantity, *one.shown, told)
-    paper.print(table)
+        table.add_row(escape(one.of), one.quantity, *one.formatted, told)
+    output.print(table)
 
 
 def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:
@@ -94,8 +94,8 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
         calibration: the result.
         T_root_sensor: true poses (4, 4) by sensor.
     """
-    paper = console()
-    paper.print("[bold]Errors against the truth[/]")
+    output = console()
+    output.print("[bold]Errors against the truth[/]")
     table = _table()
     for head in ("error mm", "± mm", "error °", "± °"):
         table.add_column(head, justify="right", no_wrap=True)
@@ -105,10 +105,10 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
             mm, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
             sigma_mm, sigma_degrees = _deviations(sensor)
             table.add_row(escape(sensor.name), f"{mm:.1f}", sigma_mm, f"{degrees:.3f}", sigma_degrees)
-    paper.print(table)
+    output.print(table)
 
 
-def print_place(out: Path) -> None:
+def print_output_path(out: Path) -> None:
     """Prints where the results are."""
     console().print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
 
@@ -129,19 +129,20 @@ def _deviations(sensor: SensorPose) -> tuple[str, str]:
     )
 
     position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
-    return _fixed(1000 * worst_deviation(position), 1), _fixed(np.degrees(worst_deviation(rotation)), 3)
+    return _format_fixed(1000 * worst_deviation(position), 1), _format_fixed(
+        np.degrees(worst_deviation(rotation)), 3
+    )
 
 
 def _clock(sensor: SensorPose) -> str:
     """Clock offset and its standard deviation, ms; nothing where it was not estimated."""
     if sensor.clock_offset is None:
         return ""
-    deviation = sensor.clock_offset_stddev
-    return (
-        f"{_fixed(1e3 * sensor.clock_offset, 1)}{'' if deviation is None else f' ±{_fixed(1e3 * deviation, 1)}'}"
-    )
+    stddev = sensor.clock_offset_stddev
+    deviation = "" if stddev is None else f" ±{_format_fixed(1e3 * stddev, 1)}"
+    return f"{_format_fixed(1e3 * sensor.clock_offset, 1)}{deviation}"
 
 
-def _fixed(value: float, digits: int) -> str:
-    """A number with so many decimals; 0 for what rounds to -0."""
+def _format_fixed(value: float, digits: int) -> str:
+    """A number with ``digits`` decimals; 0 for what rounds to -0."""
     return f"{round(value, digits) + 0.0:.{digits}f}" if np.isfinite(value) else "∞"

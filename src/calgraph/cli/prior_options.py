@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from calgraph.errors import InputError
-from calgraph.result import read_poses
+from calgraph.result import read_extrinsics
 
 if TYPE_CHECKING:
     from calgraph.estimation import PriorFile, RigidFile
@@ -40,7 +40,7 @@ RigidOption = Annotated[
 ]
 
 
-def known_files(
+def read_priors(
     prior: Path | None, stddev: tuple[float, float] | None, rigid: list[str] | None
 ) -> tuple[PriorFile | None, tuple[RigidFile, ...]]:
     """What the options ask for, the files read.
@@ -62,6 +62,8 @@ def known_files(
         file, _, names = text.rpartition(":")
         if not file or not names:
             raise InputError(f"--rigid: must be a file and sensors, as in robot.urdf:camera,laser, got {text!r}")
-        groups.append(RigidFile(read_poses(Path(file)), tuple(names.split(","))))
-    known = PriorFile(read_poses(prior), stddev and (stddev[0], float(np.radians(stddev[1])))) if prior else None
+        groups.append(RigidFile(read_extrinsics(Path(file)), tuple(names.split(","))))
+    known = (
+        PriorFile(read_extrinsics(prior), stddev and (stddev[0], float(np.radians(stddev[1])))) if prior else None
+    )
     return known, tuple(groups)

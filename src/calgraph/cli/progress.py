@@ -8,7 +8,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from calgraph.cli.console import console
 
-_PATIENCE = 2.0
+_MIN_DURATION = 2.0
 """Work that is done sooner shows no bar, s."""
 
 
@@ -30,7 +30,7 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
         if step not in tasks:
             tasks[step] = bars.add_task(step, total=1.0)
         bars.update(tasks[step], completed=min(max(done, 0.0), 1.0))
-        if not bars.live.is_started and time.monotonic() - began > _PATIENCE:
+        if not bars.live.is_started and time.monotonic() - began > _MIN_DURATION:
             bars.start()
 
     try:

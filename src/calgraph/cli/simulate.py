@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from calgraph.cli.model_options import knobs_of, settings, with_knobs
+from calgraph.cli.model_options import add_options, apply_options, list_options
 from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
-from calgraph.io.yaml_reading import read_yaml, validated
+from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.simulation import RigScenario, simulate_rig
 
 _PANELS = {
@@ -17,7 +17,7 @@ _PANELS = {
     "bearings": "Poses of the board",
     "background": "Recording and disturbances",
 }
-_KNOBS = {knob.parameter: knob for knob in knobs_of(RigScenario, _PANELS)}
+_MODEL_OPTIONS = {knob.parameter: knob for knob in list_options(RigScenario, _PANELS)}
 
 
 def simulate_rig_options(
@@ -30,13 +30,13 @@ def simulate_rig_options(
 
     Lists are given as numbers with commas between them, tags and patterns as in rig.yaml (YAML on one line).
     """
-    start = validated(RigScenario, read_yaml(scenario), scenario) if scenario else RigScenario()
+    start = validate_content(RigScenario, read_yaml(scenario), scenario) if scenario else RigScenario()
     if "board_pattern" in options:
         # A board has either; whoever asks for a pattern does not mean the default tags.
         options.setdefault("board_tags", "[]")
-    chosen = settings(start, _KNOBS, options)
+    chosen = apply_options(start, _MODEL_OPTIONS, options)
     simulate_to(out, simulate_rig, chosen, seed)
 
 
-simulate_rig_command = with_knobs(simulate_rig_options, _KNOBS, RigScenario())
+simulate_rig_command = add_options(simulate_rig_options, _MODEL_OPTIONS, RigScenario())
 """The command, its options read off :class:`RigScenario`."""

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import InputError
-from calgraph.io import replacing_folder, save_yaml
+from calgraph.io import replace_folder_atomically, save_yaml
 
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording, rig.yaml, truth and scenario.")
@@ -33,7 +33,7 @@ def simulate_to(out: Path, simulate: Simulate[Scenario], scenario: Scenario, see
     """
     if (out / "recording").exists():
         raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
-    with replacing_folder(out) as folder, progress_bars() as progress:
+    with replace_folder_atomically(out) as folder, progress_bars() as progress:
         simulate_into(folder, simulate, scenario, seed, progress)
     console(stderr=True).print(
         f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",

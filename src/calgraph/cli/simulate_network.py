@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any, get_args
 
-from calgraph.cli.model_options import knobs_of, settings, with_knobs
+from calgraph.cli.model_options import add_options, apply_options, list_options
 from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
-from calgraph.io.yaml_reading import read_yaml, validated
+from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
 
 _PANELS = {
@@ -14,7 +14,7 @@ _PANELS = {
     "people": "People",
     "root": "Recording",
 }
-_KNOBS = {knob.parameter: knob for knob in knobs_of(NetworkScenario, _PANELS)}
+_MODEL_OPTIONS = {knob.parameter: knob for knob in list_options(NetworkScenario, _PANELS)}
 
 
 def simulate_network_options(
@@ -31,10 +31,10 @@ def simulate_network_options(
     if options.get("layout") in get_args(LayoutName):
         # Before the other options, so that knobs that nobody turns are as this layout has them.
         content = {**content, "layout": options["layout"]}
-    start = validated(NetworkScenario, content, scenario or Path("options"))
-    chosen = settings(start, _KNOBS, options)
+    start = validate_content(NetworkScenario, content, scenario or Path("options"))
+    chosen = apply_options(start, _MODEL_OPTIONS, options)
     simulate_to(out, simulate_network, chosen, seed)
 
 
-simulate_network_command = with_knobs(simulate_network_options, _KNOBS, NetworkScenario())
+simulate_network_command = add_options(simulate_network_options, _MODEL_OPTIONS, NetworkScenario())
 """The command, its options read off :class:`NetworkScenario`."""

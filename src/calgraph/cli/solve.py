@@ -8,8 +8,8 @@ import typer
 
 from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.common_options import Results, WholeJson
-from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, known_files
-from calgraph.io import replacing_folder
+from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
+from calgraph.io import replace_folder_atomically
 
 
 def solve(
@@ -45,7 +45,7 @@ def solve(
     from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
     from calgraph.estimation import load_problem, round_trip, with_prior_poses
 
-    known, groups = known_files(prior, prior_stddev, rigid)
+    known, groups = read_priors(prior, prior_stddev, rigid)
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}
     chosen = {name: choice.value for name, choice in given.items() if choice is not None}
@@ -53,7 +53,7 @@ def solve(
     besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
     problem = replace(problem, solver=problem.solver.model_copy(update=chosen | besides))
     problem = round_trip(with_prior_poses(problem, known, groups))
-    with replacing_folder(out) as folder:
+    with replace_folder_atomically(out) as folder:
         calibration = solve_problem(problem)
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json)

@@ -44,11 +44,11 @@ def verify(
 
     Exit code 0: no covariance is optimistic; 1: one is, or a sensor could not be calibrated; 2: bad input.
     """
-    from calgraph.calibrate import verify_problem  # takes seconds, which --help should not
+    from calgraph.calibrate import bootstrap_covariances  # takes seconds, which --help should not
 
     with progress_bars() as progress:
         problem = _problem(files, seed, progress)
-        calibration, scatter = verify_problem(problem, rounds, np.random.default_rng(seed), progress)
+        calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
     if json:
         typer.echo(_content(scatter, kinds, rounds))
@@ -73,7 +73,7 @@ def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
     rig = load_rig(files[0])
     with open_recordings(files[1:]) as recording:
         rig = with_intrinsics(rig, recording)
-        return story.pose_problem(rig, recording, story.Options(seed=seed), progress)
+        return story.build_problem(rig, recording, story.Options(seed=seed), progress)
 
 
 def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> str:
@@ -103,8 +103,8 @@ def _print(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int)
     """A row a sensor and axis, then the verdicts."""
     from calgraph.diagnostics import CONFIDENCE, axis_names
 
-    paper = console()
-    paper.print(f"[bold]Scatter over {rounds} draws of the captures, and what the covariances say[/]")
+    output = console()
+    output.print(f"[bold]Scatter over {rounds} draws of the captures, and what the covariances say[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("sensor", overflow="fold")
     table.add_column("axis", no_wrap=True)
@@ -113,16 +113,17 @@ def _print(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int)
     for name, found in scatter.items():
         for i, axis in enumerate(axis_names(kinds[name])):
             table.add_row(
-                escape(name) if i == 0 else "", axis, _size(found.found[i], i), _size(found.stated[i], i),
+                escape(name) if i == 0 else "", axis,
+                _format_stddev(found.found[i], i), _format_stddev(found.stated[i], i),
                 f"{found.ratio[i]:.2f}", f"{found.low[i]:.2f} – {found.high[i]:.2f}",
             )  # fmt: skip
-    paper.print(table)
+    output.print(table)
     for name, found in scatter.items():
         axis, ratio = axis_names(kinds[name])[found.worst], found.ratio[found.worst]
         times = ratio if found.verdict == "optimistic" else 1 / ratio
         by = "" if found.verdict == "honest" else f" by {times:.1f}, most for {axis}"
-        paper.print(f"{_SIGNS[found.verdict]} {escape(f'the covariance of {name} is {found.verdict}{by}')}")
+        output.print(f"{_SIGNS[found.verdict]} {escape(f'the covariance of {name} is {found.verdict}{by}')}")
 
 
-def _size(stddev: float, axis: int) -> str:
+def _format_stddev(stddev: float, axis: int) -> str:
     return f"{1000 * stddev:.2f} mm" if axis < 3 else f"{np.degrees(stddev):.3f}°"

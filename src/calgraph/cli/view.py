@@ -8,7 +8,7 @@ import typer
 
 from calgraph.config import load_rig
 from calgraph.errors import InputError
-from calgraph.result import cameras_of, load_calibration, load_scene
+from calgraph.result import calibrated_cameras, load_calibration, load_scene
 
 
 def view(
@@ -29,7 +29,7 @@ def view(
         raise InputError(f"{result}: is no folder; give the one that calibrate wrote with -o")
     calibration = load_scene(result / "scene.npz", load_calibration(result / "calibration.yaml"))
     rig = load_rig(result / "rig.resolved.yaml")
-    with Viewer(calibration, cameras_of(calibration, rig), host, port) as viewer:
+    with Viewer(calibration, calibrated_cameras(calibration, rig), host, port) as viewer:
         typer.echo(f"{result} is shown at {viewer.url}; Ctrl-C ends it")
         if browser:
             webbrowser.open(viewer.url)

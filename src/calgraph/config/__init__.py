@@ -1,6 +1,6 @@
 """rig.yaml: the sensors with their noise, the target, and how captures are marked."""
 
-from calgraph.config.board_print import Print, ink, prints
+from calgraph.config.board_print import PrintedBitmap, black_rectangles, printed_bitmaps
 from calgraph.config.draft import FoundTopic, Kind, draft_rig
 from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
 from calgraph.config.rig_config import (
@@ -19,6 +19,7 @@ from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard, Cyli
 
 __all__ = [
     "FAMILIES", "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Family",
-    "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "Print",
-    "RangeNoise", "Rig", "SensorSpec", "Tag", "dictionary", "draft_rig", "ink", "load_rig",
-    "marker_count", "prints", ]  # fmt: skip
+    "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "PrintedBitmap",
+    "RangeNoise", "Rig", "SensorSpec", "Tag", "black_rectangles", "dictionary", "draft_rig", "load_rig",
+    "marker_count", "printed_bitmaps",
+]  # fmt: skip

@@ -13,7 +13,7 @@ Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Print:
+class PrintedBitmap:
     """A bitmap somewhere on the sheet. Paper does not cover the ink of other prints."""
 
     bitmap: Array
@@ -26,55 +26,59 @@ class Print:
     """Of the tag or marker that it is; None if it is none."""
 
 
-def prints(board: Board) -> tuple[Print, ...]:
+def printed_bitmaps(board: Board) -> tuple[PrintedBitmap, ...]:
     """All that is printed on a board; parts of it may reach over the sheet's edge."""
     match board.pattern:
         case None:
             return tuple(
-                Print(marker_bitmap(FAMILIES[board.family], tag.id), tag.center, (tag.size, tag.size), tag.id)
+                PrintedBitmap(
+                    marker_bitmap(FAMILIES[board.family], tag.id), tag.center, (tag.size, tag.size), tag.id
+                )
                 for tag in board.tags
             )
         case Checkerboard() as p:
-            return (_squares(p.columns + 1, p.rows + 1, p.square, p.center),)
+            return (_chessboard(p.columns + 1, p.rows + 1, p.square, p.center),)
         case Charuco() as p:
             return tuple(_charuco(p))
         case AprilGrid() as p:
             return tuple(_aprilgrid(p, FAMILIES[board.family]))
 
 
-def ink(board: Board) -> Array:
+def black_rectangles(board: Board) -> Array:
     """Black rectangles (N, 4) that together are the print: left, bottom, right, top in the board frame, m.
 
     None of them overlaps another, and none leaves the sheet.
     """
-    runs = np.concatenate([_runs(one) for one in prints(board)] or [np.zeros((0, 4))])
+    rectangles = np.concatenate(
+        [_bitmap_rectangles(bitmap) for bitmap in printed_bitmaps(board)] or [np.zeros((0, 4))]
+    )
     half = np.array([*board.size, *board.size]) / 2
-    runs = np.clip(runs, -half, half)
-    return np.asarray(runs[(runs[:, 0] < runs[:, 2]) & (runs[:, 1] < runs[:, 3])])
+    rectangles = np.clip(rectangles, -half, half)
+    return np.asarray(rectangles[(rectangles[:, 0] < rectangles[:, 2]) & (rectangles[:, 1] < rectangles[:, 3])])
 
 
-def _runs(one: Print) -> Array:
+def _bitmap_rectangles(printed: PrintedBitmap) -> Array:
     """The ink of a bitmap as rectangles (N, 4), one for each run of inked modules in a row."""
-    inked = np.pad(one.bitmap < 0.5, ((0, 0), (1, 1))).astype(int)
-    row, start = np.nonzero(np.diff(inked, axis=1) == 1)
-    _, end = np.nonzero(np.diff(inked, axis=1) == -1)
-    rows, columns = one.bitmap.shape
-    width, height = one.size[0] / columns, one.size[1] / rows
-    left, top = one.center[0] - one.size[0] / 2, one.center[1] + one.size[1] / 2
+    is_black = np.pad(printed.bitmap < 0.5, ((0, 0), (1, 1))).astype(int)
+    row, start = np.nonzero(np.diff(is_black, axis=1) == 1)
+    _, end = np.nonzero(np.diff(is_black, axis=1) == -1)
+    rows, columns = printed.bitmap.shape
+    width, height = printed.size[0] / columns, printed.size[1] / rows
+    left, top = printed.center[0] - printed.size[0] / 2, printed.center[1] + printed.size[1] / 2
     return np.column_stack(
         [left + width * start, top - height * (row + 1), left + width * end, top - height * row]
     )
 
 
-def _squares(columns: int, rows: int, square: float, center: Pair) -> Print:
+def _chessboard(columns: int, rows: int, square: float, center: Pair) -> PrintedBitmap:
     """A chessboard with a black square at the top left."""
     chessboard = np.indices((rows, columns)).sum(axis=0) % 2
-    return Print(chessboard.astype(np.float64), center, (square * columns, square * rows))
+    return PrintedBitmap(chessboard.astype(np.float64), center, (square * columns, square * rows))
 
 
-def _charuco(pattern: Charuco) -> Iterator[Print]:
+def _charuco(pattern: Charuco) -> Iterator[PrintedBitmap]:
     """OpenCV's layout: black top-left square, markers numbered row by row through the white squares."""
-    squares = _squares(pattern.columns, pattern.rows, pattern.square, pattern.center)
+    squares = _chessboard(pattern.columns, pattern.rows, pattern.square, pattern.center)
     yield squares
     x0, y0 = pattern.center
     for i, (row, column) in enumerate(np.argwhere(squares.bitmap == 1)):
@@ -84,10 +88,10 @@ def _charuco(pattern: Charuco) -> Iterator[Print]:
         )
         number = pattern.first_id + i
         bitmap = marker_bitmap(pattern.dictionary, number)
-        yield Print(bitmap, center, (pattern.marker, pattern.marker), number)
+        yield PrintedBitmap(bitmap, center, (pattern.marker, pattern.marker), number)
 
 
-def _aprilgrid(pattern: AprilGrid, family: str) -> Iterator[Print]:
+def _aprilgrid(pattern: AprilGrid, family: str) -> Iterator[PrintedBitmap]:
     """Kalibr's layout: tags upside down, numbered from the bottom left along rows, squares at their corners."""
     gap = pattern.tag_size * pattern.tag_spacing
     pitch = pattern.tag_size + gap
@@ -97,7 +101,9 @@ def _aprilgrid(pattern: AprilGrid, family: str) -> Iterator[Print]:
         row, column = divmod(i, pattern.columns)
         upright = marker_bitmap(family, pattern.first_id + i, border=2)
         center = (x0 + column * pitch, y0 + row * pitch)
-        yield Print(upright[::-1, ::-1], center, (pattern.tag_size, pattern.tag_size), pattern.first_id + i)
+        yield PrintedBitmap(
+            upright[::-1, ::-1], center, (pattern.tag_size, pattern.tag_size), pattern.first_id + i
+        )
     for row, column in np.ndindex(pattern.rows + 1, pattern.columns + 1):
         center = (x0 + (column - 0.5) * pitch, y0 + (row - 0.5) * pitch)
-        yield Print(np.zeros((1, 1)), center, (gap, gap))
+        yield PrintedBitmap(np.zeros((1, 1)), center, (gap, gap))

@@ -6,20 +6,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from calgraph.config.sensor_names import sensor_names
+from calgraph.config.sensor_names import name_sensors
 from calgraph.errors import InputError
 
 Kind = Literal["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"]
 
 # Names by which image_transport's and image_proc's topics of one camera differ, the most useful first: the lens
 # is calibrated for unrectified images.
-_OF_ONE_CAMERA = ("image_raw", "image_color", "image_mono", "image", "image_rect_color", "image_rect")
+_IMAGE_TOPICS = ("image_raw", "image_color", "image_mono", "image", "image_rect_color", "image_rect")
 _DEPTH = re.compile(r"depth|disparity|confidence", re.IGNORECASE)
 _TRIGGER = re.compile(r"trigger|capture|shutter|snapshot", re.IGNORECASE)
 # YAML 1.1 readers take some of these words for truth values, nothing or numbers.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z/][\w./-]*", re.IGNORECASE)
 
-_TARGET = """\
+_TARGET_BLOCK = """\
 # The board that was carried around. CHANGE THIS to the board you printed, and measure it: printers change scales,
 # and the size of tags or squares sets the scale of everything a camera says.
 target:
@@ -35,7 +35,7 @@ target:
   # pattern: {kind: charuco, columns: 8, rows: 6, square: 0.1, marker: 0.075, dictionary: DICT_5X5_100}
   # pattern: {kind: aprilgrid, columns: 6, rows: 6, tag_size: 0.088, tag_spacing: 0.3}
 """
-_BACKGROUND = (
+_BACKGROUND_LINE = (
     "background: [0.0, 5.0]    # s from the start: the room without board and operator, if there was such a time"
 )
 _NOISE = {
@@ -79,67 +79,68 @@ def draft_rig(topics: Sequence[FoundTopic], recording: str) -> str:
     Raises:
         InputError: there is no sensor among the topics.
     """
-    chosen, passed_over = _choose(topics)
+    chosen, skipped = _choose_topics(topics)
     if not chosen:
         found = ", ".join(f"{topic.name} ({topic.type})" for topic in topics) or "none"
         raise InputError(
             f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
         )
-    names = sensor_names({topic.name: topic.kind for topic in chosen})
+    names = name_sensors({topic.name: topic.kind for topic in chosen})
     infos = [topic for topic in topics if topic.kind == "camera_info" and topic.count and not topic.problem]
     cameras = [topic for topic in chosen if topic.kind == "camera"]
     sensors = [
-        _Sensor(names[t.name], t, _info_of(t, infos, len(cameras)) if t in cameras else None) for t in chosen
+        _Sensor(names[t.name], t, _find_camera_info(t, infos, len(cameras)) if t in cameras else None)
+        for t in chosen
     ]
     parts = [
         _head(recording),
         _root(sensors),
-        _TARGET,
+        _TARGET_BLOCK,
         _capture(topics),
         _sensors(sensors),
-        _rest(passed_over),
+        _skipped_topics(skipped),
     ]
     return "\n".join(part for part in parts if part)
 
 
-def _choose(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict[str, str]]:
+def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict[str, str]]:
     """The topics to draft sensors for, and why each other sensor topic is not one of them."""
     chosen: dict[str, FoundTopic] = {}
-    passed_over: dict[str, str] = {}
-    for topic in sorted((t for t in topics if t.kind in _NOISE), key=_preference):
-        unit = _unit(topic)
+    skipped: dict[str, str] = {}
+    for topic in sorted((t for t in topics if t.kind in _NOISE), key=_preference_key):
+        device = _device_name(topic)
         if not topic.count:
-            passed_over[topic.name] = "has no message"
+            skipped[topic.name] = "has no message"
         elif topic.problem:
-            passed_over[topic.name] = topic.problem
+            skipped[topic.name] = topic.problem
         elif topic.kind == "camera" and _DEPTH.search(topic.name):
-            passed_over[topic.name] = "holds depths, it seems"
-        elif unit in chosen:
-            passed_over[topic.name] = f"is the camera of {chosen[unit].name}"
+            skipped[topic.name] = "holds depths, it seems"
+        elif device in chosen:
+            skipped[topic.name] = f"is the camera of {chosen[device].name}"
         else:
-            chosen[unit] = topic
+            chosen[device] = topic
     order = ("lidar3d", "camera", "lidar2d")
-    return sorted(chosen.values(), key=lambda t: (order.index(t.kind), t.name)), passed_over
+    return sorted(chosen.values(), key=lambda t: (order.index(t.kind), t.name)), skipped
 
 
-def _unit(topic: FoundTopic) -> str:
+def _device_name(topic: FoundTopic) -> str:
     """What identifies the device: all image topics of one camera share it."""
     if topic.kind != "camera":
         return topic.name
     images = topic.name.removesuffix("/compressed")
     space, _, last = images.rpartition("/")
-    return f"{space}/" if space and last in _OF_ONE_CAMERA else images
+    return f"{space}/" if space and last in _IMAGE_TOPICS else images
 
 
-def _preference(topic: FoundTopic) -> tuple[int, bool, str]:
+def _preference_key(topic: FoundTopic) -> tuple[int, bool, str]:
     """Sorts the topics of one camera: unrectified before rectified, lossless before compressed."""
     images = topic.name.removesuffix("/compressed")
     last = images.rpartition("/")[2]
-    rank = _OF_ONE_CAMERA.index(last) if last in _OF_ONE_CAMERA else len(_OF_ONE_CAMERA)
+    rank = _IMAGE_TOPICS.index(last) if last in _IMAGE_TOPICS else len(_IMAGE_TOPICS)
     return rank, images != topic.name, topic.name
 
 
-def _info_of(image: FoundTopic, infos: Sequence[FoundTopic], cameras: int) -> FoundTopic | None:
+def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: int) -> FoundTopic | None:
     """The camera_info of an image topic: beside it, in its frame, or the only one for the only camera."""
     images = image.name.removesuffix("/compressed")
     beside = (f"{images}/camera_info", f"{images.rpartition('/')[0]}/camera_info")
@@ -151,7 +152,7 @@ def _info_of(image: FoundTopic, infos: Sequence[FoundTopic], cameras: int) -> Fo
 
 def _head(recording: str) -> str:
     return (
-        f"# Drafted by calgraph init from the topics of {_line(recording)}.\n"
+        f"# Drafted by calgraph init from the topics of {_single_line(recording)}.\n"
         "# Go through the comments, measure your board, then run\n"
         "#   calgraph calibrate rig.yaml RECORDING -o result\n"
     )
@@ -160,20 +161,21 @@ def _head(recording: str) -> str:
 def _root(sensors: Sequence[_Sensor]) -> str:
     others = ", ".join(sensor.name for sensor in sensors[1:])
     hint = f"; could be {others}" if others else "; a calibration needs a second sensor"
-    return f"# The sensor in whose frame everything is expressed{hint}.\nroot: {_scalar(sensors[0].name)}\n"
+    return f"# The sensor in whose frame everything is expressed{hint}.\nroot: {_format_scalar(sensors[0].name)}\n"
 
 
 def _capture(topics: Iterable[FoundTopic]) -> str:
-    triggers, too_many = _triggers(list(topics))
+    triggers, too_many = _find_triggers(list(topics))
     notes = [
-        f"# Not taken for a trigger, because it fires as often as a sensor: {_line(t.name)}" for t in too_many
+        f"# Not taken for a trigger, because it fires as often as a sensor: {_single_line(t.name)}"
+        for t in too_many
     ]
     if not triggers:
         lines = [
             "# No trigger topic was found: captures are found by the board resting.",
             "# capture:",
             "#   trigger: /topic             # every message starts a capture: the board rests from there on",
-            f"#   {_BACKGROUND}",
+            f"#   {_BACKGROUND_LINE}",
         ]
     else:
         name, count = triggers[0].name, triggers[0].count
@@ -181,14 +183,14 @@ def _capture(topics: Iterable[FoundTopic]) -> str:
             f"# CHECK that each message of the trigger ({count} found) marks a time from when on the board rests;",
             "# without a trigger the holds are found from the data.",
             "capture:",
-            f"  trigger: {_scalar(name)}",
-            *(f"  # trigger: {_scalar(other.name)}" for other in triggers[1:]),
-            f"  # {_BACKGROUND}",
+            f"  trigger: {_format_scalar(name)}",
+            *(f"  # trigger: {_format_scalar(other.name)}" for other in triggers[1:]),
+            f"  # {_BACKGROUND_LINE}",
         ]
     return "\n".join([*notes, *lines, ""])
 
 
-def _triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
+def _find_triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
     """Topics that could start captures, and those that rather fire with every image."""
     named = [t for t in topics if t.kind == "event" and t.count and _TRIGGER.search(t.name)]
     often = max((t.count for t in topics if t.kind in _NOISE), default=0) / 2
@@ -207,36 +209,36 @@ def _sensors(sensors: Sequence[_Sensor]) -> str:
 def _sensor(sensor: _Sensor) -> list[str]:
     topic = sensor.topic
     lines = [
-        f"  {_scalar(sensor.name)}:",
+        f"  {_format_scalar(sensor.name)}:",
         f"    kind: {topic.kind}",
-        f"    topic: {_scalar(topic.name)}  # {topic.count} messages",
+        f"    topic: {_format_scalar(topic.name)}  # {topic.count} messages",
     ]
     if sensor.info:
-        lines.append(f"    camera_info: {_scalar(sensor.info.name)}")
+        lines.append(f"    camera_info: {_format_scalar(sensor.info.name)}")
     elif topic.kind == "camera":
         lines += [
             "    # CHANGE: the recording has no usable camera_info for this camera; K is fx, fy, cx, cy",
             "    # intrinsics: {width: 1280, height: 960, K: [900.0, 900.0, 639.5, 479.5], distortion: []}",
         ]
     if topic.frame_id:
-        lines.append(f"    frame_id: {_scalar(topic.frame_id)}")
+        lines.append(f"    frame_id: {_format_scalar(topic.frame_id)}")
     else:
         lines.append("    # frame_id: name            # its messages name none; exports need it")
     return [*lines, f"    noise: {_NOISE[topic.kind]}"]
 
 
-def _rest(passed_over: dict[str, str]) -> str:
-    if not passed_over:
+def _skipped_topics(skipped: dict[str, str]) -> str:
+    if not skipped:
         return ""
-    lines = (f"#   {_line(name)}: {_line(reason)}" for name, reason in passed_over.items())
+    lines = (f"#   {_single_line(name)}: {_single_line(reason)}" for name, reason in skipped.items())
     return "\n".join(["# Also in the recording, but not drafted:", *lines, ""])
 
 
-def _scalar(text: str) -> str:
+def _format_scalar(text: str) -> str:
     """A text as YAML reads it back."""
     return text if _PLAIN.fullmatch(text) else json.dumps(text, ensure_ascii=False)
 
 
-def _line(text: str) -> str:
+def _single_line(text: str) -> str:
     """A text that cannot end the comment it stands in."""
     return " ".join(text.split())

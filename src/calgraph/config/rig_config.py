@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
-from calgraph.config.strict_model import StrictModel, wrong
+from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
 from calgraph.sensors import CameraModel
 
@@ -35,7 +35,7 @@ class Capture(StrictModel):
             windows["background"] = self.background
         for key, (start, end) in windows.items():
             if end <= start:
-                raise wrong(key, f"must end after it starts, got [{start:g}, {end:g}]")
+                raise invalid(key, f"must end after it starts, got [{start:g}, {end:g}]")
         return self
 
 
@@ -58,7 +58,7 @@ class Intrinsics(StrictModel):
         lengths = (0, 4) if self.model == "fisheye" else (0, 4, 5, 8)
         if len(self.distortion) not in lengths:
             allowed = f"{', '.join(map(str, lengths[:-1]))} or {lengths[-1]}"
-            raise wrong("distortion", f"{self.model} has {allowed} coefficients, got {len(self.distortion)}")
+            raise invalid("distortion", f"{self.model} has {allowed} coefficients, got {len(self.distortion)}")
         return self
 
     def camera(self) -> CameraModel:
@@ -101,7 +101,7 @@ class CameraSpec(StrictModel):
     @model_validator(mode="after")
     def _one_source(self) -> "CameraSpec":
         if self.camera_info is not None and self.intrinsics is not None:
-            raise wrong("", "give camera_info (a topic) or intrinsics, not both")
+            raise invalid("", "give camera_info (a topic) or intrinsics, not both")
         return self
 
 
@@ -147,7 +147,7 @@ class Rig(StrictModel):
     @model_validator(mode="after")
     def _root_exists(self) -> "Rig":
         if self.root not in self.sensors:
-            raise wrong("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
+            raise invalid("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
         return self
 
     @model_validator(mode="after")
@@ -156,20 +156,20 @@ class Rig(StrictModel):
         for name, sensor in self.sensors.items():
             other = owners.setdefault(sensor.topic, name)
             if other != name:
-                raise wrong(f"sensors.{name}.topic", f"is also that of {other}, got {sensor.topic!r}")
+                raise invalid(f"sensors.{name}.topic", f"is also that of {other}, got {sensor.topic!r}")
         return self
 
     @model_validator(mode="after")
-    def _cameras_can_see(self) -> "Rig":
+    def _cameras_need_a_print(self) -> "Rig":
         printed = [board for board in self.boards if board.tags or board.pattern]
         if self.boards and not printed and self.cameras():
             cameras = ", ".join(self.cameras())
-            raise wrong("target", f"needs tags or a pattern, without which no camera sees it ({cameras})")
+            raise invalid("target", f"needs tags or a pattern, without which no camera sees it ({cameras})")
         return self
 
     @model_validator(mode="after")
-    def _boards_tell_apart(self) -> "Rig":
-        check_told_apart(self.boards)
+    def _boards_are_distinguishable(self) -> "Rig":
+        check_boards_distinguishable(self.boards)
         return self
 
     @property

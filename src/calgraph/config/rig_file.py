@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from calgraph.config.rig_config import Rig
-from calgraph.io.yaml_reading import read_yaml, validated
+from calgraph.io.yaml_reading import read_yaml, validate_content
 
 
 def load_rig(path: Path) -> Rig:
@@ -13,4 +13,4 @@ def load_rig(path: Path) -> Rig:
         InputError: the file is missing, is not YAML, or has wrong keys or values, each named on its own line.
 
     """
-    return validated(Rig, read_yaml(path), path)
+    return validate_content(Rig, read_yaml(path), path)

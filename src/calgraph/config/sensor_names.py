@@ -4,9 +4,9 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 
-_WORDS = {"camera": "camera", "lidar2d": "laser", "lidar3d": "lidar"}
+_DEFAULT_NAMES = {"camera": "camera", "lidar2d": "laser", "lidar3d": "lidar"}
 """What a sensor is called where its topic says nothing."""
-_GENERIC = re.compile(
+_GENERIC_PART = re.compile(
     r"compressed|images?(_raw|_color|_mono|_rect|_rect_color)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
     r"(point_?)?clouds?2?|points2?|packets|sensors?"
 )
@@ -15,7 +15,7 @@ _AFFIX = re.compile(
 )
 
 
-def sensor_names(kinds: Mapping[str, str]) -> dict[str, str]:
+def name_sensors(kinds: Mapping[str, str]) -> dict[str, str]:
     """A name for each sensor's topic.
 
     ``/camera/image_raw`` becomes ``camera``, ``/scan`` becomes ``laser``, ``/left/camera/image`` and
@@ -24,35 +24,35 @@ def sensor_names(kinds: Mapping[str, str]) -> dict[str, str]:
     Args:
         kinds: camera, lidar2d or lidar3d, by topic.
     """
-    parts = {topic: _telling_parts(topic) for topic in kinds}
+    parts = {topic: _specific_parts(topic) for topic in kinds}
     depth = dict.fromkeys(kinds, 1)
-    names = {topic: _joined(parts[topic], 1) or _WORDS[kind] for topic, kind in kinds.items()}
-    while deeper := [t for t in _shared(names) if depth[t] < len(parts[t])]:
+    names = {topic: _join_last(parts[topic], 1) or _DEFAULT_NAMES[kind] for topic, kind in kinds.items()}
+    while deeper := [t for t in _ambiguous_topics(names) if depth[t] < len(parts[t])]:
         for topic in deeper:
             depth[topic] += 1
-            names[topic] = _joined(parts[topic], depth[topic])
-    for topic in _shared(names):
-        names[topic] = f"{names[topic]}_{_WORDS[kinds[topic]]}"
-    return _numbered(names)
+            names[topic] = _join_last(parts[topic], depth[topic])
+    for topic in _ambiguous_topics(names):
+        names[topic] = f"{names[topic]}_{_DEFAULT_NAMES[kinds[topic]]}"
+    return _number_duplicates(names)
 
 
-def _telling_parts(topic: str) -> list[str]:
+def _specific_parts(topic: str) -> list[str]:
     """The parts of a topic that say more than what kind of data it has."""
     parts = [re.sub(r"\W+", "_", part).strip("_") for part in topic.split("/")]
-    return [_AFFIX.sub("", part) for part in parts if part and not _GENERIC.fullmatch(part)]
+    return [_AFFIX.sub("", part) for part in parts if part and not _GENERIC_PART.fullmatch(part)]
 
 
-def _joined(parts: list[str], depth: int) -> str:
+def _join_last(parts: list[str], depth: int) -> str:
     return "_".join(parts[-depth:])
 
 
-def _shared(names: Mapping[str, str]) -> list[str]:
+def _ambiguous_topics(names: Mapping[str, str]) -> list[str]:
     """The topics whose name another one has too."""
     counts = Counter(names.values())
     return [topic for topic, name in names.items() if counts[name] > 1]
 
 
-def _numbered(names: Mapping[str, str]) -> dict[str, str]:
+def _number_duplicates(names: Mapping[str, str]) -> dict[str, str]:
     """The names, with a number after each that was given before."""
     taken: set[str] = set()
     numbered = {}

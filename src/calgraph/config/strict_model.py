@@ -10,6 +10,6 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
-def wrong(key: str, message: str) -> PydanticCustomError:
+def invalid(key: str, message: str) -> PydanticCustomError:
     """The error for a validator to raise: ``key``, below the part it checks, is wrong because of ``message``."""
     return PydanticCustomError("calgraph", "{message}", {"key": key, "message": message})

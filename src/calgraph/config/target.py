@@ -7,7 +7,7 @@ import pydantic
 from pydantic import Discriminator, Field, Strict, field_validator, model_validator
 
 from calgraph.config.markers import DICTIONARIES, FAMILIES, Family, marker_count
-from calgraph.config.strict_model import StrictModel, wrong
+from calgraph.config.strict_model import StrictModel, invalid
 
 # Strict: YAML has types, so a quoted number or a `yes` where a number belongs is a slip worth naming.
 Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
@@ -18,7 +18,7 @@ AtLeastTwo = Annotated[int, Strict(), Field(ge=2)]
 Pair = tuple[Coordinate, Coordinate]
 
 # Prints reach over an edge by a rounded millimetre in many a rig.yaml; more is a slip in a unit or a sign.
-_TOLERANCE = 1e-3
+_MAX_PRINT_OVERLAP = 1e-3
 
 
 class Tag(StrictModel):
@@ -71,22 +71,22 @@ class Charuco(StrictModel):
 
     @field_validator("dictionary")
     @classmethod
-    def _known(cls, value: str) -> str:
+    def _dictionary_exists(cls, value: str) -> str:
         if value not in DICTIONARIES:
-            raise wrong("", f"must be one of OpenCV's dictionaries, {', '.join(DICTIONARIES)}, got {value!r}")
+            raise invalid("", f"must be one of OpenCV's dictionaries, {', '.join(DICTIONARIES)}, got {value!r}")
         return value
 
     @model_validator(mode="after")
     def _marker_fits(self) -> "Charuco":
         if self.marker >= self.square:
-            raise wrong("marker", f"must be smaller than square ({self.square:g} m), got {self.marker:g}")
+            raise invalid("marker", f"must be smaller than square ({self.square:g} m), got {self.marker:g}")
         return self
 
     @model_validator(mode="after")
     def _markers_exist(self) -> "Charuco":
         last, count = self.first_id + self.columns * self.rows // 2 - 1, marker_count(self.dictionary)
         if last >= count:
-            raise wrong("dictionary", f"needs marker {last}, but {self.dictionary} ends at {count - 1}")
+            raise invalid("dictionary", f"needs marker {last}, but {self.dictionary} ends at {count - 1}")
         return self
 
     @property
@@ -116,7 +116,7 @@ class AprilGrid(StrictModel):
     def _ids_exist(self) -> "AprilGrid":
         last, count = self.first_id + self.columns * self.rows - 1, marker_count(FAMILIES["tag36h11"])
         if last >= count:
-            raise wrong("first_id", f"the last tag would be {last}, but tag36h11 ends at {count - 1}")
+            raise invalid("first_id", f"the last tag would be {last}, but tag36h11 ends at {count - 1}")
         return self
 
     @property
@@ -148,35 +148,35 @@ class Board(StrictModel):
     @model_validator(mode="after")
     def _one_print(self) -> "Board":
         if self.tags and self.pattern:
-            raise wrong("pattern", "a board has either tags or a pattern, not both")
+            raise invalid("pattern", "a board has either tags or a pattern, not both")
         if self.pattern:
-            _check_on_sheet("pattern", self.size, self.pattern.center, self.pattern.extent)
+            _check_within_board("pattern", self.size, self.pattern.center, self.pattern.extent)
         last = marker_count(FAMILIES[self.family]) - 1
         for i, tag in enumerate(self.tags):
-            _check_on_sheet(f"tags[{i}]", self.size, tag.center, (tag.size, tag.size))
+            _check_within_board(f"tags[{i}]", self.size, tag.center, (tag.size, tag.size))
             if tag.id > last:
-                raise wrong(f"tags[{i}].id", f"{self.family} ends at {last}, got {tag.id}")
+                raise invalid(f"tags[{i}].id", f"{self.family} ends at {last}, got {tag.id}")
         return self
 
     @model_validator(mode="after")
     def _tags_apart(self) -> "Board":
         for (i, a), (j, b) in combinations(enumerate(self.tags), 2):
             if a.id == b.id:
-                raise wrong(f"tags[{j}].id", f"must differ from that of tags[{i}], got {b.id} twice")
+                raise invalid(f"tags[{j}].id", f"must differ from that of tags[{i}], got {b.id} twice")
             gap = max(abs(p - q) for p, q in zip(a.center, b.center, strict=True)) - (a.size + b.size) / 2
-            if gap < -_TOLERANCE:
-                raise wrong(f"tags[{j}]", f"overlaps tags[{i}] by {-gap:.3f} m")
+            if gap < -_MAX_PRINT_OVERLAP:
+                raise invalid(f"tags[{j}]", f"overlaps tags[{i}] by {-gap:.3f} m")
         return self
 
 
-def _check_on_sheet(key: str, sheet: Pair, center: Pair, extent: Pair) -> None:
+def _check_within_board(key: str, board_size: Pair, center: Pair, extent: Pair) -> None:
     for axis, direction in enumerate(("width", "height")):
         reach = abs(center[axis]) + extent[axis] / 2
-        if reach > sheet[axis] / 2 + _TOLERANCE:
-            raise wrong(
+        if reach > board_size[axis] / 2 + _MAX_PRINT_OVERLAP:
+            raise invalid(
                 key,
                 f"leaves the sheet: it reaches {reach:.3f} m from the centre, "
-                f"half the sheet's {direction} is {sheet[axis] / 2:.3f} m",
+                f"half the sheet's {direction} is {board_size[axis] / 2:.3f} m",
             )
 
 

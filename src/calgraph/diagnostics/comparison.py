@@ -10,7 +10,7 @@ from scipy.special import chdtri, ndtri
 
 from calgraph.diagnostics.verdict import axis_names
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, KnownPoses
+from calgraph.result import Calibration, ExtrinsicsFile
 
 Outcome = Literal["pass", "warn", "fail"]
 _SEVERITY: Sequence[Outcome] = ("pass", "warn", "fail")
@@ -96,7 +96,7 @@ class Comparison:
     """Given extrinsics beside those that a recording gives."""
 
     found: Calibration
-    given: KnownPoses
+    given: ExtrinsicsFile
     frames: Mapping[str, str]
     """By sensor that the file knows, its frame there; the root is among them."""
     tolerance: Tolerance
@@ -146,15 +146,15 @@ class Comparison:
         return SensorAudit(name, outcome, _reason(axes, allowed, distance), distance, axes)
 
 
-def compare(found: Calibration, given: KnownPoses, tolerance: Tolerance | None) -> Comparison:
+def compare(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None) -> Comparison:
     """Looks up in given extrinsics what a recording has found.
 
     Raises:
         InputError: the root or all other sensors are not in the file.
     """
     frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
-    given.frame(found.root, frame_ids)
-    return Comparison(found, given, given.frames_of(frame_ids), tolerance or Tolerance())
+    given.frame_of_sensor(found.root, frame_ids)
+    return Comparison(found, given, given.frames_of_sensors(frame_ids), tolerance or Tolerance())
 
 
 def _outcomes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]:

@@ -1,6 +1,8 @@
 """Files: atomic writes, YAML, archives of arrays."""
 
-from calgraph.io.atomic import check_place, replacing, replacing_folder, write_text
-from calgraph.io.yaml_writing import save_yaml, yaml_text
+from calgraph.io.atomic import check_output_path, replace_folder_atomically, write_atomically, write_text
+from calgraph.io.yaml_writing import format_yaml, save_yaml
 
-__all__ = ["check_place", "replacing", "replacing_folder", "save_yaml", "write_text", "yaml_text"]
+__all__ = [
+    "check_output_path", "format_yaml", "replace_folder_atomically", "save_yaml", "write_atomically", "write_text",
+]  # fmt: skip

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import InputError
-from calgraph.io import replacing
+from calgraph.io import write_atomically
 
 # What zipfile and NumPy raise where bytes are not those that were written.
-_DAMAGE = (
+_DAMAGE_ERRORS = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError, OverflowError, RuntimeError,
     ValueError,
 )  # fmt: skip
@@ -44,7 +44,7 @@ def write_archive(
     Raises:
         InputError: ``path`` cannot be written.
     """
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", compression) as archive:
+    with write_atomically(path) as temporary, zipfile.ZipFile(temporary, "w", compression) as archive:
         _add(archive, member, json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1).encode())
         for name, array in arrays.items():
             stream = BytesIO()
@@ -67,11 +67,11 @@ def read_archive(path: Path, member: str, format: str) -> tuple[dict[str, Any], 
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    with _damage_named(path):
+    with _wrap_damage_errors(path):
         archive = zipfile.ZipFile(BytesIO(data))
     if member not in archive.namelist():
         raise InputError(f"{path}: has no member {member}; it is not a file of the format {format}")
-    with _damage_named(path, member):
+    with _wrap_damage_errors(path, member):
         content = json.loads(archive.read(member))
     given = content.get("format") if isinstance(content, dict) else None
     if given != format:
@@ -83,7 +83,7 @@ def read_archive(path: Path, member: str, format: str) -> tuple[dict[str, Any], 
 def _arrays(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:
     for name in archive.namelist():
         if name.endswith(".npy"):
-            with _damage_named(path, name):
+            with _wrap_damage_errors(path, name):
                 # Whole, as only then the checksum is compared.
                 stream = BytesIO(archive.read(name))
                 array = np.lib.format.read_array(stream, allow_pickle=False)
@@ -96,9 +96,9 @@ def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
 
 
 @contextmanager
-def _damage_named(path: Path, member: str = "") -> Iterator[None]:
+def _wrap_damage_errors(path: Path, member: str = "") -> Iterator[None]:
     try:
         yield
-    except _DAMAGE as error:
+    except _DAMAGE_ERRORS as error:
         what = f"its member {member} is damaged" if member else "is truncated, damaged, or not a ZIP file"
         raise InputError(f"{path}: {what} ({str(error) or type(error).__name__}); write it again") from error

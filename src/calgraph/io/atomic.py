@@ -11,25 +11,25 @@ from calgraph.errors import InputError
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def write_atomically(path: Path) -> Iterator[Path]:
     """A temporary name beside ``path`` to write to; it becomes ``path`` if the block ends without an error.
 
     Raises:
         InputError: the folder of ``path`` does not exist or cannot be written to, or ``path`` is a folder.
 
     """
-    check_place(path)
+    check_output_path(path)
     # Same folder, hence same file system: the rename is then one step for everybody who looks.
-    temporary = path.parent / _unfinished(path)
+    temporary = path.parent / _temporary_name(path)
     try:
-        with _blamed_on(path):
+        with _wrap_errors(path):
             yield temporary
             temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def check_place(path: Path) -> None:
+def check_output_path(path: Path) -> None:
     """Refuses a place where no file can be, before work begins that is to end in one.
 
     Raises:
@@ -43,7 +43,7 @@ def check_place(path: Path) -> None:
 
 
 @contextmanager
-def replacing_folder(path: Path) -> Iterator[Path]:
+def replace_folder_atomically(path: Path) -> Iterator[Path]:
     """A temporary folder whose files move into the folder ``path`` if the block ends without an error.
 
     ``path`` is made if it is missing. Its other files stay; files of the same name are replaced, each in one
@@ -55,32 +55,32 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, a folder is to be written there")
-    with _blamed_on(path):
-        temporary = _folder_for(path)
+    with _wrap_errors(path):
+        temporary = _make_temporary_folder(path)
     try:
         yield temporary
-        with _blamed_on(path):
-            _hand_over(temporary, path)
+        with _wrap_errors(path):
+            _move_into_place(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a whole text file (UTF-8) in one step, as :func:`replacing` does."""
-    with replacing(path) as temporary:
+    """Writes a whole text file (UTF-8) in one step, as :func:`write_atomically` does."""
+    with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _folder_for(path: Path) -> Path:
+def _make_temporary_folder(path: Path) -> Path:
     """An empty folder on the file system of ``path``: inside it if it exists (it may be a mount point)."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = (path if path.exists() else path.parent) / _unfinished(path)
+    temporary = (path if path.exists() else path.parent) / _temporary_name(path)
     temporary.mkdir()
     return temporary
 
 
-def _hand_over(temporary: Path, path: Path) -> None:
+def _move_into_place(temporary: Path, path: Path) -> None:
     if path.exists():
         for entry in sorted(temporary.iterdir()):
             _move(entry, path / entry.name)
@@ -94,12 +94,12 @@ def _move(source: Path, target: Path) -> None:
     source.replace(target)
 
 
-def _unfinished(path: Path) -> str:
+def _temporary_name(path: Path) -> str:
     return f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
 
 
 @contextmanager
-def _blamed_on(path: Path) -> Iterator[None]:
+def _wrap_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

@@ -54,7 +54,9 @@ class Table:
         Raises:
             InputError: a column is missing, or is not as the table says; the message starts with its name.
         """
-        fields = {field: _values(f"{self.name}/{field}", column, arrays) for field, column in self.columns.items()}
+        fields = {
+            field: _read_column(f"{self.name}/{field}", column, arrays) for field, column in self.columns.items()
+        }
         first, *others = fields
         for field in others:
             if len(fields[field]) != len(fields[first]):
@@ -84,17 +86,17 @@ INDEX = Column(dtype=np.int64)
 NUMBER = Column()
 
 
-def _values(name: str, column: Column, arrays: Arrays) -> list[Any]:
-    array = _checked(name, column, arrays)
+def _read_column(name: str, column: Column, arrays: Arrays) -> list[Any]:
+    array = _check_column(name, column, arrays)
     if column.ragged:
-        rows = _checked(f"{name}.rows", INDEX, arrays)
+        rows = _check_column(f"{name}.rows", INDEX, arrays)
         if (rows < 0).any() or rows.sum() != len(array):
             raise InputError(f"{name}.rows: must be 0 or more and sum up to the {len(array)} rows of {name}")
         return [part.copy() for part in np.split(array, np.cumsum(rows))[:-1]]
     return [value.copy() for value in array] if column.shape else array.tolist()
 
 
-def _checked(name: str, column: Column, arrays: Arrays) -> NDArray[Any]:
+def _check_column(name: str, column: Column, arrays: Arrays) -> NDArray[Any]:
     if name not in arrays:
         raise InputError(f"{name}: is missing")
     array = arrays[name]

@@ -36,7 +36,7 @@ def read_yaml(path: Path) -> dict[Any, Any]:
     except YAMLError as error:
         raise InputError(f"{path}{_explain_syntax(error)}") from error
     if not isinstance(content, dict):
-        raise InputError(f"{path}: must hold a mapping of keys to values, not {_shown(content)}")
+        raise InputError(f"{path}: must hold a mapping of keys to values, not {_format_value(content)}")
     return content
 
 
@@ -69,7 +69,7 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error
 
 
-def validated(model: type[Model], content: dict[Any, Any], source: Path) -> Model:
+def validate_content(model: type[Model], content: dict[Any, Any], source: Path) -> Model:
     """``content`` as a ``model``.
 
     Raises:
@@ -98,7 +98,7 @@ def _explain_syntax(error: YAMLError) -> str:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Location:
     """Where in the file an error is."""
 
     path: list[Any]
@@ -112,37 +112,38 @@ class _Place:
 
 
 def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
-    place = _walk(model, details["loc"])
+    place = _locate(model, details["loc"])
     path, owner = place.path, place.owner
     kind, given, context = details["type"], details["input"], details.get("ctx", {})
     if kind == "calgraph":
-        return f"{_written([*path, context['key']])}: {context['message']}"
+        return f"{_format_path([*path, context['key']])}: {context['message']}"
     if kind == "extra_forbidden" and owner is not None:
-        return f"unknown key {_written(path)}{_nearest(path[-1], owner.model_fields)}"
+        return f"unknown key {_format_path(path)}{_suggest_key(path[-1], owner.model_fields)}"
     if kind == "missing" and path and isinstance(path[-1], int):
-        # pydantic reports each absent element of a fixed-length list; the list is what the user has to mend.
-        return f"{_written(path[:-1])}: must have {len(get_args(place.around))} elements, got {_shown(given)}"
+        # pydantic reports each absent element of a fixed-length list; the user has to correct the list.
+        count = len(get_args(place.around))
+        return f"{_format_path(path[:-1])}: must have {count} elements, got {_format_value(given)}"
     if kind == "missing":
-        return f"{_written(path)}: is missing{_description(owner, path)}"
+        return f"{_format_path(path)}: is missing{_describe_field(owner, path)}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        return _explain_kind(path, given, _kinds(place.annotation))
-    allowed = _allowed(kind, context) or _lowered(details["msg"])
+        return _explain_kind(path, given, _allowed_kinds(place.annotation))
+    allowed = _describe_constraint(kind, context) or _lowercase_first(details["msg"])
     if kind == "value_error" and isinstance(given, dict):
         # A validator of a whole part speaks of the values that contradict each other itself.
-        return f"{_written(path)}: {allowed}"
-    return f"{_written(path)}: {allowed}, got {_shown(given)}"
+        return f"{_format_path(path)}: {allowed}"
+    return f"{_format_path(path)}: {allowed}, got {_format_value(given)}"
 
 
 def _explain_kind(path: list[Any], given: Any, allowed: list[str]) -> str:
     """A part with alternatives whose key ``kind`` is absent or not one of them."""
     listed = ", ".join(allowed)
     if not isinstance(given, dict):
-        return f"{_written(path)}: must be a mapping with the key kind ({listed}), got {_shown(given)}"
+        return f"{_format_path(path)}: must be a mapping with the key kind ({listed}), got {_format_value(given)}"
     if "kind" not in given:
-        return f"{_written([*path, 'kind'])}: is missing; allowed are {listed}"
+        return f"{_format_path([*path, 'kind'])}: is missing; allowed are {listed}"
     close = difflib.get_close_matches(str(given["kind"]), allowed, n=1, cutoff=0.6)
     hint = f"; did you mean {close[0]!r}?" if close else ""
-    return f"{_written([*path, 'kind'])}: must be one of {listed}, got {_shown(given['kind'])}{hint}"
+    return f"{_format_path([*path, 'kind'])}: must be one of {listed}, got {_format_value(given['kind'])}{hint}"
 
 
 _TYPES = {
@@ -173,17 +174,17 @@ _LIMITS = {
 }
 
 
-def _allowed(kind: str, context: dict[str, Any]) -> str | None:
+def _describe_constraint(kind: str, context: dict[str, Any]) -> str | None:
     numbers = {key: f"{value:g}" if isinstance(value, float) else value for key, value in context.items()}
     return _TYPES.get(kind) or (_LIMITS[kind].format(**numbers) if kind in _LIMITS else None)
 
 
-def _lowered(message: str) -> str:
+def _lowercase_first(message: str) -> str:
     message = message.removeprefix("Value error, ")
     return message[:1].lower() + message[1:]
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     """A value as its author would recognise it in the file."""
     if value is None:
         return "nothing"
@@ -195,32 +196,34 @@ def _shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _description(owner: type[BaseModel] | None, path: list[Any]) -> str:
+def _describe_field(owner: type[BaseModel] | None, path: list[Any]) -> str:
     field = owner.model_fields.get(str(path[-1])) if owner else None
     return f" ({field.description.splitlines()[0].rstrip('.')})" if field and field.description else ""
 
 
-def _nearest(key: Any, known: Iterable[str]) -> str:
+def _suggest_key(key: Any, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(str(key), known, n=1, cutoff=0.6)
     return f"; did you mean {close[0]!r}?" if close else f"; known here are {', '.join(known)}"
 
 
-def _written(path: list[Any]) -> str:
+def _format_path(path: list[Any]) -> str:
     """The path as one writes about it: ``target.tags[0].size``."""
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in path if part != ""]
     return "".join(parts).lstrip(".") or "the file"
 
 
-def _walk(model: type[BaseModel], location: tuple[int | str, ...]) -> _Place:
+def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Location:
     """The place in the file, and in the types, of pydantic's location."""
     annotation: Any = model
     around: Any = None
     path: list[Any] = []
     owner: type[BaseModel] | None = None
     for part in location:
-        annotation = _unwrapped(annotation)
-        if _members(annotation):
-            annotation = next((member for member in _members(annotation) if _tag(member) == part), None)
+        annotation = _unwrap(annotation)
+        if _union_members(annotation):
+            annotation = next(
+                (member for member in _union_members(annotation) if _discriminator_tag(member) == part), None
+            )
             continue
         origin, around = get_origin(annotation), annotation
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -234,38 +237,38 @@ def _walk(model: type[BaseModel], location: tuple[int | str, ...]) -> _Place:
         else:
             break  # pydantic's own remarks, such as [key]
         path.append(part)
-    return _Place(path, owner, around, _unwrapped(annotation))
+    return _Location(path, owner, around, _unwrap(annotation))
 
 
-def _unwrapped(annotation: Any) -> Any:
+def _unwrap(annotation: Any) -> Any:
     """A type without its constraints and without the None of an optional value."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
-    members = _members(annotation)
-    return _unwrapped(members[0]) if len(members) == 1 else annotation
+    members = _union_members(annotation)
+    return _unwrap(members[0]) if len(members) == 1 else annotation
 
 
-def _members(annotation: Any) -> list[Any]:
+def _union_members(annotation: Any) -> list[Any]:
     """The alternatives of a union; none for any other type."""
     if get_origin(annotation) not in (Union, types.UnionType):
         return []
     return [member for member in get_args(annotation) if member is not type(None)]
 
 
-def _tag(member: Any) -> str | None:
+def _discriminator_tag(member: Any) -> str | None:
     """The tag by which a union chooses ``member``: stated, or the one value of its key kind."""
     if get_origin(member) is Annotated:
         inner, *metadata = get_args(member)
-        return next((m.tag for m in metadata if isinstance(m, pydantic.Tag)), _tag(inner))
-    return _kind(member)
+        return next((m.tag for m in metadata if isinstance(m, pydantic.Tag)), _discriminator_tag(inner))
+    return _kind_of_model(member)
 
 
-def _kind(member: Any) -> str | None:
-    model = _unwrapped(member)
+def _kind_of_model(member: Any) -> str | None:
+    model = _unwrap(member)
     is_model = isinstance(model, type) and issubclass(model, BaseModel)
     return str(get_args(model.model_fields["kind"].annotation)[0]) if is_model else None
 
 
-def _kinds(annotation: Any) -> list[str]:
+def _allowed_kinds(annotation: Any) -> list[str]:
     """The values that ``kind`` may have in a union of models."""
-    return [kind for member in _members(annotation) if (kind := _kind(member))]
+    return [kind for member in _union_members(annotation) if (kind := _kind_of_model(member))]

@@ -14,7 +14,7 @@ from ruamel.yaml.representer import RoundTripRepresenter
 from calgraph.io.atomic import write_text
 
 
-def yaml_text(content: Mapping[str, Any], comment: str = "") -> str:
+def format_yaml(content: Mapping[str, Any], comment: str = "") -> str:
     """Plain values as YAML, innermost lists and mappings on one line, below a comment."""
     yaml = YAML()
     yaml.Representer = _Representer
@@ -26,7 +26,7 @@ def yaml_text(content: Mapping[str, Any], comment: str = "") -> str:
     return "".join(f"# {line}\n" for line in comment.splitlines()) + stream.getvalue()
 
 
-def number_text(value: float) -> str:
+def format_yaml_number(value: float) -> str:
     """A number as YAML has it, to the last bit.
 
     0.000001 becomes 1.0e-06: readers of YAML 1.1 (ROS) take ruamel's 1e-06 for a text.
@@ -42,10 +42,10 @@ def save_yaml(path: Path, content: Mapping[str, Any], comment: str = "") -> None
         InputError: ``path`` cannot be written.
 
     """
-    write_text(path, yaml_text(content, comment))
+    write_text(path, format_yaml(content, comment))
 
 
-def on_one_line(values: Iterable[object]) -> CommentedSeq:
+def flow_sequence(values: Iterable[object]) -> CommentedSeq:
     """A list that is written on one line whatever stands around it."""
     sequence = CommentedSeq(values)
     sequence.fa.set_flow_style()
@@ -53,10 +53,10 @@ def on_one_line(values: Iterable[object]) -> CommentedSeq:
 
 
 class _Representer(RoundTripRepresenter):
-    """Writes numbers as :func:`number_text` does."""
+    """Writes numbers as :func:`format_yaml_number` does."""
 
     def represent_number(self, value: float) -> ScalarNode:
-        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", number_text(value))
+        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", format_yaml_number(value))
         return node
 
 

@@ -9,7 +9,7 @@ from calgraph.config import Board, Tag
 from calgraph.config.strict_model import StrictModel
 from calgraph.config.target import AtLeastOne, Index, Length, Pair
 from calgraph.errors import InputError
-from calgraph.io.yaml_reading import validated
+from calgraph.io.yaml_reading import validate_content
 from calgraph.printing.paper import MARGIN
 
 BoardKind = Literal["tags", "aprilgrid", "charuco", "checkerboard"]
@@ -77,7 +77,7 @@ def design(size: Pair, wishes: Wishes) -> Board:
             f"--size: leaves no room for a print within a rim of {_RIM:g} mm, got {size[0]:g}x{size[1]:g}"
         )
     content = {"size": [_m(length) for length in size], **_DESIGNS[wishes.kind](room, wishes)}
-    return validated(Board, content, Path("the board asked for"))
+    return validate_content(Board, content, Path("the board asked for"))
 
 
 def _tags(room: Pair, wishes: Wishes) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from string import ascii_uppercase
 
 import numpy as np
 
-from calgraph.config import Board, ink
+from calgraph.config import Board, black_rectangles
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.printing.paper import MARGIN, Paper
@@ -84,7 +84,7 @@ class Page:
 
 def sheet_ink(board: Board) -> Array:
     """The print as black rectangles (N, 4): left, bottom, right, top on the sheet, mm."""
-    return MM * (ink(board) + 0.5 * np.array([*board.size, *board.size]))
+    return MM * (black_rectangles(board) + 0.5 * np.array([*board.size, *board.size]))
 
 
 def lay_out(board: Board, paper: Paper | None = None, overlap: float = 10.0) -> tuple[Page, ...]:

@@ -9,7 +9,7 @@ from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
-from calgraph.io import replacing
+from calgraph.io import write_atomically
 from calgraph.printing.pages import MM, Page, sheet_ink
 
 _HAIRLINE = 0.1
@@ -33,7 +33,7 @@ def write_pdf(path: Path, boards: Sequence[tuple[Board, Sequence[Page]]]) -> Non
         InputError: ``path`` cannot be written.
 
     """
-    with replacing(path) as temporary:
+    with write_atomically(path) as temporary:
         canvas = Canvas(str(temporary), invariant=1, pageCompression=1)
         canvas.setTitle("calgraph board")
         canvas.setCreator("calgraph")

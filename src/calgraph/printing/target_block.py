@@ -10,12 +10,12 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from calgraph.config import AprilGrid, Board, Rig
-from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.strict_model import StrictModel
 from calgraph.config.target import Target
 from calgraph.errors import InputError
-from calgraph.io import yaml_text
-from calgraph.io.yaml_reading import read_text, read_yaml, validated
+from calgraph.io import format_yaml
+from calgraph.io.yaml_reading import read_text, read_yaml, validate_content
 
 _COMMENT = """\
 The printed board, in m. Measure the print with its rulers: printers change scales.
@@ -31,14 +31,14 @@ class _TargetOnly(StrictModel):
 
     @model_validator(mode="after")
     def _told_apart(self) -> "_TargetOnly":
-        check_told_apart(self.target if isinstance(self.target, tuple) else ())
+        check_boards_distinguishable(self.target if isinstance(self.target, tuple) else ())
         return self
 
 
 def target_block(boards: Sequence[Board]) -> str:
     """``target:`` with one board or a list of them, as YAML with a comment."""
     plain = [_plain(board) for board in boards]
-    return yaml_text({"target": plain[0] if len(plain) == 1 else plain}, _COMMENT)
+    return format_yaml({"target": plain[0] if len(plain) == 1 else plain}, _COMMENT)
 
 
 def put_target(path: Path, boards: Sequence[Board]) -> str:
@@ -57,7 +57,7 @@ def put_target(path: Path, boards: Sequence[Board]) -> str:
         raise InputError(
             f"{path}: its target is written in a way that cannot be replaced; paste the block by hand"
         )
-    validated(Rig, after, path)
+    validate_content(Rig, after, path)
     return changed
 
 
@@ -69,7 +69,9 @@ def read_boards(path: Path) -> tuple[Board, ...]:
 
     """
     content = read_yaml(path)
-    target = validated(_TargetOnly, {key: content[key] for key in ("target",) if key in content}, path).target
+    target = validate_content(
+        _TargetOnly, {key: content[key] for key in ("target",) if key in content}, path
+    ).target
     if isinstance(target, Board):
         return (target,)
     if isinstance(target, tuple):

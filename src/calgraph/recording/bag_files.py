@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import RecordingError
-from calgraph.recording.recording import TopicInfo, blamed_on
+from calgraph.recording.recording import TopicInfo, wrap_errors
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -54,17 +54,17 @@ def find_bag_files(path: Path) -> BagFiles | None:
         return BagFiles((path,), ()) if is_storage(path) else None
     if (path / "metadata.yaml").is_file():
         return _from_metadata(path)
-    files = sorted((file for file in path.iterdir() if file.is_file() and is_storage(file)), key=_natural)
+    files = sorted((file for file in path.iterdir() if file.is_file() and is_storage(file)), key=_natural_sort_key)
     return BagFiles(tuple(files), ()) if files else None
 
 
-def unpacked(file: Path, stack: ExitStack) -> Path:
+def decompress_storage(file: Path, stack: ExitStack) -> Path:
     """The storage file itself, or an uncompressed copy that lives as long as the stack."""
     if file.suffix not in _ZSTD_SUFFIXES:
         return file
     copy = Path(stack.enter_context(TemporaryDirectory(prefix="calgraph-"))) / file.stem
     with (
-        blamed_on(file, "the compressed file is incomplete or damaged: copy it again"),
+        wrap_errors(file, "the compressed file is incomplete or damaged: copy it again"),
         zstd.open(file, "rb") as packed,
         copy.open("wb") as plain,
     ):
@@ -72,7 +72,7 @@ def unpacked(file: Path, stack: ExitStack) -> Path:
     return copy
 
 
-def unpacked_message(raw: bytes) -> bytes:
+def decompress_message(raw: bytes) -> bytes:
     """A message's bytes without rosbag2's per-message compression.
 
     Neither CDR nor ROS 1 messages of use here start with zstd's magic number, so this works without metadata.
@@ -114,7 +114,7 @@ def _from_metadata(folder: Path) -> BagFiles:
         content = YAML(typ="safe").load(metadata_path.read_text(encoding="utf-8"))
         metadata: Mapping[str, Any] = content["rosbag2_bagfile_information"]
         files = tuple(folder / PurePath(name).name for name in metadata["relative_file_paths"])
-        stated = tuple(_stated(entry) for entry in metadata.get("topics_with_message_count") or ())
+        stated = tuple(_topic_from_metadata(entry) for entry in metadata.get("topics_with_message_count") or ())
     except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise RecordingError(f"{metadata_path}: is not the metadata of a rosbag2 ({reason}); {advice}") from error
@@ -124,11 +124,11 @@ def _from_metadata(folder: Path) -> BagFiles:
     return BagFiles(files, stated)
 
 
-def _stated(entry: Mapping[str, Any]) -> TopicInfo:
+def _topic_from_metadata(entry: Mapping[str, Any]) -> TopicInfo:
     topic = entry["topic_metadata"]
     return TopicInfo(str(topic["name"]), str(topic["type"]), int(entry["message_count"]))
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
     """Sorts part_2 before part_10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

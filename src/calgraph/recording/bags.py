@@ -15,17 +15,17 @@ from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
 from calgraph.errors import RecordingError
-from calgraph.recording.bag_files import BagFiles, check_sqlite, unpacked, unpacked_message
+from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType, message_type
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,
-    blamed_on,
-    counted,
-    in_order_of_arrival,
-    joined_topics,
-    wanted_topics,
+    check_message_counts,
+    merge_by_arrival,
+    merge_topics,
+    select_topics,
+    wrap_errors,
 )
 from calgraph.sensors import RecordedMessage
 
@@ -60,8 +60,8 @@ class BagRecording(ClosedOnExit):
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[RecordedMessage]:
         """The messages in order of arrival; see :meth:`Recording.records`."""
-        wanted = wanted_topics(self.path, self.topics, topics)
-        records = in_order_of_arrival(
+        wanted = select_topics(self.path, self.topics, topics)
+        records = merge_by_arrival(
             (reader.start_time / 1e9, self._records_of(reader, wanted, start, end))
             for reader in self._readers
             if reader.message_count
@@ -69,7 +69,7 @@ class BagRecording(ClosedOnExit):
         if start is not None or end is not None:
             return records
         stated = {topic.name: topic.count for topic in self.topics if topic.name in wanted}
-        return counted(
+        return check_message_counts(
             self.path, records, stated, cause="a file is missing or was not closed: copy it again or reindex it"
         )
 
@@ -80,8 +80,8 @@ class BagRecording(ClosedOnExit):
     def _open(self, file: Path) -> Reader1 | Reader2:
         if file.stat().st_size == 0:
             raise RecordingError(f"{file}: is empty; copy it again")
-        storage = unpacked(file, self._stack)
-        with blamed_on(file, _ADVICE[storage.suffix].format(name=file.name)):
+        storage = decompress_storage(file, self._stack)
+        with wrap_errors(file, _ADVICE[storage.suffix].format(name=file.name)):
             if storage.suffix == ".db3":
                 check_sqlite(storage)
             reader = Reader1(storage) if storage.suffix == ".bag" else Reader2(storage)
@@ -99,15 +99,15 @@ class BagRecording(ClosedOnExit):
         stop_ns = None if end is None else math.ceil(end * 1e9) + _MARGIN_NS
         ros1 = isinstance(reader, Reader1)
         path = Path(str(reader.path))
-        with blamed_on(path, _ADVICE[path.suffix].format(name=path.name)):
+        with wrap_errors(path, _ADVICE[path.suffix].format(name=path.name)):
             for connection, arrival_ns, raw in reader.messages(connections, start_ns, stop_ns):
                 arrival = arrival_ns / 1e9
                 if (start is None or arrival >= start) and (end is None or arrival <= end):
-                    yield self._record(connection, arrival, unpacked_message(raw), ros1=ros1)
+                    yield self._record(connection, arrival, decompress_message(raw), ros1=ros1)
 
     def _record(self, connection: Connection, arrival: float, raw: bytes, *, ros1: bool) -> RecordedMessage:
         kind = self._type(connection, ros1=ros1)
-        with blamed_on(f"{self.path}: topic {connection.topic}, arrival {arrival:.6f}"):
+        with wrap_errors(f"{self.path}: topic {connection.topic}, arrival {arrival:.6f}"):
             header_stamp = kind.header_stamp(raw)
         stamp = arrival if header_stamp is None else header_stamp / 1e9
         where = f"{self.path}: topic {connection.topic}, stamp {stamp:.6f}"
@@ -122,12 +122,12 @@ class BagRecording(ClosedOnExit):
 
 def _topics(readers: tuple[Reader1 | Reader2, ...], stated: tuple[TopicInfo, ...]) -> tuple[TopicInfo, ...]:
     """Topics with the larger of the counts that metadata.yaml and the storage files state."""
-    stored = joined_topics(
+    stored = merge_topics(
         TopicInfo(name, topic.connections[0].msgtype, topic.msgcount)
         for reader in readers
         for name, topic in reader.topics.items()
     )
-    counts = {topic.name: topic for topic in joined_topics(stated)}
+    counts = {topic.name: topic for topic in merge_topics(stated)}
     for topic in stored:
         count = max(topic.count, counts.get(topic.name, topic).count)
         counts[topic.name] = TopicInfo(topic.name, topic.type, count)

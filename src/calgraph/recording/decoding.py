@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.recording.images import decompressed, pixels_of_buffer
+from calgraph.recording.images import decode_image, pixels_from_buffer
 from calgraph.recording.intrinsics import camera_model
 from calgraph.recording.message_types import MessageType
-from calgraph.recording.point_cloud_columns import cloud_of_columns, columns_of_point_cloud2
-from calgraph.recording.recording import blamed_on
+from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
+from calgraph.recording.recording import wrap_errors
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
 
 
@@ -30,7 +30,7 @@ def decode(kind: MessageType, raw: bytes, stamp: float, where: str) -> Message:
     decoder = _DECODERS.get(kind.name)
     if decoder is None:
         return Trigger(stamp)
-    with blamed_on(where):
+    with wrap_errors(where):
         return decoder(kind.deserialize(raw), stamp)
 
 
@@ -47,11 +47,11 @@ def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
     if not np.isfinite([message.angle_min, message.angle_increment, message.time_increment]).all():
         raise ValueError("angle_min, angle_increment and time_increment must be finite")
     angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
-    ranges = within_limits(ranges, message.range_min, message.range_max)
+    ranges = mask_out_of_range(ranges, message.range_min, message.range_max)
     return LaserScan(stamp, message.header.frame_id, angles, ranges, float(message.time_increment))
 
 
-def within_limits(ranges: Array, nearest: float, farthest: float) -> Array:
+def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:
     """Ranges with NaN where they are outside the scanner's limits, m; limits left at zero or NaN do not count."""
     inside = ranges > 0
     if nearest > 0:
@@ -62,11 +62,11 @@ def within_limits(ranges: Array, nearest: float, farthest: float) -> Array:
 
 
 def _point_cloud2(message: Any, stamp: float) -> PointCloud:
-    return cloud_of_columns(columns_of_point_cloud2(message), stamp, message.header.frame_id)
+    return cloud_from_columns(columns_from_point_cloud2(message), stamp, message.header.frame_id)
 
 
 def _image(message: Any, stamp: float) -> Image:
-    pixels = pixels_of_buffer(
+    pixels = pixels_from_buffer(
         np.asarray(message.data, dtype=np.uint8),
         message.height,
         message.width,
@@ -78,7 +78,7 @@ def _image(message: Any, stamp: float) -> Image:
 
 
 def _compressed_image(message: Any, stamp: float) -> Image:
-    pixels = decompressed(np.asarray(message.data, dtype=np.uint8), message.format)
+    pixels = decode_image(np.asarray(message.data, dtype=np.uint8), message.format)
     return Image(stamp, message.header.frame_id, pixels)
 
 
@@ -92,10 +92,10 @@ def _camera_info(message: Any, stamp: float) -> CameraInfo:
         np.asarray(message.K if K is None else K),
         np.asarray(message.D if D is None else D),
     )
-    return CameraInfo(stamp, message.header.frame_id, _cropped_and_binned(full, message))
+    return CameraInfo(stamp, message.header.frame_id, _crop_and_bin(full, message))
 
 
-def _cropped_and_binned(full: CameraModel, message: Any) -> CameraModel:
+def _crop_and_bin(full: CameraModel, message: Any) -> CameraModel:
     """The model of the pixels published: CameraInfo states K for the full, unbinned sensor."""
     x_bin, y_bin = max(message.binning_x, 1), max(message.binning_y, 1)
     roi = message.roi

@@ -13,14 +13,14 @@ from ruamel.yaml import YAML
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.recording.decoding import within_limits
-from calgraph.recording.images import decompressed
-from calgraph.recording.intrinsics import camera_of_yaml
+from calgraph.recording.decoding import mask_out_of_range
+from calgraph.recording.images import decode_image
+from calgraph.recording.intrinsics import camera_from_yaml
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
-from calgraph.recording.point_cloud_columns import cloud_of_columns
-from calgraph.recording.record_list import ListedRecording
-from calgraph.recording.recording import blamed_on
+from calgraph.recording.point_cloud_columns import cloud_from_columns
+from calgraph.recording.record_list import IndexedRecording
+from calgraph.recording.recording import wrap_errors
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage
 
 CAMERA_INFO = "camera_info.yaml"
@@ -36,7 +36,7 @@ class _File:
     path: Path
 
 
-class FolderRecording(ListedRecording):
+class FolderRecording(IndexedRecording):
     """A folder with one folder of files a sensor; its topics are the names of those folders.
 
     A file's name is its stamp and its arrival. A ``camera_info.yaml`` is one message on the topic
@@ -57,7 +57,7 @@ class FolderRecording(ListedRecording):
         )
 
 
-def stamp_of_name(name: str) -> float | None:
+def parse_stamp(name: str) -> float | None:
     """The stamp in a file's name without suffix: seconds, or nanoseconds if it has 19 digits; else None."""
     if re.fullmatch(r"\d{19}", name):
         return int(name) / 1e9
@@ -70,7 +70,7 @@ def _files(folder: Path) -> list[_File]:
         suffix = _suffix(path)
         if suffix is None or path.name.startswith("."):
             continue
-        stamp = stamp_of_name(path.name[: -len(suffix)])
+        stamp = parse_stamp(path.name[: -len(suffix)])
         if stamp is None:
             raise InputError(f"{path}: is not named by its time: <seconds>{suffix} or 19 digits of nanoseconds")
         files.append(_File(stamp, folder.name, path))
@@ -91,13 +91,13 @@ def _kind(path: Path) -> str:
         return "camera_info"
     suffix = _suffix(path)
     if suffix == ".npz":
-        with blamed_on(path), np.load(path, allow_pickle=False) as arrays:
+        with wrap_errors(path), np.load(path, allow_pickle=False) as arrays:
             return "scan" if "ranges" in arrays else "cloud"
     return {".csv": "scan", ".pcd": "cloud", ".pcd.gz": "cloud", ".ply": "cloud"}.get(suffix or "", "image")
 
 
 def _decode(file: _File) -> Message:
-    with blamed_on(f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"):
+    with wrap_errors(f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"):
         if file.path.name == CAMERA_INFO:
             return _camera_info(file.path, file.stamp)
         return _READERS[_suffix(file.path) or ""](file.path, file.stamp)
@@ -107,19 +107,19 @@ def _camera_info(path: Path, stamp: float) -> CameraInfo:
     content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
     if not isinstance(content, dict):
         raise ValueError("must hold the keys of a CameraInfo")
-    return CameraInfo(stamp, "", camera_of_yaml(content))
+    return CameraInfo(stamp, "", camera_from_yaml(content))
 
 
 def _image(path: Path, stamp: float) -> Image:
-    return Image(stamp, "", decompressed(np.fromfile(path, np.uint8)))
+    return Image(stamp, "", decode_image(np.fromfile(path, np.uint8)))
 
 
 def _pcd(path: Path, stamp: float) -> PointCloud:
-    return cloud_of_columns(read_pcd(path), stamp)
+    return cloud_from_columns(read_pcd(path), stamp)
 
 
 def _ply(path: Path, stamp: float) -> PointCloud:
-    return cloud_of_columns(read_ply(path), stamp)
+    return cloud_from_columns(read_ply(path), stamp)
 
 
 def _npz(path: Path, stamp: float) -> Message:
@@ -133,7 +133,7 @@ def _npz(path: Path, stamp: float) -> Message:
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points must have the shape (N, 3), got {points.shape}")
     columns = {name: values.ravel() for name, values in arrays.items() if values.size == len(points)}
-    return cloud_of_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, stamp)
+    return cloud_from_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, stamp)
 
 
 def _csv(path: Path, stamp: float) -> LaserScan:
@@ -153,15 +153,15 @@ def _scan(values: Mapping[str, NDArray[Any]], stamp: float) -> LaserScan:
     missing = [name for name in ("angle_min", "angle_increment") if name not in values]
     if missing:
         raise ValueError(f"a scan needs {', '.join(_SCAN_COLUMNS)}; {' and '.join(missing)} is missing")
-    own_stamp = _number(values, "stamp", stamp)
-    if abs(own_stamp - stamp) > _STAMP_TOLERANCE:
-        raise ValueError(f"its stamp {own_stamp:.6f} is not that of its name")
+    given_stamp = _number(values, "stamp", stamp)
+    if abs(given_stamp - stamp) > _STAMP_TOLERANCE:
+        raise ValueError(f"its stamp {given_stamp:.6f} is not that of its name")
     ranges: Array = np.asarray(values["ranges"], dtype=np.float64).ravel()
     angles = _number(values, "angle_min") + _number(values, "angle_increment") * np.arange(
         len(ranges), dtype=np.float64
     )
     increment = _number(values, "time_increment", 0.0)
-    return LaserScan(stamp, "", angles, within_limits(ranges, 0.0, np.inf), increment)
+    return LaserScan(stamp, "", angles, mask_out_of_range(ranges, 0.0, np.inf), increment)
 
 
 def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.nan) -> float:

@@ -37,7 +37,7 @@ _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
 }
 
 
-def pixels_of_buffer(
+def pixels_from_buffer(
     data: Pixels, height: int, width: int, step: int, encoding: str, *, big_endian: bool = False
 ) -> Pixels:
     """Pixels of a ROS Image.
@@ -83,7 +83,7 @@ def pixels_of_buffer(
     return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
 
 
-def decompressed(data: Pixels, declared: str = "") -> Pixels:
+def decode_image(data: Pixels, declared: str = "") -> Pixels:
     """Pixels of a JPEG, PNG or other image file in memory.
 
     Args:
@@ -131,7 +131,7 @@ def to_8_bits(values: NDArray[np.generic]) -> Pixels:
     return np.asarray(np.clip((numbers - low) * (255 / (high - low)) + 0.5, 0, 255), dtype=np.uint8)
 
 
-def encoded(pixels: Pixels, encoding: str) -> tuple[bytes, str]:
+def encode_image(pixels: Pixels, encoding: str) -> tuple[bytes, str]:
     """A PNG or JPEG of the pixels, and the ``format`` of a CompressedImage that holds it.
 
     Args:

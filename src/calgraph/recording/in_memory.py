@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from calgraph.errors import InputError
-from calgraph.recording.record_list import ListedRecording
+from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage, Trigger
 
 _TYPES = {Image: "image", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info", Trigger: "trigger"}
 
 
-class MessageRecording(ListedRecording):
+class MessageRecording(IndexedRecording):
     """Messages by topic as a recording, for scans, clouds and images that are arrays already.
 
     Args:

@@ -28,15 +28,15 @@ _KINDS: dict[str, Kind] = {
     "camera_info": "camera_info",
 }
 _EVENTS = "std_msgs/msg/"
-_FLAT = 1e-3
+_MAX_SCAN_HEIGHT = 1e-3
 """A cloud whose points are all closer to z = 0 than this is a scan, m."""
-_LONG_GAP = 4.0
+_MAX_GAP_PERIODS = 4.0
 """A gap longer than this many periods is worth a remark."""
-_LATENCY = 1.0
+_MAX_LATENCY = 1.0
 """Stamps older than their arrival by this and two periods of the sensor are of another clock, s."""
-_AHEAD = 0.005
+_MAX_LEAD = 0.005
 """Stamps that are this much newer than their arrival, s, are of another clock."""
-_DRIFT = 0.02
+_MAX_DRIFT = 0.02
 """A clock that runs away from the recorder's by this much over the recording, s, is worth a remark."""
 
 
@@ -90,7 +90,7 @@ class Inspection:
 
 
 @dataclass
-class _Tally:
+class _TopicStatistics:
     """What is kept of a topic while the recording passes by."""
 
     stamps: "array[float]" = field(default_factory=lambda: array("d"))
@@ -101,7 +101,7 @@ class _Tally:
 
 def find_topics(recording: Recording) -> tuple[FoundTopic, ...]:
     """The topics with what a draft of a rig.yaml needs to know; reads one message of each sensor."""
-    return tuple(_found(recording, topic) for topic in recording.topics)
+    return tuple(_summarize_topic(recording, topic) for topic in recording.topics)
 
 
 def inspect_recording(recording: Recording, progress: Callable[[float], None]) -> Inspection:
@@ -111,53 +111,55 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
         recording: open recording.
         progress: told how much of it is read, 0..1.
     """
-    tallies = {topic.name: _Tally() for topic in recording.topics}
+    statistics = {topic.name: _TopicStatistics() for topic in recording.topics}
     damage = ""
     duration = recording.end - recording.start
     try:
         for record in recording.records():
-            _count(tallies[record.topic], record)
+            _add_record(statistics[record.topic], record)
             progress((record.arrival - recording.start) / max(duration, 1e-9))
     except RecordingError as error:
         damage = str(error)
     return Inspection(
-        duration, tuple(_report(topic, tallies[topic.name], recording.start) for topic in recording.topics), damage
+        duration,
+        tuple(_report(topic, statistics[topic.name], recording.start) for topic in recording.topics),
+        damage,
     )
 
 
-def _found(recording: Recording, topic: TopicInfo) -> FoundTopic:
-    tally = _Tally()
+def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
+    statistics = _TopicStatistics()
     if _kind(topic.type) in (*SENSORS, "camera_info"):
         for record in recording.records([topic.name]):
-            _count(tally, record)
+            _add_record(statistics, record)
             break
-    kind = _kind(topic.type, tally.first)
-    return FoundTopic(topic.name, topic.type, kind, topic.count, _frame(tally.first), tally.problem)
+    kind = _kind(topic.type, statistics.first)
+    return FoundTopic(topic.name, topic.type, kind, topic.count, _frame(statistics.first), statistics.problem)
 
 
 def _kind(message_type: str, first: Message | None = None) -> Kind:
     """What a topic of this type is good for; some drivers send the scans of 2-D scanners as clouds with z = 0."""
-    if isinstance(first, PointCloud) and len(first.points) and np.abs(first.points[:, 2]).max() < _FLAT:
+    if isinstance(first, PointCloud) and len(first.points) and np.abs(first.points[:, 2]).max() < _MAX_SCAN_HEIGHT:
         return "lidar2d"
     return _KINDS.get(message_type, "event" if message_type.startswith(_EVENTS) else "other")
 
 
-def _count(tally: _Tally, record: RecordedMessage) -> None:
-    if not tally.stamps:
+def _add_record(statistics: _TopicStatistics, record: RecordedMessage) -> None:
+    if not statistics.stamps:
         try:
-            tally.first = record.decode()
+            statistics.first = record.decode()
         except RecordingError as error:
             # The recording and the topic are known to whoever reads this.
-            tally.problem = str(error).partition(": topic ")[2].partition(": ")[2] or str(error)
-    tally.stamps.append(record.stamp)
-    tally.arrivals.append(record.arrival)
+            statistics.problem = str(error).partition(": topic ")[2].partition(": ")[2] or str(error)
+    statistics.stamps.append(record.stamp)
+    statistics.arrivals.append(record.arrival)
 
 
-def _report(topic: TopicInfo, tally: _Tally, start: float) -> TopicReport:
-    kind = _kind(topic.type, tally.first)
-    stamps, arrivals = np.array(tally.stamps), np.array(tally.arrivals)
+def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> TopicReport:
+    kind = _kind(topic.type, statistics.first)
+    stamps, arrivals = np.array(statistics.stamps), np.array(statistics.arrivals)
     timing = _timing(stamps, arrivals, start) if len(stamps) else None
-    findings = [f"the first message cannot be used: {tally.problem}"] if tally.problem else []
+    findings = [f"the first message cannot be used: {statistics.problem}"] if statistics.problem else []
     if len(stamps) < topic.count:
         findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
     elif timing is None:
@@ -170,8 +172,8 @@ def _report(topic: TopicInfo, tally: _Tally, start: float) -> TopicReport:
         kind=kind,
         stated=topic.count,
         count=len(stamps),
-        frame_id=_frame(tally.first),
-        content=_content(tally.first),
+        frame_id=_frame(statistics.first),
+        content=_content(statistics.first),
         timing=timing,
         findings=tuple(findings),
     )
@@ -193,32 +195,33 @@ def _findings(stamps: Array, arrivals: Array, timing: Timing, *, has_header: boo
     periods = np.diff(stamps)
     unset = int(np.sum(stamps == arrivals)) if has_header else 0
     if unset:
-        yield f"{_of(unset, len(stamps))} header stamps are zero: the time of arrival is taken"
+        yield f"{_format_share(unset, len(stamps))} header stamps are zero: the time of arrival is taken"
     if backwards := int(np.sum(periods < 0)):
-        most, first = _seconds(-periods.min()), stamps[:-1][periods < 0][0] - stamps[0]
-        yield f"stamps go backwards {_times(backwards)}, by up to {most}, first at {first:.1f} s"
+        most, first = _format_seconds(-periods.min()), stamps[:-1][periods < 0][0] - stamps[0]
+        yield f"stamps go backwards {_format_times(backwards)}, by up to {most}, first at {first:.1f} s"
     if repeated := int(np.sum(periods == 0)):
-        yield f"{_times(repeated)} a message has the stamp of the one before"
-    if timing.rate and (gaps := periods[periods > _LONG_GAP / timing.rate]).size:
-        longest, at = _seconds(gaps.max()), stamps[int(np.argmax(periods))] - stamps[0]
-        yield f"silent for over {_LONG_GAP:.0f} periods {_times(len(gaps))}, longest {longest} at {at:.1f} s"
+        yield f"{_format_times(repeated)} a message has the stamp of the one before"
+    if timing.rate and (gaps := periods[periods > _MAX_GAP_PERIODS / timing.rate]).size:
+        longest, at = _format_seconds(gaps.max()), stamps[int(np.argmax(periods))] - stamps[0]
+        times = _format_times(len(gaps))
+        yield f"silent for over {_MAX_GAP_PERIODS:.0f} periods {times}, longest {longest} at {at:.1f} s"
     yield from _clock_findings(arrivals - stamps, timing, unset)
 
 
 def _clock_findings(delays: Array, timing: Timing, unset: int) -> Iterable[str]:
     """Whether the stamps are of the recorder's clock; they may be as old as the sweep they begin is long."""
-    oldest = _LATENCY + (2 / timing.rate if timing.rate else 0.0)
+    oldest = _MAX_LATENCY + (2 / timing.rate if timing.rate else 0.0)
     _, median, _ = timing.delay
-    if not -_AHEAD <= median <= oldest:
+    if not -_MAX_LEAD <= median <= oldest:
         side = "behind" if median > 0 else "ahead of"
-        yield f"its clock is {_seconds(abs(median))} {side} the recorder's: stamps of different clocks"
+        yield f"its clock is {_format_seconds(abs(median))} {side} the recorder's: stamps of different clocks"
     tenth = len(delays) // 10
     if tenth and not unset:
         # The least delay is the most constant part of it.
         drift = float(delays[-tenth:].min() - delays[:tenth].min())
-        if abs(drift) > _DRIFT:
+        if abs(drift) > _MAX_DRIFT:
             pace = "slow" if drift > 0 else "fast"
-            yield f"its clock runs {pace} against the recorder's, by {_seconds(abs(drift))} in all"
+            yield f"its clock runs {pace} against the recorder's, by {_format_seconds(abs(drift))} in all"
 
 
 def _frame(message: Message | None) -> str:
@@ -244,13 +247,13 @@ def _content(message: Message | None) -> str:
     return ""
 
 
-def _of(count: int, total: int) -> str:
+def _format_share(count: int, total: int) -> str:
     return "all" if count == total else f"{count} of {total}"
 
 
-def _times(count: int) -> str:
+def _format_times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def _seconds(value: float) -> str:
+def _format_seconds(value: float) -> str:
     return f"{1000 * value:.0f} ms" if value < 1 else f"{value:.1f} s"

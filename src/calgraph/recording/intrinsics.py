@@ -33,7 +33,7 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
     return CameraModel(model, int(width), int(height), matrix, distortion)
 
 
-def camera_of_yaml(content: Mapping[str, Any]) -> CameraModel:
+def camera_from_yaml(content: Mapping[str, Any]) -> CameraModel:
     """A camera model from a camera_info.yaml.
 
     Understands the keys of ROS's camera_calibration (``image_width``, ``camera_matrix: {data}``, ...) and those of

@@ -31,7 +31,7 @@ def read_pcd(path: Path) -> Columns:
     if kind == "ascii":
         return _ascii(body, dtype, n)
     if kind == "binary":
-        return _columns(np.frombuffer(_exactly(body, n * dtype.itemsize), dtype, n))
+        return _columns(np.frombuffer(_take_exactly(body, n * dtype.itemsize), dtype, n))
     if kind == "binary_compressed":
         return _by_field(body, dtype, n)
     raise ValueError(f"DATA {kind} is unknown; ascii, binary and binary_compressed are known")
@@ -69,7 +69,7 @@ def decompress_lzf(data: bytes, size: int) -> bytes:
         copied = out[start : start + length]
         # A copy may run into the bytes it has just written: then it repeats them.
         out += (copied * (length // len(copied) + 1))[:length]
-    return _exactly(bytes(out), size)
+    return _take_exactly(bytes(out), size)
 
 
 def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
@@ -124,10 +124,10 @@ def _ascii(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
 
 def _by_field(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
     """Compressed data hold all values of the first field, then all of the second, and so on."""
-    packed, size = (int(value) for value in np.frombuffer(_exactly(body, 8), "<u4", 2))
+    packed, size = (int(value) for value in np.frombuffer(_take_exactly(body, 8), "<u4", 2))
     if size != n * dtype.itemsize:
         raise ValueError(f"has {size} bytes of points, states {n} points of {dtype.itemsize} bytes")
-    plain = decompress_lzf(_exactly(body[8:], packed), size)
+    plain = decompress_lzf(_take_exactly(body[8:], packed), size)
     columns: dict[str, NDArray[Any]] = {}
     position = 0
     for name in dtype.names or ():
@@ -142,7 +142,7 @@ def _columns(points: NDArray[Any]) -> Columns:
     return {name: points[name][:, 0] for name in points.dtype.names or ()}
 
 
-def _exactly(data: bytes, size: int) -> bytes:
+def _take_exactly(data: bytes, size: int) -> bytes:
     if len(data) < size:
         raise ValueError(f"is cut short: {len(data)} bytes of points, {size} expected")
     return data[:size]

@@ -22,11 +22,11 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 _FLOAT_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 _INTEGER_UNITS = (1e-9, 1e-6)
 # No sweep takes longer, s, and none is shorter.
-_LONGEST_SWEEP = 20.0
-_SHORTEST_SWEEP = 1e-3
+_MAX_SWEEP_DURATION = 20.0
+_MIN_SWEEP_DURATION = 1e-3
 
 
-def columns_of_point_cloud2(message: Any) -> Columns:
+def columns_from_point_cloud2(message: Any) -> Columns:
     """The coordinates, rings and times of a PointCloud2, one value a point, rows one after the other.
 
     Raises:
@@ -68,7 +68,7 @@ def _row_step(message: Any, size: int) -> int:
     return row
 
 
-def cloud_of_columns(columns: Columns, stamp: float, frame_id: str = "") -> PointCloud:
+def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> PointCloud:
     """A point cloud from columns (N,) x, y, z and, if there, a ring and a time.
 
     Points that are not finite or lie in the origin are left out: both are ways to say that nothing came back.
@@ -85,11 +85,11 @@ def cloud_of_columns(columns: Columns, stamp: float, frame_id: str = "") -> Poin
     ring_name = next((name for name in _RING_NAMES if name in columns), None)
     rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
     time_name = next((name for name in _TIME_NAMES if name in columns), None)
-    times = None if time_name is None else relative_times(columns[time_name][kept], stamp)
+    times = None if time_name is None else to_relative_times(columns[time_name][kept], stamp)
     return PointCloud(stamp, frame_id, points[kept], rings, times)
 
 
-def relative_times(values: NDArray[Any], stamp: float) -> Array | None:
+def to_relative_times(values: NDArray[Any], stamp: float) -> Array | None:
     """Times of the points relative to the cloud's stamp, s; None where the column makes no sense.
 
     Integers are nanoseconds, floats seconds, unless only another unit gives a sweep of sensible length. Values are
@@ -109,8 +109,8 @@ def relative_times(values: NDArray[Any], stamp: float) -> Array | None:
         low, high = times.min(), times.max()
         if _distance_to(stamp, low, high) < _distance_to(0.0, low, high):
             times, low, high = times - stamp, low - stamp, high - stamp
-        plausible = max(abs(low), abs(high)) <= _LONGEST_SWEEP
-        if plausible and (high == low or high - low >= _SHORTEST_SWEEP):
+        plausible = max(abs(low), abs(high)) <= _MAX_SWEEP_DURATION
+        if plausible and (high == low or high - low >= _MIN_SWEEP_DURATION):
             return times
     _log.debug("times of points between %s and %s make no sense at stamp %s", values.min(), values.max(), stamp)
     return None

@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from calgraph.recording.recording import ClosedOnExit, TopicInfo, wanted_topics
+from calgraph.recording.recording import ClosedOnExit, TopicInfo, select_topics
 from calgraph.sensors import RecordedMessage
 
 
-class ListedRecording(ClosedOnExit):
+class IndexedRecording(ClosedOnExit):
     """Records that are listed beforehand, and decoded when asked for.
 
     Args:
@@ -17,18 +17,18 @@ class ListedRecording(ClosedOnExit):
         types: by topic.
     """
 
-    def __init__(self, path: Path, listed: Sequence[RecordedMessage], types: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, records: Sequence[RecordedMessage], types: Mapping[str, str]) -> None:
         self.path = path
-        self._records = sorted(listed, key=lambda record: (record.arrival, record.topic))
+        self._records = sorted(records, key=lambda record: (record.arrival, record.topic))
         self.start, self.end = self._records[0].arrival, self._records[-1].arrival
-        counts = Counter(record.topic for record in listed)
+        counts = Counter(record.topic for record in records)
         self.topics = tuple(TopicInfo(name, types[name], counts[name]) for name in sorted(counts))
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[RecordedMessage]:
         """The records in order of arrival; see :meth:`Recording.records`."""
-        wanted = wanted_topics(self.path, self.topics, topics)
+        wanted = select_topics(self.path, self.topics, topics)
         return (
             record
             for record in self._records

@@ -98,7 +98,7 @@ class JoinedRecording(ClosedOnExit):
     def __init__(self, recordings: Sequence[Recording]) -> None:
         self._recordings = tuple(recordings)
         self.path = self._recordings[0].path
-        self.topics = joined_topics(topic for part in self._recordings for topic in part.topics)
+        self.topics = merge_topics(topic for part in self._recordings for topic in part.topics)
         self.start = min(part.start for part in self._recordings)
         self.end = max(part.end for part in self._recordings)
 
@@ -106,8 +106,8 @@ class JoinedRecording(ClosedOnExit):
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[RecordedMessage]:
         """The messages of all parts; see :meth:`Recording.records`."""
-        wanted = wanted_topics(self.path, self.topics, topics)
-        return in_order_of_arrival(
+        wanted = select_topics(self.path, self.topics, topics)
+        return merge_by_arrival(
             (part.start, part.records(wanted & {topic.name for topic in part.topics}, start, end))
             for part in self._recordings
         )
@@ -119,7 +119,7 @@ class JoinedRecording(ClosedOnExit):
                 stack.callback(part.close)
 
 
-def joined_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
+def merge_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     """One entry a name, sorted, with the counts added up; a name with several types keeps the first."""
     joined: dict[str, TopicInfo] = {}
     for topic in topics:
@@ -128,7 +128,7 @@ def joined_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     return tuple(joined[name] for name in sorted(joined))
 
 
-def wanted_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[str] | None) -> set[str]:
+def select_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[str] | None) -> set[str]:
     """The names of the topics to read.
 
     Raises:
@@ -144,7 +144,7 @@ def wanted_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[s
     return set(names if wanted is None else wanted)
 
 
-def in_order_of_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]]]) -> Iterator[RecordedMessage]:
+def merge_by_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]]]) -> Iterator[RecordedMessage]:
     """Merges streams that are each in order, opening each only when its start (s) has come.
 
     So the first chunks of a hundred split files are not all in memory at once.
@@ -159,7 +159,7 @@ def in_order_of_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]
     return (record for _, record in merged if record is not None)
 
 
-def counted(
+def check_message_counts(
     where: Path, records: Iterable[RecordedMessage], stated: Mapping[str, int], *, cause: str
 ) -> Iterator[RecordedMessage]:
     """Passes records on, and complains at the end if a topic had fewer of them than stated.
@@ -178,7 +178,7 @@ def counted(
 
 
 @contextmanager
-def blamed_on(where: object, advice: str = "") -> Iterator[None]:
+def wrap_errors(where: object, advice: str = "") -> Iterator[None]:
     """Turns whatever a library or a decoder raises into a RecordingError that says where.
 
     Damaged bytes make the parsers below us raise nearly anything (struct.error, AssertionError, KeyError, zlib

@@ -14,13 +14,13 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
-from calgraph.recording.images import encoded
+from calgraph.recording.images import encode_image
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 
 Encoding = Literal["raw", "png", "jpeg"]
 
 # ROS states one increment for a whole scan; float32 angles are no better than this, rad.
-_UNEVEN = 1e-5
+_MAX_ANGLE_DEVIATION = 1e-5
 
 
 class RecordingWriter:
@@ -106,15 +106,15 @@ def _header(store: Typestore, stamp: float, frame_id: str) -> Any:
     return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
-def _made(store: Typestore, ros_type: str, **fields: Any) -> tuple[str, Any]:
+def _make_message(store: Typestore, ros_type: str, **fields: Any) -> tuple[str, Any]:
     return ros_type, store.types[ros_type](**fields)
 
 
 def _image(store: Typestore, image: Image, encoding: Encoding) -> tuple[str, Any]:
     header = _header(store, image.stamp, image.frame_id)
     if encoding != "raw":
-        data, declared = encoded(image.pixels, encoding)
-        return _made(
+        data, declared = encode_image(image.pixels, encoding)
+        return _make_message(
             store,
             "sensor_msgs/msg/CompressedImage",
             header=header,
@@ -122,7 +122,7 @@ def _image(store: Typestore, image: Image, encoding: Encoding) -> tuple[str, Any
             data=np.frombuffer(data, np.uint8),
         )
     height, width = image.pixels.shape[:2]
-    return _made(
+    return _make_message(
         store,
         "sensor_msgs/msg/Image",
         header=header,
@@ -139,10 +139,10 @@ def _laser_scan(store: Typestore, scan: LaserScan, _: Encoding) -> tuple[str, An
     n = len(scan.angles)
     increment = float(scan.angles[-1] - scan.angles[0]) / (n - 1) if n > 1 else 0.0
     start = float(scan.angles[0]) if n else 0.0
-    if n and np.abs(start + increment * np.arange(n) - scan.angles).max() > _UNEVEN:
+    if n and np.abs(start + increment * np.arange(n) - scan.angles).max() > _MAX_ANGLE_DEVIATION:
         raise InputError(f"scan at {scan.stamp:.6f}: its beams are not evenly spaced, which LaserScan cannot say")
     farthest = float(scan.ranges[scan.valid].max(initial=0))
-    return _made(
+    return _make_message(
         store,
         "sensor_msgs/msg/LaserScan",
         header=_header(store, scan.stamp, scan.frame_id),
@@ -172,7 +172,7 @@ def _point_cloud(store: Typestore, cloud: PointCloud, _: Encoding) -> tuple[str,
         points[name] = values
     field = store.types["sensor_msgs/msg/PointField"]
     offsets = {name: points.dtype.fields[name][1] for name in points.dtype.names or () if points.dtype.fields}
-    return _made(
+    return _make_message(
         store,
         "sensor_msgs/msg/PointCloud2",
         header=_header(store, cloud.stamp, cloud.frame_id),
@@ -194,7 +194,7 @@ def _camera_info(store: Typestore, info: CameraInfo, _: Encoding) -> tuple[str, 
     camera = info.camera
     pinhole = "rational_polynomial" if camera.distortion.size == 8 else "plumb_bob"
     roi = store.types["sensor_msgs/msg/RegionOfInterest"]
-    return _made(
+    return _make_message(
         store,
         "sensor_msgs/msg/CameraInfo",
         header=_header(store, info.stamp, info.frame_id),

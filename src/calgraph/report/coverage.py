@@ -11,7 +11,7 @@ from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.formatting import fixed
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.used_intrinsics import cameras_of
+from calgraph.result.used_intrinsics import calibrated_cameras
 from calgraph.sensors import CameraModel
 
 # Cells of a camera's longer side, of a turn, and of elevations and ranges.
@@ -44,7 +44,7 @@ class Coverage:
 def coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage | None:
     """Where one sensor saw the target; None where that is not known."""
     if sensor.kind == "camera":
-        camera = cameras_of(calibration, rig).get(sensor.name)
+        camera = calibrated_cameras(calibration, rig).get(sensor.name)
         views = _seen(calibration, sensor)
         return _of_camera(calibration, sensor, camera, views) if camera and views else None
     if calibration.floor:
@@ -62,7 +62,7 @@ def coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage
 def _seen(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """What was used of what the sensor saw of boards: of all, if it has no part in the solution."""
     own = [view for view in calibration.board_views if view.sensor == sensor.name]
-    return _finite(view.seen for view in own if view.used) or _finite(view.seen for view in own)
+    return _finite(view.measured for view in own if view.used) or _finite(view.measured for view in own)
 
 
 def _field(calibration: Calibration, sensor: SensorPose) -> list[Array]:
@@ -72,7 +72,7 @@ def _field(calibration: Calibration, sensor: SensorPose) -> list[Array]:
 def _walks(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """Where a scanner of a network saw people, in its frame."""
     views = [view for view in calibration.floor if view.sensor == sensor.name]
-    return _finite(_in_sensor(walk, sensor) for view in views for walk in view.walks)
+    return _finite(_in_sensor(walk, sensor) for view in views for walk in view.tracks)
 
 
 def _background(calibration: Calibration, sensor: SensorPose) -> list[Array]:

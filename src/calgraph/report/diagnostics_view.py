@@ -12,14 +12,14 @@ counts on those before it."""
 
 def left_out_table(calibration: Calibration) -> str:
     """Cross-validation by sensor; nothing where there was none."""
-    if not calibration.left_out:
+    if not calibration.cross_validation:
         return ""
     heads = ("sensor", "captures", "RMS", "median", "along the beam", "tilt", "ratio")
     head = "".join(f"<th>{name}</th>" for name in heads)
     rows = "".join(
         f"<tr><th scope='row'>{escaped(name)}</th><td>{one.views}</td>"
-        f"{''.join(f'<td>{escaped(text)}</td>' for text in one.shown)}<td>{digits(one.ratio)}</td></tr>"
-        for name, one in calibration.left_out.items()
+        f"{''.join(f'<td>{escaped(text)}</td>' for text in one.formatted)}<td>{digits(one.ratio)}</td></tr>"
+        for name, one in calibration.cross_validation.items()
     )
     return (
         f"<h3>Captures left out</h3><p>{_ABOUT_LEFT_OUT}</p>"

@@ -77,7 +77,7 @@ def _plan(traces: list[dict[str, Any]]) -> Figure:
 def _extent(calibration: Calibration) -> float:
     """The longer side of the plan, m."""
     origins = np.array([sensor.T_root_sensor[:2, 3] for sensor in calibration.sensors])
-    seen = [points for view in calibration.floor for points in (view.background, *view.walks)]
+    seen = [points for view in calibration.floor for points in (view.background, *view.tracks)]
     points = np.concatenate([origins, *seen])
     points = points[np.isfinite(points).all(axis=1)]
     return max(float(np.max(np.ptp(points, axis=0), initial=0.0)), 1.0)
@@ -106,7 +106,7 @@ def _scanner(
         x, y = view.background.T
         traces.append({**shared, "type": "scatter", "mode": "markers", "x": x, "y": y, "opacity": 0.6,
                        "marker": {"color": color, "size": 2.5}})  # fmt: skip
-        x, y = _with_gaps(view.walks).T
+        x, y = _with_gaps(view.tracks).T
         traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 1}, "opacity": 0.55})
     if _uncertain([sensor]):
         x, y = _ellipse(sensor, factor).T

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import MUTED, ORANGE, PAPER, RULE, VERMILION, chooser, figure, placed, plotly_text
-from calgraph.result import BoardOutline, Calibration, Snapshot, cameras_of, colored
+from calgraph.result import BoardOutline, Calibration, Snapshot, calibrated_cameras, colorize_from_snapshots
 
 # Captures that can be chosen, and points of each that no camera sees: they only show where the others are.
 _MOST, _GREY = 6, 2500
@@ -69,7 +69,7 @@ Cloud = tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]
 def _clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
     """By capture, the coloured points of all scanners; of a few in which cameras and others saw the board."""
     poses = {s.name: s.T_root_sensor for s in calibration.sensors}
-    cameras = cameras_of(calibration, rig)
+    cameras = calibrated_cameras(calibration, rig)
     by_capture: dict[int, list[Snapshot]] = {}
     for taken in calibration.snapshots:
         if taken.sensor in poses and (len(taken.points) or (taken.image and taken.sensor in cameras)):
@@ -83,7 +83,7 @@ def _clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
     best = sorted(sorted(full, key=lambda n: (-pictured[n], -used[n]))[:_MOST])
     reach = _reach(calibration, best)
     fused = {n: _fused(by_capture[n], poses, reach) for n in best}
-    clouds = {n: (x, *colored(x, by_capture[n], cameras, poses)) for n, x in fused.items()}
+    clouds = {n: (x, *colorize_from_snapshots(x, by_capture[n], cameras, poses)) for n, x in fused.items()}
     return {n: cloud for n, cloud in clouds.items() if cloud[2].any()}
 
 

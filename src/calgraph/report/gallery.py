@@ -24,7 +24,7 @@ def gallery(calibration: Calibration) -> str:
         return ""
     each = max(len(rows[capture]) for capture in pictured)
     shown = pictured[:: len(pictured) * each // _MOST + 1]
-    boards = {(view.capture, view.sensor): view.seen for view in calibration.board_views}
+    boards = {(view.capture, view.sensor): view.measured for view in calibration.board_views}
     cards = [_card(capture, rows[capture], taken, boards) for capture in shown]
     some = "" if len(shown) == len(rows) else f" Shown are {len(shown)} of {len(rows)}, evenly."
     rest = "".join(cards[_OPEN:])

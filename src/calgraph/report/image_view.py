@@ -11,7 +11,7 @@ from calgraph.report.formatting import counted, digits, escaped, length
 from calgraph.report.overlays import Overlay, overlay
 from calgraph.result import BoardView, Calibration, SensorPose, Snapshot
 from calgraph.result.calibration import rms
-from calgraph.result.used_intrinsics import cameras_of
+from calgraph.result.used_intrinsics import calibrated_cameras
 from calgraph.sensors import CameraModel
 
 # Pictures on the page, of each camera at most and at least, and of each those that are shown without asking.
@@ -30,7 +30,7 @@ are the points of scanners on the board:"""
 
 def camera_images(calibration: Calibration, rig: Rig) -> str:
     """A few pictures of each camera, from the worst to the best; nothing for a rig without cameras."""
-    cameras = cameras_of(calibration, rig)
+    cameras = calibrated_cameras(calibration, rig)
     known = {sensor: cameras[sensor.name] for sensor in calibration.sensors if sensor.name in cameras}
     if not known:
         return ""
@@ -87,7 +87,7 @@ def _large(snapshots: Sequence[Snapshot]) -> dict[tuple[str, int], Snapshot]:
 def _ranked(views: Sequence[BoardView], pictures: Mapping[tuple[str, int], Snapshot]) -> list[BoardView]:
     """The views that were used, from the largest error to the least; where there are pictures, those with one."""
     pictured = [view for view in views if (view.sensor, view.capture) in pictures]
-    used = [(rms(view.off), view) for view in pictured or views if view.off is not None]
+    used = [(rms(view.residuals), view) for view in pictured or views if view.residuals is not None]
     return [view for _, view in sorted(used, key=lambda one: -(one[0] or 0.0))]
 
 
@@ -161,7 +161,9 @@ def _commands(line: Array) -> str:
 
 def _exaggeration(views: Sequence[BoardView], camera: CameraModel) -> int:
     """How many times larger differences must be drawn to be seen."""
-    errors = np.concatenate([np.linalg.norm(view.off, axis=1) for view in views if view.off is not None])
+    errors = np.concatenate(
+        [np.linalg.norm(view.residuals, axis=1) for view in views if view.residuals is not None]
+    )
     typical = float(np.median(errors))
     return next((f for f in _STEPS if f * typical >= _VISIBLE * camera.width), _STEPS[-1])
 
@@ -170,8 +172,8 @@ def _limit(views: Sequence[BoardView]) -> float:
     """How far off a point is red or blue, m: twice the RMS of the noisiest scanner, as a round number."""
     offs: dict[str, list[Array]] = {}
     for view in views:
-        if view.off is not None and view.off.ndim == 1:
-            offs.setdefault(view.sensor, []).append(view.off)
+        if view.residuals is not None and view.residuals.ndim == 1:
+            offs.setdefault(view.sensor, []).append(view.residuals)
     largest = max((rms(np.concatenate(own)) or 0.0 for own in offs.values()), default=0.0)
     round_ones = (b * 10.0**e for e in range(-3, 2) for b in (1, 2, 3, 5))
     return next((step for step in round_ones if step >= 2 * largest), 50.0)

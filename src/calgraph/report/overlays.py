@@ -44,7 +44,7 @@ def overlay(calibration: Calibration, rig: Rig, sensor: SensorPose, camera: Came
     return Overlay(
         sheets=tuple(project(_edges(o.corners), sensor, camera, _BEYOND) for o in outlines),
         marks=tuple(project(mark, sensor, camera, _BEYOND) for o in outlines for mark in _printed(o, rig)),
-        seen=np.concatenate([np.zeros((0, 2)), *(view.seen for view in own)]),
+        seen=np.concatenate([np.zeros((0, 2)), *(view.measured for view in own)]),
         off=np.concatenate([np.zeros((0, 2)), *(_off(view) for view in own)]),
         points=project(points, sensor, camera),
         distance=distance,
@@ -63,7 +63,7 @@ def project(points: Array, sensor: SensorPose, camera: CameraModel, beyond: floa
 
 
 def _off(view: BoardView) -> Array:
-    return np.full_like(view.seen, np.nan) if view.off is None else view.off
+    return np.full_like(view.measured, np.nan) if view.residuals is None else view.residuals
 
 
 def _edges(corners: Array) -> Array:
@@ -91,7 +91,7 @@ def _pose(corners: Array) -> Array:
 def _scanned(calibration: Calibration, views: Sequence[BoardView]) -> tuple[Array, Array]:
     """Points (P, 3) of scanners on the board in the root frame, and their distances (P,) from its plane, m."""
     poses = {s.name: s.T_root_sensor for s in calibration.sensors}
-    used = [v for v in views if v.off is not None and v.off.ndim == 1 and v.sensor in poses]
-    points = [se3.apply(poses[view.sensor], view.seen) for view in used]
-    offs = [view.off for view in used if view.off is not None]
+    used = [v for v in views if v.residuals is not None and v.residuals.ndim == 1 and v.sensor in poses]
+    points = [se3.apply(poses[view.sensor], view.measured) for view in used]
+    offs = [view.residuals for view in used if view.residuals is not None]
     return np.concatenate([np.zeros((0, 3)), *points]), np.concatenate([np.zeros(0), *offs])

@@ -26,14 +26,14 @@ def pose_table(calibration: Calibration) -> str:
 
 def estimated_table(calibration: Calibration) -> str:
     """What was estimated besides poses; nothing where nothing was."""
-    if not calibration.estimated:
+    if not calibration.estimated_parameters:
         return ""
     head = "".join(f"<th>{name}</th>" for name in ("of", "quantity", "stated", "found", "σ", "unit", ""))
     rows = "".join(
         f"<tr><th scope='row'>{escaped(one.of)}</th><td>{escaped(one.quantity)}</td>"
-        f"{''.join(f'<td>{escaped(text)}</td>' for text in one.shown)}"
+        f"{''.join(f'<td>{escaped(text)}</td>' for text in one.formatted)}"
         f"<td>{'' if one.measured else 'told by no capture'}</td></tr>"
-        for one in calibration.estimated
+        for one in calibration.estimated_parameters
     )
     return (
         "<p>Estimated besides poses, instead of taken as stated:</p>"

@@ -25,7 +25,7 @@ from calgraph.report.figures import (
 )
 from calgraph.report.rig_shapes import SCALE_95, Polyline, axes, ellipsoid, frustum, scan_circle
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.used_intrinsics import cameras_of
+from calgraph.result.used_intrinsics import calibrated_cameras
 
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # An ellipsoid can be seen if its longest half axis takes this part of an axis of a frame.
@@ -116,7 +116,7 @@ def _names(sensors: Sequence[SensorPose]) -> dict[str, Any]:
 
 
 def _frustums(calibration: Calibration, rig: Rig, size: float) -> list[Polyline]:
-    known = cameras_of(calibration, rig)
+    known = calibrated_cameras(calibration, rig)
     cameras = [s for s in calibration.sensors if s.kind == "camera"]
     return [line for s in cameras for line in frustum(s.T_root_sensor, known.get(s.name), 1.5 * size)]
 

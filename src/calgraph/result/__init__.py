@@ -6,25 +6,25 @@ from calgraph.result.calibration import (
     CaptureRow,
     Edge,
     FloorView,
-    LeftOut,
+    HeldOutError,
     SensorPose,
     Suggestion,
     Verdict,
 )
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
-from calgraph.result.coloring import colored
-from calgraph.result.estimated import Estimated
+from calgraph.result.coloring import colorize_from_snapshots
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.exports import FORMATS, export, to_json
-from calgraph.result.known_poses import KnownPoses, read_poses
+from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.transform_tree import TransformTree
-from calgraph.result.used_intrinsics import cameras_of
+from calgraph.result.used_intrinsics import calibrated_cameras
 
 __all__ = [
-    "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "Estimated", "FloorView",
-    "KnownPoses", "LeftOut", "SensorPose", "Snapshot", "Suggestion", "TransformTree", "Verdict", "cameras_of",
-    "colored", "export", "load_calibration", "load_scene", "read_poses", "save_calibration", "save_captures",
-    "save_scene", "to_json",
+    "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
+    "ExtrinsicsFile", "FloorView", "HeldOutError", "SensorPose", "Snapshot", "Suggestion", "TransformTree",
+    "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "load_calibration", "load_scene",
+    "read_extrinsics", "save_calibration", "save_captures", "save_scene", "to_json",
 ]  # fmt: skip

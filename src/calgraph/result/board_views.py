@@ -25,8 +25,8 @@ class BoardView:
     sensor: str
     used: bool
     """Whether the joint solution used it."""
-    seen: Array
+    measured: Array
     """(M, 2) printed corners, px, of a camera; (M, 3) points in the frame of a scanner, m, thinned."""
-    off: Array | None = None
+    residuals: Array | None = None
     """Measured minus predicted by the joint solution: (M, 2) px of a camera; of a scanner (M,) distances from the
     board's plane, m, positive beyond it. None where it was not used, or the estimator has no boards."""

@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3
 from calgraph.result.board_views import BoardOutline, BoardView
-from calgraph.result.estimated import Estimated
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.transform_tree import TransformTree
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Grade = Literal["good", "weak", "unobservable"]
 
-_UNKNOWN: Mapping[Literal["m", "rad"], float] = {"m": 0.2, "rad": np.radians(10)}
+_UNINFORMATIVE_STDDEV: Mapping[Literal["m", "rad"], float] = {"m": 0.2, "rad": np.radians(10)}
 """Standard deviations beyond which there is no saying where along an axis a sensor is."""
 
 
@@ -95,7 +95,7 @@ class CaptureRow:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class HeldOutError:
     """How far what a sensor saw is from what the others predict, in captures left out of the solution."""
 
     views: int
@@ -112,10 +112,10 @@ class LeftOut:
     """RMS angle between the board's normal as predicted and as seen, rad; None where no view knows it."""
 
     @property
-    def shown(self) -> tuple[str, str, str, str]:
+    def formatted(self) -> tuple[str, str, str, str]:
         """RMS, median, RMS along the beam and tilt as a person reads them; empty where there is none."""
-        size = "{:.2f} px".format if self.unit == "px" else _millimetres
-        along = "" if self.along is None else _millimetres(self.along)
+        size = "{:.2f} px".format if self.unit == "px" else _format_millimetres
+        along = "" if self.along is None else _format_millimetres(self.along)
         tilt = "" if self.tilt is None else f"{np.degrees(self.tilt):.2f}°"
         return size(self.rms), size(self.median), along, tilt
 
@@ -140,9 +140,9 @@ class Suggestion:
 
     def __str__(self) -> str:
         """The suggestion as a sentence."""
-        if self.expected > _UNKNOWN[self.unit]:
+        if self.expected > _UNINFORMATIVE_STDDEV[self.unit]:
             return f"{self.hold}: a step towards {self.axis} of {self.sensor}, which takes more than one"
-        before, after = (_plus_minus(value, self.unit) for value in (self.stddev, self.expected))
+        before, after = (_format_stddev(value, self.unit) for value in (self.stddev, self.expected))
         return f"{self.hold}: {self.axis} of {self.sensor} {before} → {after}"
 
 
@@ -153,7 +153,7 @@ class FloorView:
     sensor: str
     background: Array
     """(M, 2) what stood still, thinned, root frame, m."""
-    walks: tuple[Array, ...]
+    tracks: tuple[Array, ...]
     """(N, 2) each, where somebody walked, root frame, m."""
     times: tuple[Array, ...] = ()
     """(N,) each, when they were there by the root's clock, s from the start of the recording."""
@@ -181,13 +181,13 @@ class Calibration:
     joint_covariance: Array | None = None
     """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes, correlations
     included; zero for the root. None where it is not known."""
-    left_out: Mapping[str, LeftOut] = field(default_factory=dict)
+    cross_validation: Mapping[str, HeldOutError] = field(default_factory=dict)
     """Cross-validation by sensor; none for those that no other sensor predicts, and where it was not asked for."""
     suggestions: tuple[Suggestion, ...] = ()
     """Further captures that would help most, the first one first."""
     remarks: tuple[str, ...] = ()
     """What else is to be known of the whole result: what was seen and yet not used, and why."""
-    estimated: tuple[Estimated, ...] = ()
+    estimated_parameters: tuple[EstimatedParameter, ...] = ()
     """What was estimated besides poses."""
     board_views: tuple[BoardView, ...] = ()
     """What every sensor saw of the board, thinned; empty in a result read back."""
@@ -210,7 +210,7 @@ class Calibration:
             CalibrationError: the sensor is not connected to the root; the message says why.
 
         """
-        self.tree.check(name)
+        self.tree.check_connected(name)
         return next(sensor for sensor in self.sensors if sensor.name == name)
 
     @property
@@ -264,12 +264,12 @@ class Calibration:
         return to_dataframe(self)
 
 
-def _millimetres(metres: float) -> str:
+def _format_millimetres(metres: float) -> str:
     return f"{1000 * metres:.1f} mm"
 
 
-def _plus_minus(stddev: float, unit: Literal["m", "rad"]) -> str:
-    if stddev > _UNKNOWN[unit]:
+def _format_stddev(stddev: float, unit: Literal["m", "rad"]) -> str:
+    if stddev > _UNINFORMATIVE_STDDEV[unit]:
         return "unknown"
     return f"±{1000 * stddev:.2g} mm" if unit == "m" else f"±{np.degrees(stddev):.2g}°"
 

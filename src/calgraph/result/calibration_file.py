@@ -10,10 +10,10 @@ import numpy as np
 from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.geometry import Array, so3
-from calgraph.io import replacing, write_text, yaml_text
-from calgraph.io.yaml_writing import number_text, on_one_line
-from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion
-from calgraph.result.estimated import Estimated
+from calgraph.io import format_yaml, write_atomically, write_text
+from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
+from calgraph.result.calibration import Calibration, CaptureRow, Edge, HeldOutError, SensorPose, Suggestion
+from calgraph.result.estimated_parameter import EstimatedParameter
 
 FORMAT = "calgraph/1"
 _HEADER = """\
@@ -40,12 +40,12 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
-    text = yaml_text(content, _HEADER) + _edges(calibration.edges)
-    if calibration.estimated:
-        text += yaml_text({"estimated": [_estimated(one) for one in calibration.estimated]})
+    text = format_yaml(content, _HEADER) + _edges(calibration.edges)
+    if calibration.estimated_parameters:
+        text += format_yaml({"estimated": [_estimated_parameter(one) for one in calibration.estimated_parameters]})
     if calibration.joint_covariance is not None:
-        order = on_one_line(sensor.name for sensor in calibration.sensors)
-        text += yaml_text({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
+        order = flow_sequence(sensor.name for sensor in calibration.sensors)
+        text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
     write_text(path, text)
 
 
@@ -56,7 +56,7 @@ def save_captures(calibration: Calibration, path: Path) -> None:
         InputError: ``path`` cannot be written.
 
     """
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+    with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(_CAPTURE_COLUMNS)
         writer.writerows(_capture_row(row) for row in calibration.captures)
@@ -73,8 +73,8 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry["kind"] = sensor.kind
     entry["frame_id"] = sensor.frame_id
     # So many digits keep poses to better than 1e-12 at any distance that a rig has.
-    entry["translation"] = on_one_line(_digits(sensor.T_root_sensor[:3, 3], 15))
-    entry["rotation"] = on_one_line(_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
+    entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
+    entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
     entry["covariance"] = _symmetric(sensor.covariance, 9)
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
@@ -83,9 +83,9 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     return entry
 
 
-def _estimated(one: Estimated) -> dict[str, Any]:
+def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
     unit = {"unit": one.unit} if one.unit else {}
-    stated, value, stddev = _digits([one.stated, one.value, one.stddev], 9)
+    stated, value, stddev = _round_digits([one.stated, one.value, one.stddev], 9)
     numbers = {"stated": stated, "value": value, "stddev": stddev, "measured": one.measured}
     return {"of": one.of, "quantity": one.quantity, **unit, **numbers}
 
@@ -96,21 +96,21 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
         "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
         "unconnected": dict(calibration.unconnected),
         **({"remarks": list(calibration.remarks)} if calibration.remarks else {}),
-        "residual_rms": {kind: _digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
-        "cross_validation": {name: _left_out(one) for name, one in calibration.left_out.items()},
+        "residual_rms": {kind: _round_digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
+        "cross_validation": {name: _held_out_error(one) for name, one in calibration.cross_validation.items()},
         "suggestions": [_suggestion(one) for one in calibration.suggestions],
         "captures": _captures(calibration.captures),
     }
 
 
-def _left_out(one: LeftOut) -> dict[str, Any]:
+def _held_out_error(one: HeldOutError) -> dict[str, Any]:
     numbers = {"rms": one.rms, "median": one.median, "along": one.along, "tilt": one.tilt, "ratio": one.ratio}
-    known = {key: _digits([value], 4)[0] for key, value in numbers.items() if value is not None}
+    known = {key: _round_digits([value], 4)[0] for key, value in numbers.items() if value is not None}
     return {"captures": one.views, "unit": one.unit, **known}
 
 
 def _suggestion(one: Suggestion) -> dict[str, Any]:
-    stddev, expected = _digits([one.stddev, one.expected], 4)
+    stddev, expected = _round_digits([one.stddev, one.expected], 4)
     return {
         "hold": one.hold,
         "sensor": one.sensor,
@@ -118,8 +118,8 @@ def _suggestion(one: Suggestion) -> dict[str, Any]:
         "unit": one.unit,
         "stddev": stddev,
         "expected": expected,
-        "translation": on_one_line(_digits(one.T_root_board[:3, 3], 6)),
-        "rotation": on_one_line(_digits(so3.quaternion(one.T_root_board[:3, :3]), 6)),
+        "translation": flow_sequence(_round_digits(one.T_root_board[:3, 3], 6)),
+        "rotation": flow_sequence(_round_digits(so3.quaternion(one.T_root_board[:3, :3]), 6)),
     }
 
 
@@ -135,19 +135,19 @@ def _edges(edges: Sequence[Edge]) -> str:
 
 def _edge(edge: Edge) -> str:
     entry = {
-        "sensors": f"[{_quoted(edge.sensor_a)}, {_quoted(edge.sensor_b)}]",
+        "sensors": f"[{_quote(edge.sensor_a)}, {_quote(edge.sensor_b)}]",
         "captures": str(edge.captures),
         "inliers": str(edge.inliers),
         "in_tree": str(edge.in_tree).lower(),
     }
     if edge.residual_rms is not None:
-        entry["residual_rms"] = number_text(_digits([edge.residual_rms], 4)[0])
+        entry["residual_rms"] = format_yaml_number(_round_digits([edge.residual_rms], 4)[0])
     if edge.note:
-        entry["note"] = _quoted(edge.note)
+        entry["note"] = _quote(edge.note)
     return ", ".join(f"{key}: {value}" for key, value in entry.items())
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """A text as JSON has it, which is YAML, too."""
     return json.dumps(text, ensure_ascii=False)
 
@@ -159,7 +159,7 @@ def _captures(rows: Sequence[CaptureRow]) -> dict[str, Any]:
     for row in rows:
         by_sensor.setdefault(row.sensor, []).append(row)
     return {
-        "windows": {n: on_one_line(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
+        "windows": {n: flow_sequence(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
         "sensors": {name: _used_and_rejected(own) for name, own in by_sensor.items()},
     }
 
@@ -169,20 +169,20 @@ def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
     rejected: dict[str, list[int]] = {}
     for row in rows:
         (used if row.used else rejected.setdefault(row.reason, [])).append(row.capture)
-    return {"used": on_one_line(used), "rejected": {why: on_one_line(n) for why, n in rejected.items()}}
+    return {"used": flow_sequence(used), "rejected": {why: flow_sequence(n) for why, n in rejected.items()}}
 
 
 def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
-    return [on_one_line(_digits(row, digits)) for row in 0.5 * (covariance + covariance.T)]
+    return [flow_sequence(_round_digits(row, digits)) for row in 0.5 * (covariance + covariance.T)]
 
 
 def _matrix(joint_covariance: Array) -> str:
     """The rest of the file: numbers by the hundred thousand, which a YAML library takes a minute to write."""
     # Two sensors may know each other far better than both know the root: more digits for the difference.
-    rows = (_digits(row, 14) for row in 0.5 * (joint_covariance + joint_covariance.T))
-    return "  matrix:\n" + "".join(f"  - [{', '.join(map(number_text, row))}]\n" for row in rows)
+    rows = (_round_digits(row, 14) for row in 0.5 * (joint_covariance + joint_covariance.T))
+    return "  matrix:\n" + "".join(f"  - [{', '.join(map(format_yaml_number, row))}]\n" for row in rows)
 
 
-def _digits(values: Iterable[float] | Array, digits: int) -> list[float]:
+def _round_digits(values: Iterable[float] | Array, digits: int) -> list[float]:
     """The values with at most so many significant digits."""
     return [float(f"{value:.{digits}g}") + 0.0 for value in np.asarray(values, dtype=np.float64)]

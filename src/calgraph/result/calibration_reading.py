@@ -7,18 +7,26 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from calgraph.config.strict_model import StrictModel, wrong
+from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
-from calgraph.io.yaml_reading import read_yaml, validated
-from calgraph.result.calibration import Calibration, CaptureRow, Edge, LeftOut, SensorPose, Suggestion, Verdict
+from calgraph.io.yaml_reading import read_yaml, validate_content
+from calgraph.result.calibration import (
+    Calibration,
+    CaptureRow,
+    Edge,
+    HeldOutError,
+    SensorPose,
+    Suggestion,
+    Verdict,
+)
 from calgraph.result.calibration_file import FORMAT
-from calgraph.result.estimated import Estimated
+from calgraph.result.estimated_parameter import EstimatedParameter
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
 Number = Annotated[float, Strict()]
-Positive = Annotated[float, Strict(), Field(ge=0)]
+NonNegative = Annotated[float, Strict(), Field(ge=0)]
 Count = Annotated[int, Strict(), Field(ge=0)]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -49,16 +57,16 @@ class _Sensor(StrictModel):
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
     """6 x 6, translation first, in the root's fixed axes, m and rad."""
     clock_offset: Finite | None = None
-    clock_offset_stddev: Positive | None = None
+    clock_offset_stddev: NonNegative | None = None
 
     @model_validator(mode="after")
     def _numbers_make_sense(self) -> "_Sensor":
         length = float(np.linalg.norm(self.rotation))
         if abs(length - 1) > _UNIT_TOLERANCE:
-            raise wrong("rotation", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
+            raise invalid("rotation", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
         covariance = np.array(self.covariance)
         if np.isnan(covariance).any() or np.any(np.diag(covariance) < 0):
-            raise wrong("covariance", "must have variances of 0 or more on its diagonal and no NaN")
+            raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
         _check_symmetric(covariance, "covariance")
         return self
 
@@ -68,7 +76,7 @@ class _Edge(StrictModel):
     captures: Count
     inliers: Count
     in_tree: Flag
-    residual_rms: Positive | None = None
+    residual_rms: NonNegative | None = None
     note: str = ""
 
 
@@ -86,14 +94,14 @@ class _Captures(StrictModel):
     """What became of the captures, by sensor."""
 
 
-class _LeftOut(StrictModel):
+class _HeldOutError(StrictModel):
     captures: Count
     unit: Literal["px", "m"]
-    rms: Positive
-    median: Positive
-    ratio: Positive
-    along: Positive | None = None
-    tilt: Positive | None = None
+    rms: NonNegative
+    median: NonNegative
+    ratio: NonNegative
+    along: NonNegative | None = None
+    tilt: NonNegative | None = None
 
 
 class _Suggestion(StrictModel):
@@ -101,8 +109,8 @@ class _Suggestion(StrictModel):
     sensor: str
     axis: str
     unit: Literal["m", "rad"]
-    stddev: Positive
-    expected: Positive
+    stddev: NonNegative
+    expected: NonNegative
     translation: Vector3
     """The board's centre in the root frame, m."""
     rotation: Vector4
@@ -117,8 +125,8 @@ class _Quality(StrictModel):
     unconnected: dict[str, str] = Field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     """What was seen and yet not used, and why."""
-    residual_rms: dict[str, Positive] = Field(default_factory=dict)
-    cross_validation: dict[str, _LeftOut] = Field(default_factory=dict)
+    residual_rms: dict[str, NonNegative] = Field(default_factory=dict)
+    cross_validation: dict[str, _HeldOutError] = Field(default_factory=dict)
     """Errors in captures that were left out, by sensor."""
     suggestions: tuple[_Suggestion, ...] = ()
     """Further captures that would help most."""
@@ -136,22 +144,22 @@ class _JointCovariance(StrictModel):
     def _is_a_covariance(self) -> "_JointCovariance":
         size = 6 * len(self.order)
         if {len(self.matrix), *map(len, self.matrix)} != {size}:
-            raise wrong("matrix", f"must have {size} rows of {size} numbers, six for each of order")
+            raise invalid("matrix", f"must have {size} rows of {size} numbers, six for each of order")
         matrix = np.array(self.matrix)
         if np.any(np.diag(matrix) < 0):
-            raise wrong("matrix", "must have variances of 0 or more on its diagonal")
+            raise invalid("matrix", "must have variances of 0 or more on its diagonal")
         _check_symmetric(matrix, "matrix")
         return self
 
 
-class _Estimated(StrictModel):
+class _EstimatedParameter(StrictModel):
     of: str
     """A sensor, or a tag."""
     quantity: str
     unit: str = ""
     stated: Finite
     value: Finite
-    stddev: Positive
+    stddev: NonNegative
     measured: Flag
 
 
@@ -164,7 +172,7 @@ class _File(StrictModel):
     """The sensors with their poses."""
     quality: _Quality
     """How far the poses can be relied on."""
-    estimated: tuple[_Estimated, ...] = ()
+    estimated: tuple[_EstimatedParameter, ...] = ()
     """What was estimated besides poses."""
     joint_covariance: _JointCovariance | None = None
     """How the errors of all sensors go together."""
@@ -173,30 +181,30 @@ class _File(StrictModel):
     def _is_of_all_sensors(self) -> "_File":
         order = self.joint_covariance.order if self.joint_covariance else tuple(self.sensors)
         if sorted(order) != sorted(self.sensors):
-            raise wrong("joint_covariance.order", f"must be the sensors, {', '.join(self.sensors)}")
+            raise invalid("joint_covariance.order", f"must be the sensors, {', '.join(self.sensors)}")
         return self
 
     @model_validator(mode="after")
     def _is_a_tree(self) -> "_File":
         if self.root not in self.sensors:
-            raise wrong("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
+            raise invalid("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
         for name, sensor in self.sensors.items():
             key = f"sensors.{name}.parent"
             if name == self.root and sensor.parent is not None:
-                raise wrong(key, f"the root has none, got {sensor.parent!r}")
+                raise invalid(key, f"the root has none, got {sensor.parent!r}")
             if name != self.root and sensor.parent not in self.sensors:
-                raise wrong(key, f"must be one of the sensors, {', '.join(self.sensors)}, got {sensor.parent!r}")
+                raise invalid(key, f"must be one of the sensors, {', '.join(self.sensors)}, got {sensor.parent!r}")
             if not self._reaches_root(name):
-                raise wrong(key, f"the parents lead in a circle and not to the root {self.root!r}")
+                raise invalid(key, f"the parents lead in a circle and not to the root {self.root!r}")
             if name not in self.quality.verdicts:
-                raise wrong(f"quality.verdicts.{name}", "is missing")
+                raise invalid(f"quality.verdicts.{name}", "is missing")
         return self
 
     @model_validator(mode="after")
     def _root_is_the_origin(self) -> "_File":
         root = self.sensors.get(self.root)
         if root and not np.allclose((*root.translation, *root.rotation[:3]), 0, atol=1e-9):
-            raise wrong(f"sensors.{self.root}", "is the root, its translation must be 0 and its rotation none")
+            raise invalid(f"sensors.{self.root}", "is the root, its translation must be 0 and its rotation none")
         return self
 
     def _reaches_root(self, name: str) -> bool:
@@ -225,7 +233,7 @@ def load_calibration(path: Path) -> Calibration:
     if given != FORMAT:
         shown = "nothing" if given is None else repr(given)
         raise InputError(f"{path}: format: must be {FORMAT}, which this calgraph reads, got {shown}")
-    file = validated(_File, content, path)
+    file = validate_content(_File, content, path)
     names = sorted(file.sensors, key=lambda name: name != file.root)
     return Calibration(
         root=file.root,
@@ -235,10 +243,10 @@ def load_calibration(path: Path) -> Calibration:
         unconnected=file.quality.unconnected,
         remarks=file.quality.remarks,
         estimator=file.quality.estimator,
-        left_out={name: _left_out(one) for name, one in file.quality.cross_validation.items()},
+        cross_validation={name: _held_out_error(one) for name, one in file.quality.cross_validation.items()},
         suggestions=tuple(_suggestion(one) for one in file.quality.suggestions),
         residual_rms=file.quality.residual_rms,
-        estimated=tuple(Estimated(**vars(one)) for one in file.estimated),
+        estimated_parameters=tuple(EstimatedParameter(**vars(one)) for one in file.estimated),
         joint_covariance=_joint_covariance(file.joint_covariance, names),
     )
 
@@ -264,8 +272,8 @@ def _joint_covariance(entry: _JointCovariance | None, names: Sequence[str]) -> A
     return np.asarray(np.array(entry.matrix)[np.ix_(order, order)])
 
 
-def _left_out(entry: _LeftOut) -> LeftOut:
-    return LeftOut(entry.captures, entry.unit, entry.rms, entry.median, entry.ratio, entry.along, entry.tilt)
+def _held_out_error(entry: _HeldOutError) -> HeldOutError:
+    return HeldOutError(entry.captures, entry.unit, entry.rms, entry.median, entry.ratio, entry.along, entry.tilt)
 
 
 def _suggestion(entry: _Suggestion) -> Suggestion:
@@ -305,7 +313,7 @@ def _check_symmetric(covariance: Array, key: str) -> None:
     wrong_at = np.argwhere((np.nan_to_num(excess, nan=0.0) > 0) & (covariance != covariance.T))
     if len(wrong_at):
         i, j = wrong_at[0]
-        raise wrong(
+        raise invalid(
             f"{key}[{i}][{j}]",
             f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}",
         )

@@ -10,9 +10,9 @@ from calgraph.result.snapshots import Snapshot
 from calgraph.sensors import CameraModel, colorize_points
 
 
-def colored(
+def colorize_from_snapshots(
     x_root: Array,
-    taken: Sequence[Snapshot],
+    snapshots: Sequence[Snapshot],
     cameras: Mapping[str, CameraModel],
     T_root_sensor: Mapping[str, Array],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
@@ -20,18 +20,18 @@ def colored(
 
     Args:
         x_root: (N, 3) in the root's frame, m.
-        taken: of any sensors; pictures of cameras without intrinsics or pose are passed over.
+        snapshots: of any sensors; pictures of cameras without intrinsics or pose are passed over.
         cameras: intrinsics by camera.
         T_root_sensor: (4, 4) by sensor.
 
     Returns:
         Red, green and blue (N, 3), 0 where no camera sees; and which points one sees (N,).
     """
-    colors, seen = np.zeros((len(x_root), 3), dtype=np.uint8), np.zeros(len(x_root), dtype=np.bool_)
-    for s in taken:
+    colors, is_colored = np.zeros((len(x_root), 3), dtype=np.uint8), np.zeros(len(x_root), dtype=np.bool_)
+    for s in snapshots:
         if s.image and s.sensor in cameras and s.sensor in T_root_sensor:
             x_camera = se3.apply(se3.inverse(T_root_sensor[s.sensor]), x_root)
-            own, sees = colorize_points(x_camera, cameras[s.sensor], s.picture)
-            colors[sees & ~seen] = own[sees & ~seen]
-            seen |= sees
-    return colors, seen
+            camera_colors, is_visible = colorize_points(x_camera, cameras[s.sensor], s.picture)
+            colors[is_visible & ~is_colored] = camera_colors[is_visible & ~is_colored]
+            is_colored |= is_visible
+    return colors, is_colored

@@ -10,7 +10,7 @@ from calgraph.geometry import Array, se3
 
 
 @dataclass(frozen=True, eq=False)
-class Hanging:
+class FrameLink:
     """How a frame hangs from its parent."""
 
     parent: str
@@ -26,34 +26,34 @@ class FrameTree:
 
     source: str
     """What describes them, for messages."""
-    above: Mapping[str, Hanging]
+    links: Mapping[str, FrameLink]
     """By frame, how it hangs; frames that others only hang from are not in it."""
 
     @property
     def frames(self) -> set[str]:
         """The names of all frames."""
-        return set(self.above) | {hanging.parent for hanging in self.above.values()}
+        return set(self.links) | {hanging.parent for hanging in self.links.values()}
 
-    def upwards(self, frame: str) -> list[str]:
+    def ancestry(self, frame: str) -> list[str]:
         """The frame, its parent, and so on up to the top.
 
         Raises:
             InputError: the frames hang in a circle.
         """
-        line = [frame]
-        while line[-1] in self.above:
-            line.append(self.above[line[-1]].parent)
-            if line[-1] in line[:-1]:
-                raise InputError(f"the frames of {self.source} form a circle through {line[-1]!r}")
-        return line
+        chain = [frame]
+        while chain[-1] in self.links:
+            chain.append(self.links[chain[-1]].parent)
+            if chain[-1] in chain[:-1]:
+                raise InputError(f"the frames of {self.source} form a circle through {chain[-1]!r}")
+        return chain
 
-    def chain(self, upper: str, lower: str) -> Array:
+    def transform_to_ancestor(self, upper: str, lower: str) -> Array:
         """``T_upper_lower`` (4, 4) of a frame and one of its ancestors, with nothing movable between them."""
         T_upper_lower = np.eye(4)
         while lower != upper:
             self.check_fixed(lower)
-            T_upper_lower = self.above[lower].T_parent_child @ T_upper_lower
-            lower = self.above[lower].parent
+            T_upper_lower = self.links[lower].T_parent_child @ T_upper_lower
+            lower = self.links[lower].parent
         return T_upper_lower
 
     def transform(self, a: str, b: str) -> Array:
@@ -62,14 +62,16 @@ class FrameTree:
         Raises:
             InputError: nothing connects them, or something movable is between them.
         """
-        above_a = self.upwards(a)
-        shared = next((frame for frame in self.upwards(b) if frame in above_a), None)
+        above_a = self.ancestry(a)
+        shared = next((frame for frame in self.ancestry(b) if frame in above_a), None)
         if shared is None:
             raise InputError(f"frames {a!r} and {b!r} of {self.source} are not connected")
-        return np.asarray(se3.inverse(self.chain(shared, a)) @ self.chain(shared, b))
+        return np.asarray(
+            se3.inverse(self.transform_to_ancestor(shared, a)) @ self.transform_to_ancestor(shared, b)
+        )
 
     def check_fixed(self, frame: str) -> None:
         """Refuses what moves between a frame and its parent."""
-        movable = self.above[frame].movable
+        movable = self.links[frame].movable
         if movable:
             raise InputError(f"{movable}, but lies between calibrated sensors, which must be fixed to each other")

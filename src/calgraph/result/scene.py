@@ -26,7 +26,7 @@ _SNAPSHOTS = Table("snapshots", {
 _OUTLINES = Table("outlines", {"capture": INDEX, "corners": Column((4, 3)), "board": INDEX})
 _NO_BOARD = -1
 _VIEW = {"sensor": INDEX, "capture": INDEX, "used": Column(dtype=np.bool_)}
-# What a camera saw of the board, and what a scanner did, each with how far off it is.
+# Measurements of the board by cameras and by scanners, each with its residuals.
 _CORNERS = Table("corners", {**_VIEW, "seen": Column((2,), ragged=True), "off": Column((2,), ragged=True)})
 _BEAMS = Table("beams", {**_VIEW, "seen": Column((3,), ragged=True), "off": Column(ragged=True)})
 _FLOOR = Table("floor", {"sensor": INDEX, "background": Column((2,), ragged=True)})
@@ -41,9 +41,14 @@ def save_scene(calibration: Calibration, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    number = {name: i for i, name in enumerate(_shown(calibration))}
-    seen = [
-        {**vars(view), "sensor": number[view.sensor], "off": _unknown(view) if view.off is None else view.off}
+    number = {name: i for i, name in enumerate(_sensors_with_pictures(calibration))}
+    views = [
+        {
+            **vars(view),
+            "sensor": number[view.sensor],
+            "seen": view.measured,
+            "off": _nan_residuals(view) if view.residuals is None else view.residuals,
+        }
         for view in calibration.board_views
     ]
     arrays = (
@@ -55,13 +60,13 @@ def save_scene(calibration: Calibration, path: Path) -> None:
             {**vars(outline), "board": _NO_BOARD if outline.board is None else outline.board}
             for outline in calibration.outlines
         ])
-        | _CORNERS.pack([view for view in seen if view["seen"].shape[1] == 2])
-        | _BEAMS.pack([view for view in seen if view["seen"].shape[1] == 3])
+        | _CORNERS.pack([view for view in views if view["seen"].shape[1] == 2])
+        | _BEAMS.pack([view for view in views if view["seen"].shape[1] == 3])
         | _FLOOR.pack([{**vars(view), "sensor": number[view.sensor]} for view in calibration.floor])
         | _WALKS.pack([
             {"sensor": number[view.sensor], "positions": positions, "times": times}
             for view in calibration.floor
-            for positions, times in zip(view.walks, view.times or map(_timeless, view.walks), strict=True)
+            for positions, times in zip(view.tracks, view.times or map(_nan_times, view.tracks), strict=True)
         ])
     )  # fmt: skip
     content = {"format": FORMAT, "sensors": list(number)}
@@ -92,19 +97,19 @@ def load_scene(path: Path, calibration: Calibration) -> Calibration:
     return replace(calibration, snapshots=snapshots, outlines=outlines, board_views=views, floor=floor)
 
 
-def _shown(calibration: Calibration) -> dict[str, None]:
+def _sensors_with_pictures(calibration: Calibration) -> dict[str, None]:
     """The sensors of which there is something to show, in order."""
     shown: tuple[Snapshot | BoardView | FloorView, ...]
     shown = (*calibration.snapshots, *calibration.board_views, *calibration.floor)
     return dict.fromkeys(view.sensor for view in shown)
 
 
-def _unknown(view: BoardView) -> Array:
-    """In place of how far off a view is that was not used."""
-    return np.full(view.seen.shape if view.seen.shape[1] == 2 else len(view.seen), np.nan)
+def _nan_residuals(view: BoardView) -> Array:
+    """In place of the residuals of a view that was not used."""
+    return np.full(view.measured.shape if view.measured.shape[1] == 2 else len(view.measured), np.nan)
 
 
-def _timeless(positions: Array) -> Array:
+def _nan_times(positions: Array) -> Array:
     return np.full(len(positions), np.nan)
 
 
@@ -122,7 +127,8 @@ def _board_views(arrays: Arrays, names: Sequence[str]) -> tuple[BoardView, ...]:
             if len(row["off"]) != len(row["seen"]):
                 raise InputError(f"{table.name}/off: each view must have as many as {table.name}/seen")
             unknown = len(row["off"]) > 0 and np.isnan(row["off"]).all()
-            views.append(BoardView(**row | {"off": None if unknown else row["off"]}))
+            residuals = None if unknown else row["off"]
+            views.append(BoardView(row["capture"], row["sensor"], row["used"], row["seen"], residuals))
     return tuple(sorted(views, key=lambda view: (view.capture, view.sensor)))
 
 
@@ -135,7 +141,7 @@ def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:
     return tuple(
         FloorView(
             **row,
-            walks=tuple(walk["positions"] for walk in walks[row["sensor"]]),
+            tracks=tuple(walk["positions"] for walk in walks[row["sensor"]]),
             times=tuple(walk["times"] for walk in walks[row["sensor"]]),
         )
         for row in _FLOOR.unpack_named(arrays, names)

@@ -26,11 +26,11 @@ class TransformTree:
             CalibrationError: a or b is not connected to the root.
 
         """
-        self.check(a)
-        self.check(b)
+        self.check_connected(a)
+        self.check_connected(b)
         return se3.inverse(self.poses[a]) @ self.poses[b]
 
-    def check(self, name: str) -> None:
+    def check_connected(self, name: str) -> None:
         """Refuses a sensor without a pose; raises as :meth:`transform` does."""
         if name in self.poses:
             return

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calgraph.config import Board, Print, prints
+from calgraph.config import Board, PrintedBitmap, printed_bitmaps
 from calgraph.geometry import Array
 
 
@@ -21,12 +21,12 @@ def board_texture(board: Board, texels_per_meter: float) -> Array:
     width, height = board.size
     columns, rows = (max(1, round(length * texels_per_meter)) for length in (width, height))
     face = np.ones((rows, columns))
-    for one in prints(board):
+    for one in printed_bitmaps(board):
         _stamp(face, board.size, one)
     return face
 
 
-def _stamp(face: Array, sheet: tuple[float, float], one: Print) -> None:
+def _stamp(face: Array, sheet: tuple[float, float], one: PrintedBitmap) -> None:
     """Prints a bitmap on the face, in place: area weights are separable, so each axis is one small matrix."""
     (rows, columns), (x, y), (width, height) = one.bitmap.shape, one.center, one.size
     across = _overlaps(face.shape[1], sheet[0], columns, x - width / 2, width)

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
-from calgraph.config.strict_model import StrictModel, wrong
+from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.simulation.rig_scenario import NotNegative, Positive, Probability
 
 LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]
@@ -49,9 +49,9 @@ class ScannerKnobs(StrictModel):
     @model_validator(mode="after")
     def _has_beams(self) -> "ScannerKnobs":
         if self.resolution > self.field_of_view:
-            raise wrong("resolution", f"must be at most field_of_view, {self.field_of_view:g}")
+            raise invalid("resolution", f"must be at most field_of_view, {self.field_of_view:g}")
         if self.min_range >= self.max_range:
-            raise wrong("min_range", f"must be below max_range, {self.max_range:g}, got {self.min_range:g}")
+            raise invalid("min_range", f"must be below max_range, {self.max_range:g}, got {self.min_range:g}")
         return self
 
 
@@ -85,7 +85,7 @@ class PeopleKnobs(StrictModel):
     @model_validator(mode="after")
     def _has_arms_to_swing(self) -> "PeopleKnobs":
         if self.swing > 0 and self.kind != "people":
-            raise wrong("swing", f"a {self.kind} has no arms")
+            raise invalid("swing", f"a {self.kind} has no arms")
         return self
 
     @property
@@ -133,13 +133,13 @@ class NetworkScenario(StrictModel):
     @model_validator(mode="after")
     def _consistent(self) -> "NetworkScenario":
         if self.layout == "halls" and self.scanner.count > _HALLS_PLACES:
-            raise wrong("scanner.count", f"halls have places for {_HALLS_PLACES}, got {self.scanner.count}")
+            raise invalid("scanner.count", f"halls have places for {_HALLS_PLACES}, got {self.scanner.count}")
         if self.layout == "ring" and self.ring_diameter < 20:
-            raise wrong("ring_diameter", f"must be at least 20, got {self.ring_diameter:g}")
+            raise invalid("ring_diameter", f"must be at least 20, got {self.ring_diameter:g}")
         if self.background >= self.duration:
-            raise wrong("background", f"must be below the duration, {self.duration:g}, got {self.background:g}")
+            raise invalid("background", f"must be below the duration, {self.duration:g}, got {self.background:g}")
         if self.root is not None and self.root not in self.names:
-            raise wrong("root", f"must be one of {self.names[0]} to {self.names[-1]}, got {self.root!r}")
+            raise invalid("root", f"must be one of {self.names[0]} to {self.names[-1]}, got {self.root!r}")
         return self
 
     @property

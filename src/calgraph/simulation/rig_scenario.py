@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from calgraph.config import Board, Tag
-from calgraph.config.board_ambiguity import check_told_apart
+from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.strict_model import StrictModel
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -194,7 +194,7 @@ class RigScenario(StrictModel):
             raise ValueError("a rig needs at least two sensors")
         if self.heights[1] < self.heights[0]:
             raise ValueError(f"heights must be lowest, highest, got {list(self.heights)}")
-        check_told_apart(self.boards)
+        check_boards_distinguishable(self.boards)
         return self
 
     @property

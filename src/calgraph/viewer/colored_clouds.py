@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, Snapshot, colored
+from calgraph.result import Calibration, Snapshot, colorize_from_snapshots
 from calgraph.sensors import CameraModel
 from calgraph.viewer.view_state import Choice, poses, up
 
@@ -60,7 +60,7 @@ def clouds(
         # All scanners' points together: each hides what is behind it from the cameras.
         x_root = np.concatenate([in_root(s, T_root_sensor) for s in scans])
         if choice.coloring == "camera":
-            colors, seen = colored(x_root, captured, cameras, T_root_sensor)
+            colors, seen = colorize_from_snapshots(x_root, captured, cameras, T_root_sensor)
             colors[~seen] = _UNSEEN
         elif choice.coloring == "height":
             colors = by_height(x_root @ up(calibration), heights)

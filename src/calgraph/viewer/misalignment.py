@@ -37,12 +37,12 @@ def misfits(calibration: Calibration, cameras: Mapping[str, CameraModel], choice
         name, boards = view.sensor, sheets.get(view.capture, [])
         if boards and name in T_root_moved and choice.moment in (None, view.capture):
             T, T_moved = calibration[name].T_root_sensor, T_root_moved[name]
-            if view.off is not None and name in cameras:
+            if view.residuals is not None and name in cameras:
                 off.setdefault(name, []).append(
-                    _in_picture(view.seen, view.off, boards, cameras[name], T, T_moved)
+                    _in_picture(view.measured, view.residuals, boards, cameras[name], T, T_moved)
                 )
-            elif view.off is not None and view.seen.shape[1] == 3:
-                off.setdefault(name, []).append(_from_plane(view.seen, boards, T, T_moved))
+            elif view.residuals is not None and view.measured.shape[1] == 3:
+                off.setdefault(name, []).append(_from_plane(view.measured, boards, T, T_moved))
     together = {name: rms(np.concatenate(parts)) for name, parts in off.items()}
     return {
         name: Misfit(value, "px" if name in cameras else "m")

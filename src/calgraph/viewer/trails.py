@@ -39,7 +39,7 @@ def duration(calibration: Calibration) -> float:
 
 def _trail(calibration: Calibration, view: FloorView, moment: float | None) -> Trail:
     segments, people = [np.empty((0, 2, 2))], [np.empty((0, 2))]
-    for k, walk in enumerate(view.walks):
+    for k, walk in enumerate(view.tracks):
         if moment is None:
             segments.append(_steps(walk))
             continue

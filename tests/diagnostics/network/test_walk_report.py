@@ -120,7 +120,7 @@ def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator
     known = {"east": tracked("east", [walk(0, 4, 1.5)], rng), "north": tracked("north", [], rng)}
     views = floor_views(known, {n: sample(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0)
     (view,) = views
-    (line,) = view.walks
+    (line,) = view.tracks
     assert view.sensor == "east"
     np.testing.assert_allclose(view.background[:, 1], -2.0, atol=1e-9)
     np.testing.assert_allclose(line[:, 1], 1.5, atol=5 * SIGMA)
@@ -131,5 +131,5 @@ def test_the_floor_of_a_long_recording_stays_small(rng: np.random.Generator) -> 
     hour[:, 1] = 5 + 5 * np.sin(hour[:, 1])
     known = tracked("west", [hour], rng)
     (view,) = floor_views({"west": known}, {"west": sample(known)}, T_ROOT, start=0.0)
-    assert sum(map(len, view.walks)) <= 30_000
+    assert sum(map(len, view.tracks)) <= 30_000
     assert len(view.background) < 400

@@ -40,7 +40,7 @@ def outlines(one: Seen, used: Used, joint: RigSolution) -> tuple[BoardOutline, .
 
 def offs(views: tuple[BoardView, ...], kind: int) -> Array:
     """All that cameras (2) or scanners (1) are off, px or m."""
-    return np.concatenate([v.off for v in views if v.off is not None and v.off.ndim == kind])
+    return np.concatenate([v.residuals for v in views if v.residuals is not None and v.residuals.ndim == kind])
 
 
 def test_every_detection_has_a_view(one: Seen, views: tuple[BoardView, ...]) -> None:
@@ -64,14 +64,14 @@ def test_distances_are_positive_beyond_the_sheet_as_the_scanner_sees_it(
     joint: RigSolution, views: tuple[BoardView, ...], outlines: tuple[BoardOutline, ...]
 ) -> None:
     sheets = {o.capture: o.corners for o in outlines if o.board is not None}
-    compared = [v for v in views if v.capture in sheets and v.off is not None and v.off.ndim == 1]
+    compared = [v for v in views if v.capture in sheets and v.residuals is not None and v.residuals.ndim == 1]
     assert len(compared) > 20
     for view in compared:
-        assert view.off is not None
+        assert view.residuals is not None
         T, corners = joint.T_root_sensor[view.sensor], sheets[view.capture]
         normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
         normal *= np.sign(normal @ (corners[0] - T[:3, 3])) / np.linalg.norm(normal)
-        np.testing.assert_allclose(view.off, (se3.apply(T, view.seen) - corners[0]) @ normal, atol=1e-9)
+        np.testing.assert_allclose(view.residuals, (se3.apply(T, view.measured) - corners[0]) @ normal, atol=1e-9)
 
 
 def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline, ...]) -> None:
@@ -88,7 +88,7 @@ def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline,
 def test_without_a_bundle_nothing_is_predicted(one: Seen, used: Used, joint: RigSolution) -> None:
     other = replace(joint, solved_bundle=None, estimator="hypergraph")
     views = board_views(one.captured, used, other)
-    assert all(v.used and v.off is None for v in views)
+    assert all(v.used and v.residuals is None for v in views)
     outlines = board_outlines(one.rig, one.captured, used, other)
     seen_by_cameras = {
         n for by in one.captured.detections.values() for n, d in by.items() if isinstance(d[0], BoardCorners)

@@ -12,12 +12,12 @@ from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.observations import CornerObservations
 from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.result import LeftOut
+from calgraph.result import HeldOutError
 
 SEEDS, SWAY = 12, 0.001
 
 
-def left_out(exact: Scene, bundle: Bundle, folds: int = 4) -> dict[str, LeftOut]:
+def left_out(exact: Scene, bundle: Bundle, folds: int = 4) -> dict[str, HeldOutError]:
     """Cross-validation of a bundle whose every capture shows one board."""
     solved = minimize_bundle(bundle, exact.truth)
     return cross_validate(SolvedBundle(bundle, solved, np.arange(len(exact.truth.T_root_board))), folds)

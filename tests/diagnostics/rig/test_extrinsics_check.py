@@ -16,8 +16,8 @@ from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, KnownPoses, SensorPose, Verdict
-from calgraph.result.frame_tree import FrameTree, Hanging
+from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
+from calgraph.result.frame_tree import FrameLink, FrameTree
 
 SEEDS = 20
 
@@ -54,16 +54,16 @@ def calibrated(seed: int | None = None) -> tuple[Calibration, SolvedBundle]:
     return Calibration(NAMES[0], sensors, joint_covariance=joint), SolvedBundle(bundle, solved, boards)
 
 
-def true_poses(moved: str = "", by: Array | None = None) -> KnownPoses:
+def true_poses(moved: str = "", by: Array | None = None) -> ExtrinsicsFile:
     """The truth as a file has it, one sensor moved along its own axes by a step (6,)."""
     T = dict(zip(NAMES, EXACT.truth.T_root_sensor, strict=True))
     if by is not None:
         T[moved] = T[moved] @ se3.retract(np.eye(4), by)
-    above = {f"{n}_frame": Hanging("lidar_frame", se3.inverse(T["lidar"]) @ T[n]) for n in NAMES[1:]}
-    return KnownPoses(Path("robot.urdf"), FrameTree("robot.urdf", above))
+    above = {f"{n}_frame": FrameLink("lidar_frame", se3.inverse(T["lidar"]) @ T[n]) for n in NAMES[1:]}
+    return ExtrinsicsFile(Path("robot.urdf"), FrameTree("robot.urdf", above))
 
 
-def audited(given: KnownPoses, seed: int = 0, tolerance: Tolerance | None = None) -> Audit:
+def audited(given: ExtrinsicsFile, seed: int = 0, tolerance: Tolerance | None = None) -> Audit:
     return audit(calibrated(seed)[0], None, given, tolerance)
 
 
@@ -153,8 +153,8 @@ def test_covariances_of_a_given_calibration_count() -> None:
     distances = []
     for seed in range(SEEDS):
         found, before = calibrated(seed)[0], calibrated((seed + 1) % SEEDS)[0]
-        above = {s.name: Hanging("lidar", s.T_root_sensor) for s in before.sensors[1:]}
-        given = KnownPoses(Path("calibration.yaml"), FrameTree("calibration.yaml", above), calibration=before)
+        above = {s.name: FrameLink("lidar", s.T_root_sensor) for s in before.sensors[1:]}
+        given = ExtrinsicsFile(Path("calibration.yaml"), FrameTree("calibration.yaml", above), calibration=before)
         distances += [sensor.distance**2 for sensor in audit(found, None, given).sensors]
     # 60 squared distances with six degrees of freedom each, those of one run, and of neighbours, correlated.
     assert 4.5 < np.mean(distances) < 7.5
@@ -162,16 +162,16 @@ def test_covariances_of_a_given_calibration_count() -> None:
 
 def test_a_sensor_that_the_file_lacks_is_a_warning_by_name() -> None:
     given = true_poses()
-    less = {frame: hanging for frame, hanging in given.tree.above.items() if frame != "camera_frame"}
+    less = {frame: hanging for frame, hanging in given.tree.links.items() if frame != "camera_frame"}
     result = audited(replace(given, tree=FrameTree("robot.urdf", less)))
     assert result.sensors[0].outcome == "warn"
     assert result.sensors[0].reason == "robot.urdf has neither a frame camera_frame nor one called camera"
 
 
 def test_a_file_without_the_root_is_refused() -> None:
-    less = {"camera_frame": Hanging("base", np.eye(4))}
+    less = {"camera_frame": FrameLink("base", np.eye(4))}
     with pytest.raises(InputError, match="has no frame 'lidar_frame', nor one called lidar"):
-        audited(KnownPoses(Path("robot.urdf"), FrameTree("robot.urdf", less)))
+        audited(ExtrinsicsFile(Path("robot.urdf"), FrameTree("robot.urdf", less)))
 
 
 def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:

@@ -9,7 +9,7 @@ from calgraph.config import Board, Checkerboard
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, RigSolution
-from calgraph.result import Estimated
+from calgraph.result import EstimatedParameter
 from calgraph.simulation import CameraKnobs
 from seen_rigs import QUICK, Seen, seen
 
@@ -62,7 +62,7 @@ def misprinted(right: Seen) -> Seen:
     return replace(right.changed(moved), rig=rig)
 
 
-def one(joint: RigSolution, of: str, quantity: str) -> Estimated:
+def one(joint: RigSolution, of: str, quantity: str) -> EstimatedParameter:
     (found,) = [e for e in joint.extra_parameters if (e.of, e.quantity) == (of, quantity)]
     return found
 

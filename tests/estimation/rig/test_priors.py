@@ -27,7 +27,7 @@ from calgraph.estimation.rig.priors import (
 from calgraph.geometry import Array, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.result import read_poses
+from calgraph.result import read_extrinsics
 
 SEEDS = 16
 EXACT = scene(("lidar", "camera", "laser", "laser_2"), boards=8)
@@ -175,7 +175,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: CaptureSet, file: Path) -> None:
-    priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_poses(file), (0.01, 0.1)), [])
+    priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_extrinsics(file), (0.01, 0.1)), [])
     assert [prior.sensor for prior in priors] == ["camera", "laser"]
     np.testing.assert_array_equal(np.array(priors[1].T_root_sensor)[:3, 3], [1, 1, 0])
     np.testing.assert_allclose(np.diag(priors[0].covariance), [1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
@@ -183,7 +183,7 @@ def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: Captu
 
 
 def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, file: Path) -> None:
-    priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_poses(file), (0, 0)), [])
+    priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_extrinsics(file), (0, 0)), [])
     assert priors == ()
     assert [list(group.T_group_sensor) for group in groups] == [["lidar", "camera", "laser"]]
 
@@ -206,7 +206,7 @@ def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, fi
 def test_what_cannot_be_known_so_is_refused(
     rig: Rig, captured: CaptureSet, file: Path, prior: object, rigid: list[tuple[str, ...]], message: str
 ) -> None:
-    poses = read_poses(file)
+    poses = read_extrinsics(file)
     known = None if prior is None else PriorFile(poses, None if prior == "none" else (0, 0))
     with pytest.raises(InputError, match=message):
         resolve_prior_poses(rig, captured, known, [RigidFile(poses, sensors) for sensors in rigid])

@@ -8,10 +8,10 @@ from calgraph.diagnostics.comparison import CHANCE, Audit, SensorAudit, Toleranc
 from calgraph.diagnostics.network.moved_scanners import Displacement, displacements
 from calgraph.errors import InputError
 from calgraph.estimation.network.planar_poses import PlanarPoses, in_plane, planar_poses
-from calgraph.result import Calibration, KnownPoses
+from calgraph.result import Calibration, ExtrinsicsFile
 
 
-def audit_network(found: Calibration, given: KnownPoses, tolerance: Tolerance | None = None) -> Audit:
+def audit_network(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None) -> Audit:
     """Compares given poses of a network with those found, and names the fewest scanners that explain what differs.
 
     Scanners fail that have moved by more than the tolerance. If nothing has moved, none is taken to have with a

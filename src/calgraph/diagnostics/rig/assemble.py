@@ -54,7 +54,7 @@ def assemble(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibr
         outlines=board_outlines(rig, captured, used, joint),
         board_views=board_views(captured, used, joint),
         estimator=joint.estimator,
-        estimated=joint.extra_parameters,
+        estimated_parameters=joint.extra_parameters,
         joint_covariance=_ordered(joint, root_first),
         snapshots=captured.snapshots,
     )

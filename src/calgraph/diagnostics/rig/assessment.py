@@ -34,7 +34,7 @@ def with_outlook(
     suggestions = suggest(adjusted, kinds, size, rng)
     return replace(
         calibration,
-        left_out=cross_validate(adjusted, folds) if folds else {},
+        cross_validation=cross_validate(adjusted, folds) if folds else {},
         suggestions=suggestions,
         sensors=tuple(_advised(sensor, suggestions) for sensor in calibration.sensors),
     )

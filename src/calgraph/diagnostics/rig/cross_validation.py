@@ -32,7 +32,7 @@ from calgraph.estimation.rig.observations import BoardViews, CornerObservations,
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
-from calgraph.result import LeftOut
+from calgraph.result import HeldOutError
 from calgraph.result.calibration import rms
 
 # Directions in which the others place a board worse than this are taken from the sensor's own view, m.
@@ -61,7 +61,7 @@ class _Errors:
     """(V,) how many directions were predicted."""
 
 
-def cross_validate(adjusted: SolvedBundle, folds: int) -> dict[str, LeftOut]:
+def cross_validate(adjusted: SolvedBundle, folds: int) -> dict[str, HeldOutError]:
     """Leaves out every capture once, in so many solutions.
 
     The noise and sway are those of the whole solution, which is also where the others start.
@@ -228,13 +228,13 @@ def _sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[Array,
     return np.abs(along * np.sum(normal * views.directions, axis=1)), np.abs(along)
 
 
-def _summary(found: Sequence[_Errors], unit: Literal["px", "m"]) -> LeftOut | None:
+def _summary(found: Sequence[_Errors], unit: Literal["px", "m"]) -> HeldOutError | None:
     """All views of one sensor in numbers; None if none was predicted."""
     freedom = sum(int(e.freedom.sum()) for e in found)
     if not freedom:
         return None
     error = np.concatenate([e.error for e in found])
-    return LeftOut(
+    return HeldOutError(
         views=sum(len(e.freedom) for e in found),
         unit=unit,
         rms=float(np.sqrt(np.mean(error**2))),

@@ -11,11 +11,11 @@ from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_
 from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
-from calgraph.result import Calibration, KnownPoses
+from calgraph.result import Calibration, ExtrinsicsFile
 
 
 def audit(
-    found: Calibration, adjusted: SolvedBundle | None, given: KnownPoses, tolerance: Tolerance | None = None
+    found: Calibration, adjusted: SolvedBundle | None, given: ExtrinsicsFile, tolerance: Tolerance | None = None
 ) -> Audit:
     """Compares given extrinsics with those found.
 

@@ -18,7 +18,7 @@ from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, Bundl
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations
 from calgraph.geometry import Array, Index
-from calgraph.result import Estimated
+from calgraph.result import EstimatedParameter
 from calgraph.sensors import CameraModel
 
 Estimable = Literal["range_bias", "intrinsics", "tags"]
@@ -66,11 +66,11 @@ def add_extra_parameters(
 
 def summarize_extra_parameters(
     bundle: Bundle, state: BundleState, system: BundleEquations
-) -> tuple[Estimated, ...]:
+) -> tuple[EstimatedParameter, ...]:
     """The unknowns besides poses, with their standard deviations."""
     own = np.diag(parameter_covariance(system))[6 * bundle.body_count :]
     found = tuple(
-        Estimated(
+        EstimatedParameter(
             one.of,
             one.quantity,
             one.unit,

@@ -14,7 +14,7 @@ from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPri
 from calgraph.geometry import Array, Index, se3
 from calgraph.graph import SpanningTree, grown
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.result import KnownPoses
+from calgraph.result import ExtrinsicsFile
 
 Row4 = tuple[float, float, float, float]
 Row6 = tuple[float, float, float, float, float, float]
@@ -50,7 +50,7 @@ class RigidGroup(StrictModel):
 class PriorFile:
     """A file whose poses are priors of all sensors that it knows."""
 
-    poses: KnownPoses
+    poses: ExtrinsicsFile
     stddev: tuple[float, float] | None = None
     """Of every coordinate of a position (m) and of every rotation (rad), 0 and 0 for a pose that is exact; without
     them the file's own covariances are taken."""
@@ -60,7 +60,7 @@ class PriorFile:
 class RigidFile:
     """A file that says how some sensors are fixed to each other."""
 
-    poses: KnownPoses
+    poses: ExtrinsicsFile
     sensors: tuple[str, ...]
 
 
@@ -82,8 +82,8 @@ def resolve_prior_poses(
     groups = [_resolve_group(file.poses, file.sensors, frames) for file in rigid]
     priors: list[PosePrior] = []
     if prior is not None:
-        found = prior.poses.frames_of(frames)
-        root = prior.poses.frame(rig.root, frames)
+        found = prior.poses.frames_of_sensors(frames)
+        root = prior.poses.frame_of_sensor(rig.root, frames)
         if prior.stddev == (0, 0):
             groups.append(_resolve_group(prior.poses, (rig.root, *(n for n in found if n != rig.root)), frames))
         else:
@@ -152,7 +152,7 @@ def assign_bodies(names: Sequence[str], groups: Sequence[RigidGroup]) -> Index:
     return np.array([number[body] for body in label], dtype=np.intp)
 
 
-def _resolve_group(poses: KnownPoses, sensors: Sequence[str], frames: Mapping[str, str]) -> RigidGroup:
+def _resolve_group(poses: ExtrinsicsFile, sensors: Sequence[str], frames: Mapping[str, str]) -> RigidGroup:
     unknown = [name for name in sensors if name not in frames]
     if unknown:
         raise InputError(
@@ -160,7 +160,7 @@ def _resolve_group(poses: KnownPoses, sensors: Sequence[str], frames: Mapping[st
         )
     if len(set(sensors)) < 2:
         raise InputError(f"a rigid group needs two sensors at least, got {', '.join(sensors) or 'none'}")
-    first, *others = (poses.frame(name, frames) for name in sensors)
+    first, *others = (poses.frame_of_sensor(name, frames) for name in sensors)
     T: dict[str, Array] = {sensors[0]: np.eye(4)} | {
         name: poses.transform(first, frame) for name, frame in zip(sensors[1:], others, strict=True)
     }

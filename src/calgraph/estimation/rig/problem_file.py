@@ -18,7 +18,7 @@ from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.io.yaml_reading import validated
+from calgraph.io.yaml_reading import validate_content
 from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
 from calgraph.sensors import CameraModel
 
@@ -105,7 +105,7 @@ def load_problem(path: Path) -> Problem:
             says does not fit together; the message names the member and what would be right.
     """
     content, arrays = read_archive(path, _STRUCTURE, FORMAT)
-    structure = validated(_Structure, content, path / _STRUCTURE)
+    structure = validate_content(_Structure, content, path / _STRUCTURE)
     try:
         problem = _decode(structure, arrays)
         check_problem(problem)

@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle
 from calgraph.geometry import Array, Index
-from calgraph.result import Estimated
+from calgraph.result import EstimatedParameter
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class RigSolution:
     """By sensor, where it was measured."""
     graph_error: float = float("nan")
     """Sum of squared errors over all of a hypergraph's edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
-    extra_parameters: tuple[Estimated, ...] = ()
+    extra_parameters: tuple[EstimatedParameter, ...] = ()
     """What was estimated besides poses."""
     solved_bundle: SolvedBundle | None = None
     """What the bundle ended with; None for other estimators, and where no two sensors share a board."""

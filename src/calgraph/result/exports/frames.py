@@ -11,7 +11,7 @@ from calgraph.result.calibration import Calibration
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class TreeEdge:
     """One edge of the tree."""
 
     parent: str
@@ -31,7 +31,7 @@ class Link:
         return so3.quaternion(self.T_parent_child[:3, :3])
 
 
-def frames(calibration: Calibration) -> dict[str, str]:
+def frame_ids(calibration: Calibration) -> dict[str, str]:
     """The frame of each sensor, by the sensor's name, without the leading slash that tf2 refuses.
 
     Raises:
@@ -52,24 +52,24 @@ def frames(calibration: Calibration) -> dict[str, str]:
     return by_sensor
 
 
-def links(calibration: Calibration) -> list[Link]:
+def tree_edges(calibration: Calibration) -> list[TreeEdge]:
     """The edges of the tree, parents before their children; raises as :func:`frames` does."""
-    frame_of = frames(calibration)
+    frame_of = frame_ids(calibration)
     children: dict[str, list[str]] = {}
     for sensor in calibration.sensors:
         if sensor.parent is not None:
             children.setdefault(sensor.parent, []).append(sensor.name)
-    found: list[Link] = []
+    found: list[TreeEdge] = []
     waiting = [calibration.root]
     while waiting:
         parent = waiting.pop(0)
         for child in children.get(parent, []):
-            found.append(Link(frame_of[parent], frame_of[child], calibration.transform(parent, child)))
+            found.append(TreeEdge(frame_of[parent], frame_of[child], calibration.transform(parent, child)))
             waiting.append(child)
     return found
 
 
-def number(value: float) -> str:
+def format_coordinate(value: float) -> str:
     """A coordinate as text: to 1e-13, and 0 for -0."""
     return repr(round(float(value), 13) + 0.0)
 

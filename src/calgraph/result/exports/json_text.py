@@ -21,11 +21,11 @@ def to_json(calibration: Calibration) -> str:
         "root": calibration.root,
         "estimator": calibration.estimator,
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
-        "estimated": [asdict(one) for one in calibration.estimated],
+        "estimated": [asdict(one) for one in calibration.estimated_parameters],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(calibration.unconnected),
         "remarks": list(calibration.remarks),
-        "cross_validation": {name: asdict(one) for name, one in calibration.left_out.items()},
+        "cross_validation": {name: asdict(one) for name, one in calibration.cross_validation.items()},
         "suggestions": [
             {**vars(one), "T_root_board": _plain(one.T_root_board)} for one in calibration.suggestions
         ],
@@ -40,7 +40,7 @@ def to_json(calibration: Calibration) -> str:
             {
                 "sensor": view.sensor,
                 "background": _plain(view.background),
-                "walks": [_plain(walk) for walk in view.walks],
+                "walks": [_plain(walk) for walk in view.tracks],
             }
             for view in calibration.floor
         ],

@@ -8,10 +8,10 @@ import numpy as np
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.io import yaml_text
-from calgraph.io.yaml_writing import on_one_line
+from calgraph.io import format_yaml
+from calgraph.io.yaml_writing import flow_sequence
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import number
+from calgraph.result.exports.frames import format_coordinate
 from calgraph.sensors import CameraModel
 
 _COMMENT = "Kalibr camchain, calibrated by calgraph. T_cn_cnm1 maps coordinates in the camera before to this one."
@@ -37,14 +37,14 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
     specs = rig.cameras() if rig else {}
     chain: dict[str, Any] = {}
     for index, name in enumerate(names):
-        entry: dict[str, Any] = {"cam_overlaps": on_one_line(i for i in range(len(names)) if i != index)}
+        entry: dict[str, Any] = {"cam_overlaps": flow_sequence(i for i in range(len(names)) if i != index)}
         if index > 0:
             entry["T_cn_cnm1"] = _matrix(calibration.transform(name, names[index - 1]))
         entry |= _intrinsics(name, _camera(name, specs, cameras))
         if name in specs:
             entry["rostopic"] = specs[name].topic
         chain[f"cam{index}"] = entry
-    return yaml_text(chain, "\n".join([_COMMENT, *(f"cam{i}: {name!r}" for i, name in enumerate(names))]))
+    return format_yaml(chain, "\n".join([_COMMENT, *(f"cam{i}: {name!r}" for i, name in enumerate(names))]))
 
 
 def _camera(name: str, specs: Mapping[str, CameraSpec], cameras: Mapping[str, CameraModel]) -> CameraModel:
@@ -63,10 +63,10 @@ def _intrinsics(name: str, camera: CameraModel) -> dict[str, Any]:
     model, coefficients = _distortion(name, camera)
     return {
         "camera_model": "pinhole",
-        "distortion_coeffs": on_one_line(coefficients),
+        "distortion_coeffs": flow_sequence(coefficients),
         "distortion_model": model,
-        "intrinsics": on_one_line(float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])),
-        "resolution": on_one_line([camera.width, camera.height]),
+        "intrinsics": flow_sequence(float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])),
+        "resolution": flow_sequence([camera.width, camera.height]),
     }
 
 
@@ -83,4 +83,4 @@ def _distortion(name: str, camera: CameraModel) -> tuple[str, list[float]]:
 
 
 def _matrix(T: Array) -> list[Any]:
-    return [on_one_line(float(number(value)) for value in row) for row in T]
+    return [flow_sequence(float(format_coordinate(value)) for value in row) for row in T]

@@ -3,7 +3,7 @@
 import re
 
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import Link, links, number
+from calgraph.result.exports.frames import TreeEdge, format_coordinate, tree_edges
 
 _HEAD = '''\
 """Static transforms of the sensors, calibrated by calgraph (root: {root})."""
@@ -24,15 +24,15 @@ def to_launch(calibration: Calibration) -> str:
         InputError: a sensor has no frame_id, or two have the same.
 
     """
-    nodes = "".join(_node(index, link) for index, link in enumerate(links(calibration)))
+    nodes = "".join(_node(index, link) for index, link in enumerate(tree_edges(calibration)))
     # The root's name goes into a docstring; only what cannot end it is let through.
     root = re.sub(r"[^\w .:/-]", "_", calibration.root)
     return _HEAD.format(root=root) + nodes + "    ])\n"
 
 
-def _node(index: int, link: Link) -> str:
-    x, y, z = map(number, link.xyz)
-    qx, qy, qz, qw = map(number, link.xyzw)
+def _node(index: int, link: TreeEdge) -> str:
+    x, y, z = map(format_coordinate, link.xyz)
+    qx, qy, qz, qw = map(format_coordinate, link.xyzw)
     name = f"static_transform_{index}_{re.sub(r'[^0-9A-Za-z_]', '_', link.child)}"
     return f"""\
         Node(

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from calgraph.io import yaml_text
+from calgraph.io import format_yaml
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import Link, links, number
+from calgraph.result.exports.frames import TreeEdge, format_coordinate, tree_edges
 
 _COMMENT = """\
 Static transforms in the layout of tf2_msgs/TFMessage: each maps coordinates in child_frame_id to header.frame_id.
@@ -21,15 +21,15 @@ def to_tf_yaml(calibration: Calibration) -> str:
         InputError: a sensor has no frame_id, or two have the same.
 
     """
-    return yaml_text({"transforms": [_stamped(link) for link in links(calibration)]}, _COMMENT)
+    return format_yaml({"transforms": [_stamped(link) for link in tree_edges(calibration)]}, _COMMENT)
 
 
-def _stamped(link: Link) -> dict[str, Any]:
+def _stamped(link: TreeEdge) -> dict[str, Any]:
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": link.parent},
         "child_frame_id": link.child,
         "transform": {
-            "translation": {key: float(number(v)) for key, v in zip("xyz", link.xyz, strict=True)},
-            "rotation": {key: float(number(v)) for key, v in zip("xyzw", link.xyzw, strict=True)},
+            "translation": {key: float(format_coordinate(v)) for key, v in zip("xyz", link.xyz, strict=True)},
+            "rotation": {key: float(format_coordinate(v)) for key, v in zip("xyzw", link.xyzw, strict=True)},
         },
     }

@@ -4,7 +4,7 @@ from xml.sax.saxutils import quoteattr
 
 from calgraph.geometry import Array
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import Link, frames, links, number, roll_pitch_yaw
+from calgraph.result.exports.frames import TreeEdge, format_coordinate, frame_ids, roll_pitch_yaw, tree_edges
 
 
 def to_urdf(calibration: Calibration) -> str:
@@ -15,20 +15,20 @@ def to_urdf(calibration: Calibration) -> str:
 
     """
     lines = ['<?xml version="1.0"?>', "<!-- Calibrated by calgraph. -->", '<robot name="calgraph">']
-    lines += [f"  <link name={quoteattr(frame)}/>" for frame in frames(calibration).values()]
-    for link in links(calibration):
+    lines += [f"  <link name={quoteattr(frame)}/>" for frame in frame_ids(calibration).values()]
+    for link in tree_edges(calibration):
         lines += _joint(link)
     return "\n".join([*lines, "</robot>", ""])
 
 
 def origin_attributes(T_parent_child: Array) -> str:
     """``xyz="..." rpy="..."`` of an origin: metres, and angles about fixed axes, rad."""
-    xyz = " ".join(map(number, T_parent_child[:3, 3]))
-    rpy = " ".join(map(number, roll_pitch_yaw(T_parent_child[:3, :3])))
+    xyz = " ".join(map(format_coordinate, T_parent_child[:3, 3]))
+    rpy = " ".join(map(format_coordinate, roll_pitch_yaw(T_parent_child[:3, :3])))
     return f'xyz="{xyz}" rpy="{rpy}"'
 
 
-def _joint(link: Link) -> list[str]:
+def _joint(link: TreeEdge) -> list[str]:
     return [
         f'  <joint name={quoteattr(f"{link.parent}_to_{link.child}")} type="fixed">',
         f"    <parent link={quoteattr(link.parent)}/>",

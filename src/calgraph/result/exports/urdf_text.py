@@ -11,7 +11,7 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.result.exports.frames import from_roll_pitch_yaw
-from calgraph.result.frame_tree import FrameTree, Hanging
+from calgraph.result.frame_tree import FrameLink, FrameTree
 
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
@@ -32,7 +32,7 @@ class Joint:
 
 
 @dataclass
-class _Draft:
+class _PartialJoint:
     """A joint while its element is being read."""
 
     attributes: dict[str, str]
@@ -51,7 +51,7 @@ def read_joints(text: str) -> list[Joint]:
 
     """
     content = text.encode()
-    drafts: list[_Draft] = []
+    drafts: list[_PartialJoint] = []
     path: list[str] = []
     # The text has been decoded: whatever encoding the file declares no longer applies.
     parser = expat.ParserCreate("utf-8")
@@ -62,7 +62,7 @@ def read_joints(text: str) -> list[Joint]:
             raise InputError("the URDF is a xacro; expand it first: xacro robot.urdf.xacro > robot.urdf")
         position = parser.CurrentByteIndex
         if path == ["robot", "joint"]:
-            drafts.append(_Draft(attributes, _end_of_tag(content, position)))
+            drafts.append(_PartialJoint(attributes, _end_of_tag(content, position)))
         elif path[:2] == ["robot", "joint"] and len(path) == 3:
             _add(drafts[-1], tag, attributes, (position, _end_of_tag(content, position)))
 
@@ -84,7 +84,7 @@ def read_joints(text: str) -> list[Joint]:
     return [_joint(draft) for draft in drafts]
 
 
-def hung(joints: Sequence[Joint], source: str = "the URDF") -> FrameTree:
+def frames_from_joints(joints: Sequence[Joint], source: str = "the URDF") -> FrameTree:
     """The links of a URDF as frames that hang from each other.
 
     Raises:
@@ -94,13 +94,13 @@ def hung(joints: Sequence[Joint], source: str = "the URDF") -> FrameTree:
     child, count = Counter(joint.child for joint in joints).most_common(1)[0]
     if count > 1:
         raise InputError(f"link {child!r} of the URDF is the child of {count} joints, it can be of one only")
-    return FrameTree(source, {joint.child: _hanging(joint) for joint in joints})
+    return FrameTree(source, {joint.child: _frame_link(joint) for joint in joints})
 
 
-def _hanging(joint: Joint) -> Hanging:
+def _frame_link(joint: Joint) -> FrameLink:
     fixed = joint.type == "fixed"
     movable = "" if fixed else f"joint {joint.name!r} of the URDF is {joint.type or 'of no type'}"
-    return Hanging(joint.parent, joint.T_parent_child, movable)
+    return FrameLink(joint.parent, joint.T_parent_child, movable)
 
 
 def replace_origins(text: str, joints: Sequence[Joint], origins: Mapping[str, str]) -> str:
@@ -118,18 +118,18 @@ def replace_origins(text: str, joints: Sequence[Joint], origins: Mapping[str, st
         if joint.child in origins:
             first, last = joint.span
             new = f"<origin {origins[joint.child]}".encode()
-            content = content[:first] + _as_tag(new, content[first:last]) + content[last:]
+            content = content[:first] + _replace_tag(new, content[first:last]) + content[last:]
     return content.decode()
 
 
-def _as_tag(new: bytes, old: bytes) -> bytes:
+def _replace_tag(new: bytes, old: bytes) -> bytes:
     """The tag ``new`` closed as ``old`` was, or on a line of its own where there was none."""
     if not old:
         return b"\n    " + new + b"/>"
     return new + (b"/>" if old.endswith(b"/>") else b">")
 
 
-def _add(draft: _Draft, tag: str, attributes: dict[str, str], span: tuple[int, int]) -> None:
+def _add(draft: _PartialJoint, tag: str, attributes: dict[str, str], span: tuple[int, int]) -> None:
     if tag == "origin":
         draft.origin, draft.span = attributes, span
     elif tag == "parent":
@@ -138,7 +138,7 @@ def _add(draft: _Draft, tag: str, attributes: dict[str, str], span: tuple[int, i
         draft.child = attributes.get("link", "")
 
 
-def _joint(draft: _Draft) -> Joint:
+def _joint(draft: _PartialJoint) -> Joint:
     name = draft.attributes.get("name", "")
     if not draft.parent or not draft.child:
         raise InputError(f"joint {name!r} of the URDF needs a parent and a child link")

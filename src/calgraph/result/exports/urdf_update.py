@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import frames
+from calgraph.result.exports.frames import frame_ids
 from calgraph.result.exports.urdf import origin_attributes
-from calgraph.result.exports.urdf_text import hung, read_joints, replace_origins
+from calgraph.result.exports.urdf_text import frames_from_joints, read_joints, replace_origins
 from calgraph.result.frame_tree import FrameTree
 
 _log = logging.getLogger(__name__)
@@ -32,23 +32,23 @@ def update_urdf(calibration: Calibration, urdf: str) -> str:
 
     """
     joints = read_joints(urdf)
-    robot = hung(joints)
-    poses = _poses_of_links(calibration, robot)
-    root = frames(calibration)[calibration.root]
-    anchor = [link for link in robot.upwards(root) if link in poses][-1]
+    frame_tree = frames_from_joints(joints)
+    poses = _poses_of_links(calibration, frame_tree)
+    root = frame_ids(calibration)[calibration.root]
+    anchor = [link for link in frame_tree.ancestry(root) if link in poses][-1]
     origins = {}
-    for link in poses.keys() & robot.above.keys() - {anchor}:
-        parent = robot.above[link].parent
-        T_parent_link = se3.inverse(_pose(robot, poses, anchor, parent)) @ poses[link]
-        robot.check_fixed(link)
+    for link in poses.keys() & frame_tree.links.keys() - {anchor}:
+        parent = frame_tree.links[link].parent
+        T_parent_link = se3.inverse(_link_pose(frame_tree, poses, anchor, parent)) @ poses[link]
+        frame_tree.check_fixed(link)
         origins[link] = origin_attributes(T_parent_link)
     return replace_origins(urdf, joints, origins)
 
 
-def _poses_of_links(calibration: Calibration, robot: FrameTree) -> dict[str, Array]:
+def _poses_of_links(calibration: Calibration, frame_tree: FrameTree) -> dict[str, Array]:
     """``T_root_link`` (4, 4) of the sensors that have a link, by the link's name."""
-    frame_of = frames(calibration)
-    missing = {name: frame for name, frame in frame_of.items() if frame not in robot.frames}
+    frame_of = frame_ids(calibration)
+    missing = {name: frame for name, frame in frame_of.items() if frame not in frame_tree.frames}
     if calibration.root in missing:
         raise InputError(f"the URDF has no link {missing[calibration.root]!r}, the frame of the root sensor")
     if len(missing) == len(frame_of) - 1:
@@ -58,13 +58,17 @@ def _poses_of_links(calibration: Calibration, robot: FrameTree) -> dict[str, Arr
     return {frame: calibration[name].T_root_sensor for name, frame in frame_of.items() if name not in missing}
 
 
-def _pose(robot: FrameTree, poses: Mapping[str, Array], anchor: str, link: str) -> Array:
+def _link_pose(frame_tree: FrameTree, poses: Mapping[str, Array], anchor: str, link: str) -> Array:
     """``T_root_link`` (4, 4) of any link: by the sensor that carries it, or by the anchor's place on the robot."""
-    line = robot.upwards(link)
-    carrier = next((upper for upper in line if upper in poses), None)
+    ancestry = frame_tree.ancestry(link)
+    carrier = next((upper for upper in ancestry if upper in poses), None)
     if carrier is not None:
-        return poses[carrier] @ robot.chain(carrier, link)
-    shared = next((upper for upper in line if upper in robot.upwards(anchor)), None)
+        return poses[carrier] @ frame_tree.transform_to_ancestor(carrier, link)
+    shared = next((upper for upper in ancestry if upper in frame_tree.ancestry(anchor)), None)
     if shared is None:
         raise InputError(f"links {link!r} and {anchor!r} of the URDF are not connected by joints")
-    return poses[anchor] @ se3.inverse(robot.chain(shared, anchor)) @ robot.chain(shared, link)
+    return (
+        poses[anchor]
+        @ se3.inverse(frame_tree.transform_to_ancestor(shared, anchor))
+        @ frame_tree.transform_to_ancestor(shared, link)
+    )

@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass
 
-_SHOWN = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
+_DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
 
 
 @dataclass(frozen=True)
-class Estimated:
+class EstimatedParameter:
     """A number of a sensor or of the target, with what it was taken to be beforehand."""
 
     of: str
@@ -23,12 +23,12 @@ class Estimated:
     """Whether the captures tell it; where they do not, it is hardly better known than before."""
 
     @property
-    def shown(self) -> tuple[str, str, str, str]:
+    def formatted(self) -> tuple[str, str, str, str]:
         """Stated value, value, standard deviation and unit, for people: mm and degrees instead of m and rad.
 
         Values have as many decimals as leave two digits of the standard deviation.
         """
-        factor, unit = _SHOWN.get(self.unit, (1.0, self.unit))
+        factor, unit = _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
         stddev = factor * self.stddev
         decimals = max(1 - math.floor(math.log10(stddev)), 0) if 0 < stddev < math.inf else 3
         texts = (

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, KnownPoses, export, read_poses, save_calibration
+from calgraph.result import Calibration, ExtrinsicsFile, export, read_extrinsics, save_calibration
 
 FRAMES = {"lidar": "/velodyne", "camera": "camera_optical", "camera_2": "camera_2_optical", "laser": "laser_link"}
 
@@ -41,13 +41,13 @@ CHAIN = """<?xml version="1.0"?>
 """
 
 
-def reading(path: Path, text: str) -> KnownPoses:
+def reading(path: Path, text: str) -> ExtrinsicsFile:
     path.write_text(text, encoding="utf-8")
-    return read_poses(path)
+    return read_extrinsics(path)
 
 
-def between(poses: KnownPoses, a: str, b: str, frame_ids: dict[str, str]) -> Array:
-    return poses.transform(poses.frame(a, frame_ids), poses.frame(b, frame_ids))
+def between(poses: ExtrinsicsFile, a: str, b: str, frame_ids: dict[str, str]) -> Array:
+    return poses.transform(poses.frame_of_sensor(a, frame_ids), poses.frame_of_sensor(b, frame_ids))
 
 
 @pytest.mark.parametrize("format", ["tf", "urdf"])
@@ -60,7 +60,7 @@ def test_exports_come_back(calibration: Calibration, format: str, tmp_path: Path
 
 def test_a_calibration_comes_back_with_its_covariances(calibration: Calibration, tmp_path: Path) -> None:
     save_calibration(calibration, tmp_path / "calibration.yaml")
-    poses = read_poses(tmp_path / "calibration.yaml")
+    poses = read_extrinsics(tmp_path / "calibration.yaml")
     np.testing.assert_allclose(
         between(poses, "camera_2", "laser", FRAMES), calibration.transform("camera_2", "laser"), atol=1e-12
     )
@@ -69,8 +69,8 @@ def test_a_calibration_comes_back_with_its_covariances(calibration: Calibration,
 
 def test_a_calibration_knows_its_frames_and_its_names(calibration: Calibration, tmp_path: Path) -> None:
     save_calibration(calibration, tmp_path / "calibration.yaml")
-    poses = read_poses(tmp_path / "calibration.yaml")
-    assert poses.frames_of({"x": "camera_optical", "laser": "elsewhere", "y": "z"}) == {
+    poses = read_extrinsics(tmp_path / "calibration.yaml")
+    assert poses.frames_of_sensors({"x": "camera_optical", "laser": "elsewhere", "y": "z"}) == {
         "x": "camera",
         "laser": "laser",
     }
@@ -97,7 +97,7 @@ def test_a_movable_joint_between_sensors_is_refused(tmp_path: Path) -> None:
 def test_a_sensor_that_is_not_in_the_file_is_named_with_what_there_is(tmp_path: Path) -> None:
     poses = reading(tmp_path / "robot.urdf", CHAIN)
     with pytest.raises(InputError, match=r"has no frame 'optical', nor one called camera .* has a, b, base, head"):
-        poses.frame("camera", {"a": "a", "camera": "optical"})
+        poses.frame_of_sensor("camera", {"a": "a", "camera": "optical"})
 
 
 def test_a_file_that_knows_no_sensor_is_refused(tmp_path: Path) -> None:
@@ -105,13 +105,13 @@ def test_a_file_that_knows_no_sensor_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="has none of the sensors' frames optical, nor their names camera; it has"
     ):
-        poses.frames_of({"camera": "optical"})
+        poses.frames_of_sensors({"camera": "optical"})
 
 
 def test_two_sensors_in_one_frame_are_refused(tmp_path: Path) -> None:
     poses = reading(tmp_path / "robot.urdf", CHAIN)
     with pytest.raises(InputError, match="left and right are both its frame 'a'"):
-        poses.frames_of({"left": "a", "right": "/a"})
+        poses.frames_of_sensors({"left": "a", "right": "/a"})
 
 
 ENTITIES = '<!DOCTYPE robot [<!ENTITY a "aaaa">]><robot name="r"><joint name="&a;"/></robot>'

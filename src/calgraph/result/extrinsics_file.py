@@ -13,8 +13,8 @@ from calgraph.io.yaml_reading import read_documents, read_text
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.exports.frames import from_roll_pitch_yaw
-from calgraph.result.exports.urdf_text import hung, read_joints
-from calgraph.result.frame_tree import FrameTree, Hanging
+from calgraph.result.exports.urdf_text import frames_from_joints, read_joints
+from calgraph.result.frame_tree import FrameLink, FrameTree
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3
@@ -22,7 +22,7 @@ _SHAPE = "needs the frame's parent (frame_id or parent), child_frame_id, transla
 
 
 @dataclass(frozen=True, eq=False)
-class KnownPoses:
+class ExtrinsicsFile:
     """Frames as a file has them, which sensors find themselves in by frame_id or by name."""
 
     path: Path
@@ -32,7 +32,7 @@ class KnownPoses:
     calibration: Calibration | None = None
     """What the file holds, where it says how sure it is of the poses."""
 
-    def frames_of(self, frame_ids: Mapping[str, str]) -> dict[str, str]:
+    def frames_of_sensors(self, frame_ids: Mapping[str, str]) -> dict[str, str]:
         """The frames of those sensors that the file knows: the one called as a sensor's frame_id, else as itself.
 
         Args:
@@ -41,17 +41,17 @@ class KnownPoses:
         Raises:
             InputError: it knows none of them, or two sensors are one frame.
         """
-        known = dict(self.aliases) | {frame: frame for frame in self.tree.frames}
+        frame_by_name = dict(self.aliases) | {frame: frame for frame in self.tree.frames}
         found = {
-            name: known[alias]
+            name: frame_by_name[alias]
             for name, frame_id in frame_ids.items()
-            for alias in [next((a for a in (frame_id.lstrip("/"), name) if a in known), None)]
+            for alias in [next((a for a in (frame_id.lstrip("/"), name) if a in frame_by_name), None)]
             if alias is not None
         }
         if not found:
             raise InputError(
-                f"{self.path}: has none of the sensors' frames {_listed(frame_ids.values())}, nor their names "
-                f"{_listed(frame_ids)}; it has {_listed(known)}"
+                f"{self.path}: has none of the sensors' frames {_join_sorted(frame_ids.values())}, "
+                f"nor their names {_join_sorted(frame_ids)}; it has {_join_sorted(frame_by_name)}"
             )
         for name, frame in found.items():
             same = [other for other, its in found.items() if its == frame]
@@ -62,17 +62,17 @@ class KnownPoses:
                 )
         return found
 
-    def frame(self, name: str, frame_ids: Mapping[str, str]) -> str:
+    def frame_of_sensor(self, name: str, frame_ids: Mapping[str, str]) -> str:
         """The frame of one sensor.
 
         Raises:
             InputError: the file does not know it.
         """
-        found = self.frames_of(frame_ids)
+        found = self.frames_of_sensors(frame_ids)
         if name not in found:
             raise InputError(
                 f"{self.path}: has no frame {frame_ids[name]!r}, nor one called {name} as the sensor is; "
-                f"it has {_listed({*self.tree.frames, *self.aliases})}"
+                f"it has {_join_sorted({*self.tree.frames, *self.aliases})}"
             )
         return found[name]
 
@@ -91,7 +91,7 @@ class KnownPoses:
         return self.calibration.covariance(a, b)
 
 
-def read_poses(path: Path) -> KnownPoses:
+def read_extrinsics(path: Path) -> ExtrinsicsFile:
     """Reads poses from a calibration.yaml, a URDF, or a YAML file with transforms of tf.
 
     The latter is a list of transforms, or a mapping whose key ``transforms`` is one, as messages of
@@ -104,43 +104,43 @@ def read_poses(path: Path) -> KnownPoses:
         InputError: the file is none of these, or what it says cannot be; the message says where.
     """
     if path.suffix in (".urdf", ".xml", ".xacro") or read_text(path).lstrip("\ufeff \t\r\n").startswith("<"):
-        return _of_urdf(path)
+        return _read_urdf(path)
     documents = read_documents(path)
     if len(documents) == 1 and isinstance(documents[0], dict) and "format" in documents[0]:
-        return _of_calibration(path)
-    return _of_tf(path, documents)
+        return _read_calibration(path)
+    return _read_transforms(path, documents)
 
 
-def _of_calibration(path: Path) -> KnownPoses:
+def _read_calibration(path: Path) -> ExtrinsicsFile:
     found = load_calibration(path)
-    above = {s.name: Hanging(found.root, s.T_root_sensor) for s in found.sensors if s.name != found.root}
+    links = {s.name: FrameLink(found.root, s.T_root_sensor) for s in found.sensors if s.name != found.root}
     frame_ids = [sensor.frame_id.lstrip("/") for sensor in found.sensors]
     aliases = {f: s.name for f, s in zip(frame_ids, found.sensors, strict=True) if f and frame_ids.count(f) == 1}
-    return KnownPoses(path, FrameTree(str(path), above), aliases, found)
+    return ExtrinsicsFile(path, FrameTree(str(path), links), aliases, found)
 
 
-def _of_urdf(path: Path) -> KnownPoses:
+def _read_urdf(path: Path) -> ExtrinsicsFile:
     try:
-        tree = hung(read_joints(read_text(path)), str(path))
+        tree = frames_from_joints(read_joints(read_text(path)), str(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return KnownPoses(path, tree)
+    return ExtrinsicsFile(path, tree)
 
 
-def _of_tf(path: Path, documents: list[Any]) -> KnownPoses:
-    above: dict[str, Hanging] = {}
-    for where, entry in _entries(path, documents):
-        child, hanging = _transform(where, entry)
-        before = above.get(child)
-        if before and before.parent != hanging.parent:
-            raise InputError(f"{where}: {child!r} hangs from {before.parent!r} and {hanging.parent!r}")
-        above[child] = hanging
-    if not above:
+def _read_transforms(path: Path, documents: list[Any]) -> ExtrinsicsFile:
+    links: dict[str, FrameLink] = {}
+    for where, entry in _list_entries(path, documents):
+        child, link = _parse_transform(where, entry)
+        before = links.get(child)
+        if before and before.parent != link.parent:
+            raise InputError(f"{where}: {child!r} hangs from {before.parent!r} and {link.parent!r}")
+        links[child] = link
+    if not links:
         raise InputError(f"{path}: has no transforms; {_SHAPE}")
-    return KnownPoses(path, FrameTree(str(path), above))
+    return ExtrinsicsFile(path, FrameTree(str(path), links))
 
 
-def _entries(path: Path, documents: list[Any]) -> list[tuple[str, Any]]:
+def _list_entries(path: Path, documents: list[Any]) -> list[tuple[str, Any]]:
     """All transforms, each with where it stands."""
     entries = []
     for content in documents:
@@ -154,7 +154,7 @@ def _entries(path: Path, documents: list[Any]) -> list[tuple[str, Any]]:
     return entries
 
 
-def _transform(where: str, entry: Any) -> tuple[str, Hanging]:
+def _parse_transform(where: str, entry: Any) -> tuple[str, FrameLink]:
     """The child frame, and how it hangs."""
     if not isinstance(entry, dict):
         raise InputError(f"{where}: must be a mapping, it {_SHAPE}")
@@ -164,9 +164,9 @@ def _transform(where: str, entry: Any) -> tuple[str, Hanging]:
         for keys in (("frame_id", "parent_frame_id", "parent"), ("child_frame_id", "child"))
     )
     if not parent or not child or "translation" not in flat:
-        raise InputError(f"{where}: {_SHAPE}; it has {_listed(flat)}")
-    t = _numbers(f"{where}: translation", flat["translation"], "x y z")
-    return child, Hanging(parent, se3.pose(_rotation(where, flat), t))
+        raise InputError(f"{where}: {_SHAPE}; it has {_join_sorted(flat)}")
+    t = _parse_numbers(f"{where}: translation", flat["translation"], "x y z")
+    return child, FrameLink(parent, se3.pose(_parse_rotation(where, flat), t))
 
 
 def _mapping(entry: dict[Any, Any], key: str) -> dict[Any, Any]:
@@ -174,11 +174,11 @@ def _mapping(entry: dict[Any, Any], key: str) -> dict[Any, Any]:
     return part if isinstance(part, dict) else {}
 
 
-def _rotation(where: str, flat: dict[Any, Any]) -> Array:
+def _parse_rotation(where: str, flat: dict[Any, Any]) -> Array:
     given = flat.get("rpy", flat.get("rotation"))
     if "rpy" in flat or (isinstance(given, dict | list) and len(given) == 3):
-        return from_roll_pitch_yaw(*_numbers(f"{where}: rotation", given, "roll pitch yaw"))
-    q = _numbers(f"{where}: rotation", given, "x y z w")
+        return from_roll_pitch_yaw(*_parse_numbers(f"{where}: rotation", given, "roll pitch yaw"))
+    q = _parse_numbers(f"{where}: rotation", given, "x y z w")
     length = float(np.linalg.norm(q))
     if abs(length - 1) > _UNIT_TOLERANCE:
         raise InputError(
@@ -187,7 +187,7 @@ def _rotation(where: str, flat: dict[Any, Any]) -> Array:
     return so3.from_quaternion(q)
 
 
-def _numbers(where: str, given: Any, names: str) -> Array:
+def _parse_numbers(where: str, given: Any, names: str) -> Array:
     """Numbers that are given in order, or by name."""
     values = [given.get(name) for name in names.split()] if isinstance(given, dict) else given
     good = isinstance(values, list) and len(values) == len(names.split())
@@ -196,5 +196,5 @@ def _numbers(where: str, given: Any, names: str) -> Array:
     return np.array(values, dtype=np.float64)
 
 
-def _listed(names: Any) -> str:
+def _join_sorted(names: Any) -> str:
     return ", ".join(sorted(map(str, names))) or "none"

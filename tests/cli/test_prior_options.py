@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate import Options, prepare
+from calgraph.calibrate import Options, build_problem_from_captures
 from calgraph.errors import Rejected
 from calgraph.estimation import PriorFile, RigidFile, load_problem, save_problem, with_prior_poses
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph import spanning_tree
 from calgraph.io import save_yaml
 from calgraph.pairwise import estimated
-from calgraph.result import export, load_calibration, read_poses
+from calgraph.result import export, load_calibration, read_extrinsics
 from calgraph.simulation import DetectionKnobs, RigScenario, set_stage, simulate_detections
 
 Run = Callable[..., Result]
@@ -65,7 +65,9 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     stage = set_stage(RigScenario.model_validate(_SCENARIO), 1)
     rig, captured, truth = simulate_detections(stage, 1, DetectionKnobs(pixel=0.05))
     save_yaml(folder / "rig.yaml", rig.to_plain())
-    save_problem(prepare(rig, captured, Options(), np.random.default_rng(0)), folder / "dump.npz")
+    save_problem(
+        build_problem_from_captures(rig, captured, Options(), np.random.default_rng(0)), folder / "dump.npz"
+    )
     return Known(folder, truth.T_root_sensor)
 
 
@@ -199,8 +201,8 @@ def test_known_poses_are_kept_in_a_dump(known: Known, tmp_path: Path, run: Run) 
     poses = known.poses(tmp_path / "poses.yaml")
     problem = with_prior_poses(
         load_problem(known.dump),
-        PriorFile(read_poses(poses), (0.01, float(np.radians(0.5)))),
-        [RigidFile(read_poses(poses), ("laser_front", "laser_left"))],
+        PriorFile(read_extrinsics(poses), (0.01, float(np.radians(0.5)))),
+        [RigidFile(read_extrinsics(poses), ("laser_front", "laser_left"))],
     )
     save_problem(problem, tmp_path / "dump.npz")
     options = ("--prior", poses, "--prior-stddev", "0.01", "0.5", "--rigid", f"{poses}:laser_front,laser_left")
