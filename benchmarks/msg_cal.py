@@ -18,7 +18,7 @@ from calgraph.calibrate import Options, build_problem_from_captures, solve_probl
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import start_poses
-from calgraph.pairwise import estimate_pairs, estimated
+from calgraph.pairwise import estimate_pairs, select_successful
 from calgraph.simulation import RigScenario
 from simulated import detected, errors, poses_of
 
@@ -55,7 +55,7 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     """Mean translation (m) and rotation (degrees) error and graph error (m²) of each variant."""
     rig, captured, truth = detected(scenario, seed)
     seen, rng = captured.detections, np.random.default_rng(seed)
-    estimates = estimated(estimate_pairs(seen, rig.board_size, rng, polish=False))
+    estimates = select_successful(estimate_pairs(seen, rig.board_size, rng, refine=False))
     tree = start_poses(rig.root, estimates, "tree", rng)
     at_root = start_poses(rig.root, estimates, "identity", rng)
 

@@ -19,7 +19,7 @@ from calgraph.diagnostics.comparison import CHANCE
 from calgraph.diagnostics.network.moved_scanners import displacements
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
-from calgraph.pairwise import TrackPair, estimate_network_pairs
+from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, build_network, network_rig, scans_of
 from network_runs import JOINT, USUAL_PEOPLE, follow, solved
@@ -84,7 +84,7 @@ def check(seed: int) -> Outcome:
 def found(rig: Rig, scans: Mapping[str, list[LaserScan]]) -> PlanarPoses:
     """The joint solution of a recording."""
     tracked, rng = follow(rig, scans, "nls"), np.random.default_rng(0)
-    estimates = estimate_network_pairs(tracked, rng, depth=DEPTHS["nls"])
-    pairs = [pair for pair in estimates.values() if isinstance(pair, TrackPair)]
+    estimates = estimate_scanner_pairs(tracked, rng, depth_stddev=DEPTHS["nls"])
+    pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
     one = solved(rig, tracked, pairs, JOINT, rng)
     return PlanarPoses(one.names, one.T_root_scanner, one.covariance)

@@ -13,8 +13,8 @@ from calgraph.estimation import solve_network
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, placed, trust
 from calgraph.graph.random_trees import tree_poses
-from calgraph.pairwise import Sights, TrackPair, estimate_network_pairs
-from calgraph.pairwise.synchronized_tracks import meetings, sample
+from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples, resample_tracks
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, Truth, build_network, network_rig, network_truth, scans_of
 from calgraph.tracking import Feature, Tracked, track_scanner
@@ -125,8 +125,8 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
         tracked = follow(rig, scans, feature)
         for icp in {setup.icp for setup in setups if setup.feature == feature}:
             rng = np.random.default_rng(seed)
-            estimates = estimate_network_pairs(tracked, rng, icp=icp, depth=DEPTHS[feature])
-            pairs = [pair for pair in estimates.values() if isinstance(pair, TrackPair)]
+            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=DEPTHS[feature])
+            pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
             if feature == "com" and icp:
                 judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)
             for setup in (s for s in setups if (s.feature, s.icp) == (feature, icp)):
@@ -180,11 +180,15 @@ def planar(truth: Truth) -> dict[str, Array]:
 
 
 def solved(
-    rig: Rig, tracked: Mapping[str, Tracked], pairs: Sequence[TrackPair], setup: Setup, rng: np.random.Generator
+    rig: Rig,
+    tracked: Mapping[str, Tracked],
+    pairs: Sequence[ScannerPairEstimate],
+    setup: Setup,
+    rng: np.random.Generator,
 ) -> Solved:
     """Poses of the connected scanners; the published way has one estimate a pair, and doubts none."""
     if setup.average == "consensus":
-        sights = {name: Sights.of(known) for name, known in tracked.items()}
+        sights = {name: ScannerObservations.from_tracks(known) for name, known in tracked.items()}
         ends = {(pair.sensor_a, pair.sensor_b): pair for pair in pairs}
         sure = placed(rig.root, ends, sights, rng, weighted=setup.weighted)
         graph, names, averaged = sure.graph, sure.names, sure.averaged
@@ -204,7 +208,7 @@ def solved(
     return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.offset)
 
 
-def chained(graph: PoseGraph, pairs: Sequence[TrackPair], names: Sequence[str]) -> Averaged:
+def chained(graph: PoseGraph, pairs: Sequence[ScannerPairEstimate], names: Sequence[str]) -> Averaged:
     """The pair with the root where there is one, otherwise the fewest and best pairs."""
     costs = np.array([1 + pair.hypotheses[0].cost for pair in pairs if pair.sensor_a in names])
     return Averaged(tree_poses(graph, costs[None])[0], np.ones(len(costs), dtype=np.bool_))
@@ -226,12 +230,16 @@ def nees_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
     return np.array([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off[1:], own[1:], strict=True)])
 
 
-def judge(pair: TrackPair, tracked: Mapping[str, Tracked], truth: Mapping[str, Array]) -> tuple[bool, float]:
+def judge(
+    pair: ScannerPairEstimate, tracked: Mapping[str, Tracked], truth: Mapping[str, Array]
+) -> tuple[bool, float]:
     """Whether a pair is right, and the root mean square distance of all that a saw from what b did, m."""
     true = se2.inverse(truth[pair.sensor_a]) @ truth[pair.sensor_b]
     off = se2.difference(pair.T_a_b, true)
     right = np.degrees(abs(off[2])) < GROSS[0] and np.hypot(off[0], off[1]) < GROSS[1]
-    met = meetings(sample(tracked[pair.sensor_a]), sample(tracked[pair.sensor_b]))
+    met = pair_simultaneous_samples(
+        resample_tracks(tracked[pair.sensor_a]), resample_tracks(tracked[pair.sensor_b])
+    )
     squared = np.sum((se2.apply(pair.T_a_b, met.x_b) - met.x_a) ** 2, axis=1)
     return bool(right), float(np.sqrt(np.mean(np.minimum.reduceat(squared, met.starts_a))))
 

@@ -29,7 +29,7 @@ from calgraph.estimation import Problem, RigSolution, solve_bundle
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.estimate import build_bundle
-from calgraph.pairwise import estimated, selected_matches
+from calgraph.pairwise import select_matches, select_successful
 from calgraph.simulation import (
     CameraKnobs,
     LaserKnobs,
@@ -102,14 +102,14 @@ def numbers(captured: CaptureSet) -> int:
 
 def joint_solution(problem: Problem) -> RigSolution:
     """The bundle, from pairs to covariances."""
-    estimates, start = estimated(problem.pairs), problem.tree.T_root_sensor
+    estimates, start = select_successful(problem.pairs), problem.tree.T_root_sensor
     return solve_bundle(problem.rig, problem.captured, estimates, start, keep=problem.solver.keep)
 
 
 def compared(problem: Problem, repeat: int) -> str:
     """One solution of the bundle beside scipy's of the same problem: seconds, their ratio, difference in cost."""
     keep = problem.solver.keep
-    boards = group_detections([(pair, selected_matches(pair, keep)) for pair in estimated(problem.pairs)])
+    boards = group_detections([(pair, select_matches(pair, keep)) for pair in select_successful(problem.pairs)])
     bundle, start = build_bundle(problem.rig, problem.captured, boards, problem.tree.T_root_sensor)
     bundle = replace(bundle, bias_variance=np.zeros(len(bundle.sensors)))
     ours, solved = timed(lambda: minimize_bundle(bundle, start), repeat)

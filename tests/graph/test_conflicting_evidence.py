@@ -7,26 +7,26 @@ import numpy as np
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, network_graph
 from calgraph.graph.conflicting_evidence import Doubt, doubtful
-from calgraph.pairwise import Hypothesis, TrackPair
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
 NAMES = ("a", "b", "c", "d")
 T = {name: se2.pose(0.3 * k, np.array([5.0 * k, 1.0])) for k, name in enumerate(NAMES)}
 """T_a_scanner, but for a common shift."""
 
 
-def found(a: str, b: str, observations: int, shift: float = 0.0, *, icp: bool = False) -> Hypothesis:
+def found(a: str, b: str, observations: int, shift: float = 0.0, *, icp: bool = False) -> PoseHypothesis:
     """A hypothesis that is right, or off by a shift, m."""
     T_a_b = se2.retract(se2.inverse(T[a]) @ T[b], np.array([shift, 0.0, 0.0]))
-    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, icp)
+    return PoseHypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, icp)
 
 
-def doubts(*pairs: TrackPair) -> dict[str, str]:
+def doubts(*pairs: ScannerPairEstimate) -> dict[str, str]:
     """Why which scanners are in doubt if all hypotheses that are right agree with the poses found."""
     _, names, doubt = doubted(*pairs)
     return {names[k]: doubt.said for k in np.flatnonzero(doubt.part)} if doubt else {}
 
 
-def doubted(*pairs: TrackPair) -> tuple[PoseGraph, tuple[str, ...], Doubt | None]:
+def doubted(*pairs: ScannerPairEstimate) -> tuple[PoseGraph, tuple[str, ...], Doubt | None]:
     """The graph of some pairs, its nodes, and what is in doubt."""
     graph, names = network_graph("a", pairs)
     poses: Array = np.array([se2.inverse(T["a"]) @ T[name] for name in names])
@@ -35,9 +35,9 @@ def doubted(*pairs: TrackPair) -> tuple[PoseGraph, tuple[str, ...], Doubt | None
     return graph, names, doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
 
 
-AB = TrackPair("a", "b", (found("a", "b", 200),))
-BC = TrackPair("b", "c", (found("b", "c", 200),))
-CD = TrackPair("c", "d", (found("c", "d", 30),))
+AB = ScannerPairEstimate("a", "b", (found("a", "b", 200),))
+BC = ScannerPairEstimate("b", "c", (found("b", "c", 200),))
+CD = ScannerPairEstimate("c", "d", (found("c", "d", 30),))
 
 
 def test_nothing_is_in_doubt_where_all_agrees() -> None:
@@ -45,7 +45,7 @@ def test_nothing_is_in_doubt_where_all_agrees() -> None:
 
 
 def test_a_scanner_is_in_doubt_if_better_evidence_puts_it_elsewhere() -> None:
-    said = doubts(AB, BC, CD, TrackPair("b", "d", (found("b", "d", 40, 8.0),)))
+    said = doubts(AB, BC, CD, ScannerPairEstimate("b", "d", (found("b", "d", 40, 8.0),)))
     assert list(said) == ["d"]
     assert said["d"] == "b and d put it 8.0 m elsewhere, with better evidence than c and d have for its place"
 
@@ -53,7 +53,7 @@ def test_a_scanner_is_in_doubt_if_better_evidence_puts_it_elsewhere() -> None:
 def test_so_is_all_that_hangs_from_it() -> None:
     weak = replace(BC, hypotheses=(found("b", "c", 30),))
     strong = replace(CD, hypotheses=(found("c", "d", 200),))
-    assert set(doubts(AB, weak, strong, TrackPair("a", "d", (found("a", "d", 40, 8.0),)))) == {"c", "d"}
+    assert set(doubts(AB, weak, strong, ScannerPairEstimate("a", "d", (found("a", "d", 40, 8.0),)))) == {"c", "d"}
 
 
 def test_so_it_is_by_another_hypothesis_of_one_pair() -> None:
@@ -61,21 +61,21 @@ def test_so_it_is_by_another_hypothesis_of_one_pair() -> None:
 
 
 def test_weaker_evidence_casts_no_doubt() -> None:
-    assert doubts(AB, BC, CD, TrackPair("b", "d", (found("b", "d", 25, 8.0),))) == {}
+    assert doubts(AB, BC, CD, ScannerPairEstimate("b", "d", (found("b", "d", 25, 8.0),))) == {}
 
 
 def test_nor_does_what_is_wrong_between_scanners_that_are_sure() -> None:
-    cycle = TrackPair("a", "c", (found("a", "c", 150, 8.0),))
+    cycle = ScannerPairEstimate("a", "c", (found("a", "c", 150, 8.0),))
     assert doubts(AB, BC, CD, cycle) == {}
 
 
 def test_nor_what_puts_it_nearly_there() -> None:
-    assert doubts(AB, BC, CD, TrackPair("b", "d", (found("b", "d", 40, 0.3),))) == {}
+    assert doubts(AB, BC, CD, ScannerPairEstimate("b", "d", (found("b", "d", 40, 0.3),))) == {}
 
 
 def test_walls_that_match_outweigh_some_seconds() -> None:
     walls = replace(CD, hypotheses=(found("c", "d", 30, icp=True),))
-    assert doubts(AB, BC, walls, TrackPair("b", "d", (found("b", "d", 60, 8.0),))) == {}
+    assert doubts(AB, BC, walls, ScannerPairEstimate("b", "d", (found("b", "d", 60, 8.0),))) == {}
 
 
 def test_a_root_alone_is_not_in_doubt() -> None:
@@ -83,8 +83,8 @@ def test_a_root_alone_is_not_in_doubt() -> None:
 
 
 def test_what_contradicts_better_evidence_is_told_from_what_agrees_with_it() -> None:
-    rival = TrackPair("b", "d", (found("b", "d", 60, 8.0),))
-    agrees = TrackPair("a", "d", (found("a", "d", 40, 0.0),))
+    rival = ScannerPairEstimate("b", "d", (found("b", "d", 60, 8.0),))
+    agrees = ScannerPairEstimate("a", "d", (found("a", "d", 40, 0.0),))
     graph, names, doubt = doubted(AB, BC, CD, rival, agrees)
     assert doubt
     weaker = {tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker].tolist()}
@@ -94,7 +94,7 @@ def test_what_contradicts_better_evidence_is_told_from_what_agrees_with_it() -> 
 
 
 def test_what_holds_a_scanner_goes_even_if_better_evidence_hardly_contradicts_it() -> None:
-    near = TrackPair("b", "d", (found("b", "d", 40, 0.55),))
+    near = ScannerPairEstimate("b", "d", (found("b", "d", 40, 0.55),))
     graph, names, doubt = doubted(AB, BC, replace(CD, hypotheses=(found("c", "d", 30, 0.09),)), near)
     assert doubt
     assert [tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker].tolist()] == [("c", "d")]

@@ -4,18 +4,28 @@ import pytest
 from calgraph.geometry import se2
 from calgraph.graph import average_network, covariances, network_graph, trust
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.pairwise import Hypothesis, TrackPair
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
 
-def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, share: float = 1.0) -> Hypothesis:
+def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, share: float = 1.0) -> PoseHypothesis:
     T = se2.pose(0.0, np.array([x, 0.0]))
-    return Hypothesis(
-        T, np.eye(3) / sigma**2, observations, chance=0.0, share=share, cost=0.1, misfit=0.01, icp=False
+    return PoseHypothesis(
+        T,
+        np.eye(3) / sigma**2,
+        observations,
+        chance_observations=0.0,
+        matched_share=share,
+        cost=0.1,
+        model_error=0.01,
+        uses_background=False,
     )
 
 
 def test_alternatives_of_a_pair_are_edges_of_one_pair() -> None:
-    pairs = [TrackPair("a", "b", (hypothesis(1), hypothesis(2))), TrackPair("b", "c", (hypothesis(1),))]
+    pairs = [
+        ScannerPairEstimate("a", "b", (hypothesis(1), hypothesis(2))),
+        ScannerPairEstimate("b", "c", (hypothesis(1),)),
+    ]
     graph, names = network_graph("a", pairs)
     assert names == ("a", "b", "c")
     np.testing.assert_array_equal(graph.edges, [[0, 1], [0, 1], [1, 2]])
@@ -23,16 +33,18 @@ def test_alternatives_of_a_pair_are_edges_of_one_pair() -> None:
 
 
 def test_only_what_is_connected_to_the_root_is_in_the_graph() -> None:
-    graph, names = network_graph("a", [TrackPair("b", "c", (hypothesis(1),))])
+    graph, names = network_graph("a", [ScannerPairEstimate("b", "c", (hypothesis(1),))])
     assert names == ("a",)
     assert len(graph.edges) == 0
 
 
 def test_trust_grows_with_the_seconds_that_agree_and_with_their_share() -> None:
     pairs = [
-        TrackPair("a", "b", (hypothesis(1, observations=50), hypothesis(2, observations=150, share=0.5))),
-        TrackPair("x", "y", (hypothesis(1),)),
-        TrackPair("b", "c", (hypothesis(1, observations=450),)),
+        ScannerPairEstimate(
+            "a", "b", (hypothesis(1, observations=50), hypothesis(2, observations=150, share=0.5))
+        ),
+        ScannerPairEstimate("x", "y", (hypothesis(1),)),
+        ScannerPairEstimate("b", "c", (hypothesis(1, observations=450),)),
     ]
     _, names = network_graph("a", pairs)
     # Five seconds that agree are trusted by half; what is not connected to the root has no edge.
@@ -89,7 +101,7 @@ def test_covariances_grow_with_what_pairs_are_off_beyond_their_own(error: float,
 
 
 def test_a_single_pair_is_given_the_usual_error_beyond_its_noise() -> None:
-    graph, _ = network_graph("a", [TrackPair("a", "b", (hypothesis(1, sigma=0.001),))])
+    graph, _ = network_graph("a", [ScannerPairEstimate("a", "b", (hypothesis(1, sigma=0.001),))])
     found, loosened = average_network(graph, np.random.default_rng(0))
     sd = np.sqrt(np.diag(covariances(loosened, found.T_root_node)[1]))
     np.testing.assert_allclose(sd, [0.02, 0.02, 0.004], rtol=0.05)

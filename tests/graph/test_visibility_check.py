@@ -6,7 +6,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, Placed, network_graph, placed
 from calgraph.graph.visibility_check import Refuted, unnoticed
-from calgraph.pairwise import Hypothesis, Sights, TrackPair
+from calgraph.pairwise import PoseHypothesis, ScannerObservations, ScannerPairEstimate
 from calgraph.tracking import Track, Tracked
 
 NAMES = ("a", "b", "c", "d")
@@ -16,9 +16,11 @@ ELSEWHERE = se2.pose(2.0, np.array([1.0, 5.0]))
 """A wrong T_a_d among the other scanners."""
 
 
-def sights(seconds: float = 20.0) -> dict[str, Sights]:
+def sights(seconds: float = 20.0) -> dict[str, ScannerObservations]:
     """Of scanners in one hall that all saw one walk, until d's recording ended."""
-    return {name: Sights.of(followed(name, seconds if name == "d" else 20.0)) for name in NAMES}
+    return {
+        name: ScannerObservations.from_tracks(followed(name, seconds if name == "d" else 20.0)) for name in NAMES
+    }
 
 
 def followed(name: str, seconds: float) -> Tracked:
@@ -31,20 +33,23 @@ def followed(name: str, seconds: float) -> Tracked:
     return Tracked((track,), 20 * np.column_stack([np.cos(angle), np.sin(angle)]), 0.01)
 
 
-def hypothesis(T_a_b: Array, observations: int) -> Hypothesis:
-    return Hypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, icp=False)
+def hypothesis(T_a_b: Array, observations: int) -> PoseHypothesis:
+    return PoseHypothesis(T_a_b, 1e4 * np.eye(3), observations, 1.0, 1.0, 0.1, 0.01, uses_background=False)
 
 
-def right(a: str, b: str, observations: int = 200) -> Hypothesis:
+def right(a: str, b: str, observations: int = 200) -> PoseHypothesis:
     return hypothesis(se2.inverse(T[a]) @ T[b], observations)
 
 
-ROW = {("a", "b"): TrackPair("a", "b", (right("a", "b"),)), ("b", "c"): TrackPair("b", "c", (right("b", "c"),))}
+ROW = {
+    ("a", "b"): ScannerPairEstimate("a", "b", (right("a", "b"),)),
+    ("b", "c"): ScannerPairEstimate("b", "c", (right("b", "c"),)),
+}
 
 
-def judged(T_a_d: Array, seen: dict[str, Sights]) -> Refuted | None:
+def judged(T_a_d: Array, seen: dict[str, ScannerObservations]) -> Refuted | None:
     """What is refuted with d somewhere."""
-    pairs = [*ROW.values(), TrackPair("a", "d", (hypothesis(T_a_d, 200),))]
+    pairs = [*ROW.values(), ScannerPairEstimate("a", "d", (hypothesis(T_a_d, 200),))]
     graph, names = network_graph("a", pairs)
     poses = np.array([T_a_d if name == "d" else T[name] for name in names])
     averaged = Averaged(poses, np.ones(3, dtype=np.bool_))
@@ -68,17 +73,19 @@ def test_it_is_not_if_it_saw_hardly_anything() -> None:
 
 
 def test_a_refuted_hypothesis_gives_way_to_another_one(rng: np.random.Generator) -> None:
-    rivals = TrackPair("a", "d", (hypothesis(ELSEWHERE, 200), right("a", "d", 40)))
+    rivals = ScannerPairEstimate("a", "d", (hypothesis(ELSEWHERE, 200), right("a", "d", 40)))
     sure = placed("a", ROW | {("a", "d"): rivals}, sights(), rng)
     found = dict(zip(sure.names, sure.averaged.T_root_node, strict=True))
     np.testing.assert_allclose(found["d"], T["d"], atol=1e-6)
     left = sure.pairs["a", "d"]
-    assert isinstance(left, TrackPair)
+    assert isinstance(left, ScannerPairEstimate)
     assert [h.observations for h in left.hypotheses] == [40]
 
 
 def test_a_scanner_whose_only_place_is_refuted_is_left_out_and_told_why(rng: np.random.Generator) -> None:
-    sure = placed("a", ROW | {("a", "d"): TrackPair("a", "d", (hypothesis(ELSEWHERE, 200),))}, sights(), rng)
+    sure = placed(
+        "a", ROW | {("a", "d"): ScannerPairEstimate("a", "d", (hypothesis(ELSEWHERE, 200),))}, sights(), rng
+    )
     assert sure.names == ("a", "b", "c")
     why = sure.pairs["a", "d"]
     assert isinstance(why, Rejected)
@@ -90,10 +97,10 @@ TURNED = MIDDLE @ se2.pose(np.radians(9), np.zeros(2)) @ se2.inverse(MIDDLE) @ T
 """A wrong T_a_d under which d saw others about where they were: turned about the middle of the walk."""
 
 
-def outvoted(weak: Array, better: Array, seen: dict[str, Sights], rng: np.random.Generator) -> Placed:
+def outvoted(weak: Array, better: Array, seen: dict[str, ScannerObservations], rng: np.random.Generator) -> Placed:
     """Two weak pairs agree on ``T_a_d``; a single one with better evidence contradicts."""
-    two = {(a, "d"): TrackPair(a, "d", (hypothesis(se2.inverse(T[a]) @ weak, 30),)) for a in ("a", "c")}
-    rival = TrackPair("b", "d", (hypothesis(se2.inverse(T["b"]) @ better, 40),))
+    two = {(a, "d"): ScannerPairEstimate(a, "d", (hypothesis(se2.inverse(T[a]) @ weak, 30),)) for a in ("a", "c")}
+    rival = ScannerPairEstimate("b", "d", (hypothesis(se2.inverse(T["b"]) @ better, 40),))
     return placed("a", {**ROW, **two, ("b", "d"): rival}, seen, rng)
 
 

@@ -6,7 +6,7 @@ import pytest
 from board_scenes import SIZE, boards, cuts, observe, patch, random_pose
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
-from calgraph.pairwise import coplanarity, estimate_pair
+from calgraph.pairwise import estimate_pair, evaluate_coplanarity
 
 
 def error(T_est: Array, T: Array) -> tuple[float, float]:
@@ -56,7 +56,7 @@ def test_two_line_scanners_explain_new_boards(seed: int) -> None:
     assert not isinstance(found, Rejected), found
     new = boards(rng, 40)
     a, b = observe("line", np.eye(4), new, rng, 1e-9), observe("line", se3.inverse(T_a_b), new, rng, 1e-9)
-    gaps = [coplanarity(found.T_a_b, cuts(a, i), cuts(b, i))[0] for i in set(a) & set(b)]
+    gaps = [evaluate_coplanarity(found.T_a_b, cuts(a, i), cuts(b, i))[0] for i in set(a) & set(b)]
     assert np.sqrt(np.mean(np.square(gaps))) < 0.015
     spread = np.linalg.eigvalsh(found.information)
     assert spread[0] < 1e-3 * spread[1]

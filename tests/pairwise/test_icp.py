@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.icp import Alignment, Background, align
+from calgraph.pairwise.icp import IcpResult, StaticBackground, align_backgrounds
 
 SIGMA = 0.01
 Wall = tuple[tuple[float, float], tuple[float, float]]
@@ -19,7 +19,7 @@ T_A_B = se2.inverse(A) @ B
 LOOSE = np.diag([0.1, 0.1, 0.05]) ** 2
 
 
-def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8.0) -> Background:
+def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8.0) -> StaticBackground:
     """Points in the sensor's frame on the nearest wall of each beam; NaN where there is none."""
     bearing = np.radians(np.arange(-135, 135, 0.5))
     heading = bearing + se2.angle(T)
@@ -33,12 +33,12 @@ def scan(walls: list[Wall], T: Array, rng: np.random.Generator, reach: float = 8
             u = (offset[0] * d[:, 1] - offset[1] * d[:, 0]) / denominator
         nearest = np.where((r > 0) & (u >= 0) & (u <= 1) & (r < nearest), r, nearest)
     r = np.where(nearest < reach, nearest + rng.normal(size=len(d)) * SIGMA, np.nan)
-    return Background(np.column_stack([np.cos(bearing), np.sin(bearing)]) * r[:, None])
+    return StaticBackground(np.column_stack([np.cos(bearing), np.sin(bearing)]) * r[:, None])
 
 
-def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Generator) -> Alignment:
-    found = align(se2.retract(T_A_B, off), covariance, scan(walls, A, rng), scan(walls, B, rng), SIGMA)
-    assert isinstance(found, Alignment), found
+def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Generator) -> IcpResult:
+    found = align_backgrounds(se2.retract(T_A_B, off), covariance, scan(walls, A, rng), scan(walls, B, rng), SIGMA)
+    assert isinstance(found, IcpResult), found
     return found
 
 
@@ -89,7 +89,7 @@ def test_fusion_takes_from_walls_what_tracks_leave_open(rng: np.random.Generator
     loose_across = R @ np.diag([1e-2, 0.3, 0.05]) ** 2 @ R.T
     off = R @ np.array([0.01, 0.2, 0.03])
     guess = se2.retract(T_A_B, off)
-    T, _ = aligned(CORRIDOR, off, loose_across, rng).fused(guess, np.linalg.inv(loose_across))
+    T, _ = aligned(CORRIDOR, off, loose_across, rng).fuse(guess, np.linalg.inv(loose_across))
     d = se2.difference(T, T_A_B)
     assert np.hypot(d[0], d[1]) < 0.015
 
@@ -98,24 +98,26 @@ def test_walls_that_contradict_the_tracks_are_rejected(rng: np.random.Generator)
     moved = [((x + 0.4, y), (u + 0.4, v)) for (x, y), (u, v) in ROOM]
     beside = se2.pose(-0.3, np.array([-1.0, 1.0]))
     certain = np.diag([0.03, 0.03, 0.01]) ** 2
-    found = align(se2.inverse(A) @ beside, certain, scan(ROOM, A, rng), scan(moved, beside, rng), SIGMA)
+    found = align_backgrounds(
+        se2.inverse(A) @ beside, certain, scan(ROOM, A, rng), scan(moved, beside, rng), SIGMA
+    )
     assert found == Rejected("walls and tracks contradict each other")
 
 
 def test_a_room_that_the_other_scanner_looks_through_is_rejected(rng: np.random.Generator) -> None:
     small: list[Wall] = [((-1, -3), (-1, 3)), ((4, -3), (4, 3)), ((4, 3), (-1, 3)), ((-1, -3), (4, -3))]
     wide: list[Wall] = [((-4, -3), (5, -3)), ((-4, -3), (-4, 5)), ((5, -3), (5, 5)), ((-4, 5), (5, 5))]
-    found = align(T_A_B, LOOSE, scan(wide, A, rng), scan(small, B, rng), SIGMA)
+    found = align_backgrounds(T_A_B, LOOSE, scan(wide, A, rng), scan(small, B, rng), SIGMA)
     assert isinstance(found, Rejected)
     assert found.reason == "268 static points of one lie in space that the other looks through"
 
 
 def test_the_two_sides_of_a_thin_wall_are_not_matched(rng: np.random.Generator) -> None:
     wall: list[Wall] = [((0, -6), (0, 6)), ((-5, -6), (-5, 6)), ((5, -6), (5, 6))]
-    found = align(T_A_B, LOOSE, scan(wall, A, rng), scan(wall, B, rng), SIGMA)
+    found = align_backgrounds(T_A_B, LOOSE, scan(wall, A, rng), scan(wall, B, rng), SIGMA)
     assert found == Rejected("only 0 points of the static background overlap")
 
 
 def test_hardly_any_background_is_rejected() -> None:
-    few = Background(np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]]))
-    assert align(np.eye(3), LOOSE, few, few, SIGMA) == Rejected("too little static background")
+    few = StaticBackground(np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]]))
+    assert align_backgrounds(np.eye(3), LOOSE, few, few, SIGMA) == Rejected("too little static background")

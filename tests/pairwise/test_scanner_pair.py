@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from calgraph.config import People, RangeNoise
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import TrackPair, estimate_network_pair, estimate_network_pairs
+from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import Feature, Track, Tracked, track_scanner
@@ -99,13 +99,13 @@ def somewhere(rng: np.random.Generator, size: float = 10.0) -> Array:
 
 def estimate(
     rng: np.random.Generator, walks: list[Walk], A: Array, B: Array, *, late: float = 0.0
-) -> TrackPair | Rejected:
-    return estimate_network_pair("a", "b", observe(walks, A, rng), observe(walks, B, rng, late=late), rng)
+) -> ScannerPairEstimate | Rejected:
+    return estimate_scanner_pair("a", "b", observe(walks, A, rng), observe(walks, B, rng, late=late), rng)
 
 
-def error(pair: TrackPair | Rejected, T: Array) -> tuple[float, float]:
+def error(pair: ScannerPairEstimate | Rejected, T: Array) -> tuple[float, float]:
     """Metres and degrees of the best hypothesis."""
-    assert isinstance(pair, TrackPair), pair
+    assert isinstance(pair, ScannerPairEstimate), pair
     d = se2.difference(pair.T_a_b, T)
     return float(np.hypot(d[0], d[1])), float(np.degrees(abs(d[2])))
 
@@ -140,7 +140,7 @@ def test_scanners_that_saw_other_people_for_some_seconds_hardly_ever_find_each_o
         rng = np.random.default_rng(seed)
         one, other = wander(rng, seconds=6), wander(rng, seconds=6, speed=rng.uniform(1.1, 1.3))
         a, b = (observe([walk], somewhere(rng), rng, cut=20.0, sigma=0.02) for walk in (one, other))
-        found += isinstance(estimate_network_pair("a", "b", a, b, rng), TrackPair)
+        found += isinstance(estimate_scanner_pair("a", "b", a, b, rng), ScannerPairEstimate)
     # At most 5 %, of which this is 99 % of the binomial distribution; it was 35 by numbers of positions alone.
     assert found <= 7
 
@@ -164,7 +164,7 @@ def test_a_scanner_from_which_furniture_hides_half_of_all_walks_is_found(seed: i
     A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
     seen = observe(walks, B, rng, background=room(B, rng))
     some = tuple(track for track in seen.tracks if rng.random() < 0.5)
-    pair = estimate_network_pair("a", "b", observe(walks, A, rng), replace(seen, tracks=some), rng)
+    pair = estimate_scanner_pair("a", "b", observe(walks, A, rng), replace(seen, tracks=some), rng)
     assert error(pair, se2.inverse(A) @ B)[0] < 0.1
 
 
@@ -184,7 +184,7 @@ def test_tracks_may_be_far_surer_than_clocks_and_sizes_are_known(late: float, ne
     fast = [wander(rng, speed=2.5)]
     a = observe(fast, A, rng, sigma=0.003, near=near)
     b = observe(fast, B, rng, sigma=0.003, late=late, near=near)
-    metres, degrees = error(estimate_network_pair("a", "b", a, b, rng, icp=False), se2.inverse(A) @ B)
+    metres, degrees = error(estimate_scanner_pair("a", "b", a, b, rng, icp=False), se2.inverse(A) @ B)
     assert metres < 0.05
     assert degrees < 0.5
 
@@ -196,8 +196,8 @@ def test_errors_are_as_large_as_the_information_says() -> None:
         walks = [wander(rng, seconds=40)]
         A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
         a, b = (observe(walks, T, rng, near=rng.normal() * 0.03, late=rng.normal() * 0.01) for T in (A, B))
-        pair = estimate_network_pair("a", "b", a, b, rng)
-        assert isinstance(pair, TrackPair), pair
+        pair = estimate_scanner_pair("a", "b", a, b, rng)
+        assert isinstance(pair, ScannerPairEstimate), pair
         d = se2.difference(pair.T_a_b, se2.inverse(A) @ B)
         squared.append(float(d @ pair.information @ d))
     # 3 if it were exact; people show more systematic errors than these, which the information allows for.
@@ -209,7 +209,7 @@ def test_a_short_straight_walk_leaves_the_angle_less_certain_than_a_wide_one() -
         rng = np.random.default_rng(5)
         walks = [straight((-length / 2, 0), (length / 2, 0), 20)]
         pair = estimate(rng, walks, se2.pose(np.pi / 2, np.array([0.0, -3])), se2.pose(0, np.array([-4.0, 0])))
-        assert isinstance(pair, TrackPair), pair
+        assert isinstance(pair, ScannerPairEstimate), pair
         return float(np.sqrt(np.linalg.inv(pair.information)[2, 2]))
 
     assert stddev_of_angle(1.5) > 2 * stddev_of_angle(6.0)
@@ -218,7 +218,7 @@ def test_a_short_straight_walk_leaves_the_angle_less_certain_than_a_wide_one() -
 def test_people_seen_at_different_times_tell_nothing(rng: np.random.Generator) -> None:
     walks = [wander(rng, seconds=20)]
     a, b = observe(walks, np.eye(3), rng), observe(walks, np.eye(3), rng, late=100.0)
-    assert estimate_network_pair("a", "b", a, b, rng) == Rejected(
+    assert estimate_scanner_pair("a", "b", a, b, rng) == Rejected(
         "only 0.0 s in which both saw somebody, 2.0 s are needed"
     )
 
@@ -226,14 +226,14 @@ def test_people_seen_at_different_times_tell_nothing(rng: np.random.Generator) -
 def test_people_who_stand_still_tell_no_direction(rng: np.random.Generator) -> None:
     still = (np.ones((500, 2)), np.zeros((500, 2)))
     a, b = observe([still], np.eye(3), rng), observe([still], np.eye(3), rng)
-    found = estimate_network_pair("a", "b", a, b, rng)
+    found = estimate_scanner_pair("a", "b", a, b, rng)
     assert isinstance(found, Rejected)
     assert "moved" in found.reason
 
 
 def test_a_scanner_without_tracks_is_no_error(rng: np.random.Generator) -> None:
     nobody = Tracked((), NO_BACKGROUND, 0.01)
-    found = estimate_network_pair("a", "b", nobody, nobody, rng)
+    found = estimate_scanner_pair("a", "b", nobody, nobody, rng)
     assert found == Rejected("only 0.0 s in which both saw somebody, 2.0 s are needed")
 
 
@@ -241,7 +241,7 @@ def test_walls_improve_what_tracks_found(rng: np.random.Generator) -> None:
     walks = [wander(rng, seconds=15, size=3.0)]
     A, B = se2.pose(0.3, np.array([-2.0, -1.0])), se2.pose(2.5, np.array([2.0, -1.5]))
     a, b = (observe(walks, T, rng, background=room(T, rng)) for T in (A, B))
-    with_walls = estimate_network_pair("a", "b", a, b, np.random.default_rng(1))
+    with_walls = estimate_scanner_pair("a", "b", a, b, np.random.default_rng(1))
     assert error(with_walls, se2.inverse(A) @ B) < (0.01, 0.2)
 
 
@@ -260,7 +260,7 @@ def test_six_scanners_of_a_minute_take_two_seconds() -> None:
     walks = [wander(rng) for _ in range(3)]
     scanners = {f"s{i}": observe(walks, somewhere(rng), rng) for i in range(6)}
     begin = time.process_time()
-    pairs = estimate_network_pairs(scanners, rng)
+    pairs = estimate_scanner_pairs(scanners, rng)
     assert len(pairs) == 15
     assert time.process_time() - begin < 4  # twice the aim, for busy machines
 
@@ -281,7 +281,7 @@ def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
         known = track_scanner(of_one, People(kind="people"), RangeNoise(), feature=feature)
         assert isinstance(known, Tracked)
         tracked.append(known)
-    found = estimate_network_pair("front", "rear", tracked[0], tracked[1], rng)
+    found = estimate_scanner_pair("front", "rear", tracked[0], tracked[1], rng)
     assert error(found, se2.pose(np.pi, np.array([-0.474, 0.006]))) < (0.1, 1.5)
 
 
@@ -289,5 +289,5 @@ def test_centres_of_mass_lie_nearer_than_the_people(rng: np.random.Generator) ->
     walks = [wander(rng) for _ in range(2)]
     A, B = se2.pose(0.8, np.array([-3.0, -3.0])), se2.pose(2.3, np.array([3.0, -3.0]))
     a, b = (observe(walks, T, rng, near=0.15) for T in (A, B))
-    found = estimate_network_pair("a", "b", a, b, rng, depth=0.12)
+    found = estimate_scanner_pair("a", "b", a, b, rng, depth_stddev=0.12)
     assert error(found, se2.inverse(A) @ B) < (0.04, 1.0)

@@ -7,7 +7,7 @@ from board_scenes import SIZE, boards, patch, random_pose
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.pairwise import Candidates, estimate_pair, match_table
+from calgraph.pairwise import Candidates, estimate_pair, tabulate_matches
 
 CAPTURES = 12
 
@@ -43,7 +43,7 @@ def by_lidar(T_s_root: Array, both: tuple[Array, Array], rng: np.random.Generato
 def test_two_cameras_never_take_one_board_for_another() -> None:
     rng = np.random.default_rng(1)
     both = scene(rng)
-    table = match_table(by_camera(np.eye(4), both, rng), by_camera(np.eye(4), both, rng))
+    table = tabulate_matches(by_camera(np.eye(4), both, rng), by_camera(np.eye(4), both, rng))
     assert len(table) == 2 * CAPTURES
     assert (table[:, 1] == table[:, 2]).all()
 

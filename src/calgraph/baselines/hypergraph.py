@@ -11,7 +11,7 @@ from calgraph.detection import Detection, Segment, plane_of
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
-from calgraph.pairwise import Candidates, Filter, PairwiseEstimate, selected_matches
+from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, select_matches
 
 BLOCKS: Mapping[str, Block] = {
     "sensors": Block(6, se3.retract, fixed=(0,)),
@@ -36,7 +36,7 @@ def solve_hypergraph(
     estimates: Sequence[PairwiseEstimate],
     detections: Mapping[str, Candidates],
     *,
-    keep: Filter = "ransac",
+    keep: MatchFilter = "ransac",
     optimize: bool = True,
 ) -> RigSolution:
     """Solves for all connected sensors at once.
@@ -59,7 +59,7 @@ def solve_hypergraph(
         )
     graph = _Graph(names, detections)
     for pair in pairs:
-        for capture, i, j in pair.matches[selected_matches(pair, keep)]:
+        for capture, i, j in pair.matches[select_matches(pair, keep)]:
             graph.connect(pair, int(capture), int(i), int(j))
     values = graph.values(tree.T_root_sensor)
     observed = graph.observation_edges()

@@ -12,7 +12,7 @@ import numpy as np
 
 from calgraph.baselines.sparse_lm import Term, Values
 from calgraph.geometry import Array, Index, plane, se3, so3
-from calgraph.pairwise import coplanarity
+from calgraph.pairwise import evaluate_coplanarity
 
 
 def whitener(covariance: Array) -> Array:
@@ -178,7 +178,7 @@ class LineLine:
         """The gap between the lines (:func:`calgraph.pairwise.coplanarity`)."""
         T_r_a, T_r_b = values["sensors"][self.sensor_a], values["sensors"][self.sensor_b]
         T_a_b = se3.inverse(T_r_a) @ T_r_b
-        r, by_relative, by_line_a, by_line_b = coplanarity(
+        r, by_relative, by_line_a, by_line_b = evaluate_coplanarity(
             T_a_b, values["lines"][self.line_a], values["lines"][self.line_b]
         )
         # Parallel scan planes say nothing (NaN) and weigh nothing.

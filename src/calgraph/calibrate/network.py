@@ -12,7 +12,7 @@ from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, 
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import ScannerPrior, solve_network
 from calgraph.graph import placed
-from calgraph.pairwise import Sights, estimate_network_pairs
+from calgraph.pairwise import ScannerObservations, estimate_scanner_pairs
 from calgraph.recording import Recording
 from calgraph.result import Calibration
 from calgraph.tracking import Feature, Tracked
@@ -65,15 +65,15 @@ def calibrate_tracks(
     rng = np.random.default_rng(options.seed)
     tracked = {name: found for name, found in tracks.items() if isinstance(found, Tracked)}
     depth = DEPTHS[options.feature]
-    pairs = estimate_network_pairs(
+    pairs = estimate_scanner_pairs(
         tracked,
         rng,
         icp=options.icp,
-        depth=depth,
+        depth_stddev=depth,
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
     )
-    observations = {name: Sights.of(known) for name, known in tracked.items()}
+    observations = {name: ScannerObservations.from_tracks(known) for name, known in tracked.items()}
     initialization = placed(
         rig.root, pairs, observations, rng, options.average, weighted=options.weights == "weighted"
     )

@@ -9,7 +9,7 @@ from calgraph.detection import Averaging
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, SolverOptions
 from calgraph.graph import Method, Start
-from calgraph.pairwise import Filter
+from calgraph.pairwise import MatchFilter
 from calgraph.result import Calibration
 from calgraph.tracking import Feature
 
@@ -36,7 +36,7 @@ class Options:
     """Where a rig's sensors are about."""
     rigid: tuple[RigidFile, ...] = ()
     """Which of a rig's sensors are fixed to each other, and how."""
-    keep: Filter = "ransac"
+    keep: MatchFilter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     folds: int = SolverOptions().folds
     """In how many parts a rig's captures are left out for cross-validation; 0 for none."""

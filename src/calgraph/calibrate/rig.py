@@ -37,7 +37,7 @@ from calgraph.estimation import (
     with_prior_poses,
 )
 from calgraph.graph import SpanningTree, start_poses
-from calgraph.pairwise import estimate_pairs, estimated, reconsider_pairs
+from calgraph.pairwise import estimate_pairs, reselect_all_inliers, select_successful
 from calgraph.recording import Recording, read_cameras
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, RecordedMessage
@@ -146,12 +146,12 @@ def build_problem_from_captures(
     """From detections to the joint problem: every pair, and the tree they span."""
     detections = captures.detections
     pairs = estimate_pairs(detections, rig.board_size, rng, lambda done: progress("pairing", done))
-    tree = start_poses(rig.root, estimated(pairs), options.start, rng)
+    tree = start_poses(rig.root, select_successful(pairs), options.start, rng)
     if options.keep == "ransac":
         # What three captures could not tell apart, all of them can: select once more under a joint solution.
-        joint = solve_hypergraph(tree, estimated(pairs), detections, keep=options.keep)
-        pairs = reconsider_pairs(pairs, joint.T_root_sensor, detections, rig.board_size)
-        tree = start_poses(rig.root, estimated(pairs), options.start, rng)
+        joint = solve_hypergraph(tree, select_successful(pairs), detections, keep=options.keep)
+        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size)
+        tree = start_poses(rig.root, select_successful(pairs), options.start, rng)
     solver = SolverOptions(
         estimator=rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
     )
@@ -178,14 +178,14 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     """
     rig, captures, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
-    tree = attach_by_priors(problem.tree, estimated(pairs), solver.priors, solver.groups)
+    tree = attach_by_priors(problem.tree, select_successful(pairs), solver.priors, solver.groups)
     if solver.estimator == "bundle":
         joint = solve_bundle(
-            rig, captures, estimated(pairs), tree.T_root_sensor,
+            rig, captures, select_successful(pairs), tree.T_root_sensor,
             keep=solver.keep, estimate=solver.estimate, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
-        joint = solve_hypergraph(tree, estimated(pairs), captures.detections, keep=solver.keep)
+        joint = solve_hypergraph(tree, select_successful(pairs), captures.detections, keep=solver.keep)
     return joint, tree
 
 

@@ -83,7 +83,7 @@ def verdict(
 def rivals(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
     """Angles (rad) to other poses that fit as well, by 2-D scanner; none where one pair leaves but one pose."""
     angles = {
-        name: [p.rival for p in pairs if _with_plane(p, name, kinds)]
+        name: [p.alternative_pose_angle for p in pairs if _with_plane(p, name, kinds)]
         for name, kind in kinds.items()
         if kind == "lidar2d"
     }
@@ -111,7 +111,7 @@ def doubts(root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate
         The reason in words, by sensor; no entry for one whose detections fit at least one other sensor's.
     """
     least = {
-        name: min((pair.excess for pair in pairs if name in (pair.sensor_a, pair.sensor_b)), default=1.0)
+        name: min((pair.normalized_rms for pair in pairs if name in (pair.sensor_a, pair.sensor_b)), default=1.0)
         for name in kinds
     }
     reasons = {

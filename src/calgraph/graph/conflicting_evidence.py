@@ -14,7 +14,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph.network_graph import evidence
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.tree_cuts import cuts
-from calgraph.pairwise import TrackPair
+from calgraph.pairwise import ScannerPairEstimate
 
 # A hypothesis farther from the pose that was found puts the scanner elsewhere, m and rad.
 _ELSEWHERE = (0.5, np.radians(8))
@@ -35,7 +35,7 @@ class Doubt:
 
 
 def doubtful(
-    graph: PoseGraph, names: Sequence[str], pairs: Sequence[TrackPair], averaged: Averaged
+    graph: PoseGraph, names: Sequence[str], pairs: Sequence[ScannerPairEstimate], averaged: Averaged
 ) -> Doubt | None:
     """The largest part of a network that better evidence would put elsewhere, if there is any.
 

@@ -8,7 +8,7 @@ from calgraph.geometry import Array
 from calgraph.graph.averaging import Method, average
 from calgraph.graph.graph_optimization import adjusted
 from calgraph.graph.pose_graph import Averaged, PoseGraph, chi_squared
-from calgraph.pairwise import TrackPair
+from calgraph.pairwise import ScannerPairEstimate
 
 # What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
 _BEYOND_NOISE = (0.02, 0.004)
@@ -22,7 +22,7 @@ _DOUBTFUL = 50.0
 _WALLS = 100.0
 
 
-def network_graph(root: str, pairs: Sequence[TrackPair]) -> tuple[PoseGraph, tuple[str, ...]]:
+def network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
     """The graph of what is connected to the root, which is node 0; and the scanners' names in the order of nodes.
 
     Every hypothesis of a pair is an edge: the graph as a whole decides which of them is right.
@@ -74,7 +74,7 @@ def _beyond_noise(right: PoseGraph, T_root_node: Array) -> float:
     return float(np.sqrt(low * high))
 
 
-def trust(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
+def trust(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
     """Weights (E,) of the edges of :func:`network_graph`, 0..1: how likely each is right, by its own evidence.
 
     Wrong estimates come about where people who walked alike were taken for one. They last for seconds, and leave
@@ -90,7 +90,7 @@ def trust(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
     return np.asarray(known / (known + _DOUBTFUL))
 
 
-def evidence(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
+def evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
     """Evidence (E,) of the edges of :func:`network_graph`: what agrees, times its share of what should.
 
     Walls that match, too, are worth as much as many of these: of wrong poses hardly one brings them together.
@@ -100,10 +100,10 @@ def evidence(names: Sequence[str], pairs: Sequence[TrackPair]) -> Array:
         pairs: as handed to :func:`network_graph`.
     """
     kept = [h for p in pairs if p.sensor_a in names for h in p.hypotheses]
-    return np.array([h.observations * h.share + _WALLS * h.icp for h in kept])
+    return np.array([h.observations * h.matched_share + _WALLS * h.uses_background for h in kept])
 
 
-def _connected(root: str, pairs: Sequence[TrackPair]) -> tuple[str, ...]:
+def _connected(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:
     reached = [root]
     for name in reached:
         for pair in pairs:

@@ -12,9 +12,9 @@ from calgraph.graph.conflicting_evidence import doubtful
 from calgraph.graph.network_graph import average_network, evidence, network_graph, trust
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.visibility_check import confirmed, unnoticed
-from calgraph.pairwise import Sights, TrackPair
+from calgraph.pairwise import ScannerObservations, ScannerPairEstimate
 
-Pairs = Mapping[tuple[str, str], TrackPair | Rejected]
+Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Placed:
 def placed(
     root: str,
     pairs: Pairs,
-    sights: Mapping[str, Sights],
+    sights: Mapping[str, ScannerObservations],
     rng: np.random.Generator,
     method: Method = "consensus",
     *,
@@ -54,7 +54,7 @@ def placed(
         weighted: whether pairs count by their evidence; all alike otherwise.
     """
     while True:
-        known = [pair for pair in pairs.values() if isinstance(pair, TrackPair)]
+        known = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
         graph, names = network_graph(root, known)
         weights = trust(names, known) if weighted else None
         averaged, graph = average_network(graph, rng, method, weights)
@@ -81,10 +81,10 @@ def _left_out(pairs: Pairs, scanners: Set[str], why: Rejected) -> Pairs:
 def _without(pairs: Pairs, names: Sequence[str], dropped: NDArray[np.bool_], why: Rejected) -> Pairs:
     """The pairs without the hypotheses (E,) that are dropped, in the order of :func:`network_graph`."""
     edges = iter(dropped)
-    left: dict[tuple[str, str], TrackPair | Rejected] = {}
+    left: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}
     for ends, found in pairs.items():
         left[ends] = found
-        if isinstance(found, TrackPair) and found.sensor_a in names:
+        if isinstance(found, ScannerPairEstimate) and found.sensor_a in names:
             kept = tuple(h for h in found.hypotheses if not next(edges))
             left[ends] = replace(found, hypotheses=kept) if kept else why
     return left

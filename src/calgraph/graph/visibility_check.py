@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import Averaged, PoseGraph
 from calgraph.graph.tree_cuts import cuts
-from calgraph.pairwise.synchronized_tracks import meetings
-from calgraph.pairwise.visibility_map import Sights, overlooked
+from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples
+from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_detections
 
 Flags = NDArray[np.bool_]
 
@@ -40,7 +40,9 @@ class Refuted:
     """Which share of what it and the others should have seen of each other's people they did not."""
 
 
-def unnoticed(graph: PoseGraph, sights: Sequence[Sights], averaged: Averaged, worth: Array) -> Refuted | None:
+def unnoticed(
+    graph: PoseGraph, sights: Sequence[ScannerObservations], averaged: Averaged, worth: Array
+) -> Refuted | None:
     """The part of a network whose place is refuted most clearly; None where no place is.
 
     Every tie of the tree of best evidence cuts the network in two. All that one side saw where the other one has
@@ -63,7 +65,7 @@ def unnoticed(graph: PoseGraph, sights: Sequence[Sights], averaged: Averaged, wo
     return worst
 
 
-def confirmed(sights: Sequence[Sights], T_root_node: Array, part: Flags) -> bool:
+def confirmed(sights: Sequence[ScannerObservations], T_root_node: Array, part: Flags) -> bool:
     """Whether a part (N,) of a network is at its place by what it and the others saw of each other's people.
 
     Args:
@@ -96,21 +98,23 @@ class _Seen:
         return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~noticed))
 
 
-def _seen(sights: Sequence[Sights], T_root_node: Array) -> _Seen:
+def _seen(sights: Sequence[ScannerObservations], T_root_node: Array) -> _Seen:
     ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(own.samples.tick for own in sights)])
     step = max(1, int(np.ptp(ticks)) // _TICKS) if len(ticks) else 1
-    sights = [own.every(step) for own in sights]
+    sights = [own.subsample(step) for own in sights]
     sizes = [len(own.samples.tick) for own in sights]
     begin = np.cumsum(sizes) - sizes
     numbers = [first + np.arange(size) for first, size in zip(begin, sizes, strict=True)]
-    reach = np.array([own.view.reach for own in sights])
+    reach = np.array([own.visibility.max_range for own in sights])
     at = T_root_node[:, :2, 2]
     near = np.linalg.norm(at[:, None] - at, axis=-1) < reach[:, None] + reach
     pairs = []
     for a, b in np.argwhere(np.triu(near, 1)).tolist():
-        met = meetings(sights[a].samples, sights[b].samples)
+        met = pair_simultaneous_samples(sights[a].samples, sights[b].samples)
         T_a_b = se2.inverse(T_root_node[a]) @ T_root_node[b]
-        (should,), (did,) = overlooked(T_a_b[None], met, sights[a].view, sights[b].view, _THERE)
+        (should,), (did,) = find_missed_detections(
+            T_a_b[None], met, sights[a].visibility, sights[b].visibility, _THERE
+        )
         if should.any():
             pairs.append((a, b, np.concatenate([numbers[a], numbers[b]]), should, did))
     return _Seen(sum(sizes), step, tuple(pairs))

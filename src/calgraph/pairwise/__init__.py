@@ -2,21 +2,40 @@
 
 from calgraph.pairwise.board_pair import (
     Candidates,
-    Pairs,
+    PairwiseEstimates,
     estimate_pair,
     estimate_pairs,
-    estimated,
-    match_table,
-    reconsider,
-    reconsider_pairs,
+    reselect_all_inliers,
+    reselect_inliers,
+    select_successful,
+    tabulate_matches,
 )
-from calgraph.pairwise.line_matches import coplanarity
-from calgraph.pairwise.pairwise_estimate import Filter, PairwiseEstimate, selected_matches
-from calgraph.pairwise.scanner_pair import Hypothesis, TrackPair, estimate_network_pair, estimate_network_pairs
-from calgraph.pairwise.visibility_map import Sights
+from calgraph.pairwise.line_matches import evaluate_coplanarity
+from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.pairwise.scanner_pair import (
+    PoseHypothesis,
+    ScannerPairEstimate,
+    estimate_scanner_pair,
+    estimate_scanner_pairs,
+)
+from calgraph.pairwise.visibility_map import ScannerObservations
 
 __all__ = [
-    "Candidates", "Filter", "Hypothesis", "Pairs", "PairwiseEstimate", "Sights", "TrackPair", "coplanarity",
-    "estimate_network_pair", "estimate_network_pairs", "estimate_pair", "estimate_pairs", "estimated",
-    "match_table", "reconsider", "reconsider_pairs", "selected_matches",
+    "Candidates",
+    "MatchFilter",
+    "PairwiseEstimate",
+    "PairwiseEstimates",
+    "PoseHypothesis",
+    "ScannerObservations",
+    "ScannerPairEstimate",
+    "estimate_pair",
+    "estimate_pairs",
+    "estimate_scanner_pair",
+    "estimate_scanner_pairs",
+    "evaluate_coplanarity",
+    "reselect_all_inliers",
+    "reselect_inliers",
+    "select_matches",
+    "select_successful",
+    "tabulate_matches",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 from calgraph.geometry import Array, se3
 
 # Directions (m and rad) along which the residuals' RMS changes by less than this per unit are not moved.
-_OPEN = 0.03
+_MIN_RMS_SLOPE = 0.03
 
 
 def gauss_newton(
@@ -34,7 +34,7 @@ def gauss_newton(
         g = np.einsum("kmi,km->ki", J, r) / r.shape[1]
         values, vectors = np.linalg.eigh(H)
         along = np.einsum("kji,kj->ki", vectors, g)
-        step = np.where(values > _OPEN**2, along / (values + damping[:, None]), 0.0)
+        step = np.where(values > _MIN_RMS_SLOPE**2, along / (values + damping[:, None]), 0.0)
         trial = se3.retract(T, -np.einsum("kij,kj->ki", vectors, step))
         r_trial, J_trial = residuals(trial)
         trial_cost = _mean_square(r_trial)
@@ -54,7 +54,7 @@ def _mean_square(r: Array) -> Array:
     return np.asarray(np.where(np.isnan(r).any(axis=1), np.inf, np.mean(r**2, axis=1)))
 
 
-def canonical_rotations() -> Array:
+def axis_aligned_rotations() -> Array:
     """The 24 rotations (24, 3, 3) that map axes to axes: how sensors are mounted when nothing else is known."""
     rotations = []
     for order in itertools.permutations(range(3)):

@@ -7,19 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, plane, se3, se_n, so3
-from calgraph.pairwise.coplanar_lines_solver import hinge_poses
-from calgraph.pairwise.least_squares import canonical_rotations, gauss_newton
+from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
+from calgraph.pairwise.least_squares import axis_aligned_rotations, gauss_newton
 from calgraph.pairwise.pairwise_estimate import Linearization
 
 # A start is worth refining from the linear solution only if every unknown moves the residuals by this much of
 # what it would move a single point (RMS over the sample): below it, noise decides the unknown.
-_CONDITION = 0.02
+_MIN_CONDITION = 0.02
 # Of the plain mountings, so many are refined for each sample.
-_PROMISING = 6
+_REFINED_STARTS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class PlaneLine:
+class PlaneLineMatches:
     """M matches between planes seen by a and segments seen by b."""
 
     planes: Array
@@ -32,7 +32,7 @@ class PlaneLine:
     """(M, 2, 3), frame b, z = 0."""
     covariances_b: Array
     """(M, 6, 6) of the end points."""
-    reach: float
+    max_center_distance: float
     """The board's diagonal: how far apart the two centres may be, m."""
 
     @property
@@ -52,38 +52,40 @@ class PlaneLine:
         x = self.endpoints[samples].reshape(len(samples), -1, 3)
 
         def residuals(T: Array) -> tuple[Array, Array]:
-            return _distances(T, n, d, x)
+            return _evaluate_plane_distances(T, n, d, x)
 
         A = np.concatenate([x[..., :1] * n, x[..., 1:2] * n, n], axis=-1)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         if self._determined:
             h = np.einsum("kij,ki,kli,kl->kj", Vt, 1 / np.maximum(s, 1e-9), U, -d)
             R = se_n.nearest_rotation(np.stack([h[:, :3], h[:, 3:6], np.cross(h[:, :3], h[:, 3:6])], axis=-1))
-            T, _ = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
+            T, _ = gauss_newton(se3.pose(R, _solve_translation(R, n, d, x)), residuals)
             T[s[:, -1] < 1e-6 * s[:, 0]] = np.nan
             return T
-        starts = _promising(canonical_rotations(), n, d, x)
+        starts = _select_rotations(axis_aligned_rotations(), n, d, x)
         count = starts.shape[1]
         n, d, x = (np.repeat(v, count, axis=0) for v in (n, d, x))
         R = starts.reshape(-1, 3, 3)
-        T, cost = gauss_newton(se3.pose(R, _translation(R, n, d, x)), residuals)
+        T, cost = gauss_newton(se3.pose(R, _solve_translation(R, n, d, x)), residuals)
         # Among solutions that fit alike, the one that had to turn least from a plain mounting.
         turned = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
         best = np.argmin((cost + (0.02 * turned) ** 2).reshape(-1, count), axis=1)
         return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
 
-    def minima(self, chosen: NDArray[np.bool_]) -> Array:
+    def find_local_minima(self, chosen: NDArray[np.bool_]) -> Array:
         """Poses (K, 4, 4) at which the chosen matches' distances are smallest nearby, sought from everywhere.
 
         Distances from planes do not change much when a scanner is turned over or tilted the other way: with few
         captures several poses fit.
         """
-        starts = canonical_rotations()
+        starts = axis_aligned_rotations()
         n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
         d = np.broadcast_to(np.repeat(self.planes[chosen, 3], 2), n.shape[:2])
         x = np.broadcast_to(self.endpoints[chosen].reshape(-1, 3), n.shape)
         T, _ = gauss_newton(
-            se3.pose(starts, _translation(starts, n, d, x)), lambda T: _distances(T, n, d, x), iterations=40
+            se3.pose(starts, _solve_translation(starts, n, d, x)),
+            lambda T: _evaluate_plane_distances(T, n, d, x),
+            iterations=40,
         )
         return T
 
@@ -93,7 +95,7 @@ class PlaneLine:
         n = np.repeat(self.planes[:, :3], 2, axis=0)
         x = self.endpoints.reshape(-1, 3)
         s = np.linalg.svd(np.concatenate([x[:, :1] * n, x[:, 1:2] * n, n], axis=-1), compute_uv=False)
-        return bool(len(s) == 9 and s[-1] > _CONDITION * np.sqrt(len(n)))
+        return bool(len(s) == 9 and s[-1] > _MIN_CONDITION * np.sqrt(len(n)))
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Distances of the two end points from the plane."""
@@ -110,14 +112,14 @@ class PlaneLine:
         covariance = covariance + np.einsum("kmi,mpiqj,kmj->kmpq", n_b, blocks, n_b)
         return Linearization(plane.distance(self.planes, x_a), jacobian, covariance)
 
-    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+    def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
         """Whether the segment's middle lies within a board of the plane's."""
         middle = se3.apply(T_a_b, self.endpoints.mean(axis=1))
-        return np.asarray(np.linalg.norm(middle - self.centers_a, axis=-1) <= self.reach)
+        return np.asarray(np.linalg.norm(middle - self.centers_a, axis=-1) <= self.max_center_distance)
 
 
 @dataclass(frozen=True, eq=False)
-class LineLine:
+class LineLineMatches:
     """M matches between segments seen by a and segments seen by b: two lines on one board are coplanar."""
 
     endpoints_a: Array
@@ -126,7 +128,7 @@ class LineLine:
     """(M, 6, 6)."""
     endpoints_b: Array
     covariances_b: Array
-    reach: float
+    max_center_distance: float
     """The board's diagonal: how far apart the two middles may be, m."""
 
     sample_size: int = 8
@@ -138,28 +140,33 @@ class LineLine:
         crossing point on that line, so coplanarity says nothing of it (see :func:`coplanarity`).
         """
         a, b = self.endpoints_a[samples], self.endpoints_b[samples]
-        T, _ = gauss_newton(hinge_poses(a, b), partial(_coplanar_together, a=a, b=b, looseness=20 * self.reach))
+        T, _ = gauss_newton(
+            solve_coplanar_lines(a, b),
+            partial(_regularized_coplanarity, a=a, b=b, looseness=20 * self.max_center_distance),
+        )
         return T
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Distance of the two lines times the sine of their angle: zero where they are coplanar."""
         a, b = self.endpoints_a, self.endpoints_b
-        r, jacobian, by_a, by_b = coplanarity(T_a_b[:, None], a, b)
+        r, jacobian, by_a, by_b = evaluate_coplanarity(T_a_b[:, None], a, b)
         covariance = np.einsum("kmi,mij,kmj->km", by_a, self.covariances_a, by_a)
         covariance = covariance + np.einsum("kmi,mij,kmj->km", by_b, self.covariances_b, by_b)
         return Linearization(r[..., None], jacobian[..., None, :], covariance[..., None, None])
 
-    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+    def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
         """Whether the middles of both segments lie within a board of each other."""
         middle = se3.apply(T_a_b, self.endpoints_b.mean(axis=1))
-        return np.asarray(np.linalg.norm(middle - self.endpoints_a.mean(axis=1), axis=-1) <= self.reach)
+        return np.asarray(
+            np.linalg.norm(middle - self.endpoints_a.mean(axis=1), axis=-1) <= self.max_center_distance
+        )
 
 
 # Sine of the angle between scan planes below which coplanarity says nothing of their pose.
-_PARALLEL = 0.05
+_MIN_SCAN_PLANE_SINE = 0.05
 
 
-def coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
+def evaluate_coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
     """``(u × R v) · (R m_b + t - m_a) / s`` for lines with unit directions u, v through the middles m_a, m_b.
 
     With the sine s of the angle between the scan planes z = 0 of a and b, this is the distance between the two
@@ -177,8 +184,8 @@ def coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, 
         Residuals (...), m, and their derivatives by T_a_b (..., 6), by a (..., 6) and by b (..., 6).
     """
     R, t = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
-    u, by_u = _direction(a)
-    v, by_v = _direction(b)
+    u, by_u = _direction_with_jacobian(a)
+    v, by_v = _direction_with_jacobian(b)
     Rv = (R @ v[..., None])[..., 0]
     Rm = (R @ b.mean(axis=-2)[..., None])[..., 0]
     normal = np.cross(u, Rv)
@@ -194,13 +201,13 @@ def coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, 
     by_b = np.concatenate([-turn_b + normal_b / 2, turn_b + normal_b / 2], axis=-1)
     z_b = R[..., :, 2]
     s = np.hypot(z_b[..., 0], z_b[..., 1])
-    s = np.where(s < _PARALLEL, np.nan, s)
+    s = np.where(s < _MIN_SCAN_PLANE_SINE, np.nan, s)
     jacobian = jacobian / s[..., None]
     jacobian[..., 3:] += (r * z_b[..., 2] / s**3)[..., None] * np.cross(z_b, [0.0, 0.0, 1.0])
     return r / s, jacobian, np.broadcast_to(by_a / s[..., None], jacobian.shape), by_b / s[..., None]
 
 
-def _direction(segment: Array) -> tuple[Array, Array]:
+def _direction_with_jacobian(segment: Array) -> tuple[Array, Array]:
     """Unit directions (..., 3) of segments (..., 2, 3) and their derivatives by the second end point."""
     along = segment[..., 1, :] - segment[..., 0, :]
     length = np.linalg.norm(along, axis=-1)[..., None]
@@ -208,30 +215,30 @@ def _direction(segment: Array) -> tuple[Array, Array]:
     return u, (np.eye(3) - u[..., :, None] * u[..., None, :]) / length[..., None]
 
 
-def _distances(T: Array, n: Array, d: Array, x: Array) -> tuple[Array, Array]:
+def _evaluate_plane_distances(T: Array, n: Array, d: Array, x: Array) -> tuple[Array, Array]:
     """Distances (K, P) of points x (K, P, 3) moved by T (K, 4, 4) from planes (n, d), and their Jacobian."""
     Rx = x @ np.swapaxes(T[:, :3, :3], -1, -2)
     r = np.sum(n * (Rx + T[:, None, :3, 3]), axis=-1) + d
     return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
 
 
-def _promising(starts: Array, n: Array, d: Array, x: Array) -> Array:
+def _select_rotations(starts: Array, n: Array, d: Array, x: Array) -> Array:
     """Of rotations (S, 3, 3), for each sample those (K, k, 3, 3) that fit best once translated."""
     r = np.einsum("kpi,sij,kpj->ksp", n, starts, x, optimize=True) + d[:, None]
     r -= np.einsum("kpi,kiq,ksq->ksp", n, np.linalg.pinv(n, rcond=0.05), r, optimize=True)
-    chosen = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")[:, :_PROMISING]
+    chosen = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")[:, :_REFINED_STARTS]
     return starts[chosen]
 
 
-def _translation(R: Array, n: Array, d: Array, x: Array) -> Array:
+def _solve_translation(R: Array, n: Array, d: Array, x: Array) -> Array:
     """The translations (K, 3) that fit best for given rotations; zero along what the normals leave open."""
     r = np.sum(n * (x @ np.swapaxes(R, -1, -2)), axis=-1) + d
     return np.asarray(-(np.linalg.pinv(n, rcond=0.05) @ r[..., None])[..., 0])
 
 
-def _coplanar_together(T: Array, a: Array, b: Array, looseness: float) -> tuple[Array, Array]:
+def _regularized_coplanarity(T: Array, a: Array, b: Array, looseness: float) -> tuple[Array, Array]:
     """Coplanarity residuals, and the gaps between the middles scaled by the board's noise over looseness."""
-    r, J, _, _ = coplanarity(T[:, None], a, b)
+    r, J, _, _ = evaluate_coplanarity(T[:, None], a, b)
     scale = 0.02 / looseness
     Rm = np.einsum("kij,kmj->kmi", T[:, :3, :3], b.mean(axis=2))
     gap = Rm + T[:, None, :3, 3] - a.mean(axis=2)

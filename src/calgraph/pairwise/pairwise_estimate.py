@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se3, so3
 
 # Two detections agree if they differ by no more than this many standard deviations ...
-_GATE = 3.0
+_INLIER_GATE = 3.0
 # ... of their noise together with what no noise model knows: the board's bend, range bias, stamps (m).
 MODEL_ERROR = 0.01
 # How far a board is from a plane, m.
 _FLATNESS = 0.002
 # Steps at most from a minimal sample's pose to that of all inliers, and the standard deviation (m and rad) beyond
 # which a direction is left as it is: the inliers' noise would move it anywhere.
-_POLISH = 20
-_OPEN = 0.1
+_MAX_STEPS = 20
+_MAX_STDDEV = 0.1
 # A pose fits as well as another if its sum of squared whitened residuals is at most so much larger (times their
 # scatter), and it is another one if turned by more than this, rad.
-_ALIKE = 12.0
-_ELSEWHERE = np.radians(5)
+_AMBIGUITY_MARGIN = 12.0
+_MIN_ALTERNATIVE_ANGLE = np.radians(5)
 
 
-Filter = Literal["ransac", "none"]
+MatchFilter = Literal["ransac", "none"]
 """Which matches a joint solution uses: those that agree (ransac), or the first candidates of every capture."""
 
 
@@ -45,9 +45,9 @@ class PairwiseEstimate:
     """(M,) the matches that agree with T_a_b: at most one per capture."""
     residuals: Array
     """(M,) root mean square distance between the two detections under T_a_b, m."""
-    rival: float = 0.0
+    alternative_pose_angle: float = 0.0
     """Angle to another pose that fits the inliers as well, rad; 0 where there is none."""
-    excess: float = 1.0
+    normalized_rms: float = 1.0
     """How many times farther apart the inliers' detections are than their covariances explain."""
 
     @property
@@ -64,7 +64,8 @@ class PairwiseEstimate:
         J[:3, 3:] = -so3.hat(self.T_a_b[:3, 3]) @ R
         return PairwiseEstimate(
             self.sensor_b, self.sensor_a, se3.inverse(self.T_a_b), J.T @ self.information @ J,
-            self.matches[:, [0, 2, 1]], self.inliers, self.residuals, self.rival, self.excess,
+            self.matches[:, [0, 2, 1]], self.inliers, self.residuals,
+            self.alternative_pose_angle, self.normalized_rms,
         )  # fmt: skip
 
 
@@ -93,23 +94,23 @@ class Matches(Protocol):
     def linearize(self, T_a_b: Array) -> Linearization:
         """Residuals of all matches under poses (K, 4, 4), with a leading axis K on every field."""
 
-    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+    def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
         """(K, M) whether both detections can lie on one board of the known size."""
 
 
-def squared_residuals(matches: Matches) -> Callable[[Array], Array]:
+def squared_residual_function(matches: Matches) -> Callable[[Array], Array]:
     """For the consensus: squared residuals (K, M) in units of the squared gate; infinite where out of reach."""
 
     def of(T_a_b: Array) -> Array:
         at = matches.linearize(T_a_b)
         variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + MODEL_ERROR**2
-        r2 = np.mean(at.residuals**2 / variance, axis=-1) / _GATE**2
-        return np.asarray(np.where(matches.reachable(T_a_b), r2, np.inf))
+        r2 = np.mean(at.residuals**2 / variance, axis=-1) / _INLIER_GATE**2
+        return np.asarray(np.where(matches.feasible(T_a_b), r2, np.inf))
 
     return of
 
 
-def polished(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Array:
+def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Array:
     """The pose (4, 4) that fits all inliers best, near one that a minimal sample gave.
 
     What the inliers leave open stays as it is.
@@ -123,9 +124,9 @@ def polished(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Arra
         return H, np.einsum("mki,mkl,ml->i", J, W, r), float(np.einsum("mk,mkl,ml->", r, W, r))
 
     H, g, cost = problem(T_a_b)
-    for _ in range(_POLISH):
+    for _ in range(_MAX_STEPS):
         values, vectors = np.linalg.eigh(H)
-        along = np.where(values > _OPEN**-2, vectors.T @ g / np.maximum(values, _OPEN**-2), 0.0)
+        along = np.where(values > _MAX_STDDEV**-2, vectors.T @ g / np.maximum(values, _MAX_STDDEV**-2), 0.0)
         trial = se3.retract(T_a_b, -np.asarray(vectors @ along, dtype=np.float64))
         trial_H, trial_g, trial_cost = problem(trial)
         if not trial_cost < cost * (1 - 1e-6):
@@ -134,7 +135,9 @@ def polished(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Arra
     return T_a_b
 
 
-def settled(T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_]) -> tuple[Array, float]:
+def resolve_ambiguity(
+    T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_]
+) -> tuple[Array, float]:
     """The pose that fits all inliers best, and whether another does so too.
 
     Args:
@@ -151,35 +154,35 @@ def settled(T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.b
     r, covariance = at.residuals[:, inliers], at.covariance[:, inliers]
     W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[2]))
     cost = np.einsum("pmk,pmkl,pml->p", r, W, r)
-    cost[~matches.reachable(poses)[:, inliers].all(axis=1)] = np.inf
+    cost[~matches.feasible(poses)[:, inliers].all(axis=1)] = np.inf
     best = int(np.argmin(cost))
-    margin = _ALIKE * max(1.0, cost[best] / max(r[0].size - 6, 1))
+    margin = _AMBIGUITY_MARGIN * max(1.0, cost[best] / max(r[0].size - 6, 1))
     if cost[0] <= cost[best] + margin:
         best = 0
-    turned = np.linalg.norm(so3.log(poses[:, :3, :3] @ poses[best, :3, :3].T), axis=-1)
-    alike = (cost <= cost.min() + margin) & (turned > _ELSEWHERE)
-    return poses[best], float(np.max(turned, initial=0.0, where=alike))
+    angle = np.linalg.norm(so3.log(poses[:, :3, :3] @ poses[best, :3, :3].T), axis=-1)
+    ambiguous = (cost <= cost.min() + margin) & (angle > _MIN_ALTERNATIVE_ANGLE)
+    return poses[best], float(np.max(angle, initial=0.0, where=ambiguous))
 
 
-def excess(at: Linearization, inliers: NDArray[np.bool_]) -> float:
+def compute_normalized_rms(at: Linearization, inliers: NDArray[np.bool_]) -> float:
     """Root mean square of the inliers' residuals, whitened by their covariances and a board's flatness."""
     r, covariance = at.residuals[inliers], at.covariance[inliers]
     W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
     return float(np.sqrt(np.einsum("mk,mkl,ml->", r, W, r) / max(r.size - 6, 1)))
 
 
-def information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
+def compute_information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
     """(6, 6) information of the inliers, scaled down by their scatter where it exceeds their covariances."""
     r, J, covariance = at.residuals[inliers], at.jacobian[inliers], at.covariance[inliers]
     floor = 1e-8 * np.eye(r.shape[1])
     W = np.linalg.inv(covariance + floor)
     H = np.einsum("mki,mkl,mlj->ij", J, W, J)
     chi2 = float(np.einsum("mk,mkl,ml->", r, W, r))
-    freedom = max(r.size - 6, 1)
-    return np.asarray(H / max(1.0, chi2 / freedom))
+    degrees_of_freedom = max(r.size - 6, 1)
+    return np.asarray(H / max(1.0, chi2 / degrees_of_freedom))
 
 
-def selected_matches(pair: PairwiseEstimate, keep: Filter) -> NDArray[np.bool_]:
+def select_matches(pair: PairwiseEstimate, keep: MatchFilter) -> NDArray[np.bool_]:
     """(M,) which of a pair's matches a joint solution uses."""
     if keep == "ransac":
         return pair.inliers

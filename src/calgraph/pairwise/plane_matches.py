@@ -10,7 +10,7 @@ from calgraph.pairwise.pairwise_estimate import Linearization
 
 
 @dataclass(frozen=True, eq=False)
-class PlanePlane:
+class PlanePlaneMatches:
     """M matches between planes seen by a and planes seen by b."""
 
     planes_a: Array
@@ -22,9 +22,9 @@ class PlanePlane:
     planes_b: Array
     covariances_b: Array
     centers_b: Array
-    extent: float
+    comparison_radius: float
     """Half of the board's shorter side: how far from the centre planes are compared, m."""
-    reach: float
+    max_center_distance: float
     """The board's diagonal: how far apart the two centres may be, m."""
 
     sample_size: int = 3
@@ -46,28 +46,28 @@ class PlanePlane:
     def linearize(self, T_a_b: Array) -> Linearization:
         """Distances from plane a to three points of plane b around its centre."""
         angles = 2 * np.pi * np.arange(3) / 3
-        circle = self.extent * np.stack([np.cos(angles), np.sin(angles)])
+        circle = self.comparison_radius * np.stack([np.cos(angles), np.sin(angles)])
         basis_b = plane.tangent_basis(self.planes_b[:, :3])
         x_b = self.centers_b[:, None] + np.swapaxes(basis_b @ circle, -1, -2)
         x_a = se3.apply(T_a_b[:, None], x_b)
         n_a = np.broadcast_to(self.planes_a[:, None, :3], x_a.shape)
         arm = x_a - T_a_b[:, None, None, :3, 3]
         jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
-        moved_by_a = _chart_at(self.planes_a, x_a)
-        moved_by_b = _chart_at(self.planes_b, x_b)
+        moved_by_a = _distance_by_chart(self.planes_a, x_a)
+        moved_by_b = _distance_by_chart(self.planes_b, x_b)
         covariance = moved_by_a @ self.covariances_a @ np.swapaxes(moved_by_a, -1, -2)
         covariance = covariance + moved_by_b @ self.covariances_b @ np.swapaxes(moved_by_b, -1, -2)
         return Linearization(plane.distance(self.planes_a, x_a), jacobian, covariance)
 
-    def reachable(self, T_a_b: Array) -> NDArray[np.bool_]:
+    def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
         """Whether normals agree within 30 degrees and centres lie within a board of each other."""
         x_a = se3.apply(T_a_b, self.centers_b)
         n_a = self.planes_b[:, :3] @ np.swapaxes(T_a_b[:, :3, :3], -1, -2)
-        close = np.linalg.norm(x_a - self.centers_a, axis=-1) <= self.reach
+        close = np.linalg.norm(x_a - self.centers_a, axis=-1) <= self.max_center_distance
         return np.asarray(close & (np.sum(n_a * self.planes_a[:, :3], axis=-1) > np.cos(np.radians(30))))
 
 
-def _chart_at(planes: Array, points: Array) -> Array:
+def _distance_by_chart(planes: Array, points: Array) -> Array:
     """How the distance at points (..., M, k, 3) changes with the charts of planes (M, 4): (..., M, k, 3)."""
     along = points @ plane.tangent_basis(planes[:, :3])
     return np.concatenate([along, np.ones((*along.shape[:-1], 1))], axis=-1)

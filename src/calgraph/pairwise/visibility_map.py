@@ -12,68 +12,68 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import Meetings, Samples, sample
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
 from calgraph.tracking import Tracked
 
 Flags = NDArray[np.bool_]
 
 # Side of a map's cells; how far before what stands still somebody surely stands out; and how near is too near, m.
-_CELL = 0.2
-_CLEAR = 0.5
-_NEAREST = 0.4
+_CELL_SIZE = 0.2
+_BACKGROUND_MARGIN = 0.5
+_MIN_RANGE = 0.4
 # Nobody is overlooked up to the range beyond which only this share of the sights lies.
-_RARE = 0.05
+_RANGE_TAIL = 0.05
 # Nor where the scanner saw somebody so often, in a cell or those around it.
-_SEEN = 3
+_MIN_DETECTIONS = 3
 # Between two beams farther apart nobody knows, rad.
-_NEXT = np.radians(2)
+_MAX_BEAM_GAP = np.radians(2)
 
 
 @dataclass(frozen=True, eq=False)
-class OpenView:
+class VisibilityMap:
     """A map of the places at which a scanner does not overlook anybody."""
 
-    open: Flags
+    visible: Flags
     """(N, N) by x and y in cells of the scanner's frame, the scanner in the middle; nothing along the border."""
-    watched: Array
+    coverage_intervals: Array
     """(W, 2) from when to when the scanner measured, s, ascending."""
 
     def covers(self, x: Array) -> Flags:
         """(...) whether positions (..., 2), m, are open to the scanner."""
-        size = len(self.open)
-        cell = np.clip(x * (1 / _CELL) + size / 2, 0, size - 1).astype(np.intp)
-        return np.asarray(self.open.ravel()[cell[..., 0] * size + cell[..., 1]])
+        size = len(self.visible)
+        cell = np.clip(x * (1 / _CELL_SIZE) + size / 2, 0, size - 1).astype(np.intp)
+        return np.asarray(self.visible.ravel()[cell[..., 0] * size + cell[..., 1]])
 
     @property
-    def reach(self) -> float:
+    def max_range(self) -> float:
         """Nothing farther from the scanner is open to it, m."""
-        return float(np.sqrt(0.5) * _CELL * len(self.open))
+        return float(np.sqrt(0.5) * _CELL_SIZE * len(self.visible))
 
-    def watches(self, times: Array) -> Flags:
+    def measures_at(self, times: Array) -> Flags:
         """(M,) whether the scanner measured at some times (M,), s."""
-        stretch = np.searchsorted(self.watched[:, 0], times, "right") - 1
-        return np.asarray((stretch >= 0) & (times <= np.append(self.watched[:, 1], -np.inf)[stretch]))
+        stretch = np.searchsorted(self.coverage_intervals[:, 0], times, "right") - 1
+        return np.asarray((stretch >= 0) & (times <= np.append(self.coverage_intervals[:, 1], -np.inf)[stretch]))
 
 
 @dataclass(frozen=True, eq=False)
-class Sights:
+class ScannerObservations:
     """What one scanner saw moving, and where it would have seen anybody."""
 
-    samples: Samples
-    view: OpenView
+    samples: TrackSamples
+    visibility: VisibilityMap
 
     @classmethod
-    def of(cls, tracked: Tracked) -> "Sights":
+    def from_tracks(cls, tracked: Tracked) -> "ScannerObservations":
         """What a scanner followed, at the ticks that all scanners share."""
-        samples = sample(tracked)
-        return cls(samples, open_view(tracked, samples))
+        samples = resample_tracks(tracked)
+        return cls(samples, build_visibility_map(tracked, samples))
 
-    def every(self, step: int) -> "Sights":
+    def subsample(self, step: int) -> "ScannerObservations":
         """Of every ``step``-th tick alone; the view is as it was."""
-        return replace(self, samples=self.samples.every(step))
+        return replace(self, samples=self.samples.subsample(step))
 
 
-def open_view(tracked: Tracked, samples: Samples) -> OpenView:
+def build_visibility_map(tracked: Tracked, samples: TrackSamples) -> VisibilityMap:
     """The open view of a scanner: before what stands still, up to where it usually sees people; and where it did.
 
     Args:
@@ -81,26 +81,26 @@ def open_view(tracked: Tracked, samples: Samples) -> OpenView:
         samples: of what it saw moving.
     """
     ranges = np.linalg.norm(samples.positions, axis=1)
-    reach = float(np.quantile(ranges, 1 - _RARE)) if len(ranges) else 0.0
-    half = int(np.ceil(reach / _CELL)) + 1
-    middles = (np.arange(-half, half) + 0.5) * _CELL
+    max_range = float(np.quantile(ranges, 1 - _RANGE_TAIL)) if len(ranges) else 0.0
+    half = int(np.ceil(max_range / _CELL_SIZE)) + 1
+    middles = (np.arange(-half, half) + 0.5) * _CELL_SIZE
     x = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
     r = np.linalg.norm(x, axis=1)
-    within = (r > _NEAREST) & (r < reach) & looks_past(tracked.background, x, _CLEAR)
-    cells = np.clip(samples.positions / _CELL + half, 0, 2 * half - 1).astype(np.intp)
-    sights = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
-    often = convolve(sights, np.ones((3, 3)), mode="constant") >= _SEEN
-    is_open = within.reshape(sights.shape) | often
-    is_open[[0, -1]] = is_open[:, [0, -1]] = False
-    return OpenView(is_open, _own_times(samples) if tracked.watched is None else tracked.watched)
+    within = (r > _MIN_RANGE) & (r < max_range) & is_free_space(tracked.background, x, _BACKGROUND_MARGIN)
+    cells = np.clip(samples.positions / _CELL_SIZE + half, 0, 2 * half - 1).astype(np.intp)
+    counts = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
+    detected = convolve(counts, np.ones((3, 3)), mode="constant") >= _MIN_DETECTIONS
+    visible = within.reshape(counts.shape) | detected
+    visible[[0, -1]] = visible[:, [0, -1]] = False
+    return VisibilityMap(visible, _sampled_interval(samples) if tracked.watched is None else tracked.watched)
 
 
-def _own_times(samples: Samples) -> Array:
+def _sampled_interval(samples: TrackSamples) -> Array:
     """(W, 2) from the first sample to the last one, s."""
     return samples.times[[0, -1]][None] if len(samples.tick) else np.zeros((0, 2))
 
 
-def looks_past(background: Array, x: Array, margin: float) -> Flags:
+def is_free_space(background: Array, x: Array, margin: float) -> Flags:
     """(M,) whether a scanner looks past points (M, 2) of its frame to something farther by more than a margin, m.
 
     Args:
@@ -108,69 +108,71 @@ def looks_past(background: Array, x: Array, margin: float) -> Flags:
         x: the points, m.
         margin: m.
     """
-    seen = background[np.isfinite(background).all(axis=1)]
-    if len(seen) < 2:
+    points = background[np.isfinite(background).all(axis=1)]
+    if len(points) < 2:
         return np.zeros(len(x), dtype=np.bool_)
-    bearing = np.arctan2(seen[:, 1], seen[:, 0])
+    bearing = np.arctan2(points[:, 1], points[:, 0])
     order = np.argsort(bearing)
-    bearing, ranges = bearing[order], np.linalg.norm(seen, axis=1)[order]
+    bearing, ranges = bearing[order], np.linalg.norm(points, axis=1)[order]
     at, r = np.arctan2(x[:, 1], x[:, 0]), np.linalg.norm(x, axis=1)
     k = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
     # Between two beams that hit things at different depths nobody knows.
-    known = (at - bearing[k - 1] < _NEXT) & (bearing[k] - at < _NEXT)
-    return np.asarray(known & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
+    between = (at - bearing[k - 1] < _MAX_BEAM_GAP) & (bearing[k] - at < _MAX_BEAM_GAP)
+    return np.asarray(between & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
 
 
-def overlooked(
-    T_a_b: Array, met: Meetings, view_a: OpenView, view_b: OpenView, near: float
+def find_missed_detections(
+    T_a_b: Array, pairs: SimultaneousPairs, visibility_a: VisibilityMap, visibility_b: VisibilityMap, radius: float
 ) -> tuple[Flags, Flags]:
     """What each of two scanners should have seen of what the other one saw, and what it did see.
 
     Args:
         T_a_b: (K, 3, 3).
-        met: all simultaneous observations.
-        view_a: of scanner a.
-        view_b: of scanner b.
-        near: how far from a position the other scanner may have seen it, m.
+        pairs: all simultaneous observations.
+        visibility_a: of scanner a.
+        visibility_b: of scanner b.
+        radius: distance from a position within which a detection of the other scanner is of the same object, m.
 
     Returns:
         Of all samples of a, followed by those of b, (K, A + B) each: whether the other scanner should have seen
         it, under this pose, and whether it saw anything there.
     """
-    a, b = met.a, met.b
+    a, b = pairs.a, pairs.b
     moved = se2.apply(T_a_b, b.positions)
-    sights_a = view_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & view_b.watches(a.times)
-    sights_b = view_a.covers(moved) & view_a.watches(b.times)
-    expected = np.concatenate([sights_a, sights_b], axis=1)
-    off = moved[:, met.row_b] - met.x_a
-    pose, together = np.nonzero(off[..., 0] ** 2 + off[..., 1] ** 2 < near**2)
-    noticed = np.zeros_like(expected)
-    noticed[pose, met.row_a[together]] = noticed[pose, len(a.tick) + met.row_b[together]] = True
-    return expected, noticed
+    expected_a = visibility_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & visibility_b.measures_at(
+        a.times
+    )
+    expected_b = visibility_a.covers(moved) & visibility_a.measures_at(b.times)
+    expected = np.concatenate([expected_a, expected_b], axis=1)
+    difference = moved[:, pairs.row_b] - pairs.x_a
+    pose, row = np.nonzero(difference[..., 0] ** 2 + difference[..., 1] ** 2 < radius**2)
+    detected = np.zeros_like(expected)
+    detected[pose, pairs.row_a[row]] = detected[pose, len(a.tick) + pairs.row_b[row]] = True
+    return expected, detected
 
 
-def refuted(
+def contradicts_visibility(
     T_a_b: Array,
-    met: Meetings,
-    view_a: OpenView,
-    view_b: OpenView,
+    pairs: SimultaneousPairs,
+    visibility_a: VisibilityMap,
+    visibility_b: VisibilityMap,
     *,
-    near: float,
-    fewest: float,
-    missed: float,
+    radius: float,
+    min_expected: float,
+    max_missed_share: float,
 ) -> Flags:
     """(K,) which poses let too much of what one scanner saw in the other's open view pass unnoticed.
 
     Args:
         T_a_b: (K, 3, 3).
-        met: all simultaneous observations.
-        view_a: of scanner a.
-        view_b: of scanner b.
-        near: how far from a position the other scanner may have seen it, m.
-        fewest: positions that should have been seen, at least.
-        missed: share of them that may have been missed.
+        pairs: all simultaneous observations.
+        visibility_a: of scanner a.
+        visibility_b: of scanner b.
+        radius: distance from a position within which a detection of the other scanner is of the same object, m.
+        min_expected: least number of expected detections to judge a pose.
+        max_missed_share: share of them that may have been missed.
     """
-    expected, noticed = overlooked(T_a_b, met, view_a, view_b, near)
+    expected, detected = find_missed_detections(T_a_b, pairs, visibility_a, visibility_b, radius)
     count = np.count_nonzero(expected, axis=1)
-    unseen = np.count_nonzero(expected & ~noticed, axis=1)
-    return np.asarray((count >= fewest) & (unseen > missed * count))
+    missed = np.count_nonzero(expected & ~detected, axis=1)
+    return np.asarray((count >= min_expected) & (missed > max_missed_share * count))

@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.diagnostics.network.walk_report import floor_views, met, walk_rows
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import Samples, sample
+from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
 from calgraph.tracking import Track, Tracked
 
@@ -43,21 +43,21 @@ def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> Tracked:
 
 
 @pytest.fixture
-def samples(rng: np.random.Generator) -> dict[str, Samples]:
+def samples(rng: np.random.Generator) -> dict[str, TrackSamples]:
     """West sees three walks: one that east sees too, one far from what east sees meanwhile, one on its own."""
     return {
-        "west": sample(tracked("west", [walk(0, 4, 0), walk(5, 9, 0), walk(10, 14, 0)], rng)),
-        "east": sample(tracked("east", [walk(1, 4.5, 0), walk(5, 9, 3)], rng)),
-        "north": sample(tracked("north", [walk(0, 4, 0)], rng)),
+        "west": resample_tracks(tracked("west", [walk(0, 4, 0), walk(5, 9, 0), walk(10, 14, 0)], rng)),
+        "east": resample_tracks(tracked("east", [walk(1, 4.5, 0), walk(5, 9, 3)], rng)),
+        "north": resample_tracks(tracked("north", [walk(0, 4, 0)], rng)),
     }
 
 
-def rows_of(name: str, samples: dict[str, Samples], connected: tuple[str, ...]) -> list[CaptureRow]:
+def rows_of(name: str, samples: dict[str, TrackSamples], connected: tuple[str, ...]) -> list[CaptureRow]:
     poses = {n: T_ROOT[n] for n in connected}
     return [row for row in walk_rows(samples, met(samples, poses), START) if row.sensor == name]
 
 
-def test_a_walk_that_another_scanner_sees_is_used(samples: dict[str, Samples]) -> None:
+def test_a_walk_that_another_scanner_sees_is_used(samples: dict[str, TrackSamples]) -> None:
     shared = rows_of("west", samples, ("west", "east"))[0]
     assert (shared.used, shared.reason) == (True, "")
     assert shared.residual is not None
@@ -65,7 +65,7 @@ def test_a_walk_that_another_scanner_sees_is_used(samples: dict[str, Samples]) -
     assert 1.5 * SIGMA < shared.residual < 2.5 * SIGMA
 
 
-def test_a_walk_that_no_one_else_sees_says_why(samples: dict[str, Samples]) -> None:
+def test_a_walk_that_no_one_else_sees_says_why(samples: dict[str, TrackSamples]) -> None:
     rows = rows_of("west", samples, ("west", "east"))
     assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
         (False, "other scanners saw somebody meanwhile, but not within 0.5 m of it", None),
@@ -73,27 +73,27 @@ def test_a_walk_that_no_one_else_sees_says_why(samples: dict[str, Samples]) -> N
     ]
 
 
-def test_walks_of_a_scanner_without_a_pose_are_not_used(samples: dict[str, Samples]) -> None:
+def test_walks_of_a_scanner_without_a_pose_are_not_used(samples: dict[str, TrackSamples]) -> None:
     (row,) = rows_of("north", samples, ("west", "east"))
     assert (row.used, row.reason) == (False, "its scanner is not connected to the root")
 
 
 def test_a_glimpse_is_not_enough(rng: np.random.Generator) -> None:
     samples = {
-        "west": sample(tracked("west", [walk(0, 4, 0)], rng)),
-        "east": sample(tracked("east", [walk(2, 2.35, 0)], rng)),
+        "west": resample_tracks(tracked("west", [walk(0, 4, 0)], rng)),
+        "east": resample_tracks(tracked("east", [walk(2, 2.35, 0)], rng)),
     }
     (row,) = rows_of("west", samples, ("west", "east"))
     assert (row.used, row.reason) == (False, "another scanner saw it for less than 0.5 s")
 
 
-def test_times_count_from_the_start_of_the_recording(samples: dict[str, Samples]) -> None:
+def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSamples]) -> None:
     first, second, third = rows_of("west", samples, ("west", "east"))
     np.testing.assert_allclose([first.start, second.start, third.start], [0, 5, 10], atol=0.1)
     np.testing.assert_allclose([first.end, second.end, third.end], [4, 9, 14], atol=0.2)
 
 
-def test_walks_are_numbered_in_order_of_time(samples: dict[str, Samples]) -> None:
+def test_walks_are_numbered_in_order_of_time(samples: dict[str, TrackSamples]) -> None:
     rows = walk_rows(samples, met(samples, T_ROOT), START)
     assert [row.capture for row in rows] == list(range(6))
     assert [row.start for row in rows] == sorted(row.start for row in rows)
@@ -104,13 +104,13 @@ def test_residuals_are_as_large_as_tracks_say() -> None:
     chi2 = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        samples = {n: sample(tracked(n, [walk(0, 3, 0)], rng)) for n in ("west", "east")}
+        samples = {n: resample_tracks(tracked(n, [walk(0, 3, 0)], rng)) for n in ("west", "east")}
         chi2.append(float(np.mean(met(samples, T_ROOT).residuals ** 2)))
     assert abs(np.mean(chi2) - 1) < 0.12
 
 
 def test_scanners_that_saw_nobody_meet_nobody(rng: np.random.Generator) -> None:
-    samples = {n: sample(tracked(n, [], rng)) for n in T_ROOT}
+    samples = {n: resample_tracks(tracked(n, [], rng)) for n in T_ROOT}
     meeting = met(samples, T_ROOT)
     assert meeting.residuals.shape == (0, 2)
     assert walk_rows(samples, meeting, START) == ()
@@ -118,7 +118,9 @@ def test_scanners_that_saw_nobody_meet_nobody(rng: np.random.Generator) -> None:
 
 def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator) -> None:
     known = {"east": tracked("east", [walk(0, 4, 1.5)], rng), "north": tracked("north", [], rng)}
-    views = floor_views(known, {n: sample(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0)
+    views = floor_views(
+        known, {n: resample_tracks(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0
+    )
     (view,) = views
     (line,) = view.tracks
     assert view.sensor == "east"
@@ -130,6 +132,6 @@ def test_the_floor_of_a_long_recording_stays_small(rng: np.random.Generator) -> 
     hour = np.concatenate([walk(0, 3600, 0)])
     hour[:, 1] = 5 + 5 * np.sin(hour[:, 1])
     known = tracked("west", [hour], rng)
-    (view,) = floor_views({"west": known}, {"west": sample(known)}, T_ROOT, start=0.0)
+    (view,) = floor_views({"west": known}, {"west": resample_tracks(known)}, T_ROOT, start=0.0)
     assert sum(map(len, view.tracks)) <= 30_000
     assert len(view.background) < 400

@@ -20,7 +20,7 @@ from calgraph.errors import InputError, Rejected
 from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem
 from calgraph.estimation.rig.problem_file import DETECTIONS
 from calgraph.graph import SpanningTree, spanning_tree
-from calgraph.pairwise import PairwiseEstimate, estimate_pairs, estimated
+from calgraph.pairwise import PairwiseEstimate, estimate_pairs, select_successful
 from calgraph.sensors import CameraModel
 
 RIG = Rig.model_validate(
@@ -73,9 +73,11 @@ def problem() -> Problem:
         cameras={"camera": CameraModel("fisheye", 640, 480, np.diag([500.1, 499.9, 1]), np.array([0.1, 0, 0, 0]))},
     )
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
-    assert estimated(pairs)
+    assert select_successful(pairs)
     pairs = {**pairs, ("lidar", "blind"): Rejected("no capture shows the board to both")}
-    return Problem(RIG, captured, pairs, spanning_tree("lidar", estimated(pairs)), SolverOptions(keep="none"))
+    return Problem(
+        RIG, captured, pairs, spanning_tree("lidar", select_successful(pairs)), SolverOptions(keep="none")
+    )
 
 
 @pytest.fixture

@@ -13,14 +13,14 @@ from calgraph.estimation.network.estimate import JointNetwork
 from calgraph.estimation.network.planar_poses import in_space
 from calgraph.geometry import Array, se2
 from calgraph.graph import Averaged, PoseGraph, joint_covariance
-from calgraph.pairwise import Hypothesis, TrackPair
-from calgraph.pairwise.synchronized_tracks import sample
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, SensorPose
 from calgraph.tracking import Tracked
 
 _ADVICE = "let people walk farther across, and to and fro, where {name} and others both see them"
 
-NetworkPairs = Mapping[tuple[str, str], TrackPair | Rejected]
+NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 def assemble_network(
@@ -49,7 +49,7 @@ def assemble_network(
     """
     tracked = {name: own for name, own in followed.items() if isinstance(own, Tracked)}
     late = {} if joint is None else dict(zip(names, joint.offset.tolist(), strict=True))
-    samples = {name: sample(_on_time(own, late.get(name, 0.0))) for name, own in tracked.items()}
+    samples = {name: resample_tracks(_on_time(own, late.get(name, 0.0))) for name, own in tracked.items()}
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
     meeting = met(samples, planar)
@@ -114,7 +114,7 @@ def _parents(right: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
 
 def _edge(
     pair: tuple[str, str],
-    found: TrackPair | Rejected,
+    found: ScannerPairEstimate | Rejected,
     agreeing: Mapping[frozenset[str], tuple[Array, Array]],
     parents: Mapping[str, str],
 ) -> Edge:
@@ -135,9 +135,9 @@ def _edge(
     return Edge(a, b, _shared(right), right.observations, in_tree=in_tree, residuals=np.array([off]))
 
 
-def _shared(hypothesis: Hypothesis) -> int:
+def _shared(hypothesis: PoseHypothesis) -> int:
     """How many positions both scanners should have seen, were the hypothesis right."""
-    return round(hypothesis.observations / hypothesis.share)
+    return round(hypothesis.observations / hypothesis.matched_share)
 
 
 def _why_alone(name: str, followed: Mapping[str, Tracked | Rejected], pairs: NetworkPairs) -> str:

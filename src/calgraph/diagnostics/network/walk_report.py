@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TICK, Meetings, Samples, meetings
+from calgraph.pairwise.synchronized_tracks import (
+    TICK_PERIOD,
+    SimultaneousPairs,
+    TrackSamples,
+    pair_simultaneous_samples,
+)
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import Tracked
 
@@ -34,7 +39,7 @@ class Meeting:
     """(R, 2) differences of positions that belong together, in standard deviations."""
 
 
-def met(samples: Mapping[str, Samples], T_root_scanner: Mapping[str, Array]) -> Meeting:
+def met(samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]) -> Meeting:
     """Brings what the connected scanners saw at the same time together.
 
     Args:
@@ -46,12 +51,12 @@ def met(samples: Mapping[str, Samples], T_root_scanner: Mapping[str, Array]) -> 
     company = {name: np.zeros(len(samples[name].tick), dtype=np.bool_) for name in names}
     residuals = [np.zeros((0, 2))]
     for a, b in itertools.combinations(names, 2):
-        both = meetings(samples[a], samples[b])
+        both = pair_simultaneous_samples(samples[a], samples[b])
         company[a][both.row_a] = company[b][both.row_b] = True
         off = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
         d = np.linalg.norm(off, axis=-1)
         near = np.flatnonzero(d < _NEAR)
-        near = near[both.mutual(near, d[near])] if len(near) else near
+        near = near[both.are_mutual_nearest(near, d[near])] if len(near) else near
         np.minimum.at(distance[a], both.row_a[near], d[near])
         np.minimum.at(distance[b], both.row_b[near], d[near])
         residuals.append(_whitened(off, both, near, T_root_scanner[a], T_root_scanner[b]))
@@ -59,14 +64,16 @@ def met(samples: Mapping[str, Samples], T_root_scanner: Mapping[str, Array]) -> 
     return Meeting(distance, company, together[:: len(together) // _RESIDUALS + 1])
 
 
-def _whitened(off: Array, both: Meetings, near: NDArray[np.intp], T_root_a: Array, T_root_b: Array) -> Array:
+def _whitened(
+    off: Array, both: SimultaneousPairs, near: NDArray[np.intp], T_root_a: Array, T_root_b: Array
+) -> Array:
     R_a, R_b = T_root_a[:2, :2], T_root_b[:2, :2]
     S_a, S_b = both.a.covariances[both.row_a[near]], both.b.covariances[both.row_b[near]]
     root = np.linalg.cholesky(R_a @ S_a @ R_a.T + R_b @ S_b @ R_b.T)
     return np.asarray(np.linalg.solve(root, off[near, :, None])[..., 0])
 
 
-def walk_rows(samples: Mapping[str, Samples], meeting: Meeting, start: float) -> tuple[CaptureRow, ...]:
+def walk_rows(samples: Mapping[str, TrackSamples], meeting: Meeting, start: float) -> tuple[CaptureRow, ...]:
     """One row for each scanner and walk, in order of time: whether another scanner saw it too, or why not.
 
     Args:
@@ -76,8 +83,8 @@ def walk_rows(samples: Mapping[str, Samples], meeting: Meeting, start: float) ->
     """
     found = [
         (
-            float(own.tick[rows[0]]) * TICK - start,
-            float(own.tick[rows[-1]]) * TICK - start,
+            float(own.tick[rows[0]]) * TICK_PERIOD - start,
+            float(own.tick[rows[-1]]) * TICK_PERIOD - start,
             name,
             *_outcome(name, rows, meeting),
         )
@@ -96,22 +103,22 @@ def _outcome(name: str, rows: NDArray[np.intp], meeting: Meeting) -> tuple[bool,
     if len(d) >= _SHARED:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner saw it for less than {_SHARED * TICK:g} s", None
+        return False, f"another scanner saw it for less than {_SHARED * TICK_PERIOD:g} s", None
     if meeting.company[name][rows].any():
         return False, f"other scanners saw somebody meanwhile, but not within {_NEAR:g} m of it", None
     return False, "no other scanner saw anybody meanwhile", None
 
 
-def _walks(samples: Samples) -> Iterator[NDArray[np.intp]]:
+def _walks(samples: TrackSamples) -> Iterator[NDArray[np.intp]]:
     """The samples of one walk after the other, ascending in time."""
-    order = np.argsort(samples.walk, kind="stable")
-    cuts = np.flatnonzero(np.diff(samples.walk[order])) + 1
+    order = np.argsort(samples.trajectory, kind="stable")
+    cuts = np.flatnonzero(np.diff(samples.trajectory[order])) + 1
     return (rows for rows in np.split(order, cuts) if len(rows))
 
 
 def floor_views(
     tracked: Mapping[str, Tracked],
-    samples: Mapping[str, Samples],
+    samples: Mapping[str, TrackSamples],
     T_root_scanner: Mapping[str, Array],
     start: float,
 ) -> tuple[FloorView, ...]:
@@ -130,7 +137,7 @@ def floor_views(
             name,
             se2.apply(T_root_scanner[name], _thinned(tracked[name].background, _POINTS // len(names))),
             tuple(se2.apply(T_root_scanner[name], samples[name].positions[rows]) for rows in lines[name]),
-            tuple(np.asarray(samples[name].tick[rows] * TICK - start) for rows in lines[name]),
+            tuple(np.asarray(samples[name].tick[rows] * TICK_PERIOD - start) for rows in lines[name]),
         )
         for name in names
     )
@@ -143,7 +150,7 @@ def _thinned(points: Array, most: int) -> Array:
     return np.asarray(points[np.sort(first)][:: len(first) // max(most, 1) + 1])
 
 
-def _lines(samples: Samples, most: int) -> Iterator[NDArray[np.intp]]:
+def _lines(samples: TrackSamples, most: int) -> Iterator[NDArray[np.intp]]:
     """Walks as lines of at most so many samples together."""
     step = max(3, len(samples.tick) // max(most, 1) + 1)
     for rows in _walks(samples):

@@ -15,7 +15,7 @@ from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
-from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
+from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
 from calgraph.result import Calibration, CaptureRow, Edge, SensorPose
 
 
@@ -29,7 +29,7 @@ def assemble(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibr
     """
     rig, captured, pairs = problem.rig, problem.captured, problem.pairs
     connected = tree.T_root_sensor
-    within = [e for e in estimated(pairs) if e.sensor_a in connected and e.sensor_b in connected]
+    within = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = {seen: r for seen, r in _residuals_of_used(within).items() if seen not in joint.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
     doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
@@ -127,7 +127,9 @@ def _row(hold: Hold, name: str, captured: CaptureSet, used: Used, joint: RigSolu
     )
 
 
-def _unconnected(rig: Rig, captured: CaptureSet, pairs: Pairs, connected: Collection[str]) -> dict[str, str]:
+def _unconnected(
+    rig: Rig, captured: CaptureSet, pairs: PairwiseEstimates, connected: Collection[str]
+) -> dict[str, str]:
     """Why each sensor outside the root's tree is there, as the rest of a sentence that starts with its name."""
     alone = {name: _why_alone(name, captured, pairs) for name in rig.sensors if name not in connected}
     if not captured.detections[rig.root]:
@@ -137,7 +139,7 @@ def _unconnected(rig: Rig, captured: CaptureSet, pairs: Pairs, connected: Collec
     return alone
 
 
-def _why_alone(name: str, captured: CaptureSet, pairs: Pairs) -> str:
+def _why_alone(name: str, captured: CaptureSet, pairs: PairwiseEstimates) -> str:
     seen = captured.detections[name]
     if not seen:
         misses = [reason for (_, sensor), reason in captured.rejections.items() if sensor == name]

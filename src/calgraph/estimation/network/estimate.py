@@ -253,12 +253,14 @@ def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[
         for k, a in enumerate(body.glimpses)
         for b in body.glimpses[k + 1 :]
     }
-    backgrounds = [icp.Background(known.background) for known in tracked]
+    backgrounds = [icp.StaticBackground(known.background) for known in tracked]
     found = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
         sigma = float(np.hypot(tracked[a].sigma, tracked[b].sigma))
-        matched = icp.align(T_a_b, np.diag([0.05**2, 0.05**2, 0.01**2]), backgrounds[a], backgrounds[b], sigma)
+        matched = icp.align_backgrounds(
+            T_a_b, np.diag([0.05**2, 0.05**2, 0.01**2]), backgrounds[a], backgrounds[b], sigma
+        )
         if not isinstance(matched, Rejected):
             found.append(Wall(a, b, matched.T_a_b, matched.information))
     return tuple(found)

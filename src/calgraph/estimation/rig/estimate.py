@@ -32,7 +32,7 @@ from calgraph.estimation.rig.priors import PosePrior, RigidGroup, apply_rigid_gr
 from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.estimation.rig.variance_components import find_outlier_views, update_variance_components
 from calgraph.geometry import Array, Index
-from calgraph.pairwise import Filter, PairwiseEstimate, selected_matches
+from calgraph.pairwise import MatchFilter, PairwiseEstimate, select_matches
 
 # Views sway by this much to begin with, m: before noise is known, few views must pass for wrong.
 _INITIAL_VIEW_BIAS = 0.003
@@ -52,7 +52,7 @@ def solve_bundle(
     estimates: Sequence[PairwiseEstimate],
     T_root_sensor: Mapping[str, Array],
     *,
-    keep: Filter = "ransac",
+    keep: MatchFilter = "ransac",
     estimate: Sequence[Estimable] = (),
     priors: Sequence[PosePrior] = (),
     groups: Sequence[RigidGroup] = (),
@@ -73,7 +73,7 @@ def solve_bundle(
         groups: sensors that are fixed to each other.
     """
     among = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
-    boards = group_detections([(pair, selected_matches(pair, keep)) for pair in among])
+    boards = group_detections([(pair, select_matches(pair, keep)) for pair in among])
     if len(T_root_sensor) == 1:
         return RigSolution("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
     bundle, state = build_bundle(rig, captured, boards, T_root_sensor)

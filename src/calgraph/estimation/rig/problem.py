@@ -14,7 +14,7 @@ from calgraph.errors import InputError
 from calgraph.estimation.rig.extra_parameters import Estimable
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.graph import SpanningTree
-from calgraph.pairwise import Candidates, Filter, Pairs, PairwiseEstimate, estimated
+from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, PairwiseEstimates, select_successful
 
 Estimator = Literal["bundle", "hypergraph"]
 
@@ -24,7 +24,7 @@ class SolverOptions(StrictModel):
 
     estimator: Estimator = "bundle"
     """All sensors and boards in the units that sensors measure, or the paper's hypergraph."""
-    keep: Filter = "ransac"
+    keep: MatchFilter = "ransac"
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     folds: Annotated[int, Field(ge=0)] = 5
     """In how many parts the captures are left out for cross-validation; 0 for none."""
@@ -46,7 +46,7 @@ class Problem:
     rig: Rig
     captured: CaptureSet
     """All detections, and why others are missing."""
-    pairs: Pairs
+    pairs: PairwiseEstimates
     """Estimate, or the reason why there is none, by pair of sensors."""
     tree: SpanningTree
     """What is connected to the root, and the start poses."""
@@ -85,7 +85,7 @@ def check_problem(problem: Problem) -> None:
         for name, seen in captured.detections.items():
             if hold.index not in seen and (hold.index, name) not in captured.rejections:
                 raise InputError(f"misses: must say why {name} has no detection in capture {hold.index}")
-    for estimate in estimated(problem.pairs):
+    for estimate in select_successful(problem.pairs):
         _check_matches(estimate, captured.detections)
 
 

@@ -19,7 +19,7 @@ from calgraph.graph import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.io.yaml_reading import validate_content
-from calgraph.pairwise import Pairs, PairwiseEstimate, estimated
+from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
 from calgraph.sensors import CameraModel
 
 FORMAT = "calgraph-problem/2"
@@ -152,7 +152,10 @@ def _encode(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             for i, hold in enumerate(captured.holds) for name, stamps in hold.stamps.items()
         ])
         | _CAMERAS.pack([vars(camera) for camera in captured.cameras.values()])
-        | _ESTIMATES.pack([vars(estimate) for estimate in estimated(problem.pairs)])
+        | _ESTIMATES.pack([
+            {**vars(e), "rival": e.alternative_pose_angle, "excess": e.normalized_rms}
+            for e in select_successful(problem.pairs)
+        ])
         | _TREE.pack([{"sensor": number[name], "T_root_sensor": T} for name, T in tree.T_root_sensor.items()])
     )  # fmt: skip
     for kind, table in DETECTIONS.items():
@@ -216,15 +219,17 @@ def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:
     }
 
 
-def _pairs(structure: _Structure, arrays: Arrays) -> Pairs:
+def _pairs(structure: _Structure, arrays: Arrays) -> PairwiseEstimates:
     known = sum(pair.rejected is None for pair in structure.pairs)
     rows = iter(_unpack_exactly(_ESTIMATES, arrays, known, "pairs that are not rejected"))
     return {
-        pair.sensors: PairwiseEstimate(*pair.sensors, **next(rows))
-        if pair.rejected is None
-        else Rejected(pair.rejected)
+        pair.sensors: _estimate(pair.sensors, **next(rows)) if pair.rejected is None else Rejected(pair.rejected)
         for pair in structure.pairs
     }
+
+
+def _estimate(sensors: tuple[str, str], *, rival: float, excess: float, **fields: Any) -> PairwiseEstimate:
+    return PairwiseEstimate(*sensors, **fields, alternative_pose_angle=rival, normalized_rms=excess)
 
 
 def _unpack_exactly(table: Table, arrays: Arrays, count: int, what: str) -> list[dict[str, Any]]:
