@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph import Method, PoseGraph, average
+from calgraph.graph import AveragingMethod, PoseGraph, average_poses
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 NEAR, TURNED = 0.5, np.radians(5)
@@ -62,7 +62,7 @@ def decidable(graph: PoseGraph, wrong: NDArray[np.bool_]) -> bool:
     """Whether the right edges connect all nodes, even without any one of them."""
     everyone = np.arange(len(wrong))
     kept = [~wrong, *(~wrong & (everyone != e) for e in np.flatnonzero(~wrong))]
-    return all(graph.where(right).reachable().all() for right in kept)
+    return all(graph.select_edges(right).find_reachable().all() for right in kept)
 
 
 def found(T_est: Array, T: Array) -> tuple[bool, bool]:
@@ -95,10 +95,10 @@ def table(n: int, seeds: int) -> None:
             count = int(rng.integers(6, 9))
             graphs.append(random_graph(count, count * (count - 1) // 2, n, wrong, 10.0, rng))
         clear = np.array([decidable(graph, bad) for graph, _, bad in graphs])
-        for method in get_args(Method):
+        for method in get_args(AveragingMethod):
             start = time.process_time()
             poses = [
-                average(graph, np.random.default_rng(seed), method).T_root_node
+                average_poses(graph, np.random.default_rng(seed), method).T_root_node
                 for seed, (graph, _, _) in enumerate(graphs)
             ]
             each = 1000 * (time.process_time() - start) / seeds
@@ -112,7 +112,7 @@ def large(n: int) -> None:
     rng = np.random.default_rng(n)
     graph, T, bad = random_graph(1000, 5000, n, 0.2, 100.0, rng)
     start, cpu = time.perf_counter(), time.process_time()
-    result = average(graph, rng)
+    result = average_poses(graph, rng)
     seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
     off = np.linalg.norm(se_n.translation(result.T_root_node) - se_n.translation(T), axis=1)
     lost = np.flatnonzero((off > NEAR) & held_twice(graph, ~bad))

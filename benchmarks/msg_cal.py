@@ -17,7 +17,7 @@ from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate import Options, build_problem_from_captures, solve_problem
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array
-from calgraph.graph import start_poses
+from calgraph.graph import initialize_rig
 from calgraph.pairwise import estimate_pairs, select_successful
 from calgraph.simulation import RigScenario
 from simulated import detected, errors, poses_of
@@ -56,8 +56,8 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     rig, captured, truth = detected(scenario, seed)
     seen, rng = captured.detections, np.random.default_rng(seed)
     estimates = select_successful(estimate_pairs(seen, rig.board_size, rng, refine=False))
-    tree = start_poses(rig.root, estimates, "tree", rng)
-    at_root = start_poses(rig.root, estimates, "identity", rng)
+    tree = initialize_rig(rig.root, estimates, "tree", rng)
+    at_root = initialize_rig(rig.root, estimates, "identity", rng)
 
     def judge(joint: RigSolution) -> tuple[float, float, float]:
         metres, degrees = errors(dict(joint.T_root_sensor), truth)

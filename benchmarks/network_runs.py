@@ -11,8 +11,16 @@ from calgraph.calibrate import DEPTHS
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.estimation import solve_network
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, average_network, joint_covariance, network_graph, placed, trust
-from calgraph.graph.random_trees import tree_poses
+from calgraph.graph import (
+    PoseGraph,
+    PoseGraphSolution,
+    average_network,
+    build_network_graph,
+    compute_joint_covariance,
+    edge_weights,
+    initialize_network,
+)
+from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples, resample_tracks
 from calgraph.sensors import LaserScan
@@ -190,28 +198,28 @@ def solved(
     if setup.average == "consensus":
         sights = {name: ScannerObservations.from_tracks(known) for name, known in tracked.items()}
         ends = {(pair.sensor_a, pair.sensor_b): pair for pair in pairs}
-        sure = placed(rig.root, ends, sights, rng, weighted=setup.weighted)
-        graph, names, averaged = sure.graph, sure.names, sure.averaged
+        sure = initialize_network(rig.root, ends, sights, rng, weighted=setup.weighted)
+        graph, names, averaged = sure.graph, sure.names, sure.solution
     else:
         pairs = [replace(pair, hypotheses=pair.hypotheses[:1]) for pair in pairs]
-        graph, names = network_graph(rig.root, pairs)
+        graph, names = build_network_graph(rig.root, pairs)
         if setup.average == "none":
             averaged = chained(graph, pairs, names)
         else:
-            weights = trust(names, pairs) if setup.weighted else None
+            weights = edge_weights(names, pairs) if setup.weighted else None
             averaged, graph = average_network(graph, rng, setup.average, weights)
     if not setup.joint:
-        spread = joint_covariance(graph.where(averaged.inliers), averaged.T_root_node)
+        spread = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))
     assert isinstance(rig.target, People | Cylinder)
     joint = solve_network(rig.target, [tracked[name] for name in names], averaged, graph)
     return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.offset)
 
 
-def chained(graph: PoseGraph, pairs: Sequence[ScannerPairEstimate], names: Sequence[str]) -> Averaged:
+def chained(graph: PoseGraph, pairs: Sequence[ScannerPairEstimate], names: Sequence[str]) -> PoseGraphSolution:
     """The pair with the root where there is one, otherwise the fewest and best pairs."""
     costs = np.array([1 + pair.hypotheses[0].cost for pair in pairs if pair.sensor_a in names])
-    return Averaged(tree_poses(graph, costs[None])[0], np.ones(len(costs), dtype=np.bool_))
+    return PoseGraphSolution(compute_tree_poses(graph, costs[None])[0], np.ones(len(costs), dtype=np.bool_))
 
 
 def errors_of(solved: Solved, truth: Mapping[str, Array]) -> Array:

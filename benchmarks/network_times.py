@@ -19,7 +19,7 @@ import numpy as np
 from calgraph.config import Lidar2dSpec, People
 from calgraph.estimation import solve_network
 from calgraph.geometry import se2
-from calgraph.graph import Averaged, PoseGraph
+from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, scans_of
 from calgraph.tracking import Tracked, track_scanner
 
@@ -76,7 +76,7 @@ def measure(count: int) -> tuple[float, list[Measured]]:
     T = np.array([truth[name][np.ix_((0, 1, 3), (0, 1, 3))] for name in tracked])
     off = np.random.default_rng(0).normal(0, START, (len(T), 3))
     off[0] = 0
-    start = Averaged(se2.retract(T, off), np.zeros(0, dtype=np.bool_))
+    start = PoseGraphSolution(se2.retract(T, off), np.zeros(0, dtype=np.bool_))
     graph = PoseGraph(len(T), np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
     assert isinstance(rig.target, People)
     before, measured = peak(), []

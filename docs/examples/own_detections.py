@@ -122,6 +122,6 @@ T_i_j = se3.retract(T_i_j, rng.normal(0, 0.002, (10, 6)))
 T_i_j[[1, 5, 8]] = se3.retract(T_i_j[[1, 5, 8]], rng.normal(0, 1, (3, 6)))
 
 graph = calgraph.PoseGraph(5, edges, T_i_j, np.tile(np.eye(6) / 0.002**2, (10, 1, 1)))
-averaged = calgraph.average(graph, np.random.default_rng(0))
+averaged = calgraph.average_poses(graph, np.random.default_rng(0))
 print("wrong edges:", edges[~averaged.inliers].tolist())
 print(f"largest error: {1000 * abs(averaged.T_root_node - T_root_node)[:, :3, 3].max():.1f} mm")

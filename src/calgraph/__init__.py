@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from calgraph.errors import CalgraphError, CalibrationError, InputError, RecordingError, Rejected
     from calgraph.estimation import Problem, load_problem, save_problem
     from calgraph.geometry import plane, se2, se3, so3
-    from calgraph.graph import Averaged, PoseGraph, average
+    from calgraph.graph import PoseGraph, PoseGraphSolution, average_poses
     from calgraph.pairwise import PairwiseEstimate, estimate_pair
     from calgraph.recording import MessageRecording, open_recording, open_recordings
     from calgraph.report import write_report
@@ -54,16 +54,17 @@ if TYPE_CHECKING:
     from calgraph.tracking import Track, Tracked, track_scanner
 
 __all__ = [
-    "Averaged", "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel",
-    "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec",
-    "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch",
-    "PointCloud", "PoseGraph", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "Segment",
-    "SensorPose", "Tag", "Track", "Tracked", "average", "board_corners_from_pixels", "bootstrap_covariances",
-    "build_problem", "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
+    "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel",
+    "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan",
+    "Lidar2dSpec", "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People",
+    "PixelNoise", "PlanePatch", "PointCloud", "PoseGraph", "PoseGraphSolution", "Problem", "RangeNoise",
+    "RecordingError", "Rejected", "Rig", "Segment", "SensorPose", "Tag", "Track", "Tracked",
+    "average_poses", "board_corners_from_pixels", "bootstrap_covariances", "build_problem",
+    "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
     "calibrate_tracks", "captures_from_detections", "colorize_points", "estimate_pair", "export",
     "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
-    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points", "so3",
-    "solve_problem", "track_scanner", "write_report",
+    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points",
+    "so3", "solve_problem", "track_scanner", "write_report",
 ]  # fmt: skip
 
 _ROOMS = (

@@ -14,7 +14,7 @@ from typer.testing import Result
 
 from calgraph.cli.calibrate import StartChoice
 from calgraph.config import load_rig
-from calgraph.graph import Method
+from calgraph.graph import AveragingMethod
 from calgraph.result import load_calibration
 from calgraph.simulation import load_truth
 
@@ -40,7 +40,7 @@ def test_the_files_are_written(calibrated: tuple[Path, Result]) -> None:
 
 
 def test_every_start_can_be_chosen() -> None:
-    assert set(StartChoice) == {"tree", "identity", *get_args(Method)}
+    assert set(StartChoice) == {"tree", "identity", *get_args(AveragingMethod)}
 
 
 def test_the_poses_are_those_of_the_robot(calibrated: tuple[Path, Result], simulated: Path) -> None:

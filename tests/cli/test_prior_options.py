@@ -13,7 +13,7 @@ from calgraph.calibrate import Options, build_problem_from_captures
 from calgraph.errors import Rejected
 from calgraph.estimation import PriorFile, RigidFile, load_problem, save_problem, with_prior_poses
 from calgraph.geometry import Array, se3, so3
-from calgraph.graph import spanning_tree
+from calgraph.graph import find_spanning_tree
 from calgraph.io import save_yaml
 from calgraph.pairwise import select_successful
 from calgraph.result import export, load_calibration, read_extrinsics
@@ -218,7 +218,7 @@ def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_
         names: Rejected("saw no common board") if "laser_left" in names else pair
         for names, pair in problem.pairs.items()
     }
-    tree = spanning_tree("lidar", select_successful(pairs))
+    tree = find_spanning_tree("lidar", select_successful(pairs))
     save_problem(replace(problem, pairs=pairs, tree=tree), tmp_path / "alone.npz")
     assert run("solve", tmp_path / "alone.npz", "-o", tmp_path / "a").exit_code == 1
     poses = known.poses(tmp_path / "poses.yaml")

@@ -8,7 +8,7 @@ import pytest
 
 from calgraph.calibrate import Options, build_problem_from_captures, collect_captures, solve_problem
 from calgraph.config import Board, Checkerboard, Rig
-from calgraph.graph import Start
+from calgraph.graph import Initialization
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan, Message
@@ -78,7 +78,7 @@ def recorded_rig() -> Staged:
 def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:
     rig, recording, _ = recorded_rig
     captured = collect_captures(rig, recording, Options(), np.random.default_rng(0))
-    starts: tuple[Start, ...] = ("tree", "consensus")
+    starts: tuple[Initialization, ...] = ("tree", "consensus")
     along_tree, consensus = (
         solve_problem(build_problem_from_captures(rig, captured, Options(start=start), np.random.default_rng(0)))
         for start in starts

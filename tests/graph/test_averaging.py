@@ -9,13 +9,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array, se3
-from calgraph.graph import Method, Start, averaged_tree, pose_graph, start_poses
+from calgraph.graph import (
+    AveragingMethod,
+    Initialization,
+    build_rig_graph,
+    initialize_by_averaging,
+    initialize_rig,
+)
 from calgraph.pairwise import PairwiseEstimate
 
 NAMES = ("lidar", "camera", "laser", "rear", "top")
 TANGENTS = np.random.default_rng(3).uniform(-1, 1, size=(5, 6)) * [1, 1, 1, 2, 2, 2]
 TRUTH = dict(zip(NAMES, se3.retract(np.eye(4), TANGENTS), strict=True))
-METHODS = pytest.mark.parametrize("method", get_args(Method))
+METHODS = pytest.mark.parametrize("method", get_args(AveragingMethod))
 
 
 def pair(a: str, b: str, error: Array | None = None, residual: float = 0.01) -> PairwiseEstimate:
@@ -38,8 +44,8 @@ def true_pose(root: str, name: str) -> Array:
 
 @METHODS
 @pytest.mark.parametrize("root", ["lidar", "rear"])
-def test_true_pairs_give_true_poses(method: Method, root: str, rng: np.random.Generator) -> None:
-    tree = averaged_tree(root, pairs_of(NAMES), rng, method)
+def test_true_pairs_give_true_poses(method: AveragingMethod, root: str, rng: np.random.Generator) -> None:
+    tree = initialize_by_averaging(root, pairs_of(NAMES), rng, method)
     assert tree.root == root
     for name in NAMES:
         assert_allclose(tree.T_root_sensor[name], true_pose(root, name), atol=1e-5)
@@ -47,14 +53,14 @@ def test_true_pairs_give_true_poses(method: Method, root: str, rng: np.random.Ge
 
 def test_a_wrong_pair_with_the_least_error_is_no_branch(rng: np.random.Generator) -> None:
     wrong = pair("lidar", "camera", np.array([0.3, 0, 0, 0, 1.0, 0]), residual=0.0001)
-    tree = averaged_tree("lidar", [wrong, *pairs_of(NAMES)[1:]], rng)
-    assert not tree.joins("lidar", "camera")
+    tree = initialize_by_averaging("lidar", [wrong, *pairs_of(NAMES)[1:]], rng)
+    assert not tree.has_edge("lidar", "camera")
     assert_allclose(tree.T_root_sensor["camera"], true_pose("lidar", "camera"), atol=1e-5)
 
 
 @METHODS
-def test_a_rig_in_a_chain_has_only_one_answer(method: Method, rng: np.random.Generator) -> None:
-    tree = averaged_tree("lidar", [pair(a, b) for a, b in itertools.pairwise(NAMES)], rng, method)
+def test_a_rig_in_a_chain_has_only_one_answer(method: AveragingMethod, rng: np.random.Generator) -> None:
+    tree = initialize_by_averaging("lidar", [pair(a, b) for a, b in itertools.pairwise(NAMES)], rng, method)
     assert dict(tree.parents) == dict(zip(NAMES[1:], NAMES[:-1], strict=True))
     assert_allclose(tree.T_root_sensor["top"], true_pose("lidar", "top"), atol=1e-5)
 
@@ -64,17 +70,21 @@ OPEN = np.diag([1e6, 1e6, 1e6, 1e6, 1e6, 0.0])
 
 
 @METHODS
-def test_a_pair_open_about_one_axis_leaves_that_to_the_others(method: Method, rng: np.random.Generator) -> None:
+def test_a_pair_open_about_one_axis_leaves_that_to_the_others(
+    method: AveragingMethod, rng: np.random.Generator
+) -> None:
     hinge = replace(pair("lidar", "camera", np.array([0, 0, 0, 0, 0, 0.6])), information=OPEN)
-    tree = averaged_tree("lidar", [hinge, *pairs_of(NAMES)[1:]], rng, method)
+    tree = initialize_by_averaging("lidar", [hinge, *pairs_of(NAMES)[1:]], rng, method)
     assert_allclose(tree.T_root_sensor["camera"], true_pose("lidar", "camera"), atol=1e-4)
-    assert not tree.joins("lidar", "camera")
+    assert not tree.has_edge("lidar", "camera")
 
 
 @METHODS
-def test_where_nothing_else_reaches_an_open_pair_is_a_branch(method: Method, rng: np.random.Generator) -> None:
+def test_where_nothing_else_reaches_an_open_pair_is_a_branch(
+    method: AveragingMethod, rng: np.random.Generator
+) -> None:
     hinges = [replace(pair(a, "top", np.array([0, 0, 0, 0, 0, 0.6])), information=OPEN) for a in ("rear", "laser")]
-    tree = averaged_tree("lidar", [*hinges, *pairs_of(NAMES[:4])], rng, method)
+    tree = initialize_by_averaging("lidar", [*hinges, *pairs_of(NAMES[:4])], rng, method)
     assert tree.parents["top"] in ("rear", "laser")
     parent = tree.parents["top"]
     (branch,) = (e for e in hinges if e.sensor_a == parent)
@@ -83,11 +93,11 @@ def test_where_nothing_else_reaches_an_open_pair_is_a_branch(method: Method, rng
 
 def test_a_wrong_branch_misleads_the_tree_but_not_the_consensus() -> None:
     """In each of eight rigs of noisy pairs (3 mm, 3 mrad), one pair of the tree is wrong by 0.5 m and 0.5 rad."""
-    off: dict[Start, list[float]] = {"tree": [], "consensus": []}
+    off: dict[Initialization, list[float]] = {"tree": [], "consensus": []}
     for seed in range(8):
         rng = np.random.default_rng(seed)
         noisy = {e: pair(*e, rng.normal(0, 0.003, 6)) for e in itertools.combinations(NAMES, 2)}
-        child, parent = list(start_poses("lidar", list(noisy.values()), "tree", rng).parents.items())[
+        child, parent = list(initialize_rig("lidar", list(noisy.values()), "tree", rng).parents.items())[
             rng.integers(4)
         ]
         end = (parent, child) if (parent, child) in noisy else (child, parent)
@@ -95,30 +105,30 @@ def test_a_wrong_branch_misleads_the_tree_but_not_the_consensus() -> None:
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         noisy[end] = pair(*end, 0.5 * direction.ravel(), residual=0.001)
         for start, found in off.items():
-            T = start_poses("lidar", list(noisy.values()), start, rng).T_root_sensor
+            T = initialize_rig("lidar", list(noisy.values()), start, rng).T_root_sensor
             found.append(max(float(np.linalg.norm(T[n][:3, 3] - true_pose("lidar", n)[:3, 3])) for n in NAMES))
     assert min(off["tree"]) > 0.1
     assert max(off["consensus"]) < 0.03
 
 
 def test_all_sensors_may_start_at_the_root(rng: np.random.Generator) -> None:
-    tree = start_poses("lidar", pairs_of(NAMES), "identity", rng)
+    tree = initialize_rig("lidar", pairs_of(NAMES), "identity", rng)
     assert set(tree.T_root_sensor) == set(NAMES)
     for T in tree.T_root_sensor.values():
         assert_allclose(T, np.eye(4))
 
 
 def test_what_is_not_connected_is_left_out(rng: np.random.Generator) -> None:
-    tree = averaged_tree("lidar", [*pairs_of(("lidar", "camera", "laser")), pair("rear", "top")], rng)
+    tree = initialize_by_averaging("lidar", [*pairs_of(("lidar", "camera", "laser")), pair("rear", "top")], rng)
     assert list(tree.T_root_sensor) == ["lidar", "camera", "laser"]
 
 
 def test_a_rig_without_pairs_is_its_root_alone(rng: np.random.Generator) -> None:
-    assert list(averaged_tree("lidar", [], rng).T_root_sensor) == ["lidar"]
+    assert list(initialize_by_averaging("lidar", [], rng).T_root_sensor) == ["lidar"]
 
 
 def test_the_root_is_the_first_node() -> None:
-    graph, names = pose_graph("rear", pairs_of(NAMES))
+    graph, names = build_rig_graph("rear", pairs_of(NAMES))
     assert names[graph.root] == "rear"
     assert graph.count == 5
     assert len(graph.edges) == 10

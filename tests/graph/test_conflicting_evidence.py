@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, network_graph
-from calgraph.graph.conflicting_evidence import Doubt, doubtful
+from calgraph.graph import PoseGraph, PoseGraphSolution, build_network_graph
+from calgraph.graph.conflicting_evidence import ConflictingEvidence, find_conflicting_evidence
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
 NAMES = ("a", "b", "c", "d")
@@ -23,16 +23,22 @@ def found(a: str, b: str, observations: int, shift: float = 0.0, *, icp: bool = 
 def doubts(*pairs: ScannerPairEstimate) -> dict[str, str]:
     """Why which scanners are in doubt if all hypotheses that are right agree with the poses found."""
     _, names, doubt = doubted(*pairs)
-    return {names[k]: doubt.said for k in np.flatnonzero(doubt.part)} if doubt else {}
+    return {names[k]: doubt.reason for k in np.flatnonzero(doubt.part)} if doubt else {}
 
 
-def doubted(*pairs: ScannerPairEstimate) -> tuple[PoseGraph, tuple[str, ...], Doubt | None]:
+def doubted(*pairs: ScannerPairEstimate) -> tuple[PoseGraph, tuple[str, ...], ConflictingEvidence | None]:
     """The graph of some pairs, its nodes, and what is in doubt."""
-    graph, names = network_graph("a", pairs)
+    graph, names = build_network_graph("a", pairs)
     poses: Array = np.array([se2.inverse(T["a"]) @ T[name] for name in names])
     i, j = graph.edges.T
     off = se2.difference(se2.inverse(poses[i]) @ poses[j], graph.T_i_j)
-    return graph, names, doubtful(graph, names, pairs, Averaged(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1))
+    return (
+        graph,
+        names,
+        find_conflicting_evidence(
+            graph, names, pairs, PoseGraphSolution(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1)
+        ),
+    )
 
 
 AB = ScannerPairEstimate("a", "b", (found("a", "b", 200),))
@@ -87,7 +93,7 @@ def test_what_contradicts_better_evidence_is_told_from_what_agrees_with_it() -> 
     agrees = ScannerPairEstimate("a", "d", (found("a", "d", 40, 0.0),))
     graph, names, doubt = doubted(AB, BC, CD, rival, agrees)
     assert doubt
-    weaker = {tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker].tolist()}
+    weaker = {tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker_edges].tolist()}
     assert weaker == {("c", "d"), ("a", "d")}
     moved = se2.inverse(doubt.T_root_node[names.index("b")]) @ doubt.T_root_node[names.index("d")]
     np.testing.assert_allclose(moved, rival.T_a_b, atol=1e-12)
@@ -97,4 +103,4 @@ def test_what_holds_a_scanner_goes_even_if_better_evidence_hardly_contradicts_it
     near = ScannerPairEstimate("b", "d", (found("b", "d", 40, 0.55),))
     graph, names, doubt = doubted(AB, BC, replace(CD, hypotheses=(found("c", "d", 30, 0.09),)), near)
     assert doubt
-    assert [tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker].tolist()] == [("c", "d")]
+    assert [tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker_edges].tolist()] == [("c", "d")]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import se2
-from calgraph.graph import average_network, covariances, network_graph, trust
+from calgraph.graph import average_network, build_network_graph, compute_pose_covariances, edge_weights
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
@@ -26,14 +26,14 @@ def test_alternatives_of_a_pair_are_edges_of_one_pair() -> None:
         ScannerPairEstimate("a", "b", (hypothesis(1), hypothesis(2))),
         ScannerPairEstimate("b", "c", (hypothesis(1),)),
     ]
-    graph, names = network_graph("a", pairs)
+    graph, names = build_network_graph("a", pairs)
     assert names == ("a", "b", "c")
     np.testing.assert_array_equal(graph.edges, [[0, 1], [0, 1], [1, 2]])
-    assert len(np.unique(graph.pairs)) == 2
+    assert len(np.unique(graph.pair_of_edge)) == 2
 
 
 def test_only_what_is_connected_to_the_root_is_in_the_graph() -> None:
-    graph, names = network_graph("a", [ScannerPairEstimate("b", "c", (hypothesis(1),))])
+    graph, names = build_network_graph("a", [ScannerPairEstimate("b", "c", (hypothesis(1),))])
     assert names == ("a",)
     assert len(graph.edges) == 0
 
@@ -46,9 +46,9 @@ def test_trust_grows_with_the_seconds_that_agree_and_with_their_share() -> None:
         ScannerPairEstimate("x", "y", (hypothesis(1),)),
         ScannerPairEstimate("b", "c", (hypothesis(1, observations=450),)),
     ]
-    _, names = network_graph("a", pairs)
+    _, names = build_network_graph("a", pairs)
     # Five seconds that agree are trusted by half; what is not connected to the root has no edge.
-    np.testing.assert_allclose(trust(names, pairs), [0.5, 0.6, 0.9])
+    np.testing.assert_allclose(edge_weights(names, pairs), [0.5, 0.6, 0.9])
 
 
 def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:
@@ -61,7 +61,7 @@ def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:
 
 def test_covariance_adds_up_along_a_chain() -> None:
     graph, poses = chain(0.01, 0.02)
-    spread = covariances(graph, poses)
+    spread = compute_pose_covariances(graph, poses)
     np.testing.assert_allclose(spread[0], 0)
     np.testing.assert_allclose(np.diag(spread[1]), [0.01**2, 0.01**2, 0.02**2], rtol=1e-6)
     # The first turn moves the last scanner sideways by its arm of one metre.
@@ -72,7 +72,7 @@ def test_covariance_agrees_with_composition() -> None:
     graph, poses = chain(0.01, 0.02)
     pair = np.diag([0.01**2, 0.01**2, 0.02**2])
     composed = se2.compose_covariance(poses[1], pair, pair, np.array([1.0, 0.0]))
-    np.testing.assert_allclose(covariances(graph, poses)[2], composed, rtol=1e-6)
+    np.testing.assert_allclose(compute_pose_covariances(graph, poses)[2], composed, rtol=1e-6)
 
 
 def complete(error: float, sigma: float, rng: np.random.Generator) -> tuple[PoseGraph, np.ndarray]:
@@ -93,7 +93,7 @@ def test_covariances_grow_with_what_pairs_are_off_beyond_their_own(error: float,
         rng = np.random.default_rng(seed)
         graph, T = complete(error, sigma, rng)
         found, loosened = average_network(graph, rng)
-        spread = covariances(loosened.where(found.inliers), found.T_root_node)
+        spread = compute_pose_covariances(loosened.select_edges(found.inliers), found.T_root_node)
         off = se2.difference(found.T_root_node, T)[1:]
         values.append(np.mean([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off, spread[1:], strict=True)]))
     # Errors of all nodes share the root's: the mean over 30 graphs has a standard deviation of about 0.1.
@@ -101,7 +101,7 @@ def test_covariances_grow_with_what_pairs_are_off_beyond_their_own(error: float,
 
 
 def test_a_single_pair_is_given_the_usual_error_beyond_its_noise() -> None:
-    graph, _ = network_graph("a", [ScannerPairEstimate("a", "b", (hypothesis(1, sigma=0.001),))])
+    graph, _ = build_network_graph("a", [ScannerPairEstimate("a", "b", (hypothesis(1, sigma=0.001),))])
     found, loosened = average_network(graph, np.random.default_rng(0))
-    sd = np.sqrt(np.diag(covariances(loosened, found.T_root_node)[1]))
+    sd = np.sqrt(np.diag(compute_pose_covariances(loosened, found.T_root_node)[1]))
     np.testing.assert_allclose(sd, [0.02, 0.02, 0.004], rtol=0.05)

@@ -4,8 +4,8 @@ import numpy as np
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, Placed, network_graph, placed
-from calgraph.graph.visibility_check import Refuted, unnoticed
+from calgraph.graph import NetworkInitialization, PoseGraphSolution, build_network_graph, initialize_network
+from calgraph.graph.visibility_check import VisibilityConflict, find_visibility_conflict
 from calgraph.pairwise import PoseHypothesis, ScannerObservations, ScannerPairEstimate
 from calgraph.tracking import Track, Tracked
 
@@ -47,13 +47,13 @@ ROW = {
 }
 
 
-def judged(T_a_d: Array, seen: dict[str, ScannerObservations]) -> Refuted | None:
+def judged(T_a_d: Array, seen: dict[str, ScannerObservations]) -> VisibilityConflict | None:
     """What is refuted with d somewhere."""
     pairs = [*ROW.values(), ScannerPairEstimate("a", "d", (hypothesis(T_a_d, 200),))]
-    graph, names = network_graph("a", pairs)
+    graph, names = build_network_graph("a", pairs)
     poses = np.array([T_a_d if name == "d" else T[name] for name in names])
-    averaged = Averaged(poses, np.ones(3, dtype=np.bool_))
-    return unnoticed(graph, [seen[name] for name in names], averaged, np.full(3, 200.0))
+    averaged = PoseGraphSolution(poses, np.ones(3, dtype=np.bool_))
+    return find_visibility_conflict(graph, [seen[name] for name in names], averaged, np.full(3, 200.0))
 
 
 def test_nothing_is_refuted_where_all_are_in_their_places() -> None:
@@ -65,7 +65,7 @@ def test_a_scanner_among_others_who_saw_nobody_where_it_did_is_refuted() -> None
     assert found
     assert found.part.tolist() == [False, False, True, False]  # d is the third of the graph
     assert found.edges.tolist() == [False, False, True]
-    assert found.missed > 0.8
+    assert found.missed_share > 0.8
 
 
 def test_it_is_not_if_it_saw_hardly_anything() -> None:
@@ -74,8 +74,8 @@ def test_it_is_not_if_it_saw_hardly_anything() -> None:
 
 def test_a_refuted_hypothesis_gives_way_to_another_one(rng: np.random.Generator) -> None:
     rivals = ScannerPairEstimate("a", "d", (hypothesis(ELSEWHERE, 200), right("a", "d", 40)))
-    sure = placed("a", ROW | {("a", "d"): rivals}, sights(), rng)
-    found = dict(zip(sure.names, sure.averaged.T_root_node, strict=True))
+    sure = initialize_network("a", ROW | {("a", "d"): rivals}, sights(), rng)
+    found = dict(zip(sure.names, sure.solution.T_root_node, strict=True))
     np.testing.assert_allclose(found["d"], T["d"], atol=1e-6)
     left = sure.pairs["a", "d"]
     assert isinstance(left, ScannerPairEstimate)
@@ -83,7 +83,7 @@ def test_a_refuted_hypothesis_gives_way_to_another_one(rng: np.random.Generator)
 
 
 def test_a_scanner_whose_only_place_is_refuted_is_left_out_and_told_why(rng: np.random.Generator) -> None:
-    sure = placed(
+    sure = initialize_network(
         "a", ROW | {("a", "d"): ScannerPairEstimate("a", "d", (hypothesis(ELSEWHERE, 200),))}, sights(), rng
     )
     assert sure.names == ("a", "b", "c")
@@ -97,18 +97,20 @@ TURNED = MIDDLE @ se2.pose(np.radians(9), np.zeros(2)) @ se2.inverse(MIDDLE) @ T
 """A wrong T_a_d under which d saw others about where they were: turned about the middle of the walk."""
 
 
-def outvoted(weak: Array, better: Array, seen: dict[str, ScannerObservations], rng: np.random.Generator) -> Placed:
+def outvoted(
+    weak: Array, better: Array, seen: dict[str, ScannerObservations], rng: np.random.Generator
+) -> NetworkInitialization:
     """Two weak pairs agree on ``T_a_d``; a single one with better evidence contradicts."""
     two = {(a, "d"): ScannerPairEstimate(a, "d", (hypothesis(se2.inverse(T[a]) @ weak, 30),)) for a in ("a", "c")}
     rival = ScannerPairEstimate("b", "d", (hypothesis(se2.inverse(T["b"]) @ better, 40),))
-    return placed("a", {**ROW, **two, ("b", "d"): rival}, seen, rng)
+    return initialize_network("a", {**ROW, **two, ("b", "d"): rival}, seen, rng)
 
 
 def test_a_scanner_is_put_where_better_evidence_has_it_if_others_saw_the_same_there(
     rng: np.random.Generator,
 ) -> None:
     sure = outvoted(TURNED, T["d"], sights(), rng)
-    found = dict(zip(sure.names, sure.averaged.T_root_node, strict=True))
+    found = dict(zip(sure.names, sure.solution.T_root_node, strict=True))
     np.testing.assert_allclose(found["d"], T["d"], atol=1e-6)
     assert sure.pairs["a", "d"] == sure.pairs["c", "d"] == Rejected("contradicts better evidence")
 

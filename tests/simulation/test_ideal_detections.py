@@ -9,7 +9,7 @@ from calgraph.captures import CaptureSet
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
-from calgraph.graph import start_poses
+from calgraph.graph import initialize_rig
 from calgraph.pairwise import estimate_pairs, select_successful
 from calgraph.simulation import (
     CameraKnobs,
@@ -159,7 +159,7 @@ def test_rigs_calibrate_from_detections_alone() -> None:
     rig, captured, truth = simulate_detections(stage, 0)
     rng = np.random.default_rng(0)
     estimates = select_successful(estimate_pairs(captured.detections, rig.board_size, rng))
-    joint = solve_hypergraph(start_poses(rig.root, estimates, "tree", rng), estimates, captured.detections)
+    joint = solve_hypergraph(initialize_rig(rig.root, estimates, "tree", rng), estimates, captured.detections)
     errors = np.array([se3.difference(T, truth.T_root_sensor[name]) for name, T in joint.T_root_sensor.items()])
     assert len(errors) == len(rig.sensors)
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.010

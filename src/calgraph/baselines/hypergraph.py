@@ -164,12 +164,12 @@ def _relative_poses(names: Sequence[str], tree: SpanningTree, pairs: Sequence[Pa
     tree leaves open is held. Other pairs with an open direction are no edges: along it they may be turned by any
     angle, and that far away their other directions are not those measured.
     """
-    pairs = [p for p in pairs if tree.joins(p.sensor_a, p.sensor_b) or not _has_open_direction(p)]
+    pairs = [p for p in pairs if tree.has_edge(p.sensor_a, p.sensor_b) or not _has_open_direction(p)]
     whiteners = []
     for pair in pairs:
         eigenvalues, vectors = np.linalg.eigh(pair.information)
         weights = np.maximum(eigenvalues, 0) / max(int(pair.inliers.sum()), 1)
-        if tree.joins(pair.sensor_a, pair.sensor_b):
+        if tree.has_edge(pair.sensor_a, pair.sensor_b):
             weights = np.where(eigenvalues < _OPEN**-2, _HOLD**-2, weights)
         whiteners.append(np.sqrt(weights)[:, None] * vectors.T)
     return edges.SensorSensor(

@@ -11,7 +11,7 @@ from calgraph.config import Rig
 from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, extended, without
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import ScannerPrior, solve_network
-from calgraph.graph import placed
+from calgraph.graph import initialize_network
 from calgraph.pairwise import ScannerObservations, estimate_scanner_pairs
 from calgraph.recording import Recording
 from calgraph.result import Calibration
@@ -74,10 +74,10 @@ def calibrate_tracks(
         progress=lambda done: progress("pairing", done),
     )
     observations = {name: ScannerObservations.from_tracks(known) for name, known in tracked.items()}
-    initialization = placed(
+    initialization = initialize_network(
         rig.root, pairs, observations, rng, options.average, weighted=options.weights == "weighted"
     )
-    graph, names, averaged = initialization.graph, initialization.names, initialization.averaged
+    graph, names, averaged = initialization.graph, initialization.names, initialization.solution
     joint = prior = None
     # A root that nothing is connected to may not even have been followed.
     if estimator == "joint" and len(names) > 1:

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 from calgraph.detection import Averaging
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, SolverOptions
-from calgraph.graph import Method, Start
+from calgraph.graph import AveragingMethod, Initialization
 from calgraph.pairwise import MatchFilter
 from calgraph.result import Calibration
 from calgraph.tracking import Feature
@@ -40,13 +40,13 @@ class Options:
     """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
     folds: int = SolverOptions().folds
     """In how many parts a rig's captures are left out for cross-validation; 0 for none."""
-    start: Start = "tree"
+    start: Initialization = "tree"
     """Where a rig's joint solution starts: its spanning tree, the identity, or all pairs averaged by a method."""
     tags: Averaging = "pnp"
     """A camera's plane: one PnP over all tags' corners, or the paper's average over tags (mean_plane)."""
     feature: Feature = "nls"
     """What of a person is followed: centre of mass, direct ellipse, or ellipse of fixed radii (nls)."""
-    average: Method = "consensus"
+    average: AveragingMethod = "consensus"
     """How a network's pairs become poses: consensus over trees, or one of the published rotation averagings."""
     weights: Weights = "weighted"
     """Trust in a network's pairs: by the evidence for each, or uniform."""

@@ -36,7 +36,7 @@ from calgraph.estimation import (
     solve_bundle,
     with_prior_poses,
 )
-from calgraph.graph import SpanningTree, start_poses
+from calgraph.graph import SpanningTree, initialize_rig
 from calgraph.pairwise import estimate_pairs, reselect_all_inliers, select_successful
 from calgraph.recording import Recording, read_cameras
 from calgraph.result import Calibration
@@ -146,12 +146,12 @@ def build_problem_from_captures(
     """From detections to the joint problem: every pair, and the tree they span."""
     detections = captures.detections
     pairs = estimate_pairs(detections, rig.board_size, rng, lambda done: progress("pairing", done))
-    tree = start_poses(rig.root, select_successful(pairs), options.start, rng)
+    tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
     if options.keep == "ransac":
         # What three captures could not tell apart, all of them can: select once more under a joint solution.
         joint = solve_hypergraph(tree, select_successful(pairs), detections, keep=options.keep)
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size)
-        tree = start_poses(rig.root, select_successful(pairs), options.start, rng)
+        tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
     solver = SolverOptions(
         estimator=rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
     )

@@ -1,41 +1,59 @@
 """The graph of sensors: connectivity and start values."""
 
-from calgraph.graph.averaging import Method, Start, average, averaged_tree, pose_graph, start_poses
-from calgraph.graph.cycles import Cycle, cycle_basis, triangles
-from calgraph.graph.graph_optimization import translations
-from calgraph.graph.network_graph import average_network, covariances, joint_covariance, network_graph, trust
-from calgraph.graph.network_initialization import Placed, placed
-from calgraph.graph.pose_graph import Averaged, PoseGraph
-from calgraph.graph.rotation_averaging import chained, irls_l1, l1mc, spectral
-from calgraph.graph.spanning_tree import SpanningTree, grown, spanning_tree
-from calgraph.graph.tree_consensus import consensus_trees
+from calgraph.graph.averaging import (
+    AveragingMethod,
+    Initialization,
+    average_poses,
+    build_rig_graph,
+    initialize_by_averaging,
+    initialize_rig,
+)
+from calgraph.graph.cycles import Cycle, find_cycle_basis, find_triangles
+from calgraph.graph.graph_optimization import solve_translations
+from calgraph.graph.network_graph import (
+    average_network,
+    build_network_graph,
+    compute_joint_covariance,
+    compute_pose_covariances,
+    edge_weights,
+)
+from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.rotation_averaging import (
+    average_rotations_irls,
+    average_rotations_l1mc,
+    average_rotations_spectral,
+    chain_rotations,
+)
+from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree, grow_tree
+from calgraph.graph.tree_consensus import average_by_tree_consensus
 
 __all__ = [
-    "Averaged",
+    "AveragingMethod",
     "Cycle",
-    "Method",
-    "Placed",
+    "Initialization",
+    "NetworkInitialization",
     "PoseGraph",
+    "PoseGraphSolution",
     "SpanningTree",
-    "Start",
-    "average",
+    "average_by_tree_consensus",
     "average_network",
-    "averaged_tree",
-    "chained",
-    "consensus_trees",
-    "covariances",
-    "cycle_basis",
-    "grown",
-    "irls_l1",
-    "joint_covariance",
-    "l1mc",
-    "network_graph",
-    "placed",
-    "pose_graph",
-    "spanning_tree",
-    "spectral",
-    "start_poses",
-    "translations",
-    "triangles",
-    "trust",
+    "average_poses",
+    "average_rotations_irls",
+    "average_rotations_l1mc",
+    "average_rotations_spectral",
+    "build_network_graph",
+    "build_rig_graph",
+    "chain_rotations",
+    "compute_joint_covariance",
+    "compute_pose_covariances",
+    "edge_weights",
+    "find_cycle_basis",
+    "find_spanning_tree",
+    "find_triangles",
+    "grow_tree",
+    "initialize_by_averaging",
+    "initialize_network",
+    "initialize_rig",
+    "solve_translations",
 ]  # fmt: skip

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.graph.network_graph import evidence
-from calgraph.graph.pose_graph import Averaged, PoseGraph
-from calgraph.graph.tree_cuts import cuts
+from calgraph.graph.network_graph import edge_evidence
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.tree_cuts import fundamental_cuts
 from calgraph.pairwise import ScannerPairEstimate
 
 # A hypothesis farther from the pose that was found puts the scanner elsewhere, m and rad.
@@ -21,22 +21,22 @@ _ELSEWHERE = (0.5, np.radians(8))
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
+class ConflictingEvidence:
     """A part of a network that better evidence would put elsewhere."""
 
     part: NDArray[np.bool_]
     """(N,) its scanners; the root is not among them."""
     T_root_node: Array
     """(N, 3, 3) all poses, with the part where the better evidence puts it."""
-    weaker: NDArray[np.bool_]
+    weaker_edges: NDArray[np.bool_]
     """(E,) edges between the part and the rest that contradict this, with less evidence."""
-    said: str
+    reason: str
     """The reason."""
 
 
-def doubtful(
-    graph: PoseGraph, names: Sequence[str], pairs: Sequence[ScannerPairEstimate], averaged: Averaged
-) -> Doubt | None:
+def find_conflicting_evidence(
+    graph: PoseGraph, names: Sequence[str], pairs: Sequence[ScannerPairEstimate], averaged: PoseGraphSolution
+) -> ConflictingEvidence | None:
     """The largest part of a network that better evidence would put elsewhere, if there is any.
 
     Every tie of the tree of best evidence cuts the network in two, and is the best that holds the two together. If
@@ -48,27 +48,29 @@ def doubtful(
         pairs: as handed to :func:`network_graph`.
         averaged: the poses found, and the edges that agree.
     """
-    worth = evidence(names, pairs)
+    worth = edge_evidence(names, pairs)
     i, j = graph.edges.T
-    elsewhere, apart = _elsewhere(graph, averaged.T_root_node)
+    elsewhere, apart = _contradicting_edges(graph, averaged.T_root_node)
     rivals = ~averaged.inliers & elsewhere
-    by_size = sorted(cuts(graph, np.where(averaged.inliers, worth, 0.0)), key=lambda cut: -int(cut[1].sum()))
+    by_size = sorted(
+        fundamental_cuts(graph, np.where(averaged.inliers, worth, 0.0)), key=lambda cut: -int(cut[1].sum())
+    )
     for tie, part in by_size:
         across = part[i] != part[j]
         against = np.flatnonzero(rivals & across & (worth > worth[tie]))
         if not len(against):
             continue
         best = against[np.argmax(worth[against])]
-        T = _put(graph, averaged.T_root_node, part, int(best))
+        T = _move_part(graph, averaged.T_root_node, part, int(best))
         rival, own = (" and ".join(names[int(k)] for k in graph.edges[edge]) for edge in (best, tie))
         said = f"{rival} put it {apart[best]:.1f} m elsewhere, with better evidence than {own} have for its place"
-        weaker = across & _elsewhere(graph, T)[0] & (worth < worth[best])
+        weaker = across & _contradicting_edges(graph, T)[0] & (worth < worth[best])
         weaker[tie] = True  # even if it is so far from the poses that it hardly contradicts
-        return Doubt(part, T, weaker, said)
+        return ConflictingEvidence(part, T, weaker, said)
     return None
 
 
-def _elsewhere(graph: PoseGraph, T_root_node: Array) -> tuple[NDArray[np.bool_], Array]:
+def _contradicting_edges(graph: PoseGraph, T_root_node: Array) -> tuple[NDArray[np.bool_], Array]:
     """(E,) which edges put their scanners elsewhere than poses do, and by how many metres."""
     i, j = graph.edges.T
     off = se2.difference(se2.inverse(T_root_node[i]) @ T_root_node[j], graph.T_i_j)
@@ -76,7 +78,7 @@ def _elsewhere(graph: PoseGraph, T_root_node: Array) -> tuple[NDArray[np.bool_],
     return (apart > _ELSEWHERE[0]) | (np.abs(off[:, 2]) > _ELSEWHERE[1]), apart
 
 
-def _put(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: int) -> Array:
+def _move_part(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: int) -> Array:
     """The poses (N, 3, 3) with a part moved as a whole to where an edge puts it."""
     i, j = graph.edges[edge]
     T_i_j = graph.T_i_j[edge]

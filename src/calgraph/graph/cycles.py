@@ -14,7 +14,7 @@ from calgraph.graph.pose_graph import Edges, PoseGraph
 Cycle = NDArray[np.intp]
 """(L, 2) in the order of the walk: number of the edge, and 1 or -1 as it is walked from i to j or from j to i."""
 
-Steps = list[list[tuple[int, int, int]]]
+Adjacency = list[list[tuple[int, int, int]]]
 """For every node the steps that leave it: neighbour, edge, direction."""
 
 # A cycle agrees with the identity unless its error is larger than by chance once in a thousand times.
@@ -23,7 +23,7 @@ _CHANCE = 0.001
 _OPEN = 1e-4
 
 
-def cycle_basis(count: int, edges: Edges) -> tuple[Cycle, ...]:
+def find_cycle_basis(count: int, edges: Edges) -> tuple[Cycle, ...]:
     """A basis of a graph's cycles, short ones where there are short ones.
 
     The graph is grown edge by edge; each edge that joins two nodes already connected closes a cycle with the
@@ -38,7 +38,7 @@ def cycle_basis(count: int, edges: Edges) -> tuple[Cycle, ...]:
         E - N + C cycles, where C is the number of connected parts.
     """
     tree = _forest(count, edges)
-    steps: Steps = [[] for _ in range(count)]
+    steps: Adjacency = [[] for _ in range(count)]
     for e in np.flatnonzero(tree):
         _add(steps, edges, int(e))
     cycles = []
@@ -49,9 +49,9 @@ def cycle_basis(count: int, edges: Edges) -> tuple[Cycle, ...]:
     return tuple(cycles)
 
 
-def triangles(count: int, edges: Edges) -> tuple[Cycle, ...]:
+def find_triangles(count: int, edges: Edges) -> tuple[Cycle, ...]:
     """All cycles of three edges, as the paper takes them."""
-    steps: Steps = [[] for _ in range(count)]
+    steps: Adjacency = [[] for _ in range(count)]
     for e in range(len(edges)):
         _add(steps, edges, e)
     found = []
@@ -65,10 +65,10 @@ def triangles(count: int, edges: Edges) -> tuple[Cycle, ...]:
     return tuple(found)
 
 
-def cycles_through_edges(graph: PoseGraph, rounds: int, rng: np.random.Generator) -> tuple[Cycle, ...]:
+def find_cycles_through_edges(graph: PoseGraph, rounds: int, rng: np.random.Generator) -> tuple[Cycle, ...]:
     """Up to ``rounds`` shortest cycles through every edge, other ones each round where there are several."""
-    pairs, found = graph.pairs, []
-    steps: Steps = [[] for _ in range(graph.count)]
+    pairs, found = graph.pair_of_edge, []
+    steps: Adjacency = [[] for _ in range(graph.count)]
     for e in range(len(graph.edges)):
         _add(steps, graph.edges, e)
     for _ in range(rounds):
@@ -80,14 +80,14 @@ def cycles_through_edges(graph: PoseGraph, rounds: int, rng: np.random.Generator
     return tuple(found)
 
 
-def incidence(cycles: Sequence[Cycle], edges: int) -> csr_array:
+def incidence_matrix(cycles: Sequence[Cycle], edges: int) -> csr_array:
     """Sparse matrix (cycles, edges) of directions, ±1: what it maps relative angles to is zero."""
     rows = np.repeat(np.arange(len(cycles)), [len(c) for c in cycles])
     walk = np.concatenate([*cycles, np.zeros((0, 2), dtype=np.intp)])
     return csr_array((walk[:, 1].astype(np.float64), (rows, walk[:, 0])), shape=(len(cycles), edges))
 
 
-def consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.bool_]:
+def check_consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.bool_]:
     """Whether the poses around each cycle multiply to the identity, within their covariances."""
     dof = graph.information.shape[-1]
     covariance = np.asarray(np.linalg.inv(graph.information + _OPEN * np.eye(dof)), dtype=np.float64)
@@ -110,15 +110,15 @@ def consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.bool_]:
     return agree
 
 
-def support(graph: PoseGraph, cycles: Sequence[Cycle]) -> Array:
+def edge_support(graph: PoseGraph, cycles: Sequence[Cycle]) -> Array:
     """(E,) the share of consistent cycles among those through each edge; near a half where there are few."""
-    through = abs(incidence(cycles, len(graph.edges))).T
-    return np.asarray((through @ consistency(graph, cycles) + 0.5) / (through @ np.ones(len(cycles)) + 1.0))
+    through = abs(incidence_matrix(cycles, len(graph.edges))).T
+    return np.asarray((through @ check_consistency(graph, cycles) + 0.5) / (through @ np.ones(len(cycles)) + 1.0))
 
 
 def _forest(count: int, edges: Edges) -> NDArray[np.bool_]:
     """(E,) a breadth-first spanning forest: shallow, so that the first cycles are short already."""
-    steps: Steps = [[] for _ in range(count)]
+    steps: Adjacency = [[] for _ in range(count)]
     for e in range(len(edges)):
         _add(steps, edges, e)
     chosen, seen = np.zeros(len(edges), dtype=np.bool_), np.zeros(count, dtype=np.bool_)
@@ -133,14 +133,14 @@ def _forest(count: int, edges: Edges) -> NDArray[np.bool_]:
     return chosen
 
 
-def _add(steps: Steps, edges: Edges, e: int) -> None:
+def _add(steps: Adjacency, edges: Edges, e: int) -> None:
     i, j = int(edges[e, 0]), int(edges[e, 1])
     steps[i].append((j, e, 1))
     steps[j].append((i, e, -1))
 
 
 def _shortest_path(
-    steps: Steps, start: int, end: int, avoid: tuple[NDArray[np.intp], int] | None = None
+    steps: Adjacency, start: int, end: int, avoid: tuple[NDArray[np.intp], int] | None = None
 ) -> list[tuple[int, int]] | None:
     """Edges and directions from start to end by breadth-first search from both; None if there is no path.
 

@@ -20,7 +20,7 @@ _SMALL, _LARGE, _ITERATIONS = 100, 500, 300
 _STEP, _FINAL = 1e-4, 1e-10
 
 
-def step(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
+def gauss_newton_step(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
     """One Gauss–Newton step (N, n+d) along the root's fixed axes; zero for the root.
 
     Args:
@@ -38,25 +38,25 @@ def step(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
     arm = se_n.translation(T_root_node)[j] - se_n.translation(T_root_node)[i]
     J_i[:, :n, n:] -= se_n.rotation_jacobian(arm)
     WJ = W @ J_i
-    H = _blocks(graph, se_n.transpose(J_i) @ WJ, se_n.transpose(WJ), W)
+    H = _assemble_blocks(graph, se_n.transpose(J_i) @ WJ, se_n.transpose(WJ), W)
     H = csc_array(H + _RIDGE * float(H.diagonal().mean()) * eye_array(H.shape[0]))
     g = np.zeros((graph.count, W.shape[-1]))
     np.add.at(g, i, -np.einsum("eki,ek->ei", WJ, r))
     np.add.at(g, j, -np.einsum("eij,ej->ei", W, r))
-    return _solved(H, g, np.arange(graph.count) != graph.root, _STEP)
+    return _solve(H, g, np.arange(graph.count) != graph.root, _STEP)
 
 
-def adjusted(graph: PoseGraph, T_root_node: Array, weights: Array, iterations: int = 10) -> Array:
+def optimize_poses(graph: PoseGraph, T_root_node: Array, weights: Array, iterations: int = 10) -> Array:
     """The poses (N, n+1, n+1) of least weighted squared error, near those given (Gauss–Newton)."""
     for _ in range(iterations):
-        delta = step(graph, T_root_node, weights)
+        delta = gauss_newton_step(graph, T_root_node, weights)
         T_root_node = se_n.retract(T_root_node, delta)
         if np.max(np.abs(delta), initial=0.0) < _CONVERGED:
             break
     return T_root_node
 
 
-def robustly_adjusted(graph: PoseGraph, T_root_node: Array, gate: float) -> Array:
+def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float) -> Array:
     """The poses that fit the edges within the gate best, from a start where noise has added up along a tree.
 
     Graduated non-convexity: Geman–McClure losses of ever smaller scale (Yang, Antonante, Tzoumas, Carlone,
@@ -71,12 +71,12 @@ def robustly_adjusted(graph: PoseGraph, T_root_node: Array, gate: float) -> Arra
     while scale >= 0.25:
         chi2 = chi_squared(graph, T_root_node)
         weights = np.asarray((1 + chi2 / (scale * gate)) ** -2)
-        T_root_node = se_n.retract(T_root_node, step(graph, T_root_node, weights))
+        T_root_node = se_n.retract(T_root_node, gauss_newton_step(graph, T_root_node, weights))
         scale /= 2
     return T_root_node
 
 
-def translations(graph: PoseGraph, rotations: Array, weights: Array | None = None) -> Array:
+def solve_translations(graph: PoseGraph, rotations: Array, weights: Array | None = None) -> Array:
     """Positions (N, n) of least weighted squared error under known rotations, the root at the origin.
 
     Args:
@@ -88,12 +88,12 @@ def translations(graph: PoseGraph, rotations: Array, weights: Array | None = Non
         CalibrationError: some node is not connected to the root.
     """
     w = np.ones(len(graph.edges)) if weights is None else weights
-    graph.where(w > 0).require_connected()
+    graph.select_edges(w > 0).require_connected()
     t = (rotations[graph.edges[:, 0]] @ se_n.translation(graph.T_i_j)[..., None])[..., 0]
-    return differences_solved(graph.count, graph.edges, t, w, graph.root)
+    return solve_differences(graph.count, graph.edges, t, w, graph.root)
 
 
-def differences_solved(count: int, edges: Edges, differences: Array, weights: Array, root: int) -> Array:
+def solve_differences(count: int, edges: Edges, differences: Array, weights: Array, root: int) -> Array:
     """(N, k) with ``x[j] - x[i] ≈ differences`` (E, k) in weighted least squares, zero at the root."""
     i, j = edges.T
     rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
@@ -103,10 +103,10 @@ def differences_solved(count: int, edges: Edges, differences: Array, weights: Ar
     np.add.at(g, i, -weights[:, None] * differences)
     np.add.at(g, j, weights[:, None] * differences)
     free = np.arange(count) != root
-    return np.concatenate([_solved(H, column[:, None], free, _FINAL) for column in g.T], axis=1)
+    return np.concatenate([_solve(H, column[:, None], free, _FINAL) for column in g.T], axis=1)
 
 
-def _blocks(graph: PoseGraph, ii: Array, ij: Array, jj: Array) -> csc_array:
+def _assemble_blocks(graph: PoseGraph, ii: Array, ij: Array, jj: Array) -> csc_array:
     """Sparse symmetric matrix (N k, N k) of the edges' blocks (E, k, k), summed."""
     i, j = graph.edges.T
     k = ii.shape[-1]
@@ -117,14 +117,14 @@ def _blocks(graph: PoseGraph, ii: Array, ij: Array, jj: Array) -> csc_array:
     return csc_array(coo_array((blocks.ravel(), where), shape=(graph.count * k, graph.count * k)))
 
 
-def _solved(H: csc_array, g: Array, free: NDArray[np.bool_], precision: float) -> Array:
+def _solve(H: csc_array, g: Array, free: NDArray[np.bool_], precision: float) -> Array:
     """Solution (N, k) of ``H x = g`` for the free nodes (N,), zero for the others; H is (N k, N k), positive."""
     x = np.zeros_like(g)
     if not free.any():
         return x
     each = np.repeat(free, g.shape[1])
     H = csc_array(H[each][:, each])
-    solved = _by_conjugate_gradients(H, g[free], precision) if H.shape[0] > _LARGE else None
+    solved = _solve_by_conjugate_gradients(H, g[free], precision) if H.shape[0] > _LARGE else None
     if solved is not None:
         x[free] = solved
     elif H.shape[0] <= _SMALL:
@@ -136,7 +136,7 @@ def _solved(H: csc_array, g: Array, free: NDArray[np.bool_], precision: float) -
     return x
 
 
-def _by_conjugate_gradients(H: csc_array, g: Array, precision: float) -> Array | None:
+def _solve_by_conjugate_gradients(H: csc_array, g: Array, precision: float) -> Array | None:
     """The same; None if that does not converge soon, as in long chains, whose factors are sparse instead.
 
     Large graphs with many cycles are the other way round: factors fill up, and few iterations suffice.

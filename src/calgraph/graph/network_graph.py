@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.graph.averaging import Method, average
-from calgraph.graph.graph_optimization import adjusted
-from calgraph.graph.pose_graph import Averaged, PoseGraph, chi_squared
+from calgraph.graph.averaging import AveragingMethod, average_poses
+from calgraph.graph.graph_optimization import optimize_poses
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.pairwise import ScannerPairEstimate
 
 # What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
@@ -22,12 +22,12 @@ _DOUBTFUL = 50.0
 _WALLS = 100.0
 
 
-def network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
+def build_network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
     """The graph of what is connected to the root, which is node 0; and the scanners' names in the order of nodes.
 
     Every hypothesis of a pair is an edge: the graph as a whole decides which of them is right.
     """
-    names = _connected(root, pairs)
+    names = _connected_scanners(root, pairs)
     node = {name: k for k, name in enumerate(names)}
     kept = [(pair, h) for pair in pairs if pair.sensor_a in node for h in pair.hypotheses]
     edges = np.array([(node[p.sensor_a], node[p.sensor_b]) for p, _ in kept], dtype=np.intp).reshape(-1, 2)
@@ -37,8 +37,8 @@ def network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[Pose
 
 
 def average_network(
-    graph: PoseGraph, rng: np.random.Generator, method: Method = "consensus", weights: Array | None = None
-) -> tuple[Averaged, PoseGraph]:
+    graph: PoseGraph, rng: np.random.Generator, method: AveragingMethod = "consensus", weights: Array | None = None
+) -> tuple[PoseGraphSolution, PoseGraph]:
     """Poses of a network's scanners, as :func:`average` finds them, and the graph with errors as they are.
 
     What pairs are wrong by beyond their noise is not known of one pair alone. Those that agree show it when put
@@ -50,16 +50,16 @@ def average_network(
         method: as for :func:`average`.
         weights: (E,) trust in each edge; uniform without.
     """
-    averaged = average(graph.loosened(*_BEYOND_NOISE), rng, method, weights)
-    scale = _beyond_noise(graph.where(averaged.inliers), averaged.T_root_node)
-    loosened = graph.loosened(*(scale * floor for floor in _BEYOND_NOISE))
+    averaged = average_poses(graph.with_error_floor(*_BEYOND_NOISE), rng, method, weights)
+    scale = _estimate_floor_scale(graph.select_edges(averaged.inliers), averaged.T_root_node)
+    loosened = graph.with_error_floor(*(scale * floor for floor in _BEYOND_NOISE))
     if method != "consensus":
         return averaged, loosened
-    T = adjusted(loosened, averaged.T_root_node, averaged.inliers.astype(np.float64))
-    return Averaged(T, averaged.inliers), loosened
+    T = optimize_poses(loosened, averaged.T_root_node, averaged.inliers.astype(np.float64))
+    return PoseGraphSolution(T, averaged.inliers), loosened
 
 
-def _beyond_noise(right: PoseGraph, T_root_node: Array) -> float:
+def _estimate_floor_scale(right: PoseGraph, T_root_node: Array) -> float:
     """How many times what is usual the pairs' errors exceed their noise, where cycles tell; elsewhere once.
 
     The scale at which the squared residuals are as large as they should be, their number and a prior's together.
@@ -68,13 +68,15 @@ def _beyond_noise(right: PoseGraph, T_root_node: Array) -> float:
     low, high = _SCALES
     for _ in range(_HALVINGS):
         scale = float(np.sqrt(low * high))
-        chi2 = float(chi_squared(right.loosened(*(scale * floor for floor in _BEYOND_NOISE)), T_root_node).sum())
+        chi2 = float(
+            chi_squared(right.with_error_floor(*(scale * floor for floor in _BEYOND_NOISE)), T_root_node).sum()
+        )
         too_small = chi2 + _PRIOR / scale**2 > freedom + _PRIOR
         low, high = (scale, high) if too_small else (low, scale)
     return float(np.sqrt(low * high))
 
 
-def trust(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
+def edge_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
     """Weights (E,) of the edges of :func:`network_graph`, 0..1: how likely each is right, by its own evidence.
 
     Wrong estimates come about where people who walked alike were taken for one. They last for seconds, and leave
@@ -86,11 +88,11 @@ def trust(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
         names: the scanners of the graph.
         pairs: as handed to :func:`network_graph`.
     """
-    known = evidence(names, pairs)
+    known = edge_evidence(names, pairs)
     return np.asarray(known / (known + _DOUBTFUL))
 
 
-def evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
+def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
     """Evidence (E,) of the edges of :func:`network_graph`: what agrees, times its share of what should.
 
     Walls that match, too, are worth as much as many of these: of wrong poses hardly one brings them together.
@@ -103,7 +105,7 @@ def evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Arra
     return np.array([h.observations * h.matched_share + _WALLS * h.uses_background for h in kept])
 
 
-def _connected(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:
+def _connected_scanners(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:
     reached = [root]
     for name in reached:
         for pair in pairs:
@@ -113,14 +115,14 @@ def _connected(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ..
     return tuple(reached)
 
 
-def covariances(graph: PoseGraph, T_root_node: Array) -> Array:
+def compute_pose_covariances(graph: PoseGraph, T_root_node: Array) -> Array:
     """Covariances (N, 3, 3) of node poses: the blocks on the diagonal of :func:`joint_covariance`."""
     own = np.arange(graph.count)
-    joint = joint_covariance(graph, T_root_node).reshape(graph.count, 3, graph.count, 3)
+    joint = compute_joint_covariance(graph, T_root_node).reshape(graph.count, 3, graph.count, 3)
     return np.asarray(joint[own, :, own])
 
 
-def joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
+def compute_joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
     """Covariance (3N, 3N) of node poses in the root's fixed axes, from edges in the plane that are all right.
 
     Zero for the root. Directions that no edge fixes get a standard deviation of a kilometre or a thousand radians.

@@ -7,18 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import Rejected
-from calgraph.graph.averaging import Method
-from calgraph.graph.conflicting_evidence import doubtful
-from calgraph.graph.network_graph import average_network, evidence, network_graph, trust
-from calgraph.graph.pose_graph import Averaged, PoseGraph
-from calgraph.graph.visibility_check import confirmed, unnoticed
+from calgraph.graph.averaging import AveragingMethod
+from calgraph.graph.conflicting_evidence import find_conflicting_evidence
+from calgraph.graph.network_graph import average_network, build_network_graph, edge_evidence, edge_weights
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.visibility_check import find_visibility_conflict, is_confirmed_by_visibility
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate
 
 Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class NetworkInitialization:
     """Scanners of a network whose places are not in doubt."""
 
     pairs: Pairs
@@ -27,18 +27,18 @@ class Placed:
     """Of what is left, with errors as they are."""
     names: tuple[str, ...]
     """The scanners of its nodes, the root first."""
-    averaged: Averaged
+    solution: PoseGraphSolution
 
 
-def placed(
+def initialize_network(
     root: str,
     pairs: Pairs,
     sights: Mapping[str, ScannerObservations],
     rng: np.random.Generator,
-    method: Method = "consensus",
+    method: AveragingMethod = "consensus",
     *,
     weighted: bool = True,
-) -> Placed:
+) -> NetworkInitialization:
     """Averages a network's pairs, until nothing speaks against any scanner's place.
 
     Hypotheses are dropped under which people would have passed unnoticed (:func:`unnoticed`). Scanners that better
@@ -55,30 +55,30 @@ def placed(
     """
     while True:
         known = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
-        graph, names = network_graph(root, known)
-        weights = trust(names, known) if weighted else None
+        graph, names = build_network_graph(root, known)
+        weights = edge_weights(names, known) if weighted else None
         averaged, graph = average_network(graph, rng, method, weights)
         # A root that nothing is connected to may have seen nothing at all.
         seen = [sights[name] for name in names if name in sights]
-        wrong = unnoticed(graph, seen, averaged, evidence(names, known))
+        wrong = find_visibility_conflict(graph, seen, averaged, edge_evidence(names, known))
         if wrong:
-            why = f"under its pose {wrong.missed:.0%} of the people in open view of other scanners pass unnoticed"
-            pairs = _without(pairs, names, wrong.edges, Rejected(why))
+            why = f"under its pose {wrong.missed_share:.0%} of the people in open view of other scanners pass unnoticed"
+            pairs = _reject_edges(pairs, names, wrong.edges, Rejected(why))
             continue
-        doubt = doubtful(graph, names, known, averaged)
+        doubt = find_conflicting_evidence(graph, names, known, averaged)
         if not doubt:
-            return Placed(pairs, graph, names, averaged)
-        if confirmed(seen, doubt.T_root_node, doubt.part):
-            pairs = _without(pairs, names, doubt.weaker, Rejected("contradicts better evidence"))
+            return NetworkInitialization(pairs, graph, names, averaged)
+        if is_confirmed_by_visibility(seen, doubt.T_root_node, doubt.part):
+            pairs = _reject_edges(pairs, names, doubt.weaker_edges, Rejected("contradicts better evidence"))
         else:
-            pairs = _left_out(pairs, {names[k] for k in np.flatnonzero(doubt.part)}, Rejected(doubt.said))
+            pairs = _reject_scanners(pairs, {names[k] for k in np.flatnonzero(doubt.part)}, Rejected(doubt.reason))
 
 
-def _left_out(pairs: Pairs, scanners: Set[str], why: Rejected) -> Pairs:
+def _reject_scanners(pairs: Pairs, scanners: Set[str], why: Rejected) -> Pairs:
     return {ends: why if scanners & set(ends) else found for ends, found in pairs.items()}
 
 
-def _without(pairs: Pairs, names: Sequence[str], dropped: NDArray[np.bool_], why: Rejected) -> Pairs:
+def _reject_edges(pairs: Pairs, names: Sequence[str], dropped: NDArray[np.bool_], why: Rejected) -> Pairs:
     """The pairs without the hypotheses (E,) that are dropped, in the order of :func:`network_graph`."""
     edges = iter(dropped)
     left: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}

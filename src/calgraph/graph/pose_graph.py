@@ -40,14 +40,14 @@ class PoseGraph:
         return se_n.rotation(self.T_i_j)
 
     @cached_property
-    def pairs(self) -> NDArray[np.intp]:
+    def pair_of_edge(self) -> NDArray[np.intp]:
         """(E,) number of each edge's pair of nodes, the same for alternatives, whichever way round they are."""
         ordered = np.sort(self.edges, axis=1)
         return np.asarray(
             np.unique(ordered[:, 0] * self.count + ordered[:, 1], return_inverse=True)[1], dtype=np.intp
         )
 
-    def reachable(self) -> NDArray[np.bool_]:
+    def find_reachable(self) -> NDArray[np.bool_]:
         """(N,) whether some chain of edges connects a node to the root."""
         i, j = self.edges.T
         adjacency = coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
@@ -56,7 +56,7 @@ class PoseGraph:
 
     def require_connected(self) -> None:
         """Raises CalibrationError, naming the nodes, if some are not connected to the root."""
-        missing = np.flatnonzero(~self.reachable())
+        missing = np.flatnonzero(~self.find_reachable())
         if len(missing):
             names = ", ".join(map(str, missing[:10])) + (" ..." if len(missing) > 10 else "")
             raise CalibrationError(
@@ -64,11 +64,11 @@ class PoseGraph:
                 " leave them out, or add pairs that reach them"
             )
 
-    def where(self, keep: NDArray[np.bool_]) -> "PoseGraph":
+    def select_edges(self, keep: NDArray[np.bool_]) -> "PoseGraph":
         """The graph of some of its edges (E,), between the same nodes."""
         return PoseGraph(self.count, self.edges[keep], self.T_i_j[keep], self.information[keep], self.root)
 
-    def loosened(self, position: float, angle: float) -> "PoseGraph":
+    def with_error_floor(self, position: float, angle: float) -> "PoseGraph":
         """The graph with so much more error in every edge, m and rad, than its information knows of.
 
         Consensus takes edges for wrong whose errors exceed their information, which is often too confident. What
@@ -83,7 +83,7 @@ class PoseGraph:
 
 
 @dataclass(frozen=True, eq=False)
-class Averaged:
+class PoseGraphSolution:
     """Poses that fit most of a graph's edges, and which."""
 
     T_root_node: Array

@@ -14,7 +14,7 @@ _PROPOSALS = 30
 _CHUNK = 200_000
 
 
-def tree_poses(graph: PoseGraph, costs: Array) -> Array:
+def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
     """Node poses along the trees of cheapest paths from the root (Dijkstra), for many sets of costs at once.
 
     Every spanning tree is the one of some costs, so random costs make random trees, shallow ones more often: noise
@@ -37,7 +37,7 @@ def tree_poses(graph: PoseGraph, costs: Array) -> Array:
     distance[:, graph.root] = 0
     # Distance at which a directed edge arrives, while it leaves the tree; infinite otherwise.
     arrival = np.full(both_ways.shape, np.inf)
-    leaving, entering = _by_node(start, graph.count), _by_node(end, graph.count)
+    leaving, entering = _group_by_node(start, graph.count), _group_by_node(end, graph.count)
     added = np.full(len(costs), graph.root)
     for _ in range(graph.count - 1):
         out, into = leaving[added], entering[added]
@@ -57,7 +57,9 @@ def tree_poses(graph: PoseGraph, costs: Array) -> Array:
     return T
 
 
-def voted(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+def improve_by_votes(
+    graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator
+) -> Array:
     """Moves nodes, one by one, to where a neighbour's edge puts them if more of their edges then agree.
 
     Args:
@@ -67,10 +69,10 @@ def voted(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: 
         gate: squared Mahalanobis distance up to which an edge agrees.
         rng: decides which of two neighbours that both would move goes first.
     """
-    ballot = _Ballot(graph, trust, rng)
+    ballot = _Voting(graph, trust, rng)
     T = T_root_node.copy()
     for _ in range(_SWEEPS):
-        proposals, gains = ballot.count(T, gate)
+        proposals, gains = ballot.count_votes(T, gate)
         movers = np.flatnonzero(gains > _GAIN)
         if not len(movers):
             break
@@ -80,7 +82,7 @@ def voted(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: 
     return T
 
 
-class _Ballot:
+class _Voting:
     """Which edges vote on which proposals: fixed by the graph, whatever the poses."""
 
     def __init__(self, graph: PoseGraph, trust: Array, rng: np.random.Generator) -> None:
@@ -91,14 +93,14 @@ class _Ballot:
         self.T_start_end = np.concatenate([graph.T_i_j, se_n.inverse(graph.T_i_j)])
         self.edge = np.tile(np.arange(edges), 2)
         self.degree = np.bincount(self.end, trust[self.edge], minlength=graph.count)
-        into = _by_node(self.end, graph.count, rng)
+        into = _group_by_node(self.end, graph.count, rng)
         node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], _PROPOSALS))
         voter = np.repeat(into, min(into.shape[1], _PROPOSALS), axis=1).ravel()
         proposal = np.tile(into[:, :_PROPOSALS], (1, into.shape[1])).ravel()
         real = (voter < 2 * edges) & (proposal < 2 * edges)
         self.voter, self.proposal, self.node = voter[real], proposal[real], node[real]
 
-    def count(self, T: Array, gate: float) -> tuple[Array, Array]:
+    def count_votes(self, T: Array, gate: float) -> tuple[Array, Array]:
         """For every node the best proposal (N, n+1, n+1) and by how much more edges agree with it (N,)."""
         ends = np.arange(len(self.start))
         current = np.bincount(self.end, self._agreement(T, T[self.end], ends, gate), minlength=len(T))
@@ -130,7 +132,9 @@ class _Ballot:
         return np.asarray(self.trust[e] * np.maximum(1 - chi2 / gate, 0.0))
 
 
-def _by_node(nodes: NDArray[np.intp], count: int, rng: np.random.Generator | None = None) -> NDArray[np.intp]:
+def _group_by_node(
+    nodes: NDArray[np.intp], count: int, rng: np.random.Generator | None = None
+) -> NDArray[np.intp]:
     """(N, D) numbers of the entries of ``nodes`` that are each node, in random order; padded with len(nodes)."""
     order = np.arange(len(nodes)) if rng is None else rng.permutation(len(nodes))
     order = order[np.argsort(nodes[order], kind="stable")]

@@ -13,8 +13,8 @@ from scipy.sparse.linalg import eigsh
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se_n
-from calgraph.graph.cycles import Cycle, cycle_basis, incidence, triangles
-from calgraph.graph.graph_optimization import differences_solved
+from calgraph.graph.cycles import Cycle, find_cycle_basis, find_triangles, incidence_matrix
+from calgraph.graph.graph_optimization import solve_differences
 from calgraph.graph.pose_graph import Edges, PoseGraph
 
 # Up to so many rows all eigenvectors are found at once; above, only the leading ones.
@@ -26,7 +26,7 @@ _ITERATIONS = 100
 _LINEARISATIONS = 4
 
 
-def l1mc(
+def average_rotations_l1mc(
     graph: PoseGraph, weights: Array | None = None, transitivity: Literal["cycles", "triangles"] = "cycles"
 ) -> Array:
     """Robust rotation averaging without a start (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
@@ -51,21 +51,21 @@ def l1mc(
     graph.require_connected()
     trust = np.ones(len(graph.edges)) if weights is None else weights
     if transitivity == "cycles":
-        cycles, soft = cycle_basis(graph.count, graph.edges), False
+        cycles, soft = find_cycle_basis(graph.count, graph.edges), False
     else:
-        cycles, soft = triangles(graph.count, graph.edges), True
+        cycles, soft = find_triangles(graph.count, graph.edges), True
     d = 1 if graph.dimension == 2 else 3
     corrections, R_i_j = np.zeros((len(graph.edges), d)), graph.R_i_j
     for _ in range(1 if d == 1 else _LINEARISATIONS):
-        A, errors = _transitivity(R_i_j, cycles)
+        A, errors = _linearize_cycles(R_i_j, cycles)
         b = A @ corrections.ravel() - errors
-        corrections = _least_absolute(A, b, np.repeat(trust, d), soft).reshape(-1, d)
+        corrections = _minimize_absolute_sum(A, b, np.repeat(trust, d), soft).reshape(-1, d)
         R_i_j = graph.R_i_j @ se_n.exp(corrections)
     # Where cycles are not held exactly, the least corrected edges are the ones to follow.
-    return _chained(graph, R_i_j, np.linalg.norm(corrections, axis=1))
+    return _chain_along_tree(graph, R_i_j, np.linalg.norm(corrections, axis=1))
 
 
-def spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
+def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
     """Spectral relaxation (Arie-Nachimson et al., "Global motion estimation from point matches", 3DIMPVT 2012).
 
     Rotations are the leading eigenvectors of the matrix of relative rotations, each block of which is projected on
@@ -86,7 +86,7 @@ def spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
     i, j = graph.edges.T
     blocks = (w / (scale[i] * scale[j]))[:, None, None] * graph.R_i_j
     G = _block_matrix(graph, blocks)
-    vectors = np.linalg.eigh(G.toarray())[1][:, -n:] if count * n <= _DENSE else _leading(G, n)
+    vectors = np.linalg.eigh(G.toarray())[1][:, -n:] if count * n <= _DENSE else _leading_eigenvectors(G, n)
     # Rows of the eigenvectors are R_node_root times one unknown orthogonal matrix, which may be a reflection.
     M = vectors.reshape(count, n, n)
     if np.sum(np.sign(np.linalg.det(M))) < 0:
@@ -95,7 +95,7 @@ def spectral(graph: PoseGraph, weights: Array | None = None) -> Array:
     return np.asarray(R_node_any[graph.root] @ se_n.transpose(R_node_any))
 
 
-def irls_l1(graph: PoseGraph, start: Array, weights: Array | None = None) -> Array:
+def average_rotations_irls(graph: PoseGraph, start: Array, weights: Array | None = None) -> Array:
     """L1 rotation averaging by iterative reweighting (Chatterjee and Govindu, ICCV 2013).
 
     Args:
@@ -113,27 +113,27 @@ def irls_l1(graph: PoseGraph, start: Array, weights: Array | None = None) -> Arr
     for _ in range(_ITERATIONS):
         errors = se_n.log(R[i] @ graph.R_i_j @ se_n.transpose(R[j]))
         reweighted = w / np.maximum(np.linalg.norm(errors, axis=1), _FLOOR)
-        delta = differences_solved(graph.count, graph.edges, errors, reweighted, graph.root)
+        delta = solve_differences(graph.count, graph.edges, errors, reweighted, graph.root)
         R = se_n.exp(delta) @ R
         if np.max(np.abs(delta), initial=0.0) < _FLOOR / 10:
             break
     return np.asarray(R[graph.root].T @ R)
 
 
-def chained(graph: PoseGraph) -> Array:
+def chain_rotations(graph: PoseGraph) -> Array:
     """(N, n, n) rotations from each node to the root along few edges each: a start for others."""
     graph.require_connected()
-    return _chained(graph, graph.R_i_j, np.zeros(len(graph.edges)))
+    return _chain_along_tree(graph, graph.R_i_j, np.zeros(len(graph.edges)))
 
 
-def _transitivity(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, Array]:
+def _linearize_cycles(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, Array]:
     """What corrections do to the cycles' errors: sparse (C d, E d), and the errors (C d,) themselves, rad.
 
     The errors are wrapped, which takes the multiples of 2π out (Algorithm 1, last rows of b).
     """
     d = 1 if R_i_j.shape[-1] == 2 else 3
     if d == 1:
-        A = incidence(cycles, len(R_i_j))
+        A = incidence_matrix(cycles, len(R_i_j))
         summed = A @ se_n.log(R_i_j)[:, 0]
         return A, np.asarray(np.angle(np.exp(1j * summed)), dtype=np.float64)
     rows, columns, blocks, errors = [], [], [], np.zeros((len(cycles), d))
@@ -152,7 +152,7 @@ def _transitivity(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, A
     return A, errors.ravel()
 
 
-def _least_absolute(A: csr_array, b: Array, weights: Array, soft: bool) -> Array:
+def _minimize_absolute_sum(A: csr_array, b: Array, weights: Array, soft: bool) -> Array:
     """The x of least weighted sum of |x| with ``A x = b``, or of that and |A x - b| where soft.
 
     Args:
@@ -175,13 +175,13 @@ def _least_absolute(A: csr_array, b: Array, weights: Array, soft: bool) -> Array
     return np.asarray(solution.x[: A.shape[1]] - solution.x[A.shape[1] : 2 * A.shape[1]], dtype=np.float64)
 
 
-def _chained(graph: PoseGraph, R_i_j: Array, distrust: Array) -> Array:
+def _chain_along_tree(graph: PoseGraph, R_i_j: Array, distrust: Array) -> Array:
     """Rotations (N, n, n) along the spanning tree of the least distrusted edges (E,)."""
     i, j = graph.edges.T
     # The tree routine takes stored zeros for missing edges, and keeps one value for alternatives: their best.
     value = 1.0 + distrust
-    order = np.lexsort((value, graph.pairs))
-    best = order[np.unique(graph.pairs[order], return_index=True)[1]]
+    order = np.lexsort((value, graph.pair_of_edge))
+    best = order[np.unique(graph.pair_of_edge[order], return_index=True)[1]]
     edge_of = {(int(a), int(b)): int(e) for e in best for a, b in ((i[e], j[e]), (j[e], i[e]))}
     shape = (graph.count, graph.count)
     tree = minimum_spanning_tree(csr_array((value[best], (i[best], j[best])), shape=shape))
@@ -211,7 +211,7 @@ def _sparse_blocks(rows: Edges, columns: Edges, blocks: Array, height: int, widt
     return csr_array((blocks.ravel(), (r.ravel(), c.ravel())), shape=(height * k, width * k))
 
 
-def _leading(G: csr_array, n: int) -> Array:
+def _leading_eigenvectors(G: csr_array, n: int) -> Array:
     """The n eigenvectors of largest eigenvalue, from a fixed start, so that results repeat."""
     start = np.random.default_rng(0).normal(size=G.shape[0])
     return np.asarray(eigsh(G, k=n, which="LA", v0=start)[1], dtype=np.float64)

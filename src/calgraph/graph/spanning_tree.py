@@ -22,12 +22,12 @@ class SpanningTree:
     T_root_sensor: Mapping[str, Array]
     """Start pose (4, 4) of every connected sensor, the root included."""
 
-    def joins(self, a: str, b: str) -> bool:
+    def has_edge(self, a: str, b: str) -> bool:
         """Whether one of the two sensors hangs from the other."""
         return self.parents.get(a) == b or self.parents.get(b) == a
 
 
-def spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
+def find_spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
     """Grows the minimum spanning tree from the root (Prim), by summed squared error (MSG-Cal, V).
 
     Pairs that leave a direction open are taken only where no other pair reaches a sensor.
@@ -39,10 +39,10 @@ def spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningT
     Returns:
         The tree of all sensors that are connected to the root.
     """
-    return grown(SpanningTree(root, {}, {root: np.eye(4)}), estimates)
+    return grow_tree(SpanningTree(root, {}, {root: np.eye(4)}), estimates)
 
 
-def grown(tree: SpanningTree, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
+def grow_tree(tree: SpanningTree, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
     """The tree with all sensors that estimates tie to it, as :func:`spanning_tree` grows it."""
     poses, parents = dict(tree.T_root_sensor), dict(tree.parents)
     directed = [*estimates, *(e.inverse() for e in estimates)]
@@ -50,12 +50,12 @@ def grown(tree: SpanningTree, estimates: Sequence[PairwiseEstimate]) -> Spanning
         leaving = [e for e in directed if e.sensor_a in poses and e.sensor_b not in poses]
         if not leaving:
             return SpanningTree(tree.root, parents, poses)
-        best = min(leaving, key=lambda e: (openness(e), e.squared_error))
+        best = min(leaving, key=lambda e: (unobservable_stddev(e), e.squared_error))
         parents[best.sensor_b] = best.sensor_a
         poses[best.sensor_b] = poses[best.sensor_a] @ best.T_a_b
 
 
-def openness(estimate: PairwiseEstimate) -> float:
+def unobservable_stddev(estimate: PairwiseEstimate) -> float:
     """Standard deviation along the weakest direction where that is open; 0 where it is not."""
     weakest = max(float(np.linalg.eigvalsh(estimate.information)[0]), 1e-12)
     return 0.0 if weakest >= _WEAK**-2 else weakest**-0.5

@@ -11,10 +11,10 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.special import chdtri
 
 from calgraph.geometry import Array
-from calgraph.graph.cycles import cycle_basis, cycles_through_edges, support
-from calgraph.graph.graph_optimization import adjusted, robustly_adjusted
-from calgraph.graph.pose_graph import Averaged, PoseGraph, chi_squared
-from calgraph.graph.random_trees import tree_poses, voted
+from calgraph.graph.cycles import edge_support, find_cycle_basis, find_cycles_through_edges
+from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
+from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
 from calgraph.ransac import select_best_of_groups
 
 # An edge agrees unless its error is larger than by chance once in a thousand times.
@@ -39,14 +39,14 @@ _LEAST_TRUST = 1e-3
 _ROUNDS = 5
 
 
-def consensus_trees(
+def average_by_tree_consensus(
     graph: PoseGraph,
     rng: np.random.Generator,
     weights: Array | None = None,
     *,
     trees: int | None = None,
     finalists: int | None = None,
-) -> Averaged:
+) -> PoseGraphSolution:
     """The poses that most pairs agree with, from no start, refined over the edges that agree.
 
     Args:
@@ -61,49 +61,49 @@ def consensus_trees(
     """
     graph.require_connected()
     if graph.count == 1:
-        return Averaged(np.eye(graph.dimension + 1)[None], np.zeros(len(graph.edges), dtype=np.bool_))
+        return PoseGraphSolution(np.eye(graph.dimension + 1)[None], np.zeros(len(graph.edges), dtype=np.bool_))
     trust = np.ones(len(graph.edges)) if weights is None else np.maximum(weights, _LEAST_TRUST)
     gate = float(chdtri(graph.information.shape[-1], _CHANCE))
     edges = max(len(graph.edges), 1)
     count = trees or int(np.clip(_TREE_EDGES // edges, _FEWEST_TREES, _MOST_TREES))
     final = finalists or int(np.clip(_FINAL_EDGES // edges, _FEWEST_FINALISTS, _MOST_FINALISTS))
-    starts = tree_poses(graph, _costs(graph, trust, count, rng))
-    scores, agreeing = _judged(graph, trust, starts, gate * _TREE_SCALE)
-    best: Averaged | None = None
+    starts = compute_tree_poses(graph, _draw_edge_costs(graph, trust, count, rng))
+    scores, agreeing = _score(graph, trust, starts, gate * _TREE_SCALE)
+    best: PoseGraphSolution | None = None
     best_score, seen = np.inf, set[bytes]()
     for k in np.argsort(scores, kind="stable"):
         if agreeing[k].tobytes() in seen:
             continue
         seen.add(agreeing[k].tobytes())
-        T = _improved(graph, trust, starts[k], gate, rng)
-        (score,), (inliers,) = _judged(graph, trust, T[None], gate)
+        T = _refine(graph, trust, starts[k], gate, rng)
+        (score,), (inliers,) = _score(graph, trust, T[None], gate)
         if best is None or score < best_score:
-            best, best_score = Averaged(T, inliers), float(score)
+            best, best_score = PoseGraphSolution(T, inliers), float(score)
         if len(seen) >= final:
             break
     assert best is not None  # there is at least one tree
     return best
 
 
-def _costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator) -> Array:
+def _draw_edge_costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator) -> Array:
     """(count, E) costs of edges: at first small for trusted ones that cycles support, at last blindly random.
 
     Wrong edges that agree with each other in a triangle look better than right ones in a long cycle. The first
     tree is the one of the best edges, however long its paths: in a large graph, paths of few edges lead over wrong
     ones.
     """
-    cycles = (*cycle_basis(graph.count, graph.edges), *cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
+    cycles = (*find_cycle_basis(graph.count, graph.edges), *find_cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
     chance = np.linspace(0, 1, count)[:, None]
-    expensive = (trust * support(graph, cycles)) ** (-_BIAS * (1 - chance))
+    expensive = (trust * edge_support(graph, cycles)) ** (-_BIAS * (1 - chance))
     costs = np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
-    costs[0] *= np.where(_strongest(graph, 1 / trust), 1.0, _CLOSED)
+    costs[0] *= np.where(_cheapest_tree(graph, 1 / trust), 1.0, _CLOSED)
     return costs
 
 
-def _strongest(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
+def _cheapest_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
     """(E,) the edges of the tree of least costs (E,) in all."""
     # Of alternatives of one pair the cheapest; SciPy would add them up.
-    best = select_best_of_groups(costs / costs.max(), graph.pairs)
+    best = select_best_of_groups(costs / costs.max(), graph.pair_of_edge)
     i, j = graph.edges[best].T
     tree = minimum_spanning_tree(coo_array((costs[best], (i, j)), shape=(graph.count, graph.count))).tocoo()
     chosen = np.isin(i * graph.count + j, tree.row * graph.count + tree.col)
@@ -112,32 +112,32 @@ def _strongest(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
     return within
 
 
-def _improved(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+def _refine(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
     """Poses near a tree's that fit the edges which agree: by votes and robust least squares, or as the tree is.
 
     Votes and a forgiving loss repair a large graph's tree, but may lead a small graph's right one astray.
     """
-    T = voted(graph, trust, T_root_node, gate * _TREE_SCALE, rng)
-    T = robustly_adjusted(graph, T, gate)
-    T = voted(graph, trust, T, gate, rng)
-    settled = np.stack([_settled(graph, trust, start, gate) for start in (T, T_root_node)])
-    return np.asarray(settled[np.argmin(_judged(graph, trust, settled, gate)[0])])
+    T = improve_by_votes(graph, trust, T_root_node, gate * _TREE_SCALE, rng)
+    T = optimize_poses_robustly(graph, T, gate)
+    T = improve_by_votes(graph, trust, T, gate, rng)
+    settled = np.stack([_fit_inliers(graph, trust, start, gate) for start in (T, T_root_node)])
+    return np.asarray(settled[np.argmin(_score(graph, trust, settled, gate)[0])])
 
 
-def _settled(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> Array:
+def _fit_inliers(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> Array:
     """The least squares poses over the edges that agree, until they stay the same."""
-    T, inliers = T_root_node, _judged(graph, trust, T_root_node[None], gate * _TREE_SCALE)[1][0]
+    T, inliers = T_root_node, _score(graph, trust, T_root_node[None], gate * _TREE_SCALE)[1][0]
     for _ in range(_ROUNDS):
-        if not graph.where(inliers).reachable().all():
+        if not graph.select_edges(inliers).find_reachable().all():
             break
-        T = adjusted(graph, T, inliers.astype(np.float64))
-        before, inliers = inliers, _judged(graph, trust, T[None], gate)[1][0]
+        T = optimize_poses(graph, T, inliers.astype(np.float64))
+        before, inliers = inliers, _score(graph, trust, T[None], gate)[1][0]
         if np.array_equal(before, inliers):
             break
     return T
 
 
-def _judged(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
+def _score(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
     """Scores of K sets of node poses: truncated squared residuals, summed over pairs, and who agrees.
 
     Returns:
@@ -145,8 +145,8 @@ def _judged(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> 
         exactly; and (K, E) the best edge of each pair where it is within the gate.
     """
     gains = trust * np.maximum(1 - chi_squared(graph, T_root_node) / gate, 0.0)
-    order = np.argsort(graph.pairs, kind="stable")
-    sizes = np.bincount(graph.pairs)
+    order = np.argsort(graph.pair_of_edge, kind="stable")
+    sizes = np.bincount(graph.pair_of_edge)
     best = np.maximum.reduceat(gains[:, order], np.cumsum(sizes) - sizes, axis=1) if len(sizes) else gains
-    agree = (gains > 0) & (gains == best[:, graph.pairs])
+    agree = (gains > 0) & (gains == best[:, graph.pair_of_edge])
     return -best.sum(axis=1), agree

@@ -9,7 +9,7 @@ from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseGraph
 
 
-def cuts(graph: PoseGraph, worth: Array) -> list[tuple[int, NDArray[np.bool_]]]:
+def fundamental_cuts(graph: PoseGraph, worth: Array) -> list[tuple[int, NDArray[np.bool_]]]:
     """The edges of the tree of greatest worth, and the nodes (N,) that each holds to the root.
 
     Args:

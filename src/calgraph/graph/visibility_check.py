@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.graph.pose_graph import Averaged, PoseGraph
-from calgraph.graph.tree_cuts import cuts
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.tree_cuts import fundamental_cuts
 from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples
 from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_detections
 
@@ -29,20 +29,20 @@ _TICKS = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Refuted:
+class VisibilityConflict:
     """A part of a network that is not where it was put."""
 
     part: Flags
     """(N,) its scanners; the root is not among them."""
     edges: Flags
     """(E,) those that hold it there."""
-    missed: float
+    missed_share: float
     """Which share of what it and the others should have seen of each other's people they did not."""
 
 
-def unnoticed(
-    graph: PoseGraph, sights: Sequence[ScannerObservations], averaged: Averaged, worth: Array
-) -> Refuted | None:
+def find_visibility_conflict(
+    graph: PoseGraph, sights: Sequence[ScannerObservations], averaged: PoseGraphSolution, worth: Array
+) -> VisibilityConflict | None:
     """The part of a network whose place is refuted most clearly; None where no place is.
 
     Every tie of the tree of best evidence cuts the network in two. All that one side saw where the other one has
@@ -54,18 +54,18 @@ def unnoticed(
         averaged: the poses found, and the edges that agree.
         worth: (E,) evidence of each edge.
     """
-    seen = _seen(sights, averaged.T_root_node)
+    seen = _compare_detections(sights, averaged.T_root_node)
     i, j = graph.edges.T
-    worst: Refuted | None = None
-    for _, part in cuts(graph, np.where(averaged.inliers, worth, 0.0)):
-        expected, missed = seen.across(part)
+    worst: VisibilityConflict | None = None
+    for _, part in fundamental_cuts(graph, np.where(averaged.inliers, worth, 0.0)):
+        expected, missed = seen.count_across(part)
         share = missed / max(expected, 1)
-        if expected >= _EXPECTED and share > (worst.missed if worst else _MISSED):
-            worst = Refuted(part, averaged.inliers & (part[i] != part[j]), share)
+        if expected >= _EXPECTED and share > (worst.missed_share if worst else _MISSED):
+            worst = VisibilityConflict(part, averaged.inliers & (part[i] != part[j]), share)
     return worst
 
 
-def confirmed(sights: Sequence[ScannerObservations], T_root_node: Array, part: Flags) -> bool:
+def is_confirmed_by_visibility(sights: Sequence[ScannerObservations], T_root_node: Array, part: Flags) -> bool:
     """Whether a part (N,) of a network is at its place by what it and the others saw of each other's people.
 
     Args:
@@ -73,12 +73,12 @@ def confirmed(sights: Sequence[ScannerObservations], T_root_node: Array, part: F
         T_root_node: (N, 3, 3) their poses.
         part: (N,) some of them.
     """
-    expected, missed = _seen(sights, T_root_node).across(part)
+    expected, missed = _compare_detections(sights, T_root_node).count_across(part)
     return expected >= _EXPECTED and missed <= _MISSED * expected
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _MutualDetections:
     """Of all samples, scanner by scanner, what others should have seen of them and what they did."""
 
     count: int
@@ -88,7 +88,7 @@ class _Seen:
     pairs: tuple[tuple[int, int, NDArray[np.intp], Flags, Flags], ...]
     """Two scanners, numbers (M,) of their samples, and whether the other one should have seen each, and did."""
 
-    def across(self, far: Flags) -> tuple[int, int]:
+    def count_across(self, far: Flags) -> tuple[int, int]:
         """How many of each other's positions a part (N,) and the rest should have seen, and how many none did."""
         expected, noticed = np.zeros((2, self.count), dtype=np.bool_)
         for a, b, samples, should, did in self.pairs:
@@ -98,7 +98,7 @@ class _Seen:
         return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~noticed))
 
 
-def _seen(sights: Sequence[ScannerObservations], T_root_node: Array) -> _Seen:
+def _compare_detections(sights: Sequence[ScannerObservations], T_root_node: Array) -> _MutualDetections:
     ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(own.samples.tick for own in sights)])
     step = max(1, int(np.ptp(ticks)) // _TICKS) if len(ticks) else 1
     sights = [own.subsample(step) for own in sights]
@@ -117,4 +117,4 @@ def _seen(sights: Sequence[ScannerObservations], T_root_node: Array) -> _Seen:
         )
         if should.any():
             pairs.append((a, b, np.concatenate([numbers[a], numbers[b]]), should, did))
-    return _Seen(sum(sizes), step, tuple(pairs))
+    return _MutualDetections(sum(sizes), step, tuple(pairs))

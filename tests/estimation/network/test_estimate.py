@@ -12,7 +12,7 @@ from calgraph.estimation.network.estimate import JointNetwork, solve_network
 from calgraph.estimation.network.solver import Glimpses, Motion
 from calgraph.estimation.network.splines import Knots, evaluate
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph
+from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import Track, Tracked
 from calgraph.tracking.track import Hits
 from network_scenes import OFFSET, SIGMA, T_ROOT, glimpses
@@ -66,7 +66,7 @@ def scene(
     bodies: int = 2,
     scanners: tuple[int, ...] = (0, 1, 2),
     swing: float | None = None,
-) -> tuple[list[Tracked], Averaged, PoseGraph]:
+) -> tuple[list[Tracked], PoseGraphSolution, PoseGraph]:
     """What scanners followed, and pairs and start poses that are off by 3 cm and half a degree."""
     rng = np.random.default_rng(seed)
     walks = [walk(radii, 2.0 * k + rng.uniform(0, 6)) for k in range(bodies)]
@@ -83,7 +83,7 @@ def scene(
     T = se2.inverse(T_ROOT[edges[:, 0]]) @ T_ROOT[edges[:, 1]]
     graph = PoseGraph(3, edges, T, np.tile(np.diag([1e4, 1e4, 1e5]), (3, 1, 1)))
     start = se2.retract(T_ROOT, rng.normal(0, [0.03, 0.03, 0.01], (3, 3)) * [[0], [1], [1]])
-    return tracked, Averaged(start, np.ones(3, dtype=np.bool_)), graph
+    return tracked, PoseGraphSolution(start, np.ones(3, dtype=np.bool_)), graph
 
 
 def a_metre_beyond(track: Track) -> Track:

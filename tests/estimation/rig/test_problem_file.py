@@ -19,7 +19,7 @@ from calgraph.detection import BoardCorners, Detection, PlanePatch
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem
 from calgraph.estimation.rig.problem_file import DETECTIONS
-from calgraph.graph import SpanningTree, spanning_tree
+from calgraph.graph import SpanningTree, find_spanning_tree
 from calgraph.pairwise import PairwiseEstimate, estimate_pairs, select_successful
 from calgraph.sensors import CameraModel
 
@@ -76,7 +76,7 @@ def problem() -> Problem:
     assert select_successful(pairs)
     pairs = {**pairs, ("lidar", "blind"): Rejected("no capture shows the board to both")}
     return Problem(
-        RIG, captured, pairs, spanning_tree("lidar", select_successful(pairs)), SolverOptions(keep="none")
+        RIG, captured, pairs, find_spanning_tree("lidar", select_successful(pairs)), SolverOptions(keep="none")
     )
 
 

@@ -12,7 +12,7 @@ from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import JointNetwork
 from calgraph.estimation.network.planar_poses import in_space
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph, joint_covariance
+from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, SensorPose
@@ -30,7 +30,7 @@ def assemble_network(
     pairs: NetworkPairs,
     graph: PoseGraph,
     names: tuple[str, ...],
-    averaged: Averaged,
+    averaged: PoseGraphSolution,
     start: float,
     joint: JointNetwork | None = None,
 ) -> Calibration:
@@ -53,8 +53,10 @@ def assemble_network(
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
     meeting = met(samples, planar)
-    right = graph.where(averaged.inliers)
-    together = in_space(joint_covariance(right, averaged.T_root_node) if joint is None else joint.pose_covariance)
+    right = graph.select_edges(averaged.inliers)
+    together = in_space(
+        compute_joint_covariance(right, averaged.T_root_node) if joint is None else joint.pose_covariance
+    )
     spread = together.reshape(len(names), 6, len(names), 6)[np.arange(len(names)), :, np.arange(len(names))]
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _parents(right, names)

@@ -90,7 +90,7 @@ def _edge(
     if isinstance(pair, Rejected):
         return Edge(*names, common, 0, in_tree=False, residuals=np.zeros(0), note=pair.reason)
     residuals = pair.residuals[pair.inliers]
-    return Edge(*names, common, len(residuals), in_tree=tree.joins(*names), residuals=residuals)
+    return Edge(*names, common, len(residuals), in_tree=tree.has_edge(*names), residuals=residuals)
 
 
 def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:

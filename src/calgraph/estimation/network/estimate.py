@@ -33,7 +33,7 @@ from calgraph.estimation.network.solver import (
 from calgraph.estimation.network.splines import Knots
 from calgraph.estimation.network.track_association import Walker, scanners_of, walkers
 from calgraph.geometry import Array, se2
-from calgraph.graph import Averaged, PoseGraph
+from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.pairwise import icp
 from calgraph.tracking import Track, Tracked
 
@@ -91,7 +91,7 @@ class JointNetwork:
 def solve_network(
     target: People | Cylinder,
     tracked: Sequence[Tracked],
-    averaged: Averaged,
+    averaged: PoseGraphSolution,
     graph: PoseGraph,
     *,
     clocks: bool = True,

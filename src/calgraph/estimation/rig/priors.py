@@ -12,7 +12,7 @@ from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPrior, stack_poses
 from calgraph.geometry import Array, Index, se3
-from calgraph.graph import SpanningTree, grown
+from calgraph.graph import SpanningTree, grow_tree
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import ExtrinsicsFile
 
@@ -112,7 +112,7 @@ def attach_by_priors(
     for name, parent, T in chain(by_group, by_prior):
         if name not in tree.T_root_sensor:
             further = SpanningTree(tree.root, {**tree.parents, name: parent}, {**tree.T_root_sensor, name: T})
-            return attach_by_priors(grown(further, estimates), estimates, priors, groups)
+            return attach_by_priors(grow_tree(further, estimates), estimates, priors, groups)
     return tree
 
 
