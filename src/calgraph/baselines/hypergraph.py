@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from calgraph.baselines import hypergraph_factors as edges
-from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, solve
+from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize
 from calgraph.detection import Detection, Segment, plane_of
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
@@ -57,22 +57,22 @@ def solve_hypergraph(
         return RigSolution(
             "hypergraph", {tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0
         )
-    graph = _Graph(names, detections)
+    graph = _HypergraphBuilder(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[select_matches(pair, keep)]:
             graph.connect(pair, int(capture), int(i), int(j))
     values = graph.values(tree.T_root_sensor)
-    observed = graph.observation_edges()
-    factors: list[Factor] = [_relative_poses(names, tree, pairs), *observed]
+    observed = graph.observation_factors()
+    factors: list[Factor] = [_relative_pose_factor(names, tree, pairs), *observed]
     converged = True
     if optimize:
-        solution = solve(values, BLOCKS, factors)
+        solution = minimize(values, BLOCKS, factors)
         values, converged = solution.values, solution.converged
     # The pairwise estimates come from the same detections: they may guide the solution, but not count as evidence.
     covariance = marginal_covariance(values, BLOCKS, observed, "sensors", _PRIOR)
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}
     chi2 = sum(float(np.sum(residuals[factor.name] ** 2)) for factor in observed)
-    scatter = _scatter(chi2, graph.freedom - 6 * (len(names) - 1))
+    scatter = _variance_factor(chi2, graph.degrees_of_freedom - 6 * (len(names) - 1))
     return RigSolution(
         estimator="hypergraph",
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
@@ -83,7 +83,7 @@ def solve_hypergraph(
     )
 
 
-class _Graph:
+class _HypergraphBuilder:
     """Collects the nodes and edges of the observations; a detection becomes a node when an edge needs it."""
 
     def __init__(self, names: Sequence[str], detections: Mapping[str, Candidates]) -> None:
@@ -125,7 +125,7 @@ class _Graph:
         }
 
     @property
-    def freedom(self) -> int:
+    def degrees_of_freedom(self) -> int:
         """How many numbers the detections measure beyond the three that place each capture's board."""
         measured: Counter[int] = Counter()
         for nodes, numbers in ((self._planes, 3), (self._lines, 2)):
@@ -133,7 +133,7 @@ class _Graph:
                 measured[capture] += numbers
         return sum(numbers - 3 for numbers in measured.values())
 
-    def observation_edges(self) -> list[Factor]:
+    def observation_factors(self) -> list[Factor]:
         """All edges but sensor–sensor."""
         planes = [plane_of(d) for d in self._of(self._planes) if not isinstance(d, Segment)]
         lines = [(d.endpoints, d.covariance) for d in self._of(self._lines) if isinstance(d, Segment)]
@@ -144,20 +144,20 @@ class _Graph:
         if lines:
             measured, covariance = (np.array(part) for part in zip(*lines, strict=True))
             factors.append(edges.SensorLine(np.arange(len(lines)), measured, edges.whitener(covariance)))
-        for name, build in _OBSERVATION_EDGES.items():
+        for name, build in _OBSERVATION_FACTORS.items():
             if self._edges[name]:
                 factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, _FLATNESS))
         return factors
 
 
-_OBSERVATION_EDGES: Mapping[str, Callable[..., Factor]] = {
+_OBSERVATION_FACTORS: Mapping[str, Callable[..., Factor]] = {
     "plane-plane": edges.PlanePlane,
     "line-plane": edges.LinePlane,
     "line-line": edges.LineLine,
 }
 
 
-def _relative_poses(names: Sequence[str], tree: SpanningTree, pairs: Sequence[PairwiseEstimate]) -> Factor:
+def _relative_pose_factor(names: Sequence[str], tree: SpanningTree, pairs: Sequence[PairwiseEstimate]) -> Factor:
     """Sensor–sensor edges (eq. 6).
 
     Their inliers are in the graph as observations already, so each edge weighs as one capture. What a pair of the
@@ -184,7 +184,7 @@ def _has_open_direction(pair: PairwiseEstimate) -> bool:
     return bool(np.linalg.eigvalsh(pair.information)[0] < _OPEN**-2)
 
 
-def _scatter(chi2: float, freedom: int) -> float:
+def _variance_factor(chi2: float, freedom: int) -> float:
     """Variance factor: how the residuals' scatter compares with what the covariances state.
 
     Few captures say little of it: it then stays near 1, as if that had been measured _FIRM times before.

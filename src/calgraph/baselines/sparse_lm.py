@@ -62,7 +62,7 @@ class Solution:
     converged: bool
 
 
-def solve(
+def minimize(
     values: Values, blocks: Mapping[str, Block], factors: Sequence[Factor], *, iterations: int = 50
 ) -> Solution:
     """Minimises half the sum of squared residuals of all factors.
@@ -79,7 +79,7 @@ def solve(
     Raises:
         CalibrationError: the residuals are not finite at the start.
     """
-    offsets, size = _offsets(values, blocks)
+    offsets, size = _variable_offsets(values, blocks)
     cost, H, g = _normal_equations(values, offsets, size, factors)
     if not np.isfinite(cost):
         raise CalibrationError("the start values give residuals that are not finite")
@@ -89,7 +89,7 @@ def solve(
         # Marquardt's scaling, floored so that a direction no residual sees is damped too.
         scaled = scipy.sparse.diags(damping.value * np.maximum(diagonal, 1e-6 * diagonal.max()))
         step = -scipy.sparse.linalg.splu((H + scaled).tocsc()).solve(g)
-        trial = _moved(values, blocks, offsets, step)
+        trial = _apply_step(values, blocks, offsets, step)
         trial_cost, trial_H, trial_g = _normal_equations(trial, offsets, size, factors)
         predicted = 0.5 * float(step @ (scaled @ step - g))
         gain = (cost - trial_cost) / max(predicted, 1e-300)
@@ -121,7 +121,7 @@ def marginal_covariance(
     Returns:
         (M·dim, M·dim) in the order of the block's variables; zero for fixed ones.
     """
-    offsets, size = _offsets(values, blocks)
+    offsets, size = _variable_offsets(values, blocks)
     _, H, _ = _normal_equations(values, offsets, size, factors)
     dim = blocks[block].dim
     free = offsets[block][offsets[block] >= 0]
@@ -140,7 +140,7 @@ def marginal_covariance(
     return covariance
 
 
-def _offsets(values: Values, blocks: Mapping[str, Block]) -> tuple[dict[str, NDArray[np.intp]], int]:
+def _variable_offsets(values: Values, blocks: Mapping[str, Block]) -> tuple[dict[str, NDArray[np.intp]], int]:
     """Position of every variable in the stacked tangent vector, -1 for fixed ones; and that vector's length."""
     offsets: dict[str, NDArray[np.intp]] = {}
     size = 0
@@ -180,7 +180,7 @@ def _normal_equations(
     return cost, scipy.sparse.coo_matrix(triplets, shape=(size, size)).tocsc(), gradient
 
 
-def _moved(
+def _apply_step(
     values: Values, blocks: Mapping[str, Block], offsets: Mapping[str, NDArray[np.intp]], step: Array
 ) -> dict[str, Array]:
     """The values after a step; fixed variables stay."""

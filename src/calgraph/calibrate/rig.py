@@ -24,7 +24,7 @@ from calgraph.captures import (
     plan_previews,
 )
 from calgraph.config import CameraSpec, Cylinder, People, Rig
-from calgraph.diagnostics import assemble, with_outlook
+from calgraph.diagnostics import add_assessment, assemble_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import (
     Problem,
@@ -161,11 +161,11 @@ def build_problem_from_captures(
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
     joint, tree = solve_jointly(problem)
-    rig, calibration = problem.rig, assemble(problem, tree, joint)
+    rig, calibration = problem.rig, assemble_rig(problem, tree, joint)
     if joint.solved_bundle is None:
         return calibration
     # The boards that are tried need no seed of the user's: any draw of so many serves.
-    return with_outlook(
+    return add_assessment(
         calibration, joint.solved_bundle, rig.board_size, problem.solver.folds, np.random.default_rng(0)
     )
 

@@ -8,7 +8,15 @@ from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import Options, Progress, no_progress
 from calgraph.calibrate.rig import solve_jointly
 from calgraph.config import Rig
-from calgraph.diagnostics import Audit, Scatter, Tolerance, assemble, audit, audit_network, resample
+from calgraph.diagnostics import (
+    BootstrapScatter,
+    ExtrinsicsComparison,
+    Tolerance,
+    assemble_rig,
+    bootstrap_poses,
+    compare_extrinsics,
+    compare_network_extrinsics,
+)
 from calgraph.errors import CalibrationError
 from calgraph.estimation import Problem
 from calgraph.recording import Recording
@@ -17,7 +25,7 @@ from calgraph.result import Calibration, ExtrinsicsFile
 
 def bootstrap_covariances(
     problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = no_progress
-) -> tuple[Calibration, dict[str, Scatter]]:
+) -> tuple[Calibration, dict[str, BootstrapScatter]]:
     """A calibration, and by sensor how far its pose scatters when the captures are drawn anew.
 
     Raises:
@@ -29,13 +37,13 @@ def bootstrap_covariances(
         raise CalibrationError(
             f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
         )
-    scatter = resample(joint.solved_bundle, rounds, rng, lambda done: progress("resampling", done))
-    return assemble(problem, tree, joint), scatter
+    scatter = bootstrap_poses(joint.solved_bundle, rounds, rng, lambda done: progress("resampling", done))
+    return assemble_rig(problem, tree, joint), scatter
 
 
 def compare_extrinsics(
     problem: Problem, given: ExtrinsicsFile, tolerance: Tolerance | None = None
-) -> tuple[Calibration, Audit]:
+) -> tuple[Calibration, ExtrinsicsComparison]:
     """What the captures say of given extrinsics: a calibration that knows nothing of them, and the comparison.
 
     Raises:
@@ -44,8 +52,8 @@ def compare_extrinsics(
     unknowing = {"estimator": "bundle", "priors": (), "groups": ()}
     problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
     joint, tree = solve_jointly(problem)
-    calibration = assemble(problem, tree, joint)
-    return calibration, audit(calibration, joint.solved_bundle, given, tolerance)
+    calibration = assemble_rig(problem, tree, joint)
+    return calibration, compare_extrinsics(calibration, joint.solved_bundle, given, tolerance)
 
 
 def compare_network_extrinsics(
@@ -55,7 +63,7 @@ def compare_network_extrinsics(
     options: Options,
     tolerance: Tolerance | None = None,
     progress: Progress = no_progress,
-) -> tuple[Calibration, Audit]:
+) -> tuple[Calibration, ExtrinsicsComparison]:
     """What a recording says of the given poses of a network, as :func:`compare_extrinsics` does of a rig's."""
     calibration = calibrate_network(rig, recording, options, progress)
-    return calibration, audit_network(calibration, given, tolerance)
+    return calibration, compare_network_extrinsics(calibration, given, tolerance)

@@ -23,7 +23,7 @@ from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.diagnostics import Audit, Misfit, Tolerance
+    from calgraph.diagnostics import ExtrinsicsComparison, ResidualComparison, Tolerance
     from calgraph.estimation import Problem
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
@@ -88,7 +88,7 @@ def check(
 
 def _compare(
     rig: Rig, recordings: list[Path], given: ExtrinsicsFile, allowed: "Tolerance", seed: int
-) -> tuple[Calibration, "Audit", Rig]:
+) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """What the recording gives, what it says of the given poses, and the rig as resolved."""
     from calgraph import calibrate as story
 
@@ -115,7 +115,7 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         return story.build_problem(with_intrinsics(rig, recording), recording, story.Options(seed=seed), progress)
 
 
-def _content(audit: "Audit", against: Path, tolerance: "Tolerance") -> str:
+def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: "Tolerance") -> str:
     """check.json: the audit with its settings; what is not finite is null."""
     content: dict[str, Any] = {
         "format": _FORMAT,
@@ -136,7 +136,7 @@ def _replace_nonfinite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _print(audit: "Audit", against: Path, root: str) -> None:
+def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:
     """A row a sensor: what FILE says minus what was found, along its axes; then what is to be said of each."""
     output = console()
     output.print(f"[bold]{escape(str(against))} minus what was found[/], along the sensors' own axes")
@@ -161,7 +161,7 @@ def _print(audit: "Audit", against: Path, root: str) -> None:
         output.print(f"{_SIGNS[sensor.outcome]} {escape(said)}")
 
 
-def _misfit(misfit: "Misfit | None") -> str:
+def _misfit(misfit: "ResidualComparison | None") -> str:
     if misfit is None:
         return ""
     scale, digits, unit = (1, 2, "px") if misfit.unit == "px" else (1000, 1, "mm")

@@ -20,7 +20,7 @@ from calgraph.recording import open_recordings, with_intrinsics
 
 if TYPE_CHECKING:
     from calgraph.calibrate import Progress
-    from calgraph.diagnostics import Scatter
+    from calgraph.diagnostics import BootstrapScatter
     from calgraph.estimation import Problem
 
 _FORMAT = "calgraph-verify/1"
@@ -76,7 +76,7 @@ def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
         return story.build_problem(rig, recording, story.Options(seed=seed), progress)
 
 
-def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> str:
+def _content(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> str:
     """All numbers, m and rad."""
     from calgraph.diagnostics import CONFIDENCE, axis_names
 
@@ -87,7 +87,7 @@ def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: in
                 {"axis": axis, "stddev": stated, "scatter": far, "ratio": ratio, "interval": [low, high]}
                 for axis, stated, far, ratio, low, high in zip(
                     axis_names(kinds[name]),
-                    found.stated.tolist(), found.found.tolist(), found.ratio.tolist(),
+                    found.stated.tolist(), found.bootstrapped.tolist(), found.ratio.tolist(),
                     found.low.tolist(), found.high.tolist(),
                     strict=True,
                 )
@@ -99,7 +99,7 @@ def _content(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: in
     return json_module.dumps(content, ensure_ascii=False, allow_nan=False, indent=1)
 
 
-def _print(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int) -> None:
+def _print(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> None:
     """A row a sensor and axis, then the verdicts."""
     from calgraph.diagnostics import CONFIDENCE, axis_names
 
@@ -114,7 +114,7 @@ def _print(scatter: "dict[str, Scatter]", kinds: Mapping[str, str], rounds: int)
         for i, axis in enumerate(axis_names(kinds[name])):
             table.add_row(
                 escape(name) if i == 0 else "", axis,
-                _format_stddev(found.found[i], i), _format_stddev(found.stated[i], i),
+                _format_stddev(found.bootstrapped[i], i), _format_stddev(found.stated[i], i),
                 f"{found.ratio[i]:.2f}", f"{found.low[i]:.2f} – {found.high[i]:.2f}",
             )  # fmt: skip
     output.print(table)

@@ -33,7 +33,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class AxisAudit:
+class AxisComparison:
     """A sensor's pose along, or about, one of its own axes."""
 
     axis: str
@@ -45,7 +45,7 @@ class AxisAudit:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class ResidualComparison:
     """How far a sensor's measurements are from the boards, under two sets of extrinsics."""
 
     unit: Literal["px", "m"]
@@ -55,7 +55,7 @@ class Misfit:
 
 
 @dataclass(frozen=True)
-class SensorAudit:
+class SensorComparison:
     """What a recording says of one sensor's given pose."""
 
     sensor: str
@@ -64,26 +64,26 @@ class SensorAudit:
     """What is wrong, or cannot be told; empty for a pass."""
     distance: float
     """Mahalanobis distance of the given pose from the one found; NaN where there is none."""
-    axes: tuple[AxisAudit, ...] = ()
+    axes: tuple[AxisComparison, ...] = ()
     """x, y, z, and rotations about them; empty where poses cannot be compared."""
-    misfit: Misfit | None = None
+    misfit: ResidualComparison | None = None
 
 
 @dataclass(frozen=True)
-class Audit:
+class ExtrinsicsComparison:
     """What a recording says of given extrinsics."""
 
     reference: str
     """The sensor whose frame the others are compared in: the root, or one from which fewer seem to have moved."""
-    sensors: tuple[SensorAudit, ...]
+    sensors: tuple[SensorComparison, ...]
     """All but the reference."""
-    misfit: Misfit | None
+    misfit: ResidualComparison | None
     """Of the reference."""
 
     @property
     def outcome(self) -> Outcome:
         """The worst of all sensors."""
-        return _worst([sensor.outcome for sensor in self.sensors])
+        return _worst_outcome([sensor.outcome for sensor in self.sensors])
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -92,7 +92,7 @@ class Audit:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class MatchedPoses:
     """Given extrinsics beside those that a recording gives."""
 
     found: Calibration
@@ -106,7 +106,7 @@ class Comparison:
         """(4, 4) by sensor, as given."""
         return {name: self.given.transform(self.frames[self.found.root], own) for name, own in self.frames.items()}
 
-    def seen_from(self, reference: str, misfits: Mapping[str, Misfit]) -> Audit:
+    def compare_in_frame(self, reference: str, misfits: Mapping[str, ResidualComparison]) -> ExtrinsicsComparison:
         """The given poses of all sensors in the frame of one, against those found there."""
         sensors = []
         for sensor in self.found.sensors:
@@ -114,17 +114,17 @@ class Comparison:
                 continue
             if sensor.name not in self.frames:
                 reason = f"{self.given.path} has neither a frame {sensor.frame_id} nor one called {sensor.name}"
-                sensors.append(SensorAudit(sensor.name, "warn", reason, float("nan")))
+                sensors.append(SensorComparison(sensor.name, "warn", reason, float("nan")))
                 continue
-            own = self._judged(reference, sensor.name)
+            own = self._compare_sensor(reference, sensor.name)
             if sensor.verdict.grade != "good" and own.outcome != "fail":
                 parts = [part for part in (own.reason, sensor.verdict.reason) if part]
                 own = replace(own, outcome="warn", reason="; ".join(parts))
             sensors.append(replace(own, misfit=misfits.get(sensor.name)))
-        alone = [SensorAudit(name, "warn", why, float("nan")) for name, why in self.found.unconnected.items()]
-        return Audit(reference, (*sensors, *alone), misfits.get(reference))
+        alone = [SensorComparison(name, "warn", why, float("nan")) for name, why in self.found.unconnected.items()]
+        return ExtrinsicsComparison(reference, (*sensors, *alone), misfits.get(reference))
 
-    def _judged(self, reference: str, name: str) -> SensorAudit:
+    def _compare_sensor(self, reference: str, name: str) -> SensorComparison:
         """One sensor's given pose against the one found, in its own axes as found."""
         found, of_both = self.found, (self.frames[reference], self.frames[name])
         T_given, T_found = self.given.transform(*of_both), found.transform(reference, name)
@@ -133,20 +133,20 @@ class Comparison:
         spread = found.covariance(reference, name) + self.given.covariance(*of_both)
         covariance = to_own @ spread @ to_own.T + _ROUNDING**2 * np.eye(6)
         allowed = np.repeat([self.tolerance.position, self.tolerance.rotation], 3)
-        outcomes = _outcomes(offset, covariance, allowed)
+        outcomes = _grade_axes(offset, covariance, allowed)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         distance = float(np.linalg.norm(whiten @ offset))
         axes = tuple(
-            AxisAudit(axis, float(x), float(s), outcome)
+            AxisComparison(axis, float(x), float(s), outcome)
             for axis, x, s, outcome in zip(
                 axis_names(found[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
             )
         )
-        outcome = _worst([*outcomes, "warn" if distance**2 > _LIMIT else "pass"])
-        return SensorAudit(name, outcome, _reason(axes, allowed, distance), distance, axes)
+        outcome = _worst_outcome([*outcomes, "warn" if distance**2 > _LIMIT else "pass"])
+        return SensorComparison(name, outcome, _explain_axes(axes, allowed, distance), distance, axes)
 
 
-def compare(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None) -> Comparison:
+def match_poses(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None) -> MatchedPoses:
     """Looks up in given extrinsics what a recording has found.
 
     Raises:
@@ -154,10 +154,10 @@ def compare(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | No
     """
     frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
     given.frame_of_sensor(found.root, frame_ids)
-    return Comparison(found, given, given.frames_of_sensors(frame_ids), tolerance or Tolerance())
+    return MatchedPoses(found, given, given.frames_of_sensors(frame_ids), tolerance or Tolerance())
 
 
-def _outcomes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]:
+def _grade_axes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]:
     """What is to be said of each axis."""
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     width = _WIDTH * np.sqrt(np.diag(covariance))
@@ -172,27 +172,29 @@ def _outcomes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]
     return ["fail" if bad else "warn" if doubt else "pass" for bad, doubt in zip(failed, doubtful, strict=True)]
 
 
-def _reason(axes: Sequence[AxisAudit], allowed: Array, distance: float) -> str:
+def _explain_axes(axes: Sequence[AxisComparison], allowed: Array, distance: float) -> str:
     """What is to be said of the axes that do not pass."""
     parts = []
     for i, (axis, limit) in enumerate(zip(axes, allowed, strict=True)):
-        off = f"{axis.axis} {size(axis.offset, i, sign=True)} ±{size(axis.stddev, i)}"
+        off = (
+            f"{axis.axis} {format_displacement(axis.offset, i, sign=True)} ±{format_displacement(axis.stddev, i)}"
+        )
         if axis.outcome == "fail":
-            parts.append(f"{off}, beyond {size(limit, i)}")
+            parts.append(f"{off}, beyond {format_displacement(limit, i)}")
         elif axis.outcome == "warn" and _WIDTH * axis.stddev > limit:
-            parts.append(f"{axis.axis} cannot be told: ±{size(axis.stddev, i)}")
+            parts.append(f"{axis.axis} cannot be told: ±{format_displacement(axis.stddev, i)}")
         elif axis.outcome == "warn":
-            parts.append(f"{off}: significant, but within {size(limit, i)}")
+            parts.append(f"{off}: significant, but within {format_displacement(limit, i)}")
     if not parts and distance**2 > _LIMIT:
         parts.append(f"{distance:.1f} standard deviations off in all axes together, but within the tolerance")
     return "; ".join(parts)
 
 
-def size(value: float, axis: int, *, sign: bool = False) -> str:
+def format_displacement(value: float, axis: int, *, sign: bool = False) -> str:
     """A displacement along (mm) or about (degrees) one of six axes, in words."""
     shown, unit, digits = (1000 * value, " mm", 1) if axis < 3 else (float(np.degrees(value)), "°", 2)
     return f"{shown:{'+' if sign else ''}.{digits}f}{unit}"
 
 
-def _worst(outcomes: Sequence[Outcome]) -> Outcome:
+def _worst_outcome(outcomes: Sequence[Outcome]) -> Outcome:
     return max(outcomes, key=_SEVERITY.index, default="pass")

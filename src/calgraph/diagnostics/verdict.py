@@ -9,8 +9,8 @@ from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import Verdict
 
 # Standard deviations (m, rad) beyond which a direction is called weak, and unobservable.
-WEAK = (0.02, np.radians(0.5))
-_UNOBSERVABLE = (0.2, np.radians(10))
+WEAK_STDDEV = (0.02, np.radians(0.5))
+_UNOBSERVABLE_STDDEV = (0.2, np.radians(10))
 
 # How many times farther apart two sensors' detections may be than their noise explains.
 _EXCESS = 3.0
@@ -29,13 +29,13 @@ def axis_names(kind: str) -> tuple[str, ...]:
     return _CAMERA_AXES if kind == "camera" else _SCANNER_AXES
 
 
-def verdict(
+def grade_pose(
     name: str,
     kind: str,
     T_root_sensor: Array,
     covariance: Array,
-    doubt: str = "",
-    rival: float = 0.0,
+    inconsistency: str = "",
+    ambiguity: float = 0.0,
     *,
     evidence: str = "capture",
     advice: str = "tilt and turn the board more, in different places, while {name} and others see it",
@@ -47,8 +47,8 @@ def verdict(
         kind: camera, lidar2d or lidar3d; decides what its axes are called.
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
-        doubt: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
-        rival: angle to another pose that the captures allow as well, rad; 0 where there is none.
+        inconsistency: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
+        ambiguity: angle to another pose that the captures allow as well, rad; 0 where there is none.
         evidence: what directions are fixed by, in the singular.
         advice: what makes a weak direction better, with the sensor's name in it as ``{name}``.
 
@@ -59,44 +59,46 @@ def verdict(
     stddev = np.sqrt(np.maximum(np.diag(to_sensor @ covariance @ to_sensor.T), 0))
     axes = axis_names(kind)
     open_axes = [
-        axis for axis, s, limit in zip(axes, stddev, np.repeat(_UNOBSERVABLE, 3), strict=True) if s > limit
+        axis for axis, s, limit in zip(axes, stddev, np.repeat(_UNOBSERVABLE_STDDEV, 3), strict=True) if s > limit
     ]
     weak_axes = [
-        f"{axis} ±{_size(s, i)}"
-        for i, (axis, s, limit) in enumerate(zip(axes, stddev, np.repeat(WEAK, 3), strict=True))
+        f"{axis} ±{_format_stddev(s, i)}"
+        for i, (axis, s, limit) in enumerate(zip(axes, stddev, np.repeat(WEAK_STDDEV, 3), strict=True))
         if s > limit and axis not in open_axes
     ]
     advice = advice.format(name=name)
-    if open_axes or rival:
-        fixed = [f"{_listed(open_axes, name)} fixed by no {evidence}"] if open_axes else []
-        if rival:
-            fixed.append(f"a pose turned by {np.degrees(rival):.0f}° fits as well")
+    if open_axes or ambiguity:
+        fixed = [f"{_join_axes(open_axes, name)} fixed by no {evidence}"] if open_axes else []
+        if ambiguity:
+            fixed.append(f"a pose turned by {np.degrees(ambiguity):.0f}° fits as well")
         if weak_axes:
             fixed.append(f"hardly fixed: {', '.join(weak_axes)}")
-        return Verdict("unobservable", "; ".join([*fixed, *([doubt] if doubt else []), advice]))
-    weaknesses = [doubt] if doubt else []
+        return Verdict("unobservable", "; ".join([*fixed, *([inconsistency] if inconsistency else []), advice]))
+    weaknesses = [inconsistency] if inconsistency else []
     if weak_axes:
         weaknesses.append(f"{', '.join(weak_axes)} of {name}: {advice}")
     return Verdict("weak", "; ".join(weaknesses)) if weaknesses else Verdict("good")
 
 
-def rivals(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
+def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
     """Angles (rad) to other poses that fit as well, by 2-D scanner; none where one pair leaves but one pose."""
     angles = {
-        name: [p.alternative_pose_angle for p in pairs if _with_plane(p, name, kinds)]
+        name: [p.alternative_pose_angle for p in pairs if _is_pair_with_plane(p, name, kinds)]
         for name, kind in kinds.items()
         if kind == "lidar2d"
     }
     return {name: min(found) for name, found in angles.items() if found and min(found) > 0}
 
 
-def _with_plane(pair: PairwiseEstimate, name: str, kinds: Mapping[str, str]) -> bool:
+def _is_pair_with_plane(pair: PairwiseEstimate, name: str, kinds: Mapping[str, str]) -> bool:
     """Whether the pair is of a sensor and of one that sees the board as a plane."""
     ends = {pair.sensor_a, pair.sensor_b}
     return name in ends and all(kinds[other] != "lidar2d" for other in ends - {name})
 
 
-def doubts(root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, str]:
+def find_inconsistent_sensors(
+    root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]
+) -> dict[str, str]:
     """Sensors whose detections fit nobody else's, and why that makes their poses doubtful.
 
     A wrong focal length or a wrong size of the print shifts all that a camera sees by the same factor. Consensus
@@ -125,11 +127,11 @@ def doubts(root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate
     return reasons
 
 
-def _size(stddev: float, axis: int) -> str:
+def _format_stddev(stddev: float, axis: int) -> str:
     return f"{stddev * 1000:.0f} mm" if axis < 3 else f"{np.degrees(stddev):.1f}°"
 
 
-def _listed(axes: list[str], name: str) -> str:
+def _join_axes(axes: list[str], name: str) -> str:
     if len(axes) == 1:
         return f"{axes[0]} of {name} is"
     return f"{', '.join(axes[:-1])} and {axes[-1]} of {name} are"

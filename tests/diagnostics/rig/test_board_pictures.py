@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.detection import BoardCorners
-from calgraph.diagnostics.rig.board_pictures import Used, board_outlines, board_views
+from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
@@ -24,18 +24,18 @@ def joint(one: Seen) -> RigSolution:
 
 
 @pytest.fixture(scope="module")
-def used(one: Seen) -> Used:
+def used(one: Seen) -> InlierResiduals:
     return {(n, name): {0: [0.0]} for name, by in one.captured.detections.items() for n in by}
 
 
 @pytest.fixture(scope="module")
-def views(one: Seen, used: Used, joint: RigSolution) -> tuple[BoardView, ...]:
-    return board_views(one.captured, used, joint)
+def views(one: Seen, used: InlierResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
+    return collect_board_views(one.captured, used, joint)
 
 
 @pytest.fixture(scope="module")
-def outlines(one: Seen, used: Used, joint: RigSolution) -> tuple[BoardOutline, ...]:
-    return board_outlines(one.rig, one.captured, used, joint)
+def outlines(one: Seen, used: InlierResiduals, joint: RigSolution) -> tuple[BoardOutline, ...]:
+    return collect_board_outlines(one.rig, one.captured, used, joint)
 
 
 def offs(views: tuple[BoardView, ...], kind: int) -> Array:
@@ -85,11 +85,11 @@ def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline,
         assert np.linalg.norm(outline.corners - truth, axis=1).max() < 0.02
 
 
-def test_without_a_bundle_nothing_is_predicted(one: Seen, used: Used, joint: RigSolution) -> None:
+def test_without_a_bundle_nothing_is_predicted(one: Seen, used: InlierResiduals, joint: RigSolution) -> None:
     other = replace(joint, solved_bundle=None, estimator="hypergraph")
-    views = board_views(one.captured, used, other)
+    views = collect_board_views(one.captured, used, other)
     assert all(v.used and v.residuals is None for v in views)
-    outlines = board_outlines(one.rig, one.captured, used, other)
+    outlines = collect_board_outlines(one.rig, one.captured, used, other)
     seen_by_cameras = {
         n for by in one.captured.detections.values() for n, d in by.items() if isinstance(d[0], BoardCorners)
     }

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from bundle_scenes import scene
-from calgraph.diagnostics.rig.bootstrap import Scatter, resample
+from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.solution import SolvedBundle
 
 BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
 
 
-def scatter(bundle: Bundle, seed: int, boards: int = BOARDS) -> dict[str, Scatter]:
+def scatter(bundle: Bundle, seed: int, boards: int = BOARDS) -> dict[str, BootstrapScatter]:
     exact = scene(boards=boards)
     adjusted = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(boards))
-    return resample(adjusted, ROUNDS, np.random.default_rng(seed), lambda _: None)
+    return bootstrap_poses(adjusted, ROUNDS, np.random.default_rng(seed), lambda _: None)
 
 
 def test_honest_covariances_are_called_honest() -> None:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
-from calgraph.diagnostics.rig.next_best_pose import suggest
-from calgraph.diagnostics.rig.pose_description import placed_in_words
-from calgraph.diagnostics.verdict import verdict
+from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
+from calgraph.diagnostics.rig.pose_description import describe_pose
+from calgraph.diagnostics.verdict import grade_pose
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
@@ -41,7 +41,7 @@ def adjusted(boards: Array) -> SolvedBundle:
 
 
 def suggested(boards: Array) -> tuple[Suggestion, ...]:
-    return suggest(adjusted(boards), KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
+    return suggest_board_poses(adjusted(boards), KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
 
 
 def laser_deviations(boards: Array) -> Array:
@@ -70,7 +70,7 @@ def test_boards_held_upright_are_to_be_tilted_before_the_scanner_that_they_leave
 def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
     at = adjusted(upright(20))
     spread = pose_covariance(at.bundle, at.minimized.state, at.minimized.equations)[12:, 12:]
-    found = verdict("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
+    found = grade_pose("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
     assert found.grade == "unobservable"
     assert found.reason.startswith(
         "height (z), roll (about x) and pitch (about y) of laser are fixed by no capture"
@@ -97,7 +97,7 @@ def test_deviations_shrink_by_as_much_as_promised() -> None:
 def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:
     exact = scene(boards=12)
     known = SolvedBundle(exact.bundle, minimize_bundle(exact.bundle, exact.truth), np.arange(12))
-    suggestions = suggest(known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
+    suggestions = suggest_board_poses(known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
     assert suggestions
     # Three more boards among twelve like them shrink deviations by a tenth.
     assert suggestions[0].expected / suggestions[0].stddev < 0.9
@@ -112,6 +112,6 @@ def test_words_say_where_the_board_is_and_how_it_is_tilted() -> None:
         np.column_stack([x, np.cross(z, x), z]), np.array([2 * np.cos(bearing), 2 * np.sin(bearing), 0.5])
     )
     words = "hold the board 2.0 m from laser, 30° to its left, 0.5 m above it, tilted back by 40°"
-    assert placed_in_words("laser", KINDS, {"laser": T}) == words
+    assert describe_pose("laser", KINDS, {"laser": T}) == words
     camera = se3.inverse(se3.pose(OPTICAL, np.zeros(3))) @ T
-    assert placed_in_words("laser", KINDS, {"camera": camera}) == words.replace("laser", "camera")
+    assert describe_pose("laser", KINDS, {"camera": camera}) == words.replace("laser", "camera")

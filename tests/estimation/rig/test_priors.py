@@ -9,7 +9,7 @@ import pytest
 from bundle_scenes import Scene, scene
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
-from calgraph.diagnostics.rig.prior_tests import doubts_of_known
+from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, SensorPrior, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -90,14 +90,14 @@ def test_right_priors_and_groups_are_not_doubted() -> None:
         rng = np.random.default_rng(seed)
         bundle = with_prior(EXACT.measured(rng), 1, STDDEV * rng.normal(size=6))
         group = group_of(EXACT, PAIR)
-        assert doubts_of_known(bundle, minimize_bundle(bundle, EXACT.truth), []) == {}
+        assert find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), []) == {}
         bundle = replace(bundle, body=assign_bodies(bundle.sensors, [group]))
-        assert doubts_of_known(bundle, grouped(bundle, group), [group]) == {}
+        assert find_contradicted_priors(bundle, grouped(bundle, group), [group]) == {}
 
 
 def test_a_wrong_prior_is_called_out_with_its_size(rng: np.random.Generator) -> None:
     bundle = with_prior(EXACT.measured(rng), 1, np.array([0, 0, 0.2, 0, 0, 0]))
-    doubts = doubts_of_known(bundle, minimize_bundle(bundle, EXACT.truth), [])
+    doubts = find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), [])
     assert set(doubts) == {"camera"}
     # Ten standard deviations of the prior, to which those of the captures add little.
     said = doubts["camera"].removeprefix("the prior of camera disagrees with the captures by ").split()
@@ -108,7 +108,7 @@ def test_a_wrong_prior_is_called_out_with_its_size(rng: np.random.Generator) -> 
 def test_a_wrong_group_is_called_out_by_its_sensors(rng: np.random.Generator) -> None:
     group = group_of(EXACT, PAIR, wrong=np.array([0.03, 0, 0, 0, 0, 0]))
     bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
-    doubts = doubts_of_known(bundle, grouped(bundle, group), [group])
+    doubts = find_contradicted_priors(bundle, grouped(bundle, group), [group])
     assert set(doubts) == set(PAIR)
     assert all("is fixed to laser" in why and "as rig says" in why for why in doubts.values())
 
@@ -116,7 +116,7 @@ def test_a_wrong_group_is_called_out_by_its_sensors(rng: np.random.Generator) ->
 def test_of_sensors_fixed_to_the_root_the_one_that_is_not_is_named(rng: np.random.Generator) -> None:
     group = group_of(EXACT, ("lidar", "laser", "camera"), wrong=np.array([0, 0.03, 0, 0, 0, 0]))
     bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
-    doubts = doubts_of_known(bundle, grouped(bundle, group), [group])
+    doubts = find_contradicted_priors(bundle, grouped(bundle, group), [group])
     assert "that camera is fixed to lidar, laser as rig says" in doubts["camera"]
 
 
@@ -125,7 +125,7 @@ def test_a_sensor_that_no_capture_ties_says_so() -> None:
     blind = replace(bundle, views=(*bundle.views[:3], bundle.views[3].select(np.zeros(8, dtype=bool))))
     blind = with_prior(blind, 3, np.zeros(6))
     solved = minimize_bundle(blind, EXACT.truth)
-    assert doubts_of_known(blind, solved, []) == {
+    assert find_contradicted_priors(blind, solved, []) == {
         "laser_2": "no capture ties laser_2 to another sensor: it is where it was said to be"
     }
     np.testing.assert_allclose(

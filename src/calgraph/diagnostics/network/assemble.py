@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.diagnostics.network.walk_report import floor_views, met, walk_rows
-from calgraph.diagnostics.verdict import verdict
+from calgraph.diagnostics.verdict import grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import JointNetwork
 from calgraph.estimation.network.planar_poses import in_space
@@ -72,7 +72,7 @@ def assemble_network(
                 kind="lidar2d",
                 T_root_sensor=T_root_sensor[k],
                 covariance=spread[k],
-                verdict=verdict(name, "lidar2d", T_root_sensor[k], spread[k], evidence="walk", advice=_ADVICE),
+                verdict=grade_pose(name, "lidar2d", T_root_sensor[k], spread[k], evidence="walk", advice=_ADVICE),
                 clock_offset=_estimated(clocks[k, 0]),
                 clock_offset_stddev=_estimated(clocks[k, 1]),
             )

@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.diagnostics.comparison import CHANCE, Audit, SensorAudit, Tolerance, compare
+from calgraph.diagnostics.comparison import CHANCE, ExtrinsicsComparison, SensorComparison, Tolerance, match_poses
 from calgraph.diagnostics.network.moved_scanners import Displacement, displacements
 from calgraph.errors import InputError
 from calgraph.estimation.network.planar_poses import PlanarPoses, in_plane, planar_poses
 from calgraph.result import Calibration, ExtrinsicsFile
 
 
-def audit_network(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None) -> Audit:
+def compare_network_extrinsics(
+    found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None
+) -> ExtrinsicsComparison:
     """Compares given poses of a network with those found, and names the fewest scanners that explain what differs.
 
     Scanners fail that have moved by more than the tolerance. If nothing has moved, none is taken to have with a
@@ -25,14 +27,14 @@ def audit_network(found: Calibration, given: ExtrinsicsFile, tolerance: Toleranc
     Raises:
         InputError: the root or all other scanners are not in the file, or nothing fixed connects them there.
     """
-    compared = compare(found, given, tolerance)
+    compared = match_poses(found, given, tolerance)
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
     before = PlanarPoses(tuple(frames), in_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
         known = _known(given.calibration).seen_from(frames[found.root])
         before = replace(before, covariance=known.of(tuple(frames.values())).covariance)
     reference, moved = displacements(before, planar_poses(found), CHANCE)
-    seen = compared.seen_from(reference, {})
+    seen = compared.compare_in_frame(reference, {})
     off = {one.name: one for one in moved}
     judged = (_judged(sensor, off.get(sensor.sensor), compared.tolerance) for sensor in seen.sensors)
     return replace(seen, sensors=tuple(judged))
@@ -45,7 +47,7 @@ def _known(calibration: Calibration) -> PlanarPoses:
         raise InputError(f"--against: {error}") from error
 
 
-def _judged(sensor: SensorAudit, moved: Displacement | None, tolerance: Tolerance) -> SensorAudit:
+def _judged(sensor: SensorComparison, moved: Displacement | None, tolerance: Tolerance) -> SensorComparison:
     """A scanner as its own pose looks, and as all of them together say whether it has moved."""
     if moved is None:
         return replace(sensor, outcome="warn") if sensor.outcome == "fail" else sensor

@@ -6,9 +6,9 @@ import numpy as np
 
 from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
-from calgraph.diagnostics.rig.board_pictures import Used, board_outlines, board_views
-from calgraph.diagnostics.rig.prior_tests import doubts_of_known
-from calgraph.diagnostics.verdict import doubts, rivals, verdict
+from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
+from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
+from calgraph.diagnostics.verdict import find_ambiguous_poses, find_inconsistent_sensors, grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
@@ -19,7 +19,7 @@ from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_succes
 from calgraph.result import Calibration, CaptureRow, Edge, SensorPose
 
 
-def assemble(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibration:
+def assemble_rig(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibration:
     """Collects everything a calibration tells its user.
 
     Args:
@@ -30,11 +30,11 @@ def assemble(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibr
     rig, captured, pairs = problem.rig, problem.captured, problem.pairs
     connected = tree.T_root_sensor
     within = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
-    used = {seen: r for seen, r in _residuals_of_used(within).items() if seen not in joint.rejected}
+    used = {seen: r for seen, r in _inlier_residuals(within).items() if seen not in joint.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    doubted, ambiguous = doubts(rig.root, kinds, within), rivals(kinds, within)
+    doubted, ambiguous = find_inconsistent_sensors(rig.root, kinds, within), find_ambiguous_poses(kinds, within)
     adjusted, groups = joint.solved_bundle, problem.solver.groups
-    of_known = doubts_of_known(adjusted.bundle, adjusted.minimized, groups) if adjusted else {}
+    of_known = find_contradicted_priors(adjusted.bundle, adjusted.minimized, groups) if adjusted else {}
     for name, why in of_known.items():
         doubted[name] = f"{doubted[name]}; {why}" if name in doubted else why
     if not joint.converged:
@@ -43,24 +43,26 @@ def assemble(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibr
     return Calibration(
         root=rig.root,
         sensors=tuple(
-            _pose(name, rig, captured, tree, joint, doubted.get(name, ""), ambiguous.get(name, 0.0))
+            _assemble_sensor(name, rig, captured, tree, joint, doubted.get(name, ""), ambiguous.get(name, 0.0))
             for name in root_first
         ),
-        edges=tuple(_edge(names, pair, tree, captured) for names, pair in pairs.items()),
-        captures=tuple(_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors),
-        unconnected=_unconnected(rig, captured, pairs, connected),
+        edges=tuple(_assemble_edge(names, pair, tree, captured) for names, pair in pairs.items()),
+        captures=tuple(
+            _assemble_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors
+        ),
+        unconnected=_explain_unconnected(rig, captured, pairs, connected),
         remarks=joint.remarks,
         residuals=joint.residuals,
-        outlines=board_outlines(rig, captured, used, joint),
-        board_views=board_views(captured, used, joint),
+        outlines=collect_board_outlines(rig, captured, used, joint),
+        board_views=collect_board_views(captured, used, joint),
         estimator=joint.estimator,
         estimated_parameters=joint.extra_parameters,
-        joint_covariance=_ordered(joint, root_first),
+        joint_covariance=_reorder_covariance(joint, root_first),
         snapshots=captured.snapshots,
     )
 
 
-def _pose(
+def _assemble_sensor(
     name: str, rig: Rig, captured: CaptureSet, tree: SpanningTree, joint: RigSolution, doubt: str, rival: float
 ) -> SensorPose:
     spec = rig.sensors[name]
@@ -72,18 +74,18 @@ def _pose(
         kind=spec.kind,
         T_root_sensor=T,
         covariance=covariance,
-        verdict=verdict(name, spec.kind, T, covariance, doubt, rival),
+        verdict=grade_pose(name, spec.kind, T, covariance, doubt, rival),
     )
 
 
-def _ordered(joint: RigSolution, names: Sequence[str]) -> Array:
+def _reorder_covariance(joint: RigSolution, names: Sequence[str]) -> Array:
     """The joint covariance of the sensors in another order."""
     order = list(joint.T_root_sensor)
     rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
     return np.asarray(joint.joint_covariance[np.ix_(rows, rows)])
 
 
-def _edge(
+def _assemble_edge(
     names: tuple[str, str], pair: PairwiseEstimate | Rejected, tree: SpanningTree, captured: CaptureSet
 ) -> Edge:
     common = len(set(captured.detections[names[0]]) & set(captured.detections[names[1]]))
@@ -93,7 +95,7 @@ def _edge(
     return Edge(*names, common, len(residuals), in_tree=tree.has_edge(*names), residuals=residuals)
 
 
-def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:
+def _inlier_residuals(estimates: Sequence[PairwiseEstimate]) -> InlierResiduals:
     """By capture and sensor: residuals of its inlier matches, by candidate."""
     used: dict[tuple[int, str], dict[int, list[float]]] = {}
     for pair in estimates:
@@ -103,7 +105,9 @@ def _residuals_of_used(estimates: Sequence[PairwiseEstimate]) -> Used:
     return used
 
 
-def _row(hold: Hold, name: str, captured: CaptureSet, used: Used, joint: RigSolution) -> CaptureRow:
+def _assemble_row(
+    hold: Hold, name: str, captured: CaptureSet, used: InlierResiduals, joint: RigSolution
+) -> CaptureRow:
     residual, reason = None, ""
     if (hold.index, name) in used:
         matched = np.concatenate(list(used[hold.index, name].values()))
@@ -127,19 +131,19 @@ def _row(hold: Hold, name: str, captured: CaptureSet, used: Used, joint: RigSolu
     )
 
 
-def _unconnected(
+def _explain_unconnected(
     rig: Rig, captured: CaptureSet, pairs: PairwiseEstimates, connected: Collection[str]
 ) -> dict[str, str]:
     """Why each sensor outside the root's tree is there, as the rest of a sentence that starts with its name."""
-    alone = {name: _why_alone(name, captured, pairs) for name in rig.sensors if name not in connected}
+    alone = {name: _explain_no_pair(name, captured, pairs) for name in rig.sensors if name not in connected}
     if not captured.detections[rig.root]:
         # Then no sensor can be connected, and what they saw themselves is not the reason.
-        blind = f"the root {rig.root} {_why_alone(rig.root, captured, pairs)}"
+        blind = f"the root {rig.root} {_explain_no_pair(rig.root, captured, pairs)}"
         return {name: f"{reason}; {blind}" for name, reason in alone.items()}
     return alone
 
 
-def _why_alone(name: str, captured: CaptureSet, pairs: PairwiseEstimates) -> str:
+def _explain_no_pair(name: str, captured: CaptureSet, pairs: PairwiseEstimates) -> str:
     seen = captured.detections[name]
     if not seen:
         misses = [reason for (_, sensor), reason in captured.rejections.items() if sensor == name]

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.diagnostics.rig.cross_validation import cross_validate
-from calgraph.diagnostics.rig.next_best_pose import suggest
+from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 
 
-def with_outlook(
+def add_assessment(
     calibration: Calibration,
     adjusted: SolvedBundle,
     size: tuple[float, float],
@@ -31,16 +31,16 @@ def with_outlook(
         InputError: there is one fold.
     """
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
-    suggestions = suggest(adjusted, kinds, size, rng)
+    suggestions = suggest_board_poses(adjusted, kinds, size, rng)
     return replace(
         calibration,
         cross_validation=cross_validate(adjusted, folds) if folds else {},
         suggestions=suggestions,
-        sensors=tuple(_advised(sensor, suggestions) for sensor in calibration.sensors),
+        sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),
     )
 
 
-def _advised(sensor: SensorPose, suggestions: Sequence[Suggestion]) -> SensorPose:
+def _add_advice(sensor: SensorPose, suggestions: Sequence[Suggestion]) -> SensorPose:
     """The sensor with the first capture that would help it in its verdict, unless it is good already."""
     first = next((s for s in suggestions if s.sensor == sensor.name), None)
     if first is None or sensor.verdict.grade == "good":

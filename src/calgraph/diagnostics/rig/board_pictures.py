@@ -12,19 +12,21 @@ from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, BoardView
 
-Used = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
+InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 """By capture and sensor, residuals of its inlier matches, by candidate, m."""
 
 # So many points of a view tell a picture as much as all of them.
 _POINTS = 300
 
 
-def board_views(captured: CaptureSet, used: Used, joint: RigSolution) -> tuple[BoardView, ...]:
+def collect_board_views(captured: CaptureSet, used: InlierResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
     """What each sensor saw in each capture: as the bundle used it, otherwise what was detected first."""
-    solved = list(_of_bundle(joint.solved_bundle)) if joint.solved_bundle else []
+    solved = list(_views_of_bundle(joint.solved_bundle)) if joint.solved_bundle else []
     shown = {(view.capture, view.sensor) for view in solved}
     detected = [
-        BoardView(capture, name, joint.solved_bundle is None and (capture, name) in used, _seen(found[0]))
+        BoardView(
+            capture, name, joint.solved_bundle is None and (capture, name) in used, _subsample_measurements(found[0])
+        )
         for name, by_capture in captured.detections.items()
         for capture, found in by_capture.items()
         if (capture, name) not in shown
@@ -32,17 +34,21 @@ def board_views(captured: CaptureSet, used: Used, joint: RigSolution) -> tuple[B
     return tuple(sorted([*solved, *detected], key=lambda view: (view.capture, view.sensor)))
 
 
-def board_outlines(rig: Rig, captured: CaptureSet, used: Used, joint: RigSolution) -> tuple[BoardOutline, ...]:
+def collect_board_outlines(
+    rig: Rig, captured: CaptureSet, used: InlierResiduals, joint: RigSolution
+) -> tuple[BoardOutline, ...]:
     """The board of each capture: where the bundle has the sheet, or as a camera or cloud saw it."""
-    solved = list(_sheets(rig, captured, joint.solved_bundle)) if joint.solved_bundle else []
+    solved = list(_outlines_of_bundle(rig, captured, joint.solved_bundle)) if joint.solved_bundle else []
     placed = {outline.capture for outline in solved}
     detected = (
-        _detected(rig, captured, used, joint, hold.index) for hold in captured.holds if hold.index not in placed
+        _detected_outline(rig, captured, used, joint, hold.index)
+        for hold in captured.holds
+        if hold.index not in placed
     )
     return tuple(sorted([*solved, *filter(None, detected)], key=lambda outline: outline.capture))
 
 
-def _of_bundle(adjusted: SolvedBundle) -> Iterator[BoardView]:
+def _views_of_bundle(adjusted: SolvedBundle) -> Iterator[BoardView]:
     bundle, state = adjusted.bundle, adjusted.minimized.state
     for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         if not len(views.board):  # placed by what is known of it
@@ -63,12 +69,12 @@ def _of_bundle(adjusted: SolvedBundle) -> Iterator[BoardView]:
             yield BoardView(int(adjusted.captures[board]), name, True, own[::step], error[::step])
 
 
-def _seen(detection: Detection) -> Array:
+def _subsample_measurements(detection: Detection) -> Array:
     seen = detection.pixels if isinstance(detection, BoardCorners) else detection.points
     return np.asarray(seen[:: len(seen) // _POINTS + 1])
 
 
-def _sheets(rig: Rig, captured: CaptureSet, adjusted: SolvedBundle) -> Iterator[BoardOutline]:
+def _outlines_of_bundle(rig: Rig, captured: CaptureSet, adjusted: SolvedBundle) -> Iterator[BoardOutline]:
     """The sheets of boards whose print a camera saw: of others, the bundle knows the plane only."""
     bundle, T_root_board = adjusted.bundle, adjusted.minimized.state.T_root_board
     drawn: set[int] = set()
@@ -78,16 +84,18 @@ def _sheets(rig: Rig, captured: CaptureSet, adjusted: SolvedBundle) -> Iterator[
                 drawn.add(board)
                 capture = int(adjusted.captures[board])
                 found = captured.detections[name][capture]
-                number = _printed(found, views.pixels[start])
-                yield BoardOutline(capture, se3.apply(T_root_board[board], _sheet(rig, number)), number)
+                number = _board_number(found, views.pixels[start])
+                yield BoardOutline(capture, se3.apply(T_root_board[board], _board_rectangle(rig, number)), number)
 
 
-def _printed(found: Sequence[Detection], pixel: Array) -> int:
+def _board_number(found: Sequence[Detection], pixel: Array) -> int:
     """Which of the rig's boards was found where its first corner is at a pixel (2,)."""
     return next(d.board for d in found if isinstance(d, BoardCorners) and np.array_equal(d.pixels[0], pixel))
 
 
-def _detected(rig: Rig, captured: CaptureSet, used: Used, joint: RigSolution, capture: int) -> BoardOutline | None:
+def _detected_outline(
+    rig: Rig, captured: CaptureSet, used: InlierResiduals, joint: RigSolution, capture: int
+) -> BoardOutline | None:
     """The board of one capture as it was detected, best by a camera; None if neither camera nor cloud did."""
     seen: list[tuple[Array, Detection]] = [
         (T, captured.detections[name][capture][k])
@@ -96,21 +104,21 @@ def _detected(rig: Rig, captured: CaptureSet, used: Used, joint: RigSolution, ca
     ]
     for T, detection in seen:
         if isinstance(detection, BoardCorners):
-            corners = se3.apply(T @ detection.T_camera_board, _sheet(rig, detection.board))
+            corners = se3.apply(T @ detection.T_camera_board, _board_rectangle(rig, detection.board))
             return BoardOutline(capture, corners, detection.board)
     for T, detection in seen:
         if isinstance(detection, PlanePatch):
-            return BoardOutline(capture, se3.apply(T, _outline(detection)))
+            return BoardOutline(capture, se3.apply(T, _patch_rectangle(detection)))
     return None
 
 
-def _sheet(rig: Rig, number: int) -> Array:
+def _board_rectangle(rig: Rig, number: int) -> Array:
     """(4, 3) corners of a board in its own frame, m."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.column_stack([signs * np.array(rig.boards[number].size) / 2, np.zeros(4)])
 
 
-def _outline(patch: PlanePatch) -> Array:
+def _patch_rectangle(patch: PlanePatch) -> Array:
     """(4, 3) corners of the patch that was seen, in the sensor's frame, m."""
     basis = plane.tangent_basis(patch.plane[:3])
     _, _, axes = np.linalg.svd((patch.points - patch.center) @ basis, full_matrices=False)

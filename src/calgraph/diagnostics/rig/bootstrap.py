@@ -25,23 +25,23 @@ from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, Index, se3
 
-Honesty = Literal["honest", "optimistic", "pessimistic"]
+CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]
 
 # Probability with which all intervals together hold if all covariances do.
 CONFIDENCE = 0.95
 # Draws like the captures themselves hardly move: by this share of the variance at least they are taken to.
-_LEAST = 0.01
+_MIN_VARIANCE_SHARE = 0.01
 # Steps of each solution: it starts near.
 _STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class BootstrapScatter:
     """How a sensor's pose scatters over resampled captures, along its own axes."""
 
     stated: Array
     """(6,) standard deviations by the pose's covariance, m and rad."""
-    found: Array
+    bootstrapped: Array
     """(6,) those that its scatter tells."""
     low: Array
     """(6,) lower ends of the intervals of ``found / stated``; all intervals together hold with 95 %."""
@@ -51,10 +51,10 @@ class Scatter:
     @property
     def ratio(self) -> Array:
         """(6,) ``found / stated``: above 1 the covariance is optimistic."""
-        return self.found / self.stated
+        return self.bootstrapped / self.stated
 
     @property
-    def verdict(self) -> Honesty:
+    def verdict(self) -> CovarianceVerdict:
         """Whether the intervals of all axes have 1 in them; if not, on which side they lie."""
         if np.any(self.low > 1):
             return "optimistic"
@@ -66,9 +66,9 @@ class Scatter:
         return int(np.argmin(self.ratio) if self.verdict == "pessimistic" else np.argmax(self.low))
 
 
-def resample(
+def bootstrap_poses(
     adjusted: SolvedBundle, rounds: int, rng: np.random.Generator, progress: Callable[[float], None]
-) -> dict[str, Scatter]:
+) -> dict[str, BootstrapScatter]:
     """Compares the covariances of poses with their scatter over resampled captures.
 
     Args:
@@ -87,26 +87,30 @@ def resample(
     V = parameter_covariance(system)
     turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)
-    squares, stated = np.zeros(axes.shape[:2]), np.sqrt(_variances(axes, V))
+    squares, stated = np.zeros(axes.shape[:2]), np.sqrt(_axis_variances(axes, V))
     free = axes[:, 0].any(axis=-1)
     for i in range(rounds):
         often = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
-        drawn, near, at = _drawn(bundle, state, system, np.repeat(np.arange(len(capture)), often[capture]))
+        drawn, near, at = _resample_bundle(
+            bundle, state, system, np.repeat(np.arange(len(capture)), often[capture])
+        )
         solved = minimize_bundle(drawn, at, near, iterations=_STEPS, tolerance=COARSE_TOLERANCE, exact=False)
         both = zip(solved.state.T_root_sensor, state.T_root_sensor, strict=True)
         moves = np.array([se3.difference(T, T_whole) for T, T_whole in both])
-        expected = np.maximum(_variances(axes, _move_covariance(shares, V, often)), _LEAST * stated**2)
+        expected = np.maximum(
+            _axis_variances(axes, _difference_covariance(shares, V, often)), _MIN_VARIANCE_SHARE * stated**2
+        )
         squares[free] += ((turns @ moves[..., None])[..., 0] ** 2)[free] / expected[free] / rounds
         progress((i + 1) / rounds)
     ratio = np.sqrt(squares)
-    low, high = _interval(axes[free] @ V, shares, rounds)
+    low, high = _confidence_factors(axes[free] @ V, shares, rounds)
     return {
-        bundle.sensors[s]: Scatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
+        bundle.sensors[s]: BootstrapScatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
         for i, s in enumerate(np.flatnonzero(free))
     }
 
 
-def _drawn(
+def _resample_bundle(
     bundle: Bundle, state: BundleState, system: BundleEquations, boards: Index
 ) -> tuple[Bundle, list[CachedLinearization], BundleState]:
     """Bundle, visits and state of some boards, each as often as it was drawn."""
@@ -120,7 +124,7 @@ def _drawn(
     return bundle.with_views(views), visits, replace(state, T_root_board=state.T_root_board[boards])
 
 
-def _move_covariance(shares: Array, V: Array, often: Index) -> Array:
+def _difference_covariance(shares: Array, V: Array, often: Index) -> Array:
     """Covariance (G, G) of the move from the whole solution to one of captures drawn so often (C,).
 
     Captures have gradients at the whole solution that sum up to that of the priors, and of which two have the
@@ -133,12 +137,12 @@ def _move_covariance(shares: Array, V: Array, often: Index) -> Array:
     return np.asarray(inverse @ (np.tensordot((often - 1.0) ** 2, shares, axes=1) - more @ V @ more) @ inverse)
 
 
-def _variances(axes: Array, V: Array) -> Array:
+def _axis_variances(axes: Array, V: Array) -> Array:
     """(S, 6) along axes (S, 6, G)."""
     return np.asarray(np.einsum("sig,gh,sih->si", axes, V, axes, optimize=True))
 
 
-def _interval(by_gradient: Array, shares: Array, rounds: int) -> tuple[Array, Array]:
+def _confidence_factors(by_gradient: Array, shares: Array, rounds: int) -> tuple[Array, Array]:
     """Factors (S, 6) from ratios of standard deviations to the ends of their intervals.
 
     A variance that is estimated from unequal contributions is nearly chi-squared, with as many degrees of freedom

@@ -46,7 +46,7 @@ _RANK = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class _Errors:
+class _PredictionErrors:
     """How far some of a sensor's views are from what the others predict."""
 
     error: Array
@@ -85,23 +85,23 @@ def cross_validate(adjusted: SolvedBundle, folds: int) -> dict[str, HeldOutError
     }
     _, number = np.unique(adjusted.captures, return_inverse=True)
     fold_of = number % folds
-    errors: dict[str, list[_Errors]] = {name: [] for name in bundle.sensors}
+    errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     visits = adjusted.minimized.equations.cache
     for fold in range(min(folds, int(number.max()) + 1)):
-        others, near = _of_boards(bundle, visits, fold_of != fold)
+        others, near = _select_boards(bundle, visits, fold_of != fold)
         trained = minimize_bundle(others, adjusted.minimized.state, near, tolerance=COARSE_TOLERANCE, exact=False)
         spread = parameter_covariance(trained.equations)
         # An outline is what a scanner saw itself: it must not place the board for it.
-        left, near = _of_boards(bundle.without_outlines(), visits[: len(bundle.views)], fold_of == fold)
-        state, system = _placed(left, trained.state, near)
+        left, near = _select_boards(bundle.without_outlines(), visits[: len(bundle.views)], fold_of == fold)
+        state, system = _solve_boards(left, trained.state, near)
         for s, name in enumerate(bundle.sensors):
             if len(left.views[s].board):
-                errors[name].append(_errors(left, state, system, spread, s))
-    summaries = {name: _summary(found, units[name]) for name, found in errors.items()}
+                errors[name].append(_compare_with_prediction(left, state, system, spread, s))
+    summaries = {name: _summarize(found, units[name]) for name, found in errors.items()}
     return {name: summary for name, summary in summaries.items() if summary}
 
 
-def _of_boards(
+def _select_boards(
     bundle: Bundle, visits: Sequence[CachedLinearization], kept: NDArray[np.bool_]
 ) -> tuple[Bundle, list[CachedLinearization]]:
     """The bundle and visits with the views of some boards (C,) only."""
@@ -110,19 +110,21 @@ def _of_boards(
     return bundle.with_views(views), [at.select(some) for at, some in zip(visits, keep, strict=True)]
 
 
-def _placed(
+def _solve_boards(
     bundle: Bundle, state: BundleState, visits: Sequence[CachedLinearization]
 ) -> tuple[BundleState, BundleEquations]:
     """Boards where all sensors together have them, with sensors held."""
     held, system = np.zeros(bundle.parameter_count), linearize_bundle(bundle, state, visits)
     for _ in range(_STEPS):
-        step = _times(_inverse(system.H_board), -system.g_board)
+        step = _multiply(_invert_information(system.H_board), -system.g_board)
         state = retract_state(bundle, state, held, step)
         system = linearize_bundle(bundle, state, visits)
     return state, system
 
 
-def _errors(bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int) -> _Errors:
+def _compare_with_prediction(
+    bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int
+) -> _PredictionErrors:
     """How far one sensor's views are from what the others predict, to first order about the placed boards.
 
     All algebra is in metres on the board: rotations are multiplied by the lever.
@@ -139,46 +141,48 @@ def _errors(bundle: Bundle, state: BundleState, system: BundleEquations, spread:
     said = accumulate(views.linearize(T_placed, own), views.start)
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.extra_count])
     A, b = said.information / meters / meters[:, None], said.gradient / meters
-    x, X = _prediction(bundle, state, system, spread, sensor)
-    X, free = _placing(X * meters * meters[:, None])
+    x, X = _predict_boards(bundle, state, system, spread, sensor)
+    X, free = _split_predicted(X * meters * meters[:, None])
     X += np.diag(bundle.bias_variances(sensor) * meters**2)
     # Where the others leave the board free, it is where the sensor itself has it.
     least = _RANK * np.trace(A, axis1=-2, axis2=-1)
-    _, loose = _roots(free @ A @ free, least)
+    _, loose = _symmetric_roots(free @ A @ free, least)
     follow = loose @ loose
-    x = x * meters - _times(follow, _times(A, x * meters) + b)
+    x = x * meters - _multiply(follow, _multiply(A, x * meters) + b)
     stay = np.eye(len(meters)) - follow @ A
     X = stay @ X @ np.swapaxes(stay, -1, -2) - follow
-    root, inverse = _roots(A, least)
+    root, inverse = _symmetric_roots(A, least)
     # Along what the sensor does not measure, first order reaches any distance: stay.
-    x = _times(root @ inverse, x)
-    squared, freedom = _distances(_times(root, x) + _times(inverse, b), root @ (X @ root + inverse))
+    x = _multiply(root @ inverse, x)
+    squared, freedom = _squared_distances(_multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse))
     tested = freedom > 0
     T_predicted = se3.retract(T_placed, x[:, :6] / meters[:6])
-    T_own = se3.retract(T_placed, -_times(inverse @ inverse, b)[:, :6] / meters[:6])
-    tilted = tested & _knows_tilt(A, T_placed, bundle.lever)
-    error, along = _sizes(views.select(tested), T_predicted[tested], own)
+    T_own = se3.retract(T_placed, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
+    tilted = tested & _observes_tilt(A, T_placed, bundle.lever)
+    error, along = _error_sizes(views.select(tested), T_predicted[tested], own)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
-    return _Errors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], freedom[tested])
+    return _PredictionErrors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], freedom[tested])
 
 
-def _prediction(
+def _predict_boards(
     bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int
 ) -> tuple[Array, Array]:
     """By how much the other sensors move each board before this one, (V, p), and its covariance (V, p, p)."""
     at, board = system.views[sensor], bundle.views[sensor].board
     of_sensor, B = view_jacobians(bundle, state, sensor)
     Jt = np.swapaxes(at.J_board, -1, -2)
-    L = _inverse(system.H_board[board] - Jt @ at.information @ at.J_board)
-    step = -_times(L, system.g_board[board] - _times(Jt, at.gradient))
+    L = _invert_information(system.H_board[board] - Jt @ at.information @ at.J_board)
+    step = -_multiply(L, system.g_board[board] - _multiply(Jt, at.gradient))
     coupling = system.H_board_sensor[board]
     coupling[..., bundle.columns(sensor)] -= Jt @ at.information @ at.J_sensor
     by_sensors = -B @ L @ coupling
     by_sensors[..., bundle.columns(sensor)] += of_sensor
-    return _times(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ spread @ np.swapaxes(by_sensors, -1, -2)
+    return _multiply(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ spread @ np.swapaxes(
+        by_sensors, -1, -2
+    )
 
 
-def _placing(X: Array) -> tuple[Array, Array]:
+def _split_predicted(X: Array) -> tuple[Array, Array]:
     """A covariance (V, p, p) without the directions in which it places nothing, and the projectors on those."""
     values, vectors = np.linalg.eigh(X)
     placed = values < _PLACED**2
@@ -186,7 +190,7 @@ def _placing(X: Array) -> tuple[Array, Array]:
     return (vectors * (values * placed)[..., None, :]) @ turned, (vectors * ~placed[..., None, :]) @ turned
 
 
-def _roots(A: Array, least: Array) -> tuple[Array, Array]:
+def _symmetric_roots(A: Array, least: Array) -> tuple[Array, Array]:
     """The symmetric roots of matrices (V, p, p) and of their pseudoinverses: eigenvalues below ``least`` are 0."""
     values, vectors = np.linalg.eigh(A)
     seen = values > least[..., None]
@@ -195,19 +199,19 @@ def _roots(A: Array, least: Array) -> tuple[Array, Array]:
     return (vectors * (size * seen)[..., None, :]) @ turned, (vectors * (seen / size)[..., None, :]) @ turned
 
 
-def _distances(off: Array, covariance: Array) -> tuple[Array, NDArray[np.intp]]:
+def _squared_distances(off: Array, covariance: Array) -> tuple[Array, NDArray[np.intp]]:
     """Squared Mahalanobis distances (V,) and their degrees of freedom.
 
     In units of the sensor's own noise: what is predicted has a variance of one and more, the rest none.
     """
     values, vectors = np.linalg.eigh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
     predicted = values > 0.5
-    along = _times(np.swapaxes(vectors, -1, -2), off)
+    along = _multiply(np.swapaxes(vectors, -1, -2), off)
     squared = np.sum(predicted * along**2 / np.where(predicted, values, 1.0), axis=-1)
     return squared, np.asarray(predicted.sum(axis=-1), dtype=np.intp)
 
 
-def _knows_tilt(A: Array, T_sensor_board: Array, lever: float) -> NDArray[np.bool_]:
+def _observes_tilt(A: Array, T_sensor_board: Array, lever: float) -> NDArray[np.bool_]:
     """(V,) which views tell both tilts of the board themselves; a single scan line does not."""
     across = np.zeros((len(A), A.shape[-1], 2))
     across[:, 3:6] = T_sensor_board[:, :3, :2]
@@ -216,7 +220,7 @@ def _knows_tilt(A: Array, T_sensor_board: Array, lever: float) -> NDArray[np.boo
     return np.asarray(np.linalg.eigvalsh(spread)[:, -1] < (_TILT * lever) ** 2, dtype=np.bool_)
 
 
-def _sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[Array, Array]:
+def _error_sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[Array, Array]:
     """Distances (N,) in px between corners, or in m from the board's plane; and those along the beam, m."""
     residual = views.linearize(T_sensor_board, own).residual
     if isinstance(views, CornerObservations):
@@ -228,7 +232,7 @@ def _sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[Array,
     return np.abs(along * np.sum(normal * views.directions, axis=1)), np.abs(along)
 
 
-def _summary(found: Sequence[_Errors], unit: Literal["px", "m"]) -> HeldOutError | None:
+def _summarize(found: Sequence[_PredictionErrors], unit: Literal["px", "m"]) -> HeldOutError | None:
     """All views of one sensor in numbers; None if none was predicted."""
     freedom = sum(int(e.freedom.sum()) for e in found)
     if not freedom:
@@ -245,12 +249,12 @@ def _summary(found: Sequence[_Errors], unit: Literal["px", "m"]) -> HeldOutError
     )
 
 
-def _times(A: Array, x: Array) -> Array:
+def _multiply(A: Array, x: Array) -> Array:
     """Matrices (V, n, p) times vectors (V, p)."""
     return np.asarray((A @ x[..., None])[..., 0])
 
 
-def _inverse(H_board: Array) -> Array:
+def _invert_information(H_board: Array) -> Array:
     """Covariances of boards (V, 6, 6), wide where nothing places them; a general inverse would spoil the rest."""
     values, vectors = np.linalg.eigh(H_board)
     return np.asarray(

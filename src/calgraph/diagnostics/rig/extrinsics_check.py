@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.diagnostics.comparison import Audit, Misfit, Tolerance, compare
+from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison, Tolerance, match_poses
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
@@ -14,9 +14,9 @@ from calgraph.geometry import Array
 from calgraph.result import Calibration, ExtrinsicsFile
 
 
-def audit(
+def compare_extrinsics(
     found: Calibration, adjusted: SolvedBundle | None, given: ExtrinsicsFile, tolerance: Tolerance | None = None
-) -> Audit:
+) -> ExtrinsicsComparison:
     """Compares given extrinsics with those found.
 
     A sensor fails along an axis if it is off by more than the tolerance, and by more than chance explains (1 in
@@ -33,16 +33,18 @@ def audit(
     Raises:
         InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
     """
-    compared = compare(found, given, tolerance)
-    misfits = _misfits(adjusted, compared.T_root_sensor) if adjusted else {}
-    audits = [compared.seen_from(reference, misfits) for reference in compared.frames]
+    compared = match_poses(found, given, tolerance)
+    misfits = _compare_residuals(adjusted, compared.T_root_sensor) if adjusted else {}
+    audits = [compared.compare_in_frame(reference, misfits) for reference in compared.frames]
     from_root = next(a for a in audits if a.reference == found.root)
     # One sensor that moved in the frame of another: either did. The root is where people look from.
     best = min(audits, key=lambda a: len(a.failed)) if len(from_root.failed) > 1 else from_root
     return best if len(best.failed) < len(from_root.failed) else from_root
 
 
-def _misfits(adjusted: SolvedBundle, T_root_sensor: Mapping[str, Array]) -> dict[str, Misfit]:
+def _compare_residuals(
+    adjusted: SolvedBundle, T_root_sensor: Mapping[str, Array]
+) -> dict[str, ResidualComparison]:
     """By sensor, its residuals under given poses and under those found, boards placed anew for both."""
     bundle, state = adjusted.bundle, adjusted.minimized.state
     views = tuple(
@@ -51,16 +53,16 @@ def _misfits(adjusted: SolvedBundle, T_root_sensor: Mapping[str, Array]) -> dict
     )
     held = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
     poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.sensors, state.T_root_sensor, strict=True)]
-    given = _residuals(held, replace(state, T_root_sensor=np.array(poses)))
-    found = _residuals(held, state)
+    given = _rms_residuals(held, replace(state, T_root_sensor=np.array(poses)))
+    found = _rms_residuals(held, state)
     return {
-        name: Misfit("px" if isinstance(own, CornerObservations) else "m", given[s], found[s])
+        name: ResidualComparison("px" if isinstance(own, CornerObservations) else "m", given[s], found[s])
         for s, (name, own) in enumerate(zip(bundle.sensors, views, strict=True))
         if len(own.board)
     }
 
 
-def _residuals(held: Bundle, state: BundleState) -> list[float]:
+def _rms_residuals(held: Bundle, state: BundleState) -> list[float]:
     """By sensor, the root mean square of what separates its measurements from the boards, px or m."""
     try:
         placed = minimize_bundle(held, state).state

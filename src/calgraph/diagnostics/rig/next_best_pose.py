@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.diagnostics.rig.pose_description import placed_in_words
-from calgraph.diagnostics.rig.predicted_observations import imagined
-from calgraph.diagnostics.verdict import WEAK, axis_names
+from calgraph.diagnostics.rig.pose_description import describe_pose
+from calgraph.diagnostics.rig.predicted_observations import predict_observations
+from calgraph.diagnostics.verdict import WEAK_STDDEV, axis_names
 from calgraph.estimation.rig.board_information import information_by_board
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
 from calgraph.estimation.rig.covariances import parameter_covariance
@@ -32,7 +32,7 @@ _REACH = 0.3
 _TILT = np.radians(60)
 
 
-def suggest(
+def suggest_board_poses(
     adjusted: SolvedBundle, kinds: Mapping[str, str], size: tuple[float, float], rng: np.random.Generator
 ) -> tuple[Suggestion, ...]:
     """The next board poses that would help the least certain sensor most, in units of what is called weak.
@@ -48,20 +48,22 @@ def suggest(
     """
     bundle, solved = adjusted.bundle, adjusted.minimized
     seen = solved.state.T_root_board
-    state = replace(solved.state, T_root_board=_candidates(bundle, solved.state, rng))
+    state = replace(solved.state, T_root_board=_draw_candidates(bundle, solved.state, rng))
     sensors = list(zip(bundle.sensors, bundle.views, state.T_root_sensor, strict=True))
     views = tuple(
-        imagined(own, kinds[name], relative_poses(T, seen[own.board]), relative_poses(T, state.T_root_board), size)
+        predict_observations(
+            own, kinds[name], relative_poses(T, seen[own.board]), relative_poses(T, state.T_root_board), size
+        )
         for name, own, T in sensors
     )
     looking = replace(bundle.without_outlines(), views=views, priors=())
     gains = information_by_board(looking, linearize_bundle(looking, state))
     turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = (turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)).reshape(6 * len(turns), -1)
-    V, limits = parameter_covariance(solved.equations), np.tile(np.repeat(WEAK, 3), len(turns))
+    V, limits = parameter_covariance(solved.equations), np.tile(np.repeat(WEAK_STDDEV, 3), len(turns))
     found: list[Suggestion] = []
     for _ in range(_CHOICES):
-        before = _deviations(axes, V) / limits
+        before = _standard_deviations(axes, V) / limits
         worst = int(np.argmax(before))
         if before[worst] == 0:  # all poses are taken for exact
             break
@@ -72,7 +74,7 @@ def suggest(
         if volume[best] > _log_volume(own, V) - _WORTH:
             break
         V = beside[best]
-        after = _deviations(axes, V) / limits
+        after = _standard_deviations(axes, V) / limits
         sensor, axis = bundle.sensors[worst // 6], worst % 6
         seeing = {
             name: relative_poses(T, state.T_root_board[best])
@@ -81,7 +83,7 @@ def suggest(
         }
         found.append(
             Suggestion(
-                hold=placed_in_words(sensor, kinds, seeing),
+                hold=describe_pose(sensor, kinds, seeing),
                 sensor=sensor,
                 axis=axis_names(kinds[sensor])[axis],
                 unit="m" if axis < 3 else "rad",
@@ -93,7 +95,7 @@ def suggest(
     return tuple(found)
 
 
-def _deviations(axes: Array, V: Array) -> Array:
+def _standard_deviations(axes: Array, V: Array) -> Array:
     """Standard deviations (..., 6 S) along the sensors' axes for covariances (..., G, G) of the unknowns."""
     return np.asarray(np.sqrt(np.maximum(np.sum((axes @ V) * axes, axis=-1), 0)))
 
@@ -107,7 +109,7 @@ def _log_volume(axes: Array, V: Array) -> Array:
     return np.asarray(0.5 * np.linalg.slogdet(np.eye(len(axes)) + axes @ V @ axes.T)[1])
 
 
-def _candidates(bundle: Bundle, state: BundleState, rng: np.random.Generator) -> Array:
+def _draw_candidates(bundle: Bundle, state: BundleState, rng: np.random.Generator) -> Array:
     """``T_root_board`` (K, 4, 4): near boards that were seen, before a sensor that saw them, turned any way."""
     seen = np.array([(s, board) for s, own in enumerate(bundle.views) for board in own.board])
     sensor, board = rng.choice(seen, _CANDIDATES).T

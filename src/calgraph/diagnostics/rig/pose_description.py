@@ -12,7 +12,7 @@ _LEVEL, _STRAIGHT = 0.15, 7.5
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def placed_in_words(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping[str, Array]) -> str:
+def describe_pose(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping[str, Array]) -> str:
     """How to hold a board before a sensor, or before the nearest if that sensor does not see it.
 
     Args:
@@ -34,17 +34,18 @@ def placed_in_words(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mappi
     tilted = np.degrees(np.arcsin(np.clip(normal[2], -1, 1)))
     words = [f"hold the board {distance:.1f} m {'in front of' if abs(bearing) < _STRAIGHT else 'from'} {sensor}"]
     if abs(bearing) >= _STRAIGHT:
-        words.append(f"{_rounded(bearing)} to its {'left' if bearing > 0 else 'right'}")
+        words.append(f"{_round_to_five(bearing)} to its {'left' if bearing > 0 else 'right'}")
     if abs(center[2]) >= _LEVEL:
         words.append(f"{abs(center[2]):.1f} m {'above' if center[2] > 0 else 'below'} it")
     if abs(turned) >= _STRAIGHT:
         words.append(
-            f"its face turned {_rounded(turned)} to the {'left' if turned > 0 else 'right'} as seen from there"
+            f"its face turned {_round_to_five(turned)} to the {'left' if turned > 0 else 'right'}"
+            " as seen from there"
         )
     if abs(tilted) >= _STRAIGHT:
-        words.append(f"tilted {'back' if tilted > 0 else 'forward'} by {_rounded(tilted)}")
+        words.append(f"tilted {'back' if tilted > 0 else 'forward'} by {_round_to_five(tilted)}")
     return ", ".join(words)
 
 
-def _rounded(degrees: float) -> str:
+def _round_to_five(degrees: float) -> str:
     return f"{5 * round(abs(degrees) / 5)}°"

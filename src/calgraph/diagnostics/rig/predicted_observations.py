@@ -17,7 +17,9 @@ _TURNED = np.radians(65)
 _GRID = 7
 
 
-def imagined(views: BoardViews, kind: str, T_seen: Array, T_tried: Array, size: tuple[float, float]) -> BoardViews:
+def predict_observations(
+    views: BoardViews, kind: str, T_seen: Array, T_tried: Array, size: tuple[float, float]
+) -> BoardViews:
     """Views of those of the boards tried that the sensor would see; what they measure is exact.
 
     Args:
@@ -27,16 +29,16 @@ def imagined(views: BoardViews, kind: str, T_seen: Array, T_tried: Array, size: 
         T_tried: ``T_sensor_board`` (K, 4, 4) of the boards to imagine.
         size: width and height of the board, m.
     """
-    shown = np.flatnonzero(_in_view(T_seen, T_tried))
+    shown = np.flatnonzero(_is_in_view(T_seen, T_tried))
     if isinstance(views, CornerObservations):
-        return _corners(views, shown, T_tried)
+        return _predict_corners(views, shown, T_tried)
     assert isinstance(views, RangeObservations)
     if kind == "lidar2d":
-        return _cuts(views, shown, T_tried, size)
-    return _patches(views, shown, T_seen, T_tried, size)
+        return _predict_scan_lines(views, shown, T_tried, size)
+    return _predict_patches(views, shown, T_seen, T_tried, size)
 
 
-def _in_view(T_seen: Array, T_tried: Array) -> NDArray[np.bool_]:
+def _is_in_view(T_seen: Array, T_tried: Array) -> NDArray[np.bool_]:
     """(K,) which boards face the sensor, about where others did."""
     near, center = T_seen[:, :3, 3], T_tried[:, :3, 3]
     far, distance = np.linalg.norm(near, axis=-1), np.linalg.norm(center, axis=-1)
@@ -46,7 +48,7 @@ def _in_view(T_seen: Array, T_tried: Array) -> NDArray[np.bool_]:
     return np.asarray(facing & np.any(aside & as_far, axis=-1), dtype=np.bool_)
 
 
-def _corners(views: CornerObservations, shown: Index, T_tried: Array) -> CornerObservations:
+def _predict_corners(views: CornerObservations, shown: Index, T_tried: Array) -> CornerObservations:
     """All corners that were ever seen at once, of boards that lie in the image as a whole."""
     counts = np.diff(views.start, append=len(views.pixels))
     if not len(counts):
@@ -58,7 +60,7 @@ def _corners(views: CornerObservations, shown: Index, T_tried: Array) -> CornerO
     return replace(most, board=shown, pixels=pixels).select(np.flatnonzero(inside))
 
 
-def _patches(
+def _predict_patches(
     views: RangeObservations, shown: Index, T_seen: Array, T_tried: Array, size: tuple[float, float]
 ) -> RangeObservations:
     """Beams of a 3-D scanner all over the board, as densely in solid angle as it had them."""
@@ -67,7 +69,7 @@ def _patches(
     steps = (np.arange(_GRID) + 0.5) / _GRID - 0.5
     x, y = np.meshgrid(size[0] * steps, size[1] * steps)
     grid = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    return _beams(
+    return _predict_beams(
         views, shown, T_tried, np.tile(grid, (len(shown), 1, 1)), density * _solid_angle(T_tried[shown], size)
     )
 
@@ -79,21 +81,25 @@ def _solid_angle(T_sensor_board: Array, size: tuple[float, float]) -> Array:
     return np.asarray(size[0] * size[1] * np.abs(np.sum(center * T_sensor_board[:, :3, 2], axis=-1)) / distance**3)
 
 
-def _cuts(views: RangeObservations, shown: Index, T_tried: Array, size: tuple[float, float]) -> RangeObservations:
+def _predict_scan_lines(
+    views: RangeObservations, shown: Index, T_tried: Array, size: tuple[float, float]
+) -> RangeObservations:
     """Beams of a 2-D scanner along its cut through the board, as densely in angle as it had them."""
-    ends, length = _chords(T_tried[shown], size)
+    ends, length = _intersect_scan_plane(T_tried[shown], size)
     long = length > min(size) / 3
     shown, ends = shown[long], ends[long]
     share = ((np.arange(_GRID) + 0.5) / _GRID)[:, None]
     places = ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
     bounds = [*views.start, len(views.ranges)]
-    spans = [_span(views.directions[a:b]) for a, b in pairwise(bounds)]
+    spans = [_angular_span(views.directions[a:b]) for a, b in pairwise(bounds)]
     density = float(np.median(np.diff(bounds) / np.maximum(spans, 1e-3))) if spans else 0.0
     edges = se3.apply(T_tried[shown], ends)
-    return _beams(views, shown, T_tried, places, density * np.array([_span(pair) for pair in edges]))
+    return _predict_beams(
+        views, shown, T_tried, places, density * np.array([_angular_span(pair) for pair in edges])
+    )
 
 
-def _chords(T_sensor_board: Array, size: tuple[float, float]) -> tuple[Array, Array]:
+def _intersect_scan_plane(T_sensor_board: Array, size: tuple[float, float]) -> tuple[Array, Array]:
     """Ends (V, 2, 3) of the cuts of a sensor's plane z = 0 through boards, and lengths (V,), 0 if it is none."""
     across = T_sensor_board[:, 2, :2]
     steep = np.maximum(np.linalg.norm(across, axis=-1), 1e-9)[:, None]
@@ -108,14 +114,14 @@ def _chords(T_sensor_board: Array, size: tuple[float, float]) -> tuple[Array, Ar
     return np.concatenate([flat, np.zeros((len(flat), 2, 1))], axis=-1), length
 
 
-def _span(directions: Array) -> float:
+def _angular_span(directions: Array) -> float:
     """The angle in the scan plane that directions (N, 3) cover, rad."""
     x, y = directions[:, :2].sum(axis=0)
     angles = np.arctan2(x * directions[:, 1] - y * directions[:, 0], x * directions[:, 0] + y * directions[:, 1])
     return float(np.ptp(angles))
 
 
-def _beams(
+def _predict_beams(
     views: RangeObservations, shown: Index, T_tried: Array, places: Array, counts: Array
 ) -> RangeObservations:
     """Beams to places (V, n, 3) on the boards, which stand for ``counts`` (V,) of them."""

@@ -18,7 +18,9 @@ _CHANCE = 1e-4
 _COMPROMISE = 1e-3
 
 
-def doubts_of_known(bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup]) -> dict[str, str]:
+def find_contradicted_priors(
+    bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup]
+) -> dict[str, str]:
     """Sensors whose pose rests on what is known alone, or contradicts it, each with the reason."""
     alone = "no capture ties {} to another sensor: it is where it was said to be"
     unseen = {
@@ -26,10 +28,10 @@ def doubts_of_known(bundle: Bundle, solved: MinimizedBundle, groups: Sequence[Ri
         for name, views in zip(bundle.sensors[1:], bundle.views[1:], strict=True)
         if not len(views.board)
     }
-    return unseen | dict(doubted_groups(bundle, solved, groups)) | dict(doubted_priors(bundle, solved))
+    return unseen | dict(_contradicted_groups(bundle, solved, groups)) | dict(_contradicted_poses(bundle, solved))
 
 
-def doubted_priors(bundle: Bundle, solved: MinimizedBundle) -> Iterator[tuple[str, str]]:
+def _contradicted_poses(bundle: Bundle, solved: MinimizedBundle) -> Iterator[tuple[str, str]]:
     """Sensors whose prior contradicts the captures, each with the reason.
 
     The prior is a view of the pose like any other: its error at the solution has the covariance of the prior less
@@ -45,10 +47,13 @@ def doubted_priors(bundle: Bundle, solved: MinimizedBundle) -> Iterator[tuple[st
             # The solution is a compromise: without the prior it would be farther away.
             apart = np.linalg.pinv(np.eye(6) - spread[s, :, s] @ A, rcond=_COMPROMISE) @ error
             name = bundle.sensors[s]
-            yield name, f"the prior of {name} disagrees with the captures by {_far(squared[0], apart)}"
+            yield (
+                name,
+                f"the prior of {name} disagrees with the captures by {_format_discrepancy(squared[0], apart)}",
+            )
 
 
-def doubted_groups(
+def _contradicted_groups(
     bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup]
 ) -> Iterator[tuple[str, str]]:
     """Sensors of rigid groups that contradict the captures, each with the one that these would move most surely.
@@ -58,19 +63,19 @@ def doubted_groups(
     """
     for group in groups:
         members = [s for s, name in enumerate(bundle.sensors) if name in group.T_group_sensor]
-        pulls = [(*_pull(bundle, solved, s), s) for s in members if s > 0 and len(members) > 1]
+        pulls = [(*_score_statistic(bundle, solved, s), s) for s in members if s > 0 and len(members) > 1]
         squared, moves, s = max(pulls, key=lambda pull: pull[0], default=(0.0, np.zeros(6), 0))
         if squared > chdtri(6, _CHANCE):
             name = bundle.sensors[s]
             others = ", ".join(bundle.sensors[member] for member in members if member != s)
             reason = (
                 f"the captures contradict that {name} is fixed to {others} as {group.source} says: "
-                f"they would move it by {_far(squared, moves)}"
+                f"they would move it by {_format_discrepancy(squared, moves)}"
             )
             yield from ((bundle.sensors[member], reason) for member in members if member > 0)
 
 
-def _pull(bundle: Bundle, solved: MinimizedBundle, sensor: int) -> tuple[float, Array]:
+def _score_statistic(bundle: Bundle, solved: MinimizedBundle, sensor: int) -> tuple[float, Array]:
     """Squared Mahalanobis distance of the step (6,) that a sensor would take if it were on no body but its own."""
     # Bodies are counted on from those there are; one that was its alone has moved as far as it would.
     body = bundle.body.copy()
@@ -82,6 +87,6 @@ def _pull(bundle: Bundle, solved: MinimizedBundle, sensor: int) -> tuple[float, 
     return float(-g @ step), step[free.pose_columns(sensor)]
 
 
-def _far(squared: float, error: Array) -> str:
+def _format_discrepancy(squared: float, error: Array) -> str:
     mm, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
     return f"{np.sqrt(squared):.1f} standard deviations ({mm:.0f} mm, {degrees:.2f}°)"
