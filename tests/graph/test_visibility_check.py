@@ -89,7 +89,7 @@ def test_a_scanner_whose_only_place_is_refuted_is_left_out_and_told_why(rng: np.
     assert sure.names == ("a", "b", "c")
     why = sure.pairs["a", "d"]
     assert isinstance(why, Rejected)
-    assert "of the people in open view of other scanners pass unnoticed" in why.reason
+    assert "of the people in their open view" in why.reason
 
 
 MIDDLE = se2.pose(0.0, np.array([4.0, 0.0]))

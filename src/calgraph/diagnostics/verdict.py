@@ -47,7 +47,8 @@ def grade_pose(
         kind: camera, lidar2d or lidar3d; decides what its axes are called.
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
-        inconsistency: why the pose cannot be good however small its covariance, as :func:`doubts` says it; or empty.
+        inconsistency: why the pose cannot be good whatever its covariance (:func:`find_inconsistent_sensors`), or
+            empty.
         ambiguity: angle to another pose that the captures allow as well, rad; 0 where there is none.
         evidence: what directions are fixed by, in the singular.
         advice: what makes a weak direction better, with the sensor's name in it as ``{name}``.

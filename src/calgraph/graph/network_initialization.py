@@ -62,7 +62,7 @@ def initialize_network(
         seen = [sights[name] for name in names if name in sights]
         wrong = find_visibility_conflict(graph, seen, averaged, edge_evidence(names, known))
         if wrong:
-            why = f"under its pose {wrong.missed_share:.0%} of the people in open view of other scanners pass unnoticed"
+            why = f"under its pose, scanners miss {wrong.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, wrong.edges, Rejected(why))
             continue
         doubt = find_conflicting_evidence(graph, names, known, averaged)

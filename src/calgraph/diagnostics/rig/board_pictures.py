@@ -25,7 +25,10 @@ def collect_board_views(captured: CaptureSet, used: InlierResiduals, joint: RigS
     shown = {(view.capture, view.sensor) for view in solved}
     detected = [
         BoardView(
-            capture, name, joint.solved_bundle is None and (capture, name) in used, _subsample_measurements(found[0])
+            capture,
+            name,
+            joint.solved_bundle is None and (capture, name) in used,
+            _subsample_measurements(found[0]),
         )
         for name, by_capture in captured.detections.items()
         for capture, found in by_capture.items()
