@@ -14,8 +14,8 @@ from calgraph.diagnostics import (
     Tolerance,
     assemble_rig,
     bootstrap_poses,
-    compare_extrinsics,
-    compare_network_extrinsics,
+    compare_network_poses,
+    compare_rig_poses,
 )
 from calgraph.errors import CalibrationError
 from calgraph.estimation import Problem
@@ -53,7 +53,7 @@ def compare_extrinsics(
     problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
     joint, tree = solve_jointly(problem)
     calibration = assemble_rig(problem, tree, joint)
-    return calibration, compare_extrinsics(calibration, joint.solved_bundle, given, tolerance)
+    return calibration, compare_rig_poses(calibration, joint.solved_bundle, given, tolerance)
 
 
 def compare_network_extrinsics(
@@ -66,4 +66,4 @@ def compare_network_extrinsics(
 ) -> tuple[Calibration, ExtrinsicsComparison]:
     """What a recording says of the given poses of a network, as :func:`compare_extrinsics` does of a rig's."""
     calibration = calibrate_network(rig, recording, options, progress)
-    return calibration, compare_network_extrinsics(calibration, given, tolerance)
+    return calibration, compare_network_poses(calibration, given, tolerance)

@@ -9,11 +9,11 @@ from calgraph.diagnostics.comparison import (
 )
 from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
 from calgraph.diagnostics.network.extension import agreed_prior, earlier_poses, extended, without
-from calgraph.diagnostics.network.extrinsics_check import compare_network_extrinsics
+from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.assessment import add_assessment
 from calgraph.diagnostics.rig.bootstrap import CONFIDENCE, BootstrapScatter, bootstrap_poses
-from calgraph.diagnostics.rig.extrinsics_check import compare_extrinsics
+from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.diagnostics.verdict import axis_names
 
 __all__ = [
@@ -31,8 +31,8 @@ __all__ = [
     "assemble_rig",
     "axis_names",
     "bootstrap_poses",
-    "compare_extrinsics",
-    "compare_network_extrinsics",
+    "compare_network_poses",
+    "compare_rig_poses",
     "earlier_poses",
     "extended",
     "without",

@@ -9,7 +9,7 @@ import pytest
 
 from bundle_scenes import Scene, scene
 from calgraph.diagnostics.comparison import ExtrinsicsComparison, Tolerance
-from calgraph.diagnostics.rig.extrinsics_check import compare_extrinsics
+from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -64,7 +64,7 @@ def true_poses(moved: str = "", by: Array | None = None) -> ExtrinsicsFile:
 
 
 def audited(given: ExtrinsicsFile, seed: int = 0, tolerance: Tolerance | None = None) -> ExtrinsicsComparison:
-    return compare_extrinsics(calibrated(seed)[0], None, given, tolerance)
+    return compare_rig_poses(calibrated(seed)[0], None, given, tolerance)
 
 
 def step(axis: int, size: float) -> Array:
@@ -119,7 +119,7 @@ def test_what_the_captures_cannot_tell_is_said() -> None:
     to_root = EXACT.truth.T_root_sensor[3][:3, :3]
     joint[18:21, 18:21] += to_root @ np.diag([0, 0, 0.12**2]) @ to_root.T
     weak = replace(found, sensors=(*found.sensors[:3], loose), joint_covariance=joint)
-    result = compare_extrinsics(weak, None, true_poses("laser_2", step(2, 0.1)))
+    result = compare_rig_poses(weak, None, true_poses("laser_2", step(2, 0.1)))
     assert result.outcome == "warn"
     assert result.sensors[2].reason == "height (z) cannot be told: ±120.0 mm"
 
@@ -131,14 +131,14 @@ def test_axes_that_are_sure_only_together_fail_together() -> None:
     own = EXACT.truth.T_root_sensor[3][:3, :3]
     along = own @ np.array([1, 1, 0]) / np.sqrt(2)
     joint[18:21, 18:21] += 0.1**2 * np.outer(along, along)
-    result = compare_extrinsics(
+    result = compare_rig_poses(
         replace(found, joint_covariance=joint), None, true_poses("laser_2", np.array([0.03, -0.03, 0, 0, 0, 0]))
     )
     assert [axis.outcome for axis in result.sensors[2].axes] == ["fail", "fail", "pass", "pass", "pass", "pass"]
 
 
 def test_measurements_fit_the_given_pose_worse_where_it_is_wrong() -> None:
-    result = compare_extrinsics(*calibrated(0), true_poses("laser", step(0, 0.05)))
+    result = compare_rig_poses(*calibrated(0), true_poses("laser", step(0, 0.05)))
     misfits = {sensor.sensor: sensor.misfit for sensor in result.sensors}
     camera, laser = misfits["camera"], misfits["laser"]
     assert camera is not None
@@ -155,7 +155,7 @@ def test_covariances_of_a_given_calibration_count() -> None:
         found, before = calibrated(seed)[0], calibrated((seed + 1) % SEEDS)[0]
         above = {s.name: FrameLink("lidar", s.T_root_sensor) for s in before.sensors[1:]}
         given = ExtrinsicsFile(Path("calibration.yaml"), FrameTree("calibration.yaml", above), calibration=before)
-        distances += [sensor.distance**2 for sensor in compare_extrinsics(found, None, given).sensors]
+        distances += [sensor.distance**2 for sensor in compare_rig_poses(found, None, given).sensors]
     # 60 squared distances with six degrees of freedom each, those of one run, and of neighbours, correlated.
     assert 4.5 < np.mean(distances) < 7.5
 
@@ -177,7 +177,7 @@ def test_a_file_without_the_root_is_refused() -> None:
 def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
     found, adjusted = calibrated()
     doubted = replace(found.sensors[1], verdict=Verdict("weak", "check the focal length"))
-    result = compare_extrinsics(
+    result = compare_rig_poses(
         replace(found, sensors=(found.sensors[0], doubted, *found.sensors[2:])), adjusted, true_poses()
     )
     assert (result.sensors[0].outcome, result.sensors[0].reason) == ("warn", "check the focal length")
@@ -185,5 +185,5 @@ def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
 
 def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
     found, adjusted = calibrated()
-    result = compare_extrinsics(replace(found, unconnected={"sonar": "saw nothing"}), adjusted, true_poses())
+    result = compare_rig_poses(replace(found, unconnected={"sonar": "saw nothing"}), adjusted, true_poses())
     assert (result.sensors[-1].sensor, result.sensors[-1].outcome) == ("sonar", "warn")

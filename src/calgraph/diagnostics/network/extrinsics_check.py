@@ -11,7 +11,7 @@ from calgraph.estimation.network.planar_poses import PlanarPoses, in_plane, plan
 from calgraph.result import Calibration, ExtrinsicsFile
 
 
-def compare_network_extrinsics(
+def compare_network_poses(
     found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None
 ) -> ExtrinsicsComparison:
     """Compares given poses of a network with those found, and names the fewest scanners that explain what differs.

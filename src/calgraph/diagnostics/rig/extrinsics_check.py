@@ -14,7 +14,7 @@ from calgraph.geometry import Array
 from calgraph.result import Calibration, ExtrinsicsFile
 
 
-def compare_extrinsics(
+def compare_rig_poses(
     found: Calibration, adjusted: SolvedBundle | None, given: ExtrinsicsFile, tolerance: Tolerance | None = None
 ) -> ExtrinsicsComparison:
     """Compares given extrinsics with those found.
