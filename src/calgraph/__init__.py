@@ -1,7 +1,7 @@
 """Extrinsic calibration of rigs of cameras, 2-D laser scanners and 3-D LiDARs from one recording.
 
-The steps of the command line as functions on NumPy arrays and frozen dataclasses. Names are handed on from the
-rooms where they live, which are loaded when first asked for: ``import calgraph`` itself takes no time.
+The steps of the command line as functions on NumPy arrays and frozen dataclasses. Names are re-exported from
+their rooms, which are loaded on first use: ``import calgraph`` itself takes no time.
 """
 
 from importlib import import_module

@@ -19,7 +19,7 @@ class RecordingError(InputError):
 
 
 class CalibrationError(CalgraphError):
-    """The data do not determine the calibration asked for (exit code 1)."""
+    """The data do not determine the requested calibration (exit code 1)."""
 
 
 @dataclass(frozen=True)

@@ -51,4 +51,4 @@ def test_a_long_recording_is_read_in_portions_that_the_memory_holds(
     followed, _ = track_people(RIG, recording, Options(), lambda *step: told.append(step))
     assert recording.read == [["/east", "/west"], ["/south"]]
     assert tuple(followed) == NAMES
-    assert [done for step, done in told if step == "following"] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert [done for step, done in told if step == "tracking"] == pytest.approx([1 / 3, 2 / 3, 1])

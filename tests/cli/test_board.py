@@ -67,7 +67,7 @@ def test_a_rig_and_wishes_contradict_each_other(run: Run, tmp_path: Path) -> Non
     (tmp_path / "target.yaml").write_text("target: {size: [0.2, 0.2], tags: [{id: 3, size: 0.1}]}")
     result = run("board", tmp_path / "target.yaml", "--kind", "charuco", "-o", tmp_path / "b.pdf")
     assert (result.exit_code, (tmp_path / "b.pdf").exists()) == (2, False)
-    assert "says which boards to print; give either it, or options of another" in result.stderr
+    assert "defines the boards to print; give either it, or options of another" in result.stderr
 
 
 @pytest.mark.parametrize(

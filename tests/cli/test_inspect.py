@@ -30,7 +30,7 @@ def test_the_first_message_is_described(printed: str) -> None:
 
 
 def test_a_sound_recording_has_nothing_odd(printed: str) -> None:
-    assert printed.endswith("Nothing odd was found.\n")
+    assert printed.endswith("No anomalies were found.\n")
 
 
 def test_the_json_has_the_rates_of_the_sensors(run: Run, simulated: Path) -> None:

@@ -206,14 +206,14 @@ MISTAKES = {
     "tags_and_pattern": (("tags: [", "pattern: {kind: checkerboard, columns: 3, rows: 3, square: 0.1}, tags: ["),
                          "target.pattern: a board has either tags or a pattern, not both"),
     "no_print": ((TAGGED, "{kind: board, size: [1, 1]}"),
-                 "target: needs tags or a pattern, without which no camera sees it (camera)"),
+                 "target: needs tags or a pattern, without which no camera detects it (camera)"),
     # prints
     "tag_off_sheet": (("size: 0.30", "size: 300"),
-                      "target.tags[0]: leaves the sheet: it reaches 150.280 m from the centre, half the sheet's width is 0.500 m"),
+                      "target.tags[0]: extends beyond the board: it reaches 150.280 m from the centre, half the board's width is 0.500 m"),
     "pattern_off_sheet": ((TAGGED, BOARD + "pattern: {kind: checkerboard, columns: 7, rows: 5, square: 0.2}}"),
-                          "target.pattern: leaves the sheet: it reaches 0.700 m from the centre, half the sheet's width is 0.500 m"),
+                          "target.pattern: extends beyond the board: it reaches 0.700 m from the centre, half the board's width is 0.500 m"),
     "grid_off_sheet": ((TAGGED, BOARD + "pattern: {kind: aprilgrid, columns: 6, rows: 6, tag_size: 0.11, tag_spacing: 0.3}}"),
-                       "target.pattern: leaves the sheet: it reaches 0.413 m from the centre, half the sheet's height is 0.400 m"),
+                       "target.pattern: extends beyond the board: it reaches 0.413 m from the centre, half the board's height is 0.400 m"),
     "tag_id": (("id: 3", "id: 587"), "target.tags[0].id: tag36h11 ends at 586, got 587"),
     "same_id": (("tags: [", "tags: [{id: 3, size: 0.1, center: [0.3, -0.2]}, "),
                 "target.tags[1].id: must differ from that of tags[0], got 3 twice"),
@@ -229,10 +229,10 @@ MISTAKES = {
                         "target[1].pattern: has a square that is also on target[0], its number 3; choose another first_id"),
     "same_checkerboard": ((TAGGED, "[{size: [1, 1], pattern: {kind: checkerboard, columns: 7, rows: 4, square: 0.1}}, "
                                    "{size: [1, 1], pattern: {kind: checkerboard, columns: 4, rows: 7, square: 0.1}}]"),
-                          "target[1].pattern: cannot be told from that of target[0]: checkerboards differ by columns and rows only"),
+                          "target[1].pattern: cannot be distinguished from that of target[0]: checkerboards differ by columns and rows only"),
     "checkerboard_and_charuco": ((TAGGED, f"[{BOARD}{CHARUCO}marker: 0.07, dictionary: DICT_5X5_100}}}}, "
                                           "{size: [1, 1], pattern: {kind: checkerboard, columns: 4, rows: 7, square: 0.1}}]"),
-                                 "target[1].pattern: cannot be told from that of target[0]: its corners are those of a checkerboard, too"),
+                                 "target[1].pattern: cannot be distinguished from that of target[0]: its corners are those of a checkerboard, too"),
     "few_markers": ((TAGGED, "{kind: board, size: [2, 2], pattern: {kind: charuco, columns: 11, rows: 10, square: 0.1, marker: 0.07, dictionary: DICT_4X4_50}}"),
                     "target.pattern.dictionary: needs marker 54, but DICT_4X4_50 ends at 49"),
     "marker": ((TAGGED, BOARD + CHARUCO + "marker: 0.1, dictionary: DICT_4X4_50}}"),
@@ -288,7 +288,7 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
 
 
 def test_boards_made_in_python_are_checked_alike() -> None:
-    with pytest.raises(ValueError, match="leaves the sheet"):
+    with pytest.raises(ValueError, match="extends beyond the board"):
         Board(size=(1, 1), pattern=Charuco(kind="charuco", columns=20, rows=2, square=0.1, marker=0.07,
                                            dictionary="DICT_4X4_50"))  # fmt: skip
 

@@ -92,7 +92,7 @@ def test_a_checkerboard_has_an_upper_end(size: tuple[float, float]) -> None:
         (Wishes(square=20), "--square: is for charuco and checkerboard"),
         (Wishes(kind="charuco", spacing=0.3), "--spacing: is for aprilgrid"),
         (Wishes(kind="checkerboard", first_id=3), "--first-id: is for tags and aprilgrid and charuco"),
-        (Wishes(kind="checkerboard", square=80, columns=8, rows=5), "pattern: leaves the sheet"),
+        (Wishes(kind="checkerboard", square=80, columns=8, rows=5), "pattern: extends beyond the board"),
         (Wishes(kind="charuco", dictionary="DICT_9X9"), "must be one of OpenCV's dictionaries"),
         (Wishes(kind="charuco", square=8), "needs marker 335, but DICT_5X5_100 ends at 99"),
         (Wishes(family="tag99"), "family: must be 'tag36h11', 'tag25h9' or 'tag16h5'"),

@@ -294,7 +294,7 @@ def test_a_sensor_without_a_link_is_said_and_left_out(
         (robot(joint("base", "velodyne"), joint("mast", "laser_link")),
          "links 'mast' and 'velodyne' of the URDF are not connected"),
         (robot(joint("velodyne", "mast"), joint("mast", "velodyne"), joint("mast", "laser_link")),
-         "form a circle through 'velodyne'"),
+         "form a cycle through 'velodyne'"),
         (robot(joint("base", "velodyne", '<origin xyz="1 2"/>')),
          "joint 'base_velodyne' of the URDF: xyz must be three numbers, got '1 2'"),
         (robot(joint("base", "velodyne", '<origin xyz="0 0 ${h}"/>')), "is a xacro; expand it first"),

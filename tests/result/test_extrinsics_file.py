@@ -142,7 +142,7 @@ ENTITIES = '<!DOCTYPE robot [<!ENTITY a "aaaa">]><robot name="r"><joint name="&a
         (
             "[{parent: a, child: b, translation: [0, 0, 0], rpy: [0, 0, 0]},"
             " {parent: c, child: b, translation: [0, 0, 0], rpy: [0, 0, 0]}]",
-            r"transforms\[1\]: 'b' hangs from 'a' and 'c'",
+            r"transforms\[1\]: 'b' has two parents, 'a' and 'c'",
         ),
     ],
 )

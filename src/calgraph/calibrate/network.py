@@ -1,4 +1,4 @@
-"""The second story: from one recording of people walking through a building to its network of scanners."""
+"""Networks: from one recording of people walking through a building to the poses of its scanners."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -29,7 +29,7 @@ def calibrate_network(
 
     Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
     """
-    network_estimator(options)  # before minutes are spent on following
+    network_estimator(options)  # before minutes are spent on tracking
     _calibration_to_extend(rig, options)
     tracks, frames = track_people(rig, recording, options, progress)
     return calibrate_tracks(rig, tracks, options, progress, frames=frames, start=recording.start)
@@ -44,14 +44,14 @@ def calibrate_tracks(
     frames: Mapping[str, str] | None = None,
     start: float | None = None,
 ) -> Calibration:
-    """Calibrates stationary 2-D scanners from what each of them followed, whoever followed it.
+    """Calibrates stationary 2-D scanners from the tracks of each, however these were obtained.
 
     Args:
         rig: the network.
         tracks: by scanner, in its frame and by its clock; scanners may be left out.
-        options: how to calibrate. The joint solution needs the beams (:class:`calgraph.tracking.Hits`) that ended
-            on what was followed; averaging makes do with positions.
-        progress: told how far each step is.
+        options: how to calibrate. The joint solution needs the beams (:class:`calgraph.tracking.Hits`) that hit
+            the tracked objects; averaging uses positions only.
+        progress: called with the step and the fraction done.
         frames: frame_id by scanner, where the rig does not say.
         start: of the recording, s; the time of the first track if left out.
 
@@ -73,13 +73,13 @@ def calibrate_tracks(
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
     )
-    observations = {name: ScannerObservations.from_tracks(known) for name, known in tracked.items()}
+    observations = {name: ScannerObservations.from_tracks(scanner) for name, scanner in tracked.items()}
     initialization = initialize_network(
         rig.root, pairs, observations, rng, options.average, weighted=options.weights == "weighted"
     )
     graph, names, averaged = initialization.graph, initialization.names, initialization.solution
     joint = prior = None
-    # A root that nothing is connected to may not even have been followed.
+    # A root without connections may have no tracks.
     if estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
         solution = partial(solve_network, moving_target(rig), [tracked[name] for name in names], averaged, graph)
@@ -97,7 +97,7 @@ def calibrate_tracks(
 
 
 def _calibration_to_extend(rig: Rig, options: Options) -> Calibration | None:
-    """What is to be extended, without what has moved since."""
+    """The calibration to extend, without the scanners that have moved since."""
     if options.extend is None:
         return None
     earlier_poses(options.extend, rig.root)
@@ -105,7 +105,7 @@ def _calibration_to_extend(rig: Rig, options: Options) -> Calibration | None:
 
 
 def _complete_tracks(rig: Rig, tracks: Mapping[str, Tracked | Rejected]) -> dict[str, Tracked | Rejected]:
-    """What each scanner of the rig followed."""
+    """The tracks of every scanner of the rig, rejected where none were given."""
     unknown = set(tracks) - set(rig.sensors)
     if unknown:
         raise InputError(f"followed: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
@@ -115,7 +115,7 @@ def _complete_tracks(rig: Rig, tracks: Mapping[str, Tracked | Rejected]) -> dict
 
 
 def _first_time(tracked: Mapping[str, Tracked]) -> float:
-    return min((float(track.times[0]) for own in tracked.values() for track in own.tracks), default=0.0)
+    return min((float(track.times[0]) for scanner in tracked.values() for track in scanner.tracks), default=0.0)
 
 
 def _merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None) -> Calibration:

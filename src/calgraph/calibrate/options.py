@@ -20,7 +20,7 @@ Progress = Callable[[str, float], None]
 
 
 def no_progress(_step: str, _done: float) -> None:
-    """Progress for nobody."""
+    """Ignores progress."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def rig_estimator(options: Options) -> Estimator:
 
 
 def check_estimator(estimator: Estimator, has_priors: bool, estimate: Sequence[Estimable]) -> None:
-    """Raises InputError unless the estimator of a rig makes use of known poses, and of other unknowns."""
+    """Raises InputError unless the estimator of a rig supports the priors and the further unknowns."""
     if estimate and estimator != "bundle":
         raise InputError(f"--estimate: goes with --estimator bundle, got {estimator}")
     if has_priors and estimator != "bundle":
@@ -106,7 +106,7 @@ def network_estimator(options: Options) -> NetworkEstimator:
 
 
 def _choose_estimator(estimator: str | None, available: Sequence[str], target: str) -> Any:
-    """The estimator that was asked for, the first one if none was."""
+    """The requested estimator, or the first available one."""
     if estimator not in (None, *available):
         raise InputError(f"--estimator: {target} has {' and '.join(available)}, got {estimator}")
     return estimator or available[0]

@@ -52,7 +52,7 @@ def calibrate_rig(
         rig: sensors, target and captures.
         recording: open recording with the rig's topics.
         options: how to calibrate.
-        progress: told how far each step is.
+        progress: called with the step and the fraction done.
 
     Returns:
         Poses, covariances and evidence of all sensors that are connected to the root; of the others, why not.
@@ -80,7 +80,7 @@ def calibrate_detections(
             :func:`calgraph.detection.plane_patch_from_points` and :func:`calgraph.detection.segment_from_points`.
         options: how to calibrate.
         cameras: intrinsics by camera; those of the rig if left out.
-        progress: told how far each step is.
+        progress: called with the step and the fraction done.
 
     Raises:
         InputError: detections and rig do not fit together.
@@ -118,7 +118,7 @@ def _check_board(rig: Rig, options: Options) -> None:
 def collect_captures(
     rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = no_progress
 ) -> CaptureSet:
-    """Finds the times at which the board rests, and the board in what every sensor measured then."""
+    """Finds the holds of the board, and detects the board in every sensor's messages of each hold."""
     if len(rig.sensors) < 2:
         raise CalibrationError(
             f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
@@ -148,7 +148,7 @@ def build_problem_from_captures(
     pairs = estimate_pairs(detections, rig.board_size, rng, lambda done: progress("pairing", done))
     tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
     if options.keep == "ransac":
-        # What three captures could not tell apart, all of them can: select once more under a joint solution.
+        # RANSAC selects inliers from minimal samples; select them once more under a joint solution.
         joint = solve_hypergraph(tree, select_successful(pairs), detections, keep=options.keep)
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size)
         tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
@@ -159,12 +159,12 @@ def build_problem_from_captures(
 
 
 def solve_problem(problem: Problem) -> Calibration:
-    """From the joint problem to a calibration: all sensors at once. The same problem gives the same bits."""
+    """From the joint problem to a calibration of all sensors; deterministic to the last bit."""
     joint, tree = solve_jointly(problem)
     rig, calibration = problem.rig, assemble_rig(problem, tree, joint)
     if joint.solved_bundle is None:
         return calibration
-    # The boards that are tried need no seed of the user's: any draw of so many serves.
+    # Candidate board poses are sampled with a fixed seed: the result hardly depends on the sample.
     return add_assessment(
         calibration, joint.solved_bundle, rig.board_size, problem.solver.folds, np.random.default_rng(0)
     )
@@ -174,7 +174,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     """The joint solution, and the tree that it started from.
 
     Raises:
-        InputError: the estimator makes no use of what is known or asked for.
+        InputError: the estimator cannot use the priors, or cannot estimate the requested parameters.
     """
     rig, captures, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
@@ -190,7 +190,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
 
 
 def _read_timeline(rig: Rig, recording: Recording, progress: Progress) -> RecordingTimeline:
-    """When every sensor measured; and where no trigger tells the holds, how much its view changed each time."""
+    """The stamps of every sensor's messages and, without a trigger, how much its view changed at each."""
     trigger = rig.capture.trigger
     topics = [*rig.topics.values(), *([trigger] if trigger else [])]
 

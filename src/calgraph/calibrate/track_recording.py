@@ -1,4 +1,4 @@
-"""What moved through the views of a network's scanners: their recording read once, and followed side by side."""
+"""Tracking in a recording of a network's scanners: read once, tracked in parallel."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -9,47 +9,47 @@ from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
 from calgraph.tracking import ScanGathering, ScanRun, Tracked, track_scanners
 
-# Scans that are in memory at once, more than so many only if they are of one scanner: of 1000 beams, 0.8 GB.
+# Scans held in memory together, exceeded only by those of one scanner: 0.8 GB for scans of 1000 beams.
 _MAX_SCANS_IN_MEMORY = 100_000
 
 
 def track_people(
     rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
 ) -> tuple[dict[str, Tracked | Rejected], dict[str, str]]:
-    """What moved through each scanner's view, and the frames that their messages state."""
+    """The tracks of each scanner, and the frames that their messages state."""
     target = moving_target(rig)
     noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
     tracks: dict[str, Tracked | Rejected] = {}
     frames: dict[str, str] = {}
     for names in _memory_batches(rig, recording):
 
-        def following(share: float, before: int = len(tracks), own: int = len(names)) -> None:
-            progress("following", (before + share * own) / len(rig.sensors))
+        def tracking(share: float, before: int = len(tracks), count: int = len(names)) -> None:
+            progress("tracking", (before + share * count) / len(rig.sensors))
 
         scans, stated = _read_scans(recording, {rig.topics[name]: name for name in names}, progress)
         frames |= stated
         tracks |= track_scanners(
-            scans, target, noise, feature=options.feature, jobs=options.jobs, progress=following
+            scans, target, noise, feature=options.feature, jobs=options.jobs, progress=tracking
         )
     return tracks, frames
 
 
 def moving_target(rig: Rig) -> People | Cylinder:
-    """What walks through a network; raises InputError for a rig."""
+    """The target of a network; raises InputError for a rig."""
     if not isinstance(rig.target, People | Cylinder):
         raise InputError("target.kind: a network needs people or cylinder")
     return rig.target
 
 
 def scanner_noise(name: str, spec: SensorSpec) -> RangeNoise:
-    """The noise of a scanner; raises InputError for what is none."""
+    """The noise of a scanner; raises InputError for any other sensor."""
     if not isinstance(spec, Lidar2dSpec):
-        raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) follow people, got {spec.kind}")
+        raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) track people, got {spec.kind}")
     return spec.noise
 
 
 def _memory_batches(rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:
-    """Names of the scanners that are read together, so that the memory holds what they measured."""
+    """Names of the scanners that are read together, so that their scans fit into memory."""
     counts = {topic.name: topic.count for topic in recording.topics}
     batch: list[str] = []
     scans = 0
@@ -75,4 +75,4 @@ def _read_scans(
             frames.setdefault(name, scan.frame_id)
             gathered[name].add(scan)
         progress("reading", (record.arrival - recording.start) / length)
-    return {name: own.runs() for name, own in gathered.items()}, frames
+    return {name: stack.runs() for name, stack in gathered.items()}, frames

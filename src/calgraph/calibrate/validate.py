@@ -1,4 +1,4 @@
-"""Whether a result holds: captures drawn anew, and extrinsics that are given against those that are found."""
+"""Validation of a result: a bootstrap over captures, and comparison with given extrinsics."""
 
 from dataclasses import replace
 
@@ -26,10 +26,10 @@ from calgraph.result import Calibration, ExtrinsicsFile
 def bootstrap_covariances(
     problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = no_progress
 ) -> tuple[Calibration, dict[str, BootstrapScatter]]:
-    """A calibration, and by sensor how far its pose scatters when the captures are drawn anew.
+    """A calibration, and by sensor the scatter of its pose in a bootstrap over captures.
 
     Raises:
-        CalibrationError: no two sensors saw the board together.
+        CalibrationError: no two sensors detected the board in common captures.
     """
     problem = replace(problem, solver=problem.solver.model_copy(update={"estimator": "bundle"}))
     joint, tree = solve_jointly(problem)
@@ -44,7 +44,7 @@ def bootstrap_covariances(
 def compare_extrinsics(
     problem: Problem, given: ExtrinsicsFile, tolerance: Tolerance | None = None
 ) -> tuple[Calibration, ExtrinsicsComparison]:
-    """What the captures say of given extrinsics: a calibration that knows nothing of them, and the comparison.
+    """Comparison of given extrinsics with a calibration that does not use them as priors.
 
     Raises:
         InputError: the extrinsics lack the root, or nothing fixed connects the sensors there.
@@ -64,6 +64,6 @@ def compare_network_extrinsics(
     tolerance: Tolerance | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Calibration, ExtrinsicsComparison]:
-    """What a recording says of the given poses of a network, as :func:`compare_extrinsics` does of a rig's."""
+    """Comparison of the given poses of a network with its calibration, as :func:`compare_extrinsics` for a rig."""
     calibration = calibrate_network(rig, recording, options, progress)
     return calibration, compare_network_poses(calibration, given, tolerance)

@@ -1,4 +1,4 @@
-"""The commands' home, and the launcher that turns known errors into one line and an exit code."""
+"""The list of commands, and the launcher that reports expected errors in one line with an exit code."""
 
 import functools
 import logging
@@ -21,7 +21,7 @@ _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15
 
 
 def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that ends quietly when interrupted, and in a line and an exit code on known errors.
+    """A command that ends silently when interrupted, and reports expected errors in a line with an exit code.
 
     Exit codes: 1 for what the data do not determine, 2 for bad input.
     """
@@ -57,10 +57,9 @@ COMMANDS = {
         "measure.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the target: that rig.yaml needs "
         "for it.",
-        "inspect": "Show the topics of a recording: counts, rates, gaps, frames, clocks, and what is odd about "
-        "them.",
+        "inspect": "Show the topics of a recording: counts, rates, gaps, frames, clocks, and anomalies.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.",
-        "view": "Show a calibration in the browser: sensors, what they saw, and how it degrades if one is moved.",
+        "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",
     }.items()
 }
 SIMULATIONS = {
@@ -83,7 +82,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 simulate = typer.Typer(
-    cls=lazy_group(SIMULATIONS, handle_errors), no_args_is_help=True, help="Simulate recordings with known truth."
+    cls=lazy_group(SIMULATIONS, handle_errors), no_args_is_help=True, help="Simulate recordings with ground truth."
 )
 app.add_typer(simulate, name="simulate")
 

@@ -22,7 +22,7 @@ from calgraph.printing import (
     target_block,
 )
 
-_MODEL_OPTIONS = {knob.parameter: knob for knob in list_options(Wishes, {"kind": "Print"})}
+_MODEL_OPTIONS = {option.parameter: option for option in list_options(Wishes, {"kind": "Print"})}
 
 
 def board_options(
@@ -48,7 +48,7 @@ def board_options(
     overlap: Annotated[float, typer.Option(metavar="MM", help="Of pages to be joined.")] = 10.0,
     into: Annotated[
         Path | None,
-        typer.Option(metavar="RIG", help="Put the target: into this rig.yaml, too, in place of its own."),
+        typer.Option(metavar="RIG", help="Put the target: into this rig.yaml, too, replacing the one in it."),
     ] = None,
     **options: Any,
 ) -> None:
@@ -65,7 +65,7 @@ def board_options(
     elif size is None and not options:
         boards = read_boards(rig)
     else:
-        raise InputError(f"{rig}: says which boards to print; give either it, or options of another")
+        raise InputError(f"{rig}: defines the boards to print; give either it, or options of another")
     pages = [(one, lay_out(one, chosen, overlap)) for one in boards]
     changed = put_target(into, boards) if into else ""
 
@@ -80,7 +80,7 @@ def board_options(
 
 
 def _board_size(size: str | None, paper: Paper | None) -> tuple[float, float]:
-    """Width and height of the board asked for, mm."""
+    """Width and height of the requested board, mm."""
     if size is not None:
         return parse_size(size, "--size: must be")
     if paper is None:

@@ -136,7 +136,7 @@ def calibrate(
     ] = AverageChoice.consensus,
     weights: Annotated[
         WeightsChoice,
-        typer.Option("--weights", help="People: trust pairs by their evidence, or all alike."),
+        typer.Option("--weights", help="People: weight pairs by their information, or uniformly."),
     ] = WeightsChoice.weighted,
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     extend: Annotated[

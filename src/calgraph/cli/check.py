@@ -89,7 +89,7 @@ def check(
 def _compare(
     rig: Rig, recordings: list[Path], given: ExtrinsicsFile, allowed: "Tolerance", seed: int
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
-    """What the recording gives, what it says of the given poses, and the rig as resolved."""
+    """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
     from calgraph import calibrate as story
 
     if isinstance(rig.target, People | Cylinder):
@@ -137,9 +137,9 @@ def _replace_nonfinite(value: Any) -> Any:
 
 
 def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:
-    """A row a sensor: what FILE says minus what was found, along its axes; then what is to be said of each."""
+    """A row per sensor: given minus estimated pose, along its axes; then the outcome of each."""
     output = console()
-    output.print(f"[bold]{escape(str(against))} minus what was found[/], along the sensors' own axes")
+    output.print(f"[bold]{escape(str(against))} minus the estimated poses[/], along each sensor's axes")
     table = Table(box=None, pad_edge=False)
     table.add_column("sensor", overflow="fold")
     for head in ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""):
@@ -153,12 +153,12 @@ def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:
         table.add_row(escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), _SIGNS[sensor.outcome])
     table.add_row(escape(audit.reference), *[""] * 6, _misfit(audit.misfit), "")
     output.print(table)
-    output.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as found")
+    output.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as estimated")
     if audit.reference != root:
-        output.print(f"Seen from {escape(root)}, several sensors are off: either it has moved, or they have.")
+        output.print(f"Relative to {escape(root)}, several sensors are off: either it has moved, or they have.")
     for sensor in audit.sensors:
-        said = f"{sensor.sensor}: {sensor.outcome}{': ' if sensor.reason else ''}{sensor.reason}"
-        output.print(f"{_SIGNS[sensor.outcome]} {escape(said)}")
+        outcome = f"{sensor.sensor}: {sensor.outcome}{': ' if sensor.reason else ''}{sensor.reason}"
+        output.print(f"{_SIGNS[sensor.outcome]} {escape(outcome)}")
 
 
 def _misfit(misfit: "ResidualComparison | None") -> str:

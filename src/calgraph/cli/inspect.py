@@ -1,4 +1,4 @@
-"""``calgraph inspect``: what is in a recording, and what is odd about it."""
+"""``calgraph inspect``: the topics of a recording, and anomalies."""
 
 import json as json_module
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ def inspect(
     recording: OneRecording,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show the topics of a recording: counts, rates, gaps, frames, clocks, and what is odd about them.
+    """Show the topics of a recording: counts, rates, gaps, frames, clocks, and anomalies.
 
     Exit code 2: it is damaged; what could be read is shown all the same.
     """
@@ -52,11 +52,11 @@ def _print(recording: Path, inspection: Inspection) -> None:
     for name, finding in findings:
         output.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")
     if not findings and not inspection.damage:
-        output.print("Nothing odd was found.")
+        output.print("No anomalies were found.")
 
 
 def _details(topic: TopicReport) -> Sequence[str]:
-    """What the first message tells, in lines below the topic's name."""
+    """Type, kind, frame and content of the first message, in lines below the topic's name."""
     frame = f"frame {topic.frame_id}" if topic.frame_id else ""
     short_type = topic.type.rpartition("/")[2]
     kind = topic.kind if topic.kind in SENSORS else ""

@@ -1,4 +1,4 @@
-"""Commands that are imported when they are called: one does not wait for what another one needs."""
+"""Commands that are imported when called, so that each loads only the packages it needs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 
 @dataclass(frozen=True)
 class LazyCommand:
-    """Where a command is, and what the list of commands says of it."""
+    """The module and function of a command, and its summary in the list of commands."""
 
     module: str
     function: str
@@ -41,7 +41,7 @@ def lazy_group(
             self.commands = {**listed, **self.commands}
 
         def resolve_command(self, ctx: Any, args: Sequence[str]) -> Any:
-            """The command that is called, in full instead of as it is listed."""
+            """The called command, imported in place of its entry in the list."""
             name = args[0]
             if name in commands:
                 alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

@@ -70,7 +70,7 @@ def add_options(
     An option that is not given does not reach the command.
 
     Args:
-        command: takes its own parameters and ``**options``, the values by parameter.
+        command: takes its parameters and ``**options``, the values by parameter.
         model_options: by parameter.
         defaults: what the help shows as the defaults.
     """
@@ -78,14 +78,14 @@ def add_options(
     def run(**given: Any) -> None:
         command(**{name: value for name, value in given.items() if value is not None or name not in model_options})
 
-    own = [p for p in inspect.signature(command).parameters.values() if p.kind is not p.VAR_KEYWORD]
+    fixed = [p for p in inspect.signature(command).parameters.values() if p.kind is not p.VAR_KEYWORD]
     options = [
         inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_annotation(knob, defaults)
+            name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_annotation(option, defaults)
         )
-        for name, knob in model_options.items()
+        for name, option in model_options.items()
     ]
-    parameters = [*(p.replace(kind=p.KEYWORD_ONLY) for p in own), *options]
+    parameters = [*(p.replace(kind=p.KEYWORD_ONLY) for p in fixed), *options]
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     run.__doc__ = command.__doc__
@@ -132,7 +132,7 @@ def _annotation(option: ModelOption, defaults: BaseModel) -> Any:
 
 
 def _format_default(default: Any) -> str:
-    """A default as one would type it."""
+    """A default as typed on the command line."""
     if isinstance(default, bool):
         return "yes" if default else "no"
     if isinstance(default, tuple) and default and isinstance(default[0], BaseModel):
@@ -154,7 +154,7 @@ def _metavar(annotation: Any) -> str:
 
 
 def _parse_value(option: ModelOption, value: Any) -> Any:
-    """The value of an option; text that is no number stays text, for the model to complain of."""
+    """The value of an option; text that is not a number stays text, which the model then rejects."""
     if isinstance(value, bool):
         return value
     metavar = _metavar(option.field.annotation)
@@ -185,7 +185,7 @@ def _set_value(content: dict[str, Any], path: tuple[str, ...], value: Any) -> No
 
 
 def _name_option(line: str, model_options: Mapping[str, ModelOption]) -> str:
-    """A complaint about a key, ``camera.rate: ...``, as one about the option that sets it."""
+    """An error about a key, ``camera.rate: ...``, as an error about the option that sets it."""
     groups = {one.path[0]: f"--{one.path[0]}-*" for one in model_options.values() if len(one.path) > 1}
     by_key = (
         groups | {".".join(knob.path): knob.option for knob in model_options.values()} | {"the file": "options"}

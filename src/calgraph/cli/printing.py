@@ -1,4 +1,4 @@
-"""What a calibration prints: poses with their standard deviations, readable at 80 columns, greppable in a pipe."""
+"""Printing of a calibration: poses with standard deviations, for terminals of 80 columns and for pipes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,11 +14,11 @@ from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
-"""Sign for each grade: colour is never the only one."""
+"""Sign for each grade, so that colour is not the only distinction."""
 
 
 def print_calibration(calibration: Calibration) -> None:
-    """Prints each sensor's pose, its standard deviation, and what is to be said against it."""
+    """Prints each sensor's pose, its standard deviation, and its verdict."""
     output = console()
     output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
     table = _table()
@@ -56,14 +56,14 @@ def print_calibration(calibration: Calibration) -> None:
 
 
 def print_remarks(calibration: Calibration) -> None:
-    """Prints what is to be known of the whole result, one line each."""
+    """Prints the remarks on the whole result, one line each."""
     for remark in calibration.remarks:
         console().print(f"[yellow]![/] {escape(remark)}")
 
 
 def _print_cross_validation(output: Console, calibration: Calibration) -> None:
-    """Prints how far captures that were left out are from their prediction."""
-    output.print("[bold]Captures left out, against what the other sensors predict[/] (ratio: to what is expected)")
+    """Prints the cross-validation by sensor."""
+    output.print("[bold]Cross-validation: error on held-out captures[/] (ratio = observed / expected)")
     table = _table()
     for head in ("captures", "RMS", "median", "along beam", "tilt", "ratio"):
         table.add_column(head, justify="right", no_wrap=True)
@@ -73,8 +73,8 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
 
 
 def _print_estimated(output: Console, calibration: Calibration) -> None:
-    """Prints what was estimated besides poses."""
-    output.print("[bold]Estimated besides[/]")
+    """Prints the estimated parameters other than poses."""
+    output.print("[bold]Estimated parameters[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("of", overflow="fold")
     table.add_column("")
@@ -82,8 +82,8 @@ def _print_estimated(output: Console, calibration: Calibration) -> None:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("")
     for one in calibration.estimated_parameters:
-        told = "" if one.measured else "[yellow]! told by no capture[/]"
-        table.add_row(escape(one.of), one.quantity, *one.formatted, told)
+        warning = "" if one.measured else "[yellow]! not observable[/]"
+        table.add_row(escape(one.of), one.quantity, *one.formatted, warning)
     output.print(table)
 
 

@@ -1,4 +1,4 @@
-"""Options for poses that are known beforehand, which ``calibrate`` and ``solve`` share."""
+"""Options for prior poses and rigid groups, which ``calibrate`` and ``solve`` share."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PriorOption = Annotated[
     typer.Option(
         "--prior",
         metavar="FILE",
-        help="Board: poses that are about known: calibration.yaml, URDF, or transforms of tf (YAML).",
+        help="Board: prior poses: calibration.yaml, URDF, or transforms of tf (YAML).",
     ),
 ]
 DeviationOption = Annotated[
@@ -27,7 +27,7 @@ DeviationOption = Annotated[
     typer.Option(
         "--prior-stddev",
         metavar="M DEG",
-        help="Of --prior's positions and rotations, m and degrees; 0 0: exact. A calibration.yaml has its own.",
+        help="Of --prior's positions and rotations, m and degrees; 0 0: exact. A calibration.yaml contains them.",
     ),
 ]
 RigidOption = Annotated[
@@ -35,7 +35,7 @@ RigidOption = Annotated[
     typer.Option(
         "--rigid",
         metavar="FILE:A,B,...",
-        help="Board: sensors A, B, ... are fixed to each other as FILE says. May be given again.",
+        help="Board: sensors A, B, ... are fixed to each other with the poses in FILE; repeatable.",
     ),
 ]
 

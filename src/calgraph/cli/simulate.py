@@ -1,4 +1,4 @@
-"""``calgraph simulate rig``: a robot's recording with known truth; every knob of its scenario is an option."""
+"""``calgraph simulate rig``: a robot's recording with ground truth; every field of its scenario is an option."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ _PANELS = {
     "bearings": "Poses of the board",
     "background": "Recording and disturbances",
 }
-_MODEL_OPTIONS = {knob.parameter: knob for knob in list_options(RigScenario, _PANELS)}
+_MODEL_OPTIONS = {option.parameter: option for option in list_options(RigScenario, _PANELS)}
 
 
 def simulate_rig_options(
@@ -32,7 +32,7 @@ def simulate_rig_options(
     """
     start = validate_content(RigScenario, read_yaml(scenario), scenario) if scenario else RigScenario()
     if "board_pattern" in options:
-        # A board has either; whoever asks for a pattern does not mean the default tags.
+        # A board has either tags or a pattern: a given pattern replaces the default tags.
         options.setdefault("board_tags", "[]")
     chosen = apply_options(start, _MODEL_OPTIONS, options)
     simulate_to(out, simulate_rig, chosen, seed)

@@ -1,4 +1,4 @@
-"""``calgraph simulate network``: stationary scanners and walking people with known truth, a knob an option."""
+"""``calgraph simulate network``: scanners and walking people with ground truth; every field is an option."""
 
 from pathlib import Path
 from typing import Any, get_args
@@ -14,7 +14,7 @@ _PANELS = {
     "people": "People",
     "root": "Recording",
 }
-_MODEL_OPTIONS = {knob.parameter: knob for knob in list_options(NetworkScenario, _PANELS)}
+_MODEL_OPTIONS = {option.parameter: option for option in list_options(NetworkScenario, _PANELS)}
 
 
 def simulate_network_options(
@@ -25,11 +25,11 @@ def simulate_network_options(
 ) -> None:
     """Simulate 2-D scanners fixed in a building, and people who walk through it; write recording and truth.
 
-    Defaults are those of the office; another layout brings its own, which options override.
+    Defaults are those of the office; another layout has other defaults, which options override.
     """
     content = read_yaml(scenario) if scenario else {}
     if options.get("layout") in get_args(LayoutName):
-        # Before the other options, so that knobs that nobody turns are as this layout has them.
+        # Before the other options, so that options not given have the defaults of this layout.
         content = {**content, "layout": options["layout"]}
     start = validate_content(NetworkScenario, content, scenario or Path("options"))
     chosen = apply_options(start, _MODEL_OPTIONS, options)

@@ -1,4 +1,4 @@
-"""``calgraph verify``: whether the covariances of a calibration hold, by drawing its captures anew."""
+"""``calgraph verify``: a bootstrap over captures, to validate the covariances of a calibration."""
 
 import json as json_module
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _FORMAT = "calgraph-verify/1"
 _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}
-"""Sign for each verdict: colour is never the only one."""
+"""Sign for each verdict, so that colour is not the only distinction."""
 
 
 def verify(
@@ -33,7 +33,7 @@ def verify(
         list[Path],
         typer.Argument(metavar="DUMP | RIG.yaml RECORDING...", help="As for calibrate; or what --dump wrote."),
     ],
-    rounds: Annotated[int, typer.Option(min=20, help="How often captures are drawn anew.")] = 200,
+    rounds: Annotated[int, typer.Option(min=20, help="Number of bootstrap rounds.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws: same seed, same result.")] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
@@ -100,11 +100,11 @@ def _content(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], r
 
 
 def _print(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> None:
-    """A row a sensor and axis, then the verdicts."""
+    """A row per sensor and axis, then the verdicts."""
     from calgraph.diagnostics import CONFIDENCE, axis_names
 
     output = console()
-    output.print(f"[bold]Scatter over {rounds} draws of the captures, and what the covariances say[/]")
+    output.print(f"[bold]Bootstrap over captures, {rounds} rounds: scatter and stated standard deviation[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("sensor", overflow="fold")
     table.add_column("axis", no_wrap=True)

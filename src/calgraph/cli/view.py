@@ -1,4 +1,4 @@
-"""``calgraph view``: a calibration in the browser, to walk around in."""
+"""``calgraph view``: a calibration in the browser, as a 3-D scene."""
 
 import webbrowser
 from pathlib import Path
@@ -19,7 +19,7 @@ def view(
     ] = "127.0.0.1",
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
 ) -> None:
-    """Show a calibration in the browser: sensors, what they saw, and how it degrades if one is moved.
+    """Show a calibration in the browser: sensors, measurements, and residuals when one is moved.
 
     Serves until Ctrl-C.
     """

@@ -1,4 +1,4 @@
-"""Whether several boards of one rig can be told apart by what is printed on them."""
+"""Whether cameras can distinguish the boards of one rig by their prints."""
 
 from collections.abc import Sequence
 
@@ -11,10 +11,10 @@ from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard
 
 
 def check_boards_distinguishable(boards: Sequence[Board]) -> None:
-    """Refuses boards that cameras would take for each other.
+    """Rejects boards that a camera cannot distinguish.
 
-    Tags and markers are known by their squares: numbers may be the same in different families. Checkerboards are
-    known by their numbers of corners alone, and are found in ChArUco boards, too.
+    Tags and markers are identified by their bitmaps: ids may repeat in different families. Checkerboards are
+    identified by their numbers of corners alone, and are also detected in ChArUco boards.
 
     Raises:
         PydanticCustomError: to be raised within a validator of a model with the boards under ``target``.
@@ -42,7 +42,7 @@ def check_boards_distinguishable(boards: Sequence[Board]) -> None:
 
 
 def _ambiguous_pattern(i: int, other: int, reason: str) -> PydanticCustomError:
-    return invalid(f"target[{i}].pattern", f"cannot be told from that of target[{other}]: {reason}")
+    return invalid(f"target[{i}].pattern", f"cannot be distinguished from that of target[{other}]: {reason}")
 
 
 def _duplicate_marker(i: int, board: Board, bitmap: PrintedBitmap, other: int) -> PydanticCustomError:
@@ -56,7 +56,7 @@ def _duplicate_marker(i: int, board: Board, bitmap: PrintedBitmap, other: int) -
 
 
 def _detectable_borders(board: Board) -> tuple[int, ...]:
-    """Which widths of borders its squares may have to the finder: that of ChArUco boards reads AprilGrids, too."""
+    """Border widths, modules, with which its markers are detected: the ChArUco detector also reads AprilGrids."""
     match board.pattern:
         case Charuco():
             return 1, 2
@@ -67,7 +67,7 @@ def _detectable_borders(board: Board) -> tuple[int, ...]:
 
 
 def _marker_code(board: Board, printed: PrintedBitmap) -> bytes:
-    """What is within a square's border: the same if it is turned, different for any other."""
+    """The bits within a marker's border: equal for rotated copies, different for any other marker."""
     border = 2 if isinstance(board.pattern, AprilGrid) else 1
     bits = printed.bitmap[border:-border, border:-border]
     return min(np.ascontiguousarray(np.rot90(bits, k)).tobytes() for k in range(4))

@@ -1,4 +1,4 @@
-"""What is printed on a board: the one description that simulated boards and boards on paper are drawn from."""
+"""The print of a board as bitmaps, from which both simulated and printed boards are drawn."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class PrintedBitmap:
-    """A bitmap somewhere on the sheet. Paper does not cover the ink of other prints."""
+    """A bitmap on the board. Its white modules do not cover the black ones of other bitmaps."""
 
     bitmap: Array
-    """(rows, columns) as the reader sees it: 0 for ink, 1 for paper."""
+    """(rows, columns) as the reader sees it: 0 for black, 1 for white."""
     center: Pair
     """In the board frame, m."""
     size: Pair
     """Width and height, m."""
     number: int | None = None
-    """Of the tag or marker that it is; None if it is none."""
+    """Id of the tag or marker; None for other bitmaps."""
 
 
 def printed_bitmaps(board: Board) -> tuple[PrintedBitmap, ...]:
-    """All that is printed on a board; parts of it may reach over the sheet's edge."""
+    """All bitmaps printed on a board; parts of them may extend beyond its edge."""
     match board.pattern:
         case None:
             return tuple(
@@ -47,7 +47,7 @@ def printed_bitmaps(board: Board) -> tuple[PrintedBitmap, ...]:
 def black_rectangles(board: Board) -> Array:
     """Black rectangles (N, 4) that together are the print: left, bottom, right, top in the board frame, m.
 
-    None of them overlaps another, and none leaves the sheet.
+    They do not overlap and lie within the board.
     """
     rectangles = np.concatenate(
         [_bitmap_rectangles(bitmap) for bitmap in printed_bitmaps(board)] or [np.zeros((0, 4))]
@@ -58,7 +58,7 @@ def black_rectangles(board: Board) -> Array:
 
 
 def _bitmap_rectangles(printed: PrintedBitmap) -> Array:
-    """The ink of a bitmap as rectangles (N, 4), one for each run of inked modules in a row."""
+    """The black modules of a bitmap as rectangles (N, 4), one for each run of them in a row."""
     is_black = np.pad(printed.bitmap < 0.5, ((0, 0), (1, 1))).astype(int)
     row, start = np.nonzero(np.diff(is_black, axis=1) == 1)
     _, end = np.nonzero(np.diff(is_black, axis=1) == -1)

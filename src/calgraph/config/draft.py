@@ -1,4 +1,4 @@
-"""A first rig.yaml from the topics of a recording, with comments that say what to check and what to measure."""
+"""A first rig.yaml from the topics of a recording, with comments on what to check and what to measure."""
 
 import json
 import re
@@ -11,22 +11,22 @@ from calgraph.errors import InputError
 
 Kind = Literal["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"]
 
-# Names by which image_transport's and image_proc's topics of one camera differ, the most useful first: the lens
-# is calibrated for unrectified images.
+# Last parts of the image topics of one camera (image_transport, image_proc), preferred first: the intrinsics
+# describe the unrectified images.
 _IMAGE_TOPICS = ("image_raw", "image_color", "image_mono", "image", "image_rect_color", "image_rect")
 _DEPTH = re.compile(r"depth|disparity|confidence", re.IGNORECASE)
 _TRIGGER = re.compile(r"trigger|capture|shutter|snapshot", re.IGNORECASE)
-# YAML 1.1 readers take some of these words for truth values, nothing or numbers.
+# YAML 1.1 readers take some of these words as booleans, null or numbers.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z/][\w./-]*", re.IGNORECASE)
 
 _TARGET_BLOCK = """\
 # The board that was carried around. CHANGE THIS to the board you printed, and measure it: printers change scales,
-# and the size of tags or squares sets the scale of everything a camera says.
+# and the size of tags or squares sets the scale of all camera measurements.
 target:
   kind: board
-  size: [1.2, 0.9]              # width and height of the whole sheet, m
+  size: [1.2, 0.9]              # width and height of the board, m
   family: tag36h11              # of the AprilTags
-  tags:                         # size: edge of the black square; center: x right, y up from the sheet's centre; m
+  tags:                         # size: edge of the black square; center: x right, y up from the board's centre; m
     - {id: 0, size: 0.32, center: [-0.38, 0.2]}
     - {id: 1, size: 0.32, center: [0.38, 0.2]}
     - {id: 2, size: 0.32, center: [0.0, -0.2]}
@@ -51,9 +51,9 @@ class FoundTopic:
 
     name: str
     type: str
-    """Message type, for people."""
+    """Message type, for display."""
     kind: Kind
-    """What it is good for; ``event`` for messages that could mark a capture."""
+    """What the topic can serve as; ``event`` for messages that could mark a capture."""
     count: int
     """Number of messages."""
     frame_id: str = ""
@@ -114,7 +114,7 @@ def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict
         elif topic.problem:
             skipped[topic.name] = topic.problem
         elif topic.kind == "camera" and _DEPTH.search(topic.name):
-            skipped[topic.name] = "holds depths, it seems"
+            skipped[topic.name] = "seems to contain depth images"
         elif device in chosen:
             skipped[topic.name] = f"is the camera of {chosen[device].name}"
         else:
@@ -124,7 +124,7 @@ def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict
 
 
 def _device_name(topic: FoundTopic) -> str:
-    """What identifies the device: all image topics of one camera share it."""
+    """An identifier of the device, which all image topics of one camera share."""
     if topic.kind != "camera":
         return topic.name
     images = topic.name.removesuffix("/compressed")
@@ -240,5 +240,5 @@ def _format_scalar(text: str) -> str:
 
 
 def _single_line(text: str) -> str:
-    """A text that cannot end the comment it stands in."""
+    """The text on one line, so that it cannot end the comment around it."""
     return " ".join(text.split())

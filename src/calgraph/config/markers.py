@@ -1,4 +1,4 @@
-"""The squares with a number that boards carry: AprilTags and ArUco markers, by family and as bitmaps."""
+"""AprilTags and ArUco markers, by family and as bitmaps."""
 
 from functools import cache
 from typing import Literal
@@ -36,7 +36,7 @@ def marker_count(name: str) -> int:
 
 
 def marker_bitmap(name: str, number: int, border: int = 1) -> Array:
-    """A marker upright as OpenCV draws it: (n, n), a number for each module, 0 ink and 1 paper.
+    """A marker upright as OpenCV draws it: (n, n), a value for each module, 0 black and 1 white.
 
     The black border, ``border`` modules wide, is part of it.
     """

@@ -19,14 +19,14 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class Capture(StrictModel):
-    """Where in the recording the target is to be looked for."""
+    """Intervals of the recording in which the target is searched for."""
 
     background: Window | None = None
     """Start and end of the time without target and operator, s from the start of the recording."""
     trigger: Name | None = None
-    """Topic whose every message starts a capture; without it holds are found by stillness."""
+    """Topic whose every message starts a capture; without it, holds are found by motion detection."""
     exclude: tuple[Window, ...] = ()
-    """Times to ignore, s from the start of the recording."""
+    """Intervals to ignore, s from the start of the recording."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Capture":
@@ -93,7 +93,7 @@ class CameraSpec(StrictModel):
     camera_info: Name | None = None
     """Topic with its intrinsics."""
     intrinsics: Intrinsics | None = None
-    """The intrinsics themselves, instead of a topic."""
+    """The intrinsics, instead of a topic."""
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
     noise: PixelNoise = PixelNoise()
@@ -136,9 +136,9 @@ class Rig(StrictModel):
     root: str
     """The sensor whose frame everything is expressed in."""
     target: Target
-    """What the sensors see: one board, a list of boards, people or a cylinder."""
+    """The calibration target: one board, a list of boards, people or a cylinder."""
     capture: Capture = Capture()
-    """Where in the recording to look for the target."""
+    """Intervals of the recording in which the target is searched for."""
     sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]
     """The sensors by name."""
     settings: Settings = Settings()
@@ -164,7 +164,7 @@ class Rig(StrictModel):
         printed = [board for board in self.boards if board.tags or board.pattern]
         if self.boards and not printed and self.cameras():
             cameras = ", ".join(self.cameras())
-            raise invalid("target", f"needs tags or a pattern, without which no camera sees it ({cameras})")
+            raise invalid("target", f"needs tags or a pattern, without which no camera detects it ({cameras})")
         return self
 
     @model_validator(mode="after")
@@ -174,7 +174,7 @@ class Rig(StrictModel):
 
     @property
     def boards(self) -> tuple[Board, ...]:
-        """The boards to look for; empty if the target is not a board."""
+        """The boards to detect; empty if the target is not a board."""
         if isinstance(self.target, Board):
             return (self.target,)
         return () if isinstance(self.target, People | Cylinder) else self.target

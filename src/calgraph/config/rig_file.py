@@ -10,7 +10,7 @@ def load_rig(path: Path) -> Rig:
     """Reads a rig.yaml.
 
     Raises:
-        InputError: the file is missing, is not YAML, or has wrong keys or values, each named on its own line.
+        InputError: the file is missing, is not YAML, or has invalid keys or values, each on one line.
 
     """
     return validate_content(Rig, read_yaml(path), path)

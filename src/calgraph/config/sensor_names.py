@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 _DEFAULT_NAMES = {"camera": "camera", "lidar2d": "laser", "lidar3d": "lidar"}
-"""What a sensor is called where its topic says nothing."""
+"""Name of a sensor whose topic has only generic parts."""
 _GENERIC_PART = re.compile(
     r"compressed|images?(_raw|_color|_mono|_rect|_rect_color)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
     r"(point_?)?clouds?2?|points2?|packets|sensors?"
@@ -37,7 +37,7 @@ def name_sensors(kinds: Mapping[str, str]) -> dict[str, str]:
 
 
 def _specific_parts(topic: str) -> list[str]:
-    """The parts of a topic that say more than what kind of data it has."""
+    """The parts of a topic that are not generic names of its data."""
     parts = [re.sub(r"\W+", "_", part).strip("_") for part in topic.split("/")]
     return [_AFFIX.sub("", part) for part in parts if part and not _GENERIC_PART.fullmatch(part)]
 
@@ -47,7 +47,7 @@ def _join_last(parts: list[str], depth: int) -> str:
 
 
 def _ambiguous_topics(names: Mapping[str, str]) -> list[str]:
-    """The topics whose name another one has too."""
+    """The topics whose name is not unique."""
     counts = Counter(names.values())
     return [topic for topic, name in names.items() if counts[name] > 1]
 

@@ -1,4 +1,4 @@
-"""What is carried through the sensors' views: a planar board with its printed pattern, people, or a cylinder."""
+"""The calibration target: a planar board with its printed pattern, people, or a cylinder."""
 
 from itertools import combinations
 from typing import Annotated, Any, Literal
@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Strict, field_validator, model_valida
 from calgraph.config.markers import DICTIONARIES, FAMILIES, Family, marker_count
 from calgraph.config.strict_model import StrictModel, invalid
 
-# Strict: YAML has types, so a quoted number or a `yes` where a number belongs is a slip worth naming.
+# Strict: YAML has types, so a quoted number or a `yes` where a number belongs is reported as an error.
 Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
 Coordinate = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Index = Annotated[int, Strict(), Field(ge=0)]
@@ -17,12 +17,12 @@ AtLeastOne = Annotated[int, Strict(), Field(ge=1)]
 AtLeastTwo = Annotated[int, Strict(), Field(ge=2)]
 Pair = tuple[Coordinate, Coordinate]
 
-# Prints reach over an edge by a rounded millimetre in many a rig.yaml; more is a slip in a unit or a sign.
+# Rounding in rig.yaml makes prints overlap an edge by up to a millimetre; more is an error of unit or sign.
 _MAX_PRINT_OVERLAP = 1e-3
 
 
 class Tag(StrictModel):
-    """An AprilTag on the sheet, upright."""
+    """An upright AprilTag on the board."""
 
     id: Index
     size: Length
@@ -42,11 +42,11 @@ class Checkerboard(StrictModel):
     square: Length
     """Edge of a square, m."""
     center: Pair = (0.0, 0.0)
-    """Centre of the pattern on the sheet, m."""
+    """Centre of the pattern in the board frame, m."""
 
     @property
     def extent(self) -> Pair:
-        """Width and height that must be on the sheet, m; the outermost squares may be cropped to their half."""
+        """Width and height that must lie within the board, m; the outermost squares may be cropped to half."""
         return self.columns * self.square, self.rows * self.square
 
 
@@ -67,7 +67,7 @@ class Charuco(StrictModel):
     first_id: Index = 0
     """Number of the marker at the top left; the others follow row by row."""
     center: Pair = (0.0, 0.0)
-    """Centre of the pattern on the sheet, m."""
+    """Centre of the pattern in the board frame, m."""
 
     @field_validator("dictionary")
     @classmethod
@@ -110,7 +110,7 @@ class AprilGrid(StrictModel):
     first_id: Index = 0
     """Id of the tag at the bottom left."""
     center: Pair = (0.0, 0.0)
-    """Centre of the pattern on the sheet, m."""
+    """Centre of the pattern in the board frame, m."""
 
     @model_validator(mode="after")
     def _ids_exist(self) -> "AprilGrid":
@@ -130,20 +130,20 @@ Pattern = Annotated[Checkerboard | Charuco | AprilGrid, Field(discriminator="kin
 
 
 class Board(StrictModel):
-    """A rectangular sheet with either AprilTags or one pattern printed on it.
+    """A rectangular board with either AprilTags or one pattern printed on it.
 
-    Its frame: origin at the centre of the sheet, x right, y up, z out of the printed face.
+    Its frame: origin at the centre of the board, x right, y up, z out of the printed face.
     """
 
     kind: Literal["board"] = "board"
     size: tuple[Length, Length]
-    """Width (x) and height (y) of the sheet, m."""
+    """Width (x) and height (y), m."""
     family: Family = "tag36h11"
     """AprilTag family of the tags."""
     tags: tuple[Tag, ...] = ()
-    """The AprilTags on the sheet."""
+    """The AprilTags on the board."""
     pattern: Pattern | None = None
-    """What is printed instead of tags."""
+    """The pattern that is printed instead of tags."""
 
     @model_validator(mode="after")
     def _one_print(self) -> "Board":
@@ -175,17 +175,17 @@ def _check_within_board(key: str, board_size: Pair, center: Pair, extent: Pair) 
         if reach > board_size[axis] / 2 + _MAX_PRINT_OVERLAP:
             raise invalid(
                 key,
-                f"leaves the sheet: it reaches {reach:.3f} m from the centre, "
-                f"half the sheet's {direction} is {board_size[axis] / 2:.3f} m",
+                f"extends beyond the board: it reaches {reach:.3f} m from the centre, "
+                f"half the board's {direction} is {board_size[axis] / 2:.3f} m",
             )
 
 
 class People(StrictModel):
-    """Walking people, seen as ellipses by horizontal scanners."""
+    """Walking people, whose cross-sections are ellipses to horizontal scanners."""
 
     kind: Literal["people"] = "people"
     axes: tuple[Length, Length] = (0.25, 0.15)
-    """Start value of the ellipse's radii, m."""
+    """Start values of the ellipse's radii, m."""
 
 
 class Cylinder(StrictModel):
@@ -197,7 +197,7 @@ class Cylinder(StrictModel):
 
 
 def _kind_of_target(value: Any) -> str | None:
-    """The tag that chooses the model for a target; None, an error, unless it is a list or has a known kind."""
+    """The discriminator of a target's model; None, which is an error, unless it is a list or has a kind."""
     if isinstance(value, list | tuple):
         return "boards"
     kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)

@@ -37,9 +37,9 @@ def write_archive(
     Args:
         path: the file.
         member: name of the JSON object in it.
-        content: the object; the key ``format`` says what the file is, and its version.
+        content: the object; its key ``format`` names the kind of file and its version.
         arrays: by name; each becomes the member ``<name>.npy``.
-        compression: one of zipfile's; ``ZIP_STORED`` where it would take longer than it saves.
+        compression: one of zipfile's; ``ZIP_STORED`` where compression does not pay.
 
     Raises:
         InputError: ``path`` cannot be written.
@@ -91,7 +91,7 @@ def _arrays(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray
 
 
 def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
-    # Without the time of writing, which ZipInfo leaves at 1980.
+    # Without the time of writing, which ZipInfo sets to 1980, so that equal content gives equal bytes.
     archive.writestr(zipfile.ZipInfo(name), data, archive.compression)
 
 

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written beside their place under another name, then renamed."""
+"""Atomic output: files are written under a temporary name in the same folder, then renamed."""
 
 import os
 import secrets
@@ -19,7 +19,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
     """
     check_output_path(path)
-    # Same folder, hence same file system: the rename is then one step for everybody who looks.
+    # Same folder, hence same file system: the rename is atomic.
     temporary = path.parent / _temporary_name(path)
     try:
         with _wrap_errors(path):
@@ -30,7 +30,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 
 def check_output_path(path: Path) -> None:
-    """Refuses a place where no file can be, before work begins that is to end in one.
+    """Checks, before long work begins, that a file can be written at ``path``.
 
     Raises:
         InputError: the folder of ``path`` does not exist, or ``path`` is a folder.
@@ -46,11 +46,11 @@ def check_output_path(path: Path) -> None:
 def replace_folder_atomically(path: Path) -> Iterator[Path]:
     """A temporary folder whose files move into the folder ``path`` if the block ends without an error.
 
-    ``path`` is made if it is missing. Its other files stay; files of the same name are replaced, each in one
-    step. Only the top level is moved: a folder replaces the folder of its name whole.
+    ``path`` is created if it is missing. Its other files stay; files of the same name are replaced atomically.
+    Only the top level is moved: a folder replaces the folder of the same name as a whole.
 
     Raises:
-        InputError: ``path`` is a file, or cannot be made or written to; said before the block is entered.
+        InputError: ``path`` is a file, or cannot be made or written to; raised before the block is entered.
 
     """
     if path.exists() and not path.is_dir():

@@ -49,10 +49,10 @@ class Table:
         return arrays
 
     def unpack(self, arrays: Arrays) -> list[dict[str, Any]]:
-        """The records of columns; every array in them has memory of its own, in C order.
+        """The records of columns; every array in them is a copy in C order.
 
         Raises:
-            InputError: a column is missing, or is not as the table says; the message starts with its name.
+            InputError: a column is missing, or does not match the table; the message starts with its name.
         """
         fields = {
             field: _read_column(f"{self.name}/{field}", column, arrays) for field, column in self.columns.items()
@@ -70,7 +70,7 @@ class Table:
         """The records of columns, as :meth:`unpack` has them, with names in place of the sensors' numbers.
 
         Raises:
-            InputError: as :meth:`unpack`, or there is no sensor of such a number.
+            InputError: as :meth:`unpack`, or a sensor index is out of range.
         """
         rows = self.unpack(arrays)
         for row in rows:

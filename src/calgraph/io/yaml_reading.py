@@ -1,7 +1,7 @@
 """YAML files checked against a model, with errors that name file, key, value and what is allowed.
 
-pydantic says where an error is in its own words, tags of unions and names of types included. Here its path is
-walked along the model's types, which gives the key as it stands in the file and the keys known at that level.
+pydantic reports the location of an error with tags of unions and names of types. Here the location is followed
+along the model's types, which gives the key as written in the file and the keys allowed at that level.
 """
 
 import difflib
@@ -24,10 +24,10 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_yaml(path: Path) -> dict[Any, Any]:
-    """The mapping a YAML file holds.
+    """The mapping in a YAML file.
 
     Raises:
-        InputError: the file is missing, is not YAML, gives a key twice, or holds something else than a mapping.
+        InputError: the file is missing, is not YAML, gives a key twice, or does not contain a mapping.
 
     """
     text = read_text(path)
@@ -41,7 +41,7 @@ def read_yaml(path: Path) -> dict[Any, Any]:
 
 
 def read_documents(path: Path) -> list[Any]:
-    """All documents of a YAML file, empty ones left out, as a recorded stream of messages has many.
+    """All documents of a YAML file, empty ones left out, such as a recorded stream of messages.
 
     Raises:
         InputError: the file is missing, is not YAML, or gives a key twice.
@@ -73,13 +73,13 @@ def validate_content(model: type[Model], content: dict[Any, Any], source: Path) 
     """``content`` as a ``model``.
 
     Raises:
-        InputError: with one line for each wrong key or value, starting with ``source``.
+        InputError: with one line for each invalid key or value, starting with ``source``.
 
     """
     try:
         return model.model_validate(content)
     except pydantic.ValidationError as error:
-        # A list with wrong elements counts as empty to pydantic, which then complains of that as well.
+        # pydantic also reports a list with invalid elements as empty.
         details = [d for d in error.errors() if d["type"] != "too_short" or not d["input"]]
         lines = dict.fromkeys(f"{source}: {_explain(model, d)}" for d in details)
         raise InputError("\n".join(lines)) from error
@@ -120,7 +120,7 @@ def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
     if kind == "extra_forbidden" and owner is not None:
         return f"unknown key {_format_path(path)}{_suggest_key(path[-1], owner.model_fields)}"
     if kind == "missing" and path and isinstance(path[-1], int):
-        # pydantic reports each absent element of a fixed-length list; the user has to correct the list.
+        # pydantic reports each absent element of a fixed-length list; the message names the list.
         count = len(get_args(place.around))
         return f"{_format_path(path[:-1])}: must have {count} elements, got {_format_value(given)}"
     if kind == "missing":
@@ -129,7 +129,7 @@ def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
         return _explain_kind(path, given, _allowed_kinds(place.annotation))
     allowed = _describe_constraint(kind, context) or _lowercase_first(details["msg"])
     if kind == "value_error" and isinstance(given, dict):
-        # A validator of a whole part speaks of the values that contradict each other itself.
+        # The validator of a whole part names the contradicting values itself.
         return f"{_format_path(path)}: {allowed}"
     return f"{_format_path(path)}: {allowed}, got {_format_value(given)}"
 
@@ -185,7 +185,7 @@ def _lowercase_first(message: str) -> str:
 
 
 def _format_value(value: object) -> str:
-    """A value as its author would recognise it in the file."""
+    """A value in the form it has in the file."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -201,13 +201,13 @@ def _describe_field(owner: type[BaseModel] | None, path: list[Any]) -> str:
     return f" ({field.description.splitlines()[0].rstrip('.')})" if field and field.description else ""
 
 
-def _suggest_key(key: Any, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(str(key), known, n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else f"; known here are {', '.join(known)}"
+def _suggest_key(key: Any, allowed: Iterable[str]) -> str:
+    close = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.6)
+    return f"; did you mean {close[0]!r}?" if close else f"; known here are {', '.join(allowed)}"
 
 
 def _format_path(path: list[Any]) -> str:
-    """The path as one writes about it: ``target.tags[0].size``."""
+    """The path in dotted notation: ``target.tags[0].size``."""
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in path if part != ""]
     return "".join(parts).lstrip(".") or "the file"
 
@@ -235,7 +235,7 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
         elif origin is tuple and isinstance(part, int):
             owner, annotation = None, get_args(annotation)[0]
         else:
-            break  # pydantic's own remarks, such as [key]
+            break  # markers that pydantic adds, such as [key]
         path.append(part)
     return _Location(path, owner, around, _unwrap(annotation))
 

@@ -1,4 +1,4 @@
-"""Plain values as YAML that people, and readers of YAML 1.1 and 1.2, read alike."""
+"""Plain values as YAML that readers of YAML 1.1 and 1.2 understand identically."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -46,7 +46,7 @@ def save_yaml(path: Path, content: Mapping[str, Any], comment: str = "") -> None
 
 
 def flow_sequence(values: Iterable[object]) -> CommentedSeq:
-    """A list that is written on one line whatever stands around it."""
+    """A list that is always written on one line."""
     sequence = CommentedSeq(values)
     sequence.fa.set_flow_style()
     return sequence

@@ -34,7 +34,7 @@ _ADVICE = {
     ".mcap": "it may be truncated: try `mcap recover {name} -o fixed.mcap`, or copy it again",
     ".db3": "it may be truncated: try `sqlite3 {name} .recover | sqlite3 fixed.db3`, or copy it again",
 }
-# Seconds as floats are good to 0.24 µs; the storage is asked for this much more and filtered exactly afterwards.
+# Float seconds resolve 0.24 µs; the query is widened by this margin and filtered exactly afterwards.
 _MARGIN_NS = 1000
 
 

@@ -25,7 +25,7 @@ from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, 
 
 CAMERA_INFO = "camera_info.yaml"
 _SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
-# A scan's own stamp is that of its file's name, which may be rounded to this, s.
+# Tolerance between the stamp in a scan and that in its file's name, which may be rounded, s.
 _STAMP_TOLERANCE = 1e-3
 
 
@@ -86,7 +86,7 @@ def _suffix(path: Path) -> str | None:
 
 
 def _kind(path: Path) -> str:
-    """What a file holds, without reading it (an NPZ only says so in its table of contents)."""
+    """The kind of content of a file, from its name; of an NPZ from its table of contents."""
     if path.name == CAMERA_INFO:
         return "camera_info"
     suffix = _suffix(path)

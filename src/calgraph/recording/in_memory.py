@@ -1,4 +1,4 @@
-"""Messages that a program has at hand, read like a recording."""
+"""Messages in memory, read like a recording."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is in a recording: its topics, their times, and what is odd about them, in words."""
+"""Inspection of a recording: its topics, their timing, and anomalies."""
 
 from array import array
 from collections.abc import Callable, Iterable
@@ -31,13 +31,13 @@ _EVENTS = "std_msgs/msg/"
 _MAX_SCAN_HEIGHT = 1e-3
 """A cloud whose points are all closer to z = 0 than this is a scan, m."""
 _MAX_GAP_PERIODS = 4.0
-"""A gap longer than this many periods is worth a remark."""
+"""Gaps longer than this many periods are reported."""
 _MAX_LATENCY = 1.0
-"""Stamps older than their arrival by this and two periods of the sensor are of another clock, s."""
+"""Stamps older than their arrival by this and two periods of the sensor come from another clock, s."""
 _MAX_LEAD = 0.005
-"""Stamps that are this much newer than their arrival, s, are of another clock."""
+"""Stamps newer than their arrival by more than this come from another clock, s."""
 _MAX_DRIFT = 0.02
-"""A clock that runs away from the recorder's by this much over the recording, s, is worth a remark."""
+"""Drift of a clock against the recorder's over the recording above which it is reported, s."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class TopicReport:
     timing: Timing | None = None
     """None without messages."""
     findings: tuple[str, ...] = ()
-    """What is odd about it, in words."""
+    """Anomalies, in words."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Inspection:
 
 @dataclass
 class _TopicStatistics:
-    """What is kept of a topic while the recording passes by."""
+    """Statistics of a topic, accumulated while the recording is read."""
 
     stamps: "array[float]" = field(default_factory=lambda: array("d"))
     arrivals: "array[float]" = field(default_factory=lambda: array("d"))
@@ -109,7 +109,7 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
 
     Args:
         recording: open recording.
-        progress: told how much of it is read, 0..1.
+        progress: called with the fraction read, 0..1.
     """
     statistics = {topic.name: _TopicStatistics() for topic in recording.topics}
     damage = ""
@@ -138,7 +138,7 @@ def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
 
 
 def _kind(message_type: str, first: Message | None = None) -> Kind:
-    """What a topic of this type is good for; some drivers send the scans of 2-D scanners as clouds with z = 0."""
+    """What a topic of this type can serve as; some drivers publish the scans of 2-D scanners as flat clouds."""
     if isinstance(first, PointCloud) and len(first.points) and np.abs(first.points[:, 2]).max() < _MAX_SCAN_HEIGHT:
         return "lidar2d"
     return _KINDS.get(message_type, "event" if message_type.startswith(_EVENTS) else "other")
@@ -149,7 +149,7 @@ def _add_record(statistics: _TopicStatistics, record: RecordedMessage) -> None:
         try:
             statistics.first = record.decode()
         except RecordingError as error:
-            # The recording and the topic are known to whoever reads this.
+            # The report already names the recording and the topic.
             statistics.problem = str(error).partition(": topic ")[2].partition(": ")[2] or str(error)
     statistics.stamps.append(record.stamp)
     statistics.arrivals.append(record.arrival)

@@ -85,7 +85,7 @@ def message_type(connection: Connection, *, ros1: bool) -> MessageType:
 
 
 def _store_for(connection: Connection, *, ros1: bool) -> Typestore | None:
-    """A store of its own for each type, so that an odd definition cannot spoil those of other topics."""
+    """A separate store for each type, so that a malformed definition does not affect other topics."""
     definition = connection.msgdef
     try:
         store = get_typestore(Stores.EMPTY)
@@ -96,7 +96,7 @@ def _store_for(connection: Connection, *, ros1: bool) -> Typestore | None:
                 store.register(get_types_from_idl(part))
         if connection.msgtype in store.fielddefs:
             return store
-    except Exception as error:  # the parsers raise many kinds, and nobody may have asked for this topic
+    except Exception as error:  # the parsers raise many kinds, and the topic may not be needed
         _log.debug("topic %s: definition of %s not understood: %s", connection.topic, connection.msgtype, error)
     default = _default_store(ros1)
     return default if connection.msgtype in default.fielddefs else None

@@ -1,4 +1,4 @@
-"""Opens whatever a recording may be."""
+"""Opening recordings of any supported format."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack

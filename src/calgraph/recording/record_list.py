@@ -1,4 +1,4 @@
-"""A recording whose records are all known before the first is read."""
+"""A recording whose records are indexed when it is opened."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -9,11 +9,11 @@ from calgraph.sensors import RecordedMessage
 
 
 class IndexedRecording(ClosedOnExit):
-    """Records that are listed beforehand, and decoded when asked for.
+    """Records that are listed when the recording is opened, and decoded on request.
 
     Args:
-        path: what messages call it.
-        listed: one record or more, in any order.
+        path: its name in messages.
+        records: one record or more, in any order.
         types: by topic.
     """
 

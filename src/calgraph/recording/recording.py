@@ -1,4 +1,4 @@
-"""What a recording is to the rest of calgraph: topics, and their messages in order of arrival."""
+"""The interface of a recording: topics, and their messages in order of arrival."""
 
 import difflib
 import heapq
@@ -147,7 +147,7 @@ def select_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[s
 def merge_by_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]]]) -> Iterator[RecordedMessage]:
     """Merges streams that are each in order, opening each only when its start (s) has come.
 
-    So the first chunks of a hundred split files are not all in memory at once.
+    Thus the first chunks of many split files are not all in memory together.
     """
 
     def lazily(start: float, records: Iterable[RecordedMessage]) -> Iterator[tuple[float, RecordedMessage | None]]:
@@ -162,7 +162,7 @@ def merge_by_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]]])
 def check_message_counts(
     where: Path, records: Iterable[RecordedMessage], stated: Mapping[str, int], *, cause: str
 ) -> Iterator[RecordedMessage]:
-    """Passes records on, and complains at the end if a topic had fewer of them than stated.
+    """Passes records on, and raises at the end if a topic had fewer of them than stated.
 
     Raises:
         RecordingError: fewer messages than stated, naming the topics.
@@ -179,10 +179,10 @@ def check_message_counts(
 
 @contextmanager
 def wrap_errors(where: object, advice: str = "") -> Iterator[None]:
-    """Turns whatever a library or a decoder raises into a RecordingError that says where.
+    """Converts exceptions of libraries and decoders into a RecordingError with a location.
 
     Damaged bytes make the parsers below us raise nearly anything (struct.error, AssertionError, KeyError, zlib
-    and database errors), hence the broad net; errors that are ours already pass unchanged.
+    and database errors), hence the broad except clause; exceptions of calgraph pass unchanged.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Writes recordings as rosbag2 with MCAP storage, as ROS 2's own tools read them."""
+"""Writes recordings as rosbag2 with MCAP storage, as the tools of ROS 2 read them."""
 
 import shutil
 import tempfile

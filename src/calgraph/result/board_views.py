@@ -1,4 +1,4 @@
-"""What each sensor saw of the board, beside where the joint solution has it: for pictures."""
+"""Measurements of the board by each sensor, and its estimated outline: for pictures."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,19 @@ from calgraph.geometry import Array
 
 @dataclass(frozen=True, eq=False)
 class BoardOutline:
-    """Where the board was in one capture, for pictures."""
+    """The estimated outline of the board in one capture, for pictures."""
 
     capture: int
     corners: Array
-    """(4, 3) corners of the sheet or of the patch seen, root frame, m; of a sheet whose print was seen,
-    anticlockwise from the bottom left as its reader sees it."""
+    """(4, 3) corners of the board, or of the detected patch, root frame, m; of a board whose print was detected,
+    anticlockwise from the bottom left as a reader sees it."""
     board: int | None = None
-    """Which of the rig's boards, where a camera saw its print."""
+    """Index of the board among the rig's boards, where a camera detected its print."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """What one sensor saw of one board in one capture, and how far that is from the joint solution."""
+    """Measurements of one board by one sensor in one capture, and their residuals under the joint solution."""
 
     capture: int
     sensor: str

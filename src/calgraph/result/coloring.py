@@ -1,4 +1,4 @@
-"""Points in the colours in which the cameras saw them."""
+"""Colours of points from camera images."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,16 +16,16 @@ def colorize_from_snapshots(
     cameras: Mapping[str, CameraModel],
     T_root_sensor: Mapping[str, Array],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """The colours of points in pictures taken at once, of the first that shows each.
+    """The colours of points in simultaneous images; of each point, from the first image that shows it.
 
     Args:
         x_root: (N, 3) in the root's frame, m.
-        snapshots: of any sensors; pictures of cameras without intrinsics or pose are passed over.
+        snapshots: of any sensors; images of cameras without intrinsics or pose are skipped.
         cameras: intrinsics by camera.
         T_root_sensor: (4, 4) by sensor.
 
     Returns:
-        Red, green and blue (N, 3), 0 where no camera sees; and which points one sees (N,).
+        Red, green and blue (N, 3), 0 where no camera sees the point; and whether a camera does (N,).
     """
     colors, is_colored = np.zeros((len(x_root), 3), dtype=np.uint8), np.zeros(len(x_root), dtype=np.bool_)
     for s in snapshots:

@@ -1,4 +1,4 @@
-"""What a calibration estimated besides poses."""
+"""Parameters that a calibration estimates besides poses."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ _DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """A number of a sensor or of the target, with what it was taken to be beforehand."""
+    """A parameter of a sensor or of the target, with its stated value and its estimate."""
 
     of: str
     """A sensor, or a tag: ``tag 3``."""
@@ -20,11 +20,11 @@ class EstimatedParameter:
     value: float
     stddev: float
     measured: bool
-    """Whether the captures tell it; where they do not, it is hardly better known than before."""
+    """Whether the captures determine it; otherwise its prior dominates."""
 
     @property
     def formatted(self) -> tuple[str, str, str, str]:
-        """Stated value, value, standard deviation and unit, for people: mm and degrees instead of m and rad.
+        """Stated value, value, standard deviation and unit, for display: mm and degrees instead of m and rad.
 
         Values have as many decimals as leave two digits of the standard deviation.
         """

@@ -1,4 +1,4 @@
-"""Sensor poses that somebody else wrote: a calibration.yaml, a URDF, or transforms of tf."""
+"""Extrinsics given in a file: a calibration.yaml, a URDF, or transforms of tf."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,23 +23,23 @@ _SHAPE = "needs the frame's parent (frame_id or parent), child_frame_id, transla
 
 @dataclass(frozen=True, eq=False)
 class ExtrinsicsFile:
-    """Frames as a file has them, which sensors find themselves in by frame_id or by name."""
+    """The frames in a file, to which sensors are matched by frame_id or by name."""
 
     path: Path
     tree: FrameTree
     aliases: Mapping[str, str] = field(default_factory=dict)
     """Other names of frames."""
     calibration: Calibration | None = None
-    """What the file holds, where it says how sure it is of the poses."""
+    """The file's content, where it is a calibration and has covariances."""
 
     def frames_of_sensors(self, frame_ids: Mapping[str, str]) -> dict[str, str]:
-        """The frames of those sensors that the file knows: the one called as a sensor's frame_id, else as itself.
+        """The frames of the sensors that the file contains, matched by frame_id, else by the sensor's name.
 
         Args:
             frame_ids: by sensor.
 
         Raises:
-            InputError: it knows none of them, or two sensors are one frame.
+            InputError: it contains none of them, or two sensors match one frame.
         """
         frame_by_name = dict(self.aliases) | {frame: frame for frame in self.tree.frames}
         found = {
@@ -66,7 +66,7 @@ class ExtrinsicsFile:
         """The frame of one sensor.
 
         Raises:
-            InputError: the file does not know it.
+            InputError: the file does not contain it.
         """
         found = self.frames_of_sensors(frame_ids)
         if name not in found:
@@ -85,7 +85,7 @@ class ExtrinsicsFile:
         return self.tree.transform(a, b)
 
     def covariance(self, a: str, b: str) -> Array:
-        """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a; zero where the file does not say."""
+        """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a; zero where the file has no covariances."""
         if self.calibration is None or self.calibration.joint_covariance is None:
             return np.zeros((6, 6))
         return self.calibration.covariance(a, b)
@@ -101,7 +101,7 @@ def read_extrinsics(path: Path) -> ExtrinsicsFile:
     may also be called ``rpy``.
 
     Raises:
-        InputError: the file is none of these, or what it says cannot be; the message says where.
+        InputError: the file is none of these, or its content is invalid; the message names the location.
     """
     if path.suffix in (".urdf", ".xml", ".xacro") or read_text(path).lstrip("\ufeff \t\r\n").startswith("<"):
         return _read_urdf(path)
@@ -133,7 +133,7 @@ def _read_transforms(path: Path, documents: list[Any]) -> ExtrinsicsFile:
         child, link = _parse_transform(where, entry)
         before = links.get(child)
         if before and before.parent != link.parent:
-            raise InputError(f"{where}: {child!r} hangs from {before.parent!r} and {link.parent!r}")
+            raise InputError(f"{where}: {child!r} has two parents, {before.parent!r} and {link.parent!r}")
         links[child] = link
     if not links:
         raise InputError(f"{path}: has no transforms; {_SHAPE}")
@@ -141,7 +141,7 @@ def _read_transforms(path: Path, documents: list[Any]) -> ExtrinsicsFile:
 
 
 def _list_entries(path: Path, documents: list[Any]) -> list[tuple[str, Any]]:
-    """All transforms, each with where it stands."""
+    """All transforms, each with its location in the file."""
     entries = []
     for content in documents:
         listed = content.get("transforms") if isinstance(content, dict) else content
@@ -155,7 +155,7 @@ def _list_entries(path: Path, documents: list[Any]) -> list[tuple[str, Any]]:
 
 
 def _parse_transform(where: str, entry: Any) -> tuple[str, FrameLink]:
-    """The child frame, and how it hangs."""
+    """The child frame, and the link to its parent."""
     if not isinstance(entry, dict):
         raise InputError(f"{where}: must be a mapping, it {_SHAPE}")
     flat = entry | _mapping(entry, "header") | _mapping(entry, "transform")

@@ -1,4 +1,4 @@
-"""Frames that hang from each other, as a URDF or tf describes them."""
+"""A tree of frames, as a URDF or tf describes it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from calgraph.geometry import Array, se3
 
 @dataclass(frozen=True, eq=False)
 class FrameLink:
-    """How a frame hangs from its parent."""
+    """The transform from a frame to its parent."""
 
     parent: str
     T_parent_child: Array
     """(4, 4); of a movable joint at its zero position."""
     movable: str = ""
-    """What is to be said of a joint that moves; empty for one that is fixed."""
+    """Description of a movable joint, for messages; empty for a fixed one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class FrameTree:
     source: str
     """What describes them, for messages."""
     links: Mapping[str, FrameLink]
-    """By frame, how it hangs; frames that others only hang from are not in it."""
+    """The link to its parent, by frame; the top frames are not in it."""
 
     @property
     def frames(self) -> set[str]:
@@ -38,13 +38,13 @@ class FrameTree:
         """The frame, its parent, and so on up to the top.
 
         Raises:
-            InputError: the frames hang in a circle.
+            InputError: the frames form a cycle.
         """
         chain = [frame]
         while chain[-1] in self.links:
             chain.append(self.links[chain[-1]].parent)
             if chain[-1] in chain[:-1]:
-                raise InputError(f"the frames of {self.source} form a circle through {chain[-1]!r}")
+                raise InputError(f"the frames of {self.source} form a cycle through {chain[-1]!r}")
         return chain
 
     def transform_to_ancestor(self, upper: str, lower: str) -> Array:
@@ -71,7 +71,7 @@ class FrameTree:
         )
 
     def check_fixed(self, frame: str) -> None:
-        """Refuses what moves between a frame and its parent."""
+        """Raises InputError if the joint between a frame and its parent is movable."""
         movable = self.links[frame].movable
         if movable:
             raise InputError(f"{movable}, but lies between calibrated sensors, which must be fixed to each other")

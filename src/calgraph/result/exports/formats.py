@@ -17,7 +17,7 @@ from calgraph.sensors import CameraModel
 
 @dataclass(frozen=True)
 class _Request:
-    """A calibration and what some formats need besides."""
+    """A calibration, and further inputs that some formats need."""
 
     calibration: Calibration
     rig: Rig | None = None
@@ -60,7 +60,7 @@ def export(
         urdf: urdf: text of a URDF whose joints are to be corrected; without it a new one is made.
 
     Raises:
-        InputError: there is no such format, or this calibration cannot be written in it; the message says why.
+        InputError: there is no such format, or this calibration cannot be written in it, with the reason.
 
     """
     if format not in FORMATS:

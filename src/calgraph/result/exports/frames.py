@@ -46,8 +46,8 @@ def frame_ids(calibration: Calibration) -> dict[str, str]:
     if count > 1:
         same = [name for name in by_sensor if by_sensor[name] == frame]
         raise InputError(
-            f"sensors {', '.join(same)} have the same frame_id {frame!r}, so that their transforms cannot be told "
-            f"apart; give them different ones in rig.yaml (sensors.{same[-1]}.frame_id)"
+            f"sensors {', '.join(same)} have the same frame_id {frame!r}, so that their transforms cannot be "
+            f"distinguished; give them different ones in rig.yaml (sensors.{same[-1]}.frame_id)"
         )
     return by_sensor
 
@@ -77,7 +77,7 @@ def format_coordinate(value: float) -> str:
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     """Angles about the fixed axes x, y, z, rad, with ``R = Rz(yaw) @ Ry(pitch) @ Rx(roll)`` also at pitch ±90°.
 
-    There roll and yaw turn about the same axis; whatever yaw comes out, pitch and roll are read off what is left.
+    There roll and yaw rotate about the same axis: pitch and roll are computed after the yaw is removed.
     """
     yaw = np.arctan2(R[1, 0], R[0, 0])
     c, s = np.cos(yaw), np.sin(yaw)

@@ -53,7 +53,7 @@ def read_joints(text: str) -> list[Joint]:
     content = text.encode()
     drafts: list[_PartialJoint] = []
     path: list[str] = []
-    # The text has been decoded: whatever encoding the file declares no longer applies.
+    # The text has been decoded: the encoding that the file declares no longer applies.
     parser = expat.ParserCreate("utf-8")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -85,10 +85,10 @@ def read_joints(text: str) -> list[Joint]:
 
 
 def frames_from_joints(joints: Sequence[Joint], source: str = "the URDF") -> FrameTree:
-    """The links of a URDF as frames that hang from each other.
+    """The links of a URDF as a tree of frames.
 
     Raises:
-        InputError: a link hangs from two.
+        InputError: a link has two parents.
 
     """
     child, count = Counter(joint.child for joint in joints).most_common(1)[0]
@@ -123,7 +123,7 @@ def replace_origins(text: str, joints: Sequence[Joint], origins: Mapping[str, st
 
 
 def _replace_tag(new: bytes, old: bytes) -> bytes:
-    """The tag ``new`` closed as ``old`` was, or on a line of its own where there was none."""
+    """The tag ``new`` closed as ``old`` was, or on a new line where there was none."""
     if not old:
         return b"\n    " + new + b"/>"
     return new + (b"/>" if old.endswith(b"/>") else b">")

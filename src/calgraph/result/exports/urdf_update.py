@@ -15,12 +15,12 @@ _log = logging.getLogger(__name__)
 
 
 def update_urdf(calibration: Calibration, urdf: str) -> str:
-    """The URDF with new origins, such that its sensor links stand to each other as calibrated.
+    """The URDF with new origins, such that the relative poses of its sensor links are the calibrated ones.
 
     A sensor's link is the one named as its frame_id; sensors without one are logged and left out. A sensor's
-    joint may hang from any link: its new origin takes the fixed joints between that link and the other sensors
-    into account. One sensor's joint stays as it is and holds the rig to the robot: the root's, or that of the
-    topmost sensor that carries the root. Everything else in the file, comments included, stays as it is too.
+    joint may have any link as parent: its new origin takes the fixed joints between that link and the other
+    sensors into account. One sensor's joint is unchanged and attaches the rig to the robot: the root's, or that of
+    the topmost sensor that carries the root. Everything else in the file, comments included, is unchanged too.
 
     Args:
         calibration: the poses.
