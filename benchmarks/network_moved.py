@@ -16,7 +16,7 @@ import numpy as np
 from calgraph.calibrate import DEPTHS
 from calgraph.config import Rig
 from calgraph.diagnostics.comparison import CHANCE
-from calgraph.diagnostics.network.moved_scanners import displacements
+from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
@@ -74,10 +74,10 @@ def check(seed: int) -> Outcome:
     scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
     before = found(rig, {name: [scan for scan in own if scan.stamp < middle] for name, own in scans.items()})
     later = {name: [scan for scan in own if scan.stamp >= middle] for name, own in scans.items()}
-    _, alarms = displacements(before, found(rig, later), CHANCE)
+    _, alarms = find_moved_scanners(before, found(rig, later), CHANCE)
     own = [scan for scan in scans_of(shifted, pushed) if scan.stamp >= middle]
-    _, named = displacements(before, found(rig, {**later, pushed.name: own}), CHANCE)
-    off = next(((one.distance, one.turn) for one in named if one.name == pushed.name), ())
+    _, named = find_moved_scanners(before, found(rig, {**later, pushed.name: own}), CHANCE)
+    off = next(((one.distance, one.rotation) for one in named if one.name == pushed.name), ())
     return Outcome(pushed.name, tuple(one.name for one in named), off, tuple(one.name for one in alarms))
 
 

@@ -213,7 +213,7 @@ def solved(
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))
     assert isinstance(rig.target, People | Cylinder)
     joint = solve_network(rig.target, [tracked[name] for name in names], averaged, graph)
-    return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.offset)
+    return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.clock_offset)
 
 
 def chained(graph: PoseGraph, pairs: Sequence[ScannerPairEstimate], names: Sequence[str]) -> PoseGraphSolution:

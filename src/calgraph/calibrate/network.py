@@ -8,7 +8,13 @@ import numpy as np
 from calgraph.calibrate.options import Options, Progress, network_estimator, no_progress
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.config import Rig
-from calgraph.diagnostics import agreed_prior, assemble_network, earlier_poses, extended, without
+from calgraph.diagnostics import (
+    assemble_network,
+    build_consistent_prior,
+    extract_earlier_poses,
+    merge_calibrations,
+    remove_scanners,
+)
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import ScannerPrior, solve_network
 from calgraph.graph import initialize_network
@@ -85,7 +91,7 @@ def calibrate_tracks(
         solution = partial(solve_network, moving_target(rig), [tracked[name] for name in names], averaged, graph)
         joint = solution()
         if earlier:
-            prior = agreed_prior(earlier_poses(earlier, rig.root), names, joint)
+            prior = build_consistent_prior(extract_earlier_poses(earlier, rig.root), names, joint)
             joint = solution(prior=prior)
         progress("solving", 1.0)
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
@@ -100,8 +106,8 @@ def _calibration_to_extend(rig: Rig, options: Options) -> Calibration | None:
     """The calibration to extend, without the scanners that have moved since."""
     if options.extend is None:
         return None
-    earlier_poses(options.extend, rig.root)
-    return without(options.extend, options.moved)
+    extract_earlier_poses(options.extend, rig.root)
+    return remove_scanners(options.extend, options.moved)
 
 
 def _complete_tracks(rig: Rig, tracks: Mapping[str, Tracked | Rejected]) -> dict[str, Tracked | Rejected]:
@@ -124,4 +130,4 @@ def _merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: S
         raise CalibrationError(
             f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
         )
-    return extended(calibration, earlier, prior)
+    return merge_calibrations(calibration, earlier, prior)

@@ -8,7 +8,12 @@ from calgraph.diagnostics.comparison import (
     Tolerance,
 )
 from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
-from calgraph.diagnostics.network.extension import agreed_prior, earlier_poses, extended, without
+from calgraph.diagnostics.network.extension import (
+    build_consistent_prior,
+    extract_earlier_poses,
+    merge_calibrations,
+    remove_scanners,
+)
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.assessment import add_assessment
@@ -26,14 +31,14 @@ __all__ = [
     "SensorComparison",
     "Tolerance",
     "add_assessment",
-    "agreed_prior",
     "assemble_network",
     "assemble_rig",
     "axis_names",
     "bootstrap_poses",
+    "build_consistent_prior",
     "compare_network_poses",
     "compare_rig_poses",
-    "earlier_poses",
-    "extended",
-    "without",
+    "extract_earlier_poses",
+    "merge_calibrations",
+    "remove_scanners",
 ]

@@ -1,6 +1,6 @@
 """Joint estimators over all sensors, and the problem that they solve."""
 
-from calgraph.estimation.network.estimate import JointNetwork, solve_network
+from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle
 from calgraph.estimation.rig.extra_parameters import Estimable
@@ -12,8 +12,8 @@ from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedB
 __all__ = [
     "Estimable",
     "Estimator",
-    "JointNetwork",
     "MeasuredNoise",
+    "NetworkSolution",
     "PosePrior",
     "PriorFile",
     "Problem",

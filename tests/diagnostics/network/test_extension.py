@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.extension import earlier_poses, extended, without
+from calgraph.diagnostics.network.extension import extract_earlier_poses, merge_calibrations, remove_scanners
 from calgraph.errors import InputError
-from calgraph.estimation.network.planar_poses import PlanarPoses, planar_poses
-from calgraph.estimation.network.scanner_prior import ScannerPrior, prior_of
+from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
+from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
 from known_networks import calibration, four_scanners
 
@@ -14,16 +14,16 @@ from known_networks import calibration, four_scanners
 def test_the_prior_pulls_as_its_cost_says() -> None:
     rng = np.random.default_rng(0)
     poses = four_scanners(rng)
-    prior = prior_of(poses, ("a", "x", "c", "b"))
+    prior = build_scanner_prior(poses, ("a", "x", "c", "b"))
     assert prior.nodes.tolist() == [2, 3]
     T = np.stack([np.eye(3), np.eye(3), poses.T_root_scanner[2], poses.T_root_scanner[1]])
     T = se2.retract(T, rng.normal(0, 0.02, (4, 3)))
 
     def cost(step: Array) -> float:
-        return prior.add(se2.retract(T, step.reshape(4, 4)[:, :3]), np.zeros((16, 16)), np.zeros(16))
+        return prior.add_to_equations(se2.retract(T, step.reshape(4, 4)[:, :3]), np.zeros((16, 16)), np.zeros(16))
 
     H, g = np.zeros((16, 16)), np.zeros(16)
-    prior.add(T, H, g)
+    prior.add_to_equations(T, H, g)
     numerical = [(cost(h) - cost(-h)) / 2e-6 for h in 1e-6 * np.eye(16)]
     np.testing.assert_allclose(g, numerical, rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(H @ np.eye(16)[8], _slope(prior, T, 8), rtol=1e-5, atol=1e-3)
@@ -35,7 +35,7 @@ def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:
     for sign in (1, -1):
         step = sign * 1e-6 * np.eye(16)[column].reshape(4, 4)
         g = np.zeros(16)
-        prior.add(se2.retract(T, step[:, :3]), np.zeros((16, 16)), g)
+        prior.add_to_equations(se2.retract(T, step[:, :3]), np.zeros((16, 16)), g)
         slopes.append(g)
     return np.asarray((slopes[0] - slopes[1]) / 2e-6)
 
@@ -44,13 +44,13 @@ def test_errors_of_kept_scanners_go_together_with_those_found_anew() -> None:
     """Linear theory by sampling: b and c are measured again, d is kept; 4,000 draws tell covariances to 10 %."""
     rng = np.random.default_rng(3)
     poses = four_scanners(rng)
-    prior = prior_of(poses, ("a", "b", "c"))
+    prior = build_scanner_prior(poses, ("a", "b", "c"))
     measured = np.diag(np.tile([0.01, 0.02, 0.005], 2) ** 2)
     posterior = np.linalg.inv(prior.information + np.linalg.inv(measured))
     spread = np.zeros((9, 9))
     spread[3:, 3:] = posterior
     found = calibration(PlanarPoses(("a", "b", "c"), poses.T_root_scanner[:3], spread))
-    together = planar_poses(extended(found, calibration(poses), prior)).covariance[3:, 3:]
+    together = extract_planar_poses(merge_calibrations(found, calibration(poses), prior)).covariance[3:, 3:]
 
     old = rng.multivariate_normal(np.zeros(9), poses.covariance[3:, 3:], 4000)
     new = rng.multivariate_normal(np.zeros(6), measured, 4000)
@@ -62,15 +62,15 @@ def test_errors_of_kept_scanners_go_together_with_those_found_anew() -> None:
 
 def test_a_kept_scanner_stays_where_it_was_and_says_so() -> None:
     poses = four_scanners(np.random.default_rng(3))
-    found = calibration(poses.of(("a", "b", "c")))
-    both = extended(found, calibration(poses), prior_of(poses, ("a", "b", "c")))
+    found = calibration(poses.select(("a", "b", "c")))
+    both = merge_calibrations(found, calibration(poses), build_scanner_prior(poses, ("a", "b", "c")))
     assert [sensor.name for sensor in both.sensors] == ["a", "b", "c", "d"]
     np.testing.assert_allclose(both["d"].T_root_sensor, calibration(poses)["d"].T_root_sensor)
     assert "earlier calibration" in both["d"].verdict.reason
 
 
 def test_a_scanner_that_moved_is_forgotten_and_what_hung_from_it_hangs_from_the_root() -> None:
-    old = without(calibration(four_scanners(np.random.default_rng(0))), ("c",))
+    old = remove_scanners(calibration(four_scanners(np.random.default_rng(0))), ("c",))
     assert [(sensor.name, sensor.parent) for sensor in old.sensors] == [("a", None), ("b", "a"), ("d", "a")]
     assert old.joint_covariance is not None
     assert old.joint_covariance.shape == (18, 18)
@@ -78,10 +78,10 @@ def test_a_scanner_that_moved_is_forgotten_and_what_hung_from_it_hangs_from_the_
 
 def test_another_root_is_refused() -> None:
     with pytest.raises(InputError, match=r"in the frame of a, not b"):
-        earlier_poses(calibration(four_scanners(np.random.default_rng(0))), "b")
+        extract_earlier_poses(calibration(four_scanners(np.random.default_rng(0))), "b")
 
 
 @pytest.mark.parametrize(("name", "said"), [("a", "is the root"), ("z", "z is not in what is extended")])
 def test_what_cannot_be_forgotten_is_refused(name: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        without(calibration(four_scanners(np.random.default_rng(0))), (name,))
+        remove_scanners(calibration(four_scanners(np.random.default_rng(0))), (name,))

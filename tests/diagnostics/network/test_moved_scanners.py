@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.moved_scanners import displaced, displacements
+from calgraph.diagnostics.network.moved_scanners import find_displaced_nodes, find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
@@ -39,7 +39,7 @@ def test_a_network_that_stayed_is_called_moved_as_often_as_stated() -> None:
     for seed in range(600):
         rng = np.random.default_rng(seed)
         before = network(rng)
-        alarms += bool(displacements(before, again(before, rng), 0.05)[1])
+        alarms += bool(find_moved_scanners(before, again(before, rng), 0.05)[1])
     assert abs(alarms - 30) < 17
 
 
@@ -49,7 +49,7 @@ def test_the_scanner_that_moved_is_named_and_no_other(node: int, step: tuple[flo
     for seed in range(20):
         rng = np.random.default_rng(seed)
         before = network(rng)
-        still, moved = displacements(before, again(before, rng, {node: np.array(step)}), CHANCE)
+        still, moved = find_moved_scanners(before, again(before, rng, {node: np.array(step)}), CHANCE)
         assert [one.name for one in moved] == [NAMES[node]], seed
         assert still == ("b" if node == 0 else "a")
 
@@ -57,9 +57,9 @@ def test_the_scanner_that_moved_is_named_and_no_other(node: int, step: tuple[flo
 def test_the_distance_and_turn_are_those_of_the_scanner() -> None:
     rng = np.random.default_rng(4)
     before = network(rng)
-    _, (moved,) = displacements(before, again(before, rng, {2: np.array([0.3, -0.4, 0.1])}), CHANCE)
+    _, (moved,) = find_moved_scanners(before, again(before, rng, {2: np.array([0.3, -0.4, 0.1])}), CHANCE)
     assert moved.distance == pytest.approx(0.5, abs=0.02)
-    assert moved.turn == pytest.approx(0.1, abs=0.003)
+    assert moved.rotation == pytest.approx(0.1, abs=0.003)
 
 
 def test_two_that_moved_are_named_even_if_one_is_the_root() -> None:
@@ -67,19 +67,22 @@ def test_two_that_moved_are_named_even_if_one_is_the_root() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         before = network(rng)
-        assert [one.name for one in displacements(before, again(before, rng, steps), CHANCE)[1]] == ["a", "d"]
+        assert [one.name for one in find_moved_scanners(before, again(before, rng, steps), CHANCE)[1]] == [
+            "a",
+            "d",
+        ]
 
 
 def test_of_two_scanners_the_one_that_is_not_the_root_is_taken_to_have_moved() -> None:
     rng = np.random.default_rng(0)
     before = network(rng, 2)
     after = again(before, rng, {0: np.array([0.1, 0, 0])})
-    still, moved = displacements(before, after, CHANCE)
+    still, moved = find_moved_scanners(before, after, CHANCE)
     assert (still, [one.name for one in moved]) == ("a", ["b"])
 
 
 def test_a_network_of_one_has_not_moved() -> None:
-    assert displaced(np.eye(3)[None], np.zeros((1, 3)), np.zeros((3, 3)), CHANCE) == ()
+    assert find_displaced_nodes(np.eye(3)[None], np.zeros((1, 3)), np.zeros((3, 3)), CHANCE) == ()
 
 
 def test_three_of_thirty_are_found_though_not_all_sets_are_tried() -> None:
@@ -89,4 +92,4 @@ def test_three_of_thirty_are_found_though_not_all_sets_are_tried() -> None:
     difference = rng.normal(0, (1e-3, 1e-3, 1e-4), (count, 3))
     difference[[4, 9, 20]] += [0.03, 0.02, 0.0]
     spread = np.diag(np.tile([1e-6, 1e-6, 1e-8], count))
-    assert displaced(T, difference, spread, CHANCE) == (4, 9, 20)
+    assert find_displaced_nodes(T, difference, spread, CHANCE) == (4, 9, 20)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.walk_report import floor_views, met, walk_rows
+from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
@@ -54,7 +54,9 @@ def samples(rng: np.random.Generator) -> dict[str, TrackSamples]:
 
 def rows_of(name: str, samples: dict[str, TrackSamples], connected: tuple[str, ...]) -> list[CaptureRow]:
     poses = {n: T_ROOT[n] for n in connected}
-    return [row for row in walk_rows(samples, met(samples, poses), START) if row.sensor == name]
+    return [
+        row for row in build_walk_rows(samples, match_across_scanners(samples, poses), START) if row.sensor == name
+    ]
 
 
 def test_a_walk_that_another_scanner_sees_is_used(samples: dict[str, TrackSamples]) -> None:
@@ -94,7 +96,7 @@ def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSam
 
 
 def test_walks_are_numbered_in_order_of_time(samples: dict[str, TrackSamples]) -> None:
-    rows = walk_rows(samples, met(samples, T_ROOT), START)
+    rows = build_walk_rows(samples, match_across_scanners(samples, T_ROOT), START)
     assert [row.capture for row in rows] == list(range(6))
     assert [row.start for row in rows] == sorted(row.start for row in rows)
 
@@ -105,20 +107,20 @@ def test_residuals_are_as_large_as_tracks_say() -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
         samples = {n: resample_tracks(tracked(n, [walk(0, 3, 0)], rng)) for n in ("west", "east")}
-        chi2.append(float(np.mean(met(samples, T_ROOT).residuals ** 2)))
+        chi2.append(float(np.mean(match_across_scanners(samples, T_ROOT).residuals ** 2)))
     assert abs(np.mean(chi2) - 1) < 0.12
 
 
 def test_scanners_that_saw_nobody_meet_nobody(rng: np.random.Generator) -> None:
     samples = {n: resample_tracks(tracked(n, [], rng)) for n in T_ROOT}
-    meeting = met(samples, T_ROOT)
+    meeting = match_across_scanners(samples, T_ROOT)
     assert meeting.residuals.shape == (0, 2)
-    assert walk_rows(samples, meeting, START) == ()
+    assert build_walk_rows(samples, meeting, START) == ()
 
 
 def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator) -> None:
     known = {"east": tracked("east", [walk(0, 4, 1.5)], rng), "north": tracked("north", [], rng)}
-    views = floor_views(
+    views = build_floor_views(
         known, {n: resample_tracks(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0
     )
     (view,) = views
@@ -132,6 +134,6 @@ def test_the_floor_of_a_long_recording_stays_small(rng: np.random.Generator) -> 
     hour = np.concatenate([walk(0, 3600, 0)])
     hour[:, 1] = 5 + 5 * np.sin(hour[:, 1])
     known = tracked("west", [hour], rng)
-    (view,) = floor_views({"west": known}, {"west": resample_tracks(known)}, T_ROOT, start=0.0)
+    (view,) = build_floor_views({"west": known}, {"west": resample_tracks(known)}, T_ROOT, start=0.0)
     assert sum(map(len, view.tracks)) <= 30_000
     assert len(view.background) < 400

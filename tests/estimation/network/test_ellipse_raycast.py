@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.ellipse_raycast import Outlines, cast
+from calgraph.estimation.network.ellipse_raycast import RaycastHits, raycast_ellipses
 from calgraph.geometry import Array
 from calgraph.simulation.network_beams import cast_ellipses
 
@@ -29,17 +29,19 @@ def numeric(arguments: tuple[Array, ...], step: float = 1e-6) -> Array:
     for k in range(5):
         off = step * np.eye(5)[k]
         ahead, behind = (
-            cast(origin, direction, centre + s * off[:2], heading + s * off[2], radii + s * off[3:]).ranges
+            raycast_ellipses(
+                origin, direction, centre + s * off[:2], heading + s * off[2], radii + s * off[3:]
+            ).ranges
             for s in (1, -1)
         )
         columns.append((ahead - behind) / (2 * step))
     return np.column_stack(columns)
 
 
-def straight(angle: float, centre: tuple[float, float], heading: float) -> Outlines:
+def straight(angle: float, centre: tuple[float, float], heading: float) -> RaycastHits:
     """One beam from the origin to a person."""
     direction = np.array([[np.cos(angle), np.sin(angle)]])
-    return cast(HERE, direction, np.array([centre]), np.array([heading]), np.array([[0.25, 0.15]]))
+    return raycast_ellipses(HERE, direction, np.array([centre]), np.array([heading]), np.array([[0.25, 0.15]]))
 
 
 def test_ranges_are_those_of_the_simulation(rng: np.random.Generator) -> None:
@@ -49,22 +51,22 @@ def test_ranges_are_those_of_the_simulation(rng: np.random.Generator) -> None:
         cast_ellipses(origin[k], angles[k : k + 1], centre[k : k + 1], heading[k : k + 1], radii[k])[0]
         for k in range(500)
     ]
-    ranges = cast(origin, direction, centre, heading, radii).ranges
+    ranges = raycast_ellipses(origin, direction, centre, heading, radii).ranges
     np.testing.assert_allclose(np.where(np.isnan(ranges), np.inf, ranges), expected, rtol=1e-7)
 
 
 @pytest.mark.parametrize(("nearest", "farthest"), [(1.0, 20.0), (0.01, 0.2), (50.0, 100.0)])
 def test_the_jacobian_is_the_derivative(nearest: float, farthest: float, rng: np.random.Generator) -> None:
     arguments = drawn(rng, 2000, nearest, farthest)
-    hits = cast(*arguments)
-    ordinary = hits.incidence > 0.1
+    hits = raycast_ellipses(*arguments)
+    ordinary = hits.cos_incidence > 0.1
     np.testing.assert_allclose(hits.jacobian[ordinary], numeric(arguments)[ordinary], rtol=1e-3, atol=1e-3)
 
 
 def test_the_jacobian_holds_near_grazing(rng: np.random.Generator) -> None:
     arguments = drawn(rng, 20000, 1.0, 5.0)
-    hits = cast(*arguments)
-    grazing = (hits.incidence > 0.02) & (hits.incidence < 0.1)
+    hits = raycast_ellipses(*arguments)
+    grazing = (hits.cos_incidence > 0.02) & (hits.cos_incidence < 0.1)
     expected = numeric(arguments, step=1e-8)[grazing]
     size = np.abs(expected).max(axis=1, keepdims=True)
     np.testing.assert_allclose(hits.jacobian[grazing] / size, expected / size, atol=1e-3)
@@ -81,7 +83,7 @@ def test_a_beam_straight_at_the_side_meets_the_wide_radius() -> None:
 
 
 def test_a_beam_straight_at_a_body_is_not_flat() -> None:
-    assert straight(0.0, (3.0, 0.0), 0.0).incidence[0] == pytest.approx(1.0)
+    assert straight(0.0, (3.0, 0.0), 0.0).cos_incidence[0] == pytest.approx(1.0)
 
 
 def test_a_beam_that_misses_has_no_range() -> None:
@@ -89,7 +91,7 @@ def test_a_beam_that_misses_has_no_range() -> None:
 
 
 def test_a_beam_that_misses_is_not_at_any_incidence() -> None:
-    assert np.isnan(straight(0.2, (3.0, 0.0), 0.0).incidence[0])
+    assert np.isnan(straight(0.2, (3.0, 0.0), 0.0).cos_incidence[0])
 
 
 def test_the_heading_does_not_tell_front_from_back() -> None:

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
-from calgraph.estimation.network.ellipse_raycast import cast
-from calgraph.estimation.network.estimate import JointNetwork, solve_network
-from calgraph.estimation.network.solver import Glimpses, Motion
-from calgraph.estimation.network.splines import Knots, evaluate
+from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
+from calgraph.estimation.network.estimate import NetworkSolution, solve_network
+from calgraph.estimation.network.problem import BodyPath, BodyScans
+from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import Track, Tracked
@@ -22,31 +22,35 @@ SECONDS = 12.0
 NOTHING = np.zeros((0, 2))
 
 
-def walk(radii: tuple[float, float], phase: float) -> tuple[Knots, Motion]:
+def walk(radii: tuple[float, float], phase: float) -> tuple[Knots, BodyPath]:
     """Somebody on a curve between the scanners, facing where it leads."""
-    knots = Knots.over(-0.5, SECONDS + 0.5, 0.2)
-    t = 0.9 * knots.centres() + phase
+    knots = Knots.spanning(-0.5, SECONDS + 0.5, 0.2)
+    t = 0.9 * knots.control_times() + phase
     path = np.column_stack([3 + 1.4 * np.sin(t), 2.2 + 0.9 * np.sin(1.5 * t + 0.4)])
     slope = np.column_stack([1.4 * np.cos(t), 1.35 * np.cos(1.5 * t + 0.4)])
-    return knots, Motion(np.column_stack([path, np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))]), np.array(radii))
+    return knots, BodyPath(
+        np.column_stack([path, np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))]), np.array(radii)
+    )
 
 
-def followed(seen: Glimpses, knots: Knots, motion: Motion, rng: np.random.Generator) -> Track:
+def followed(seen: BodyScans, knots: Knots, motion: BodyPath, rng: np.random.Generator) -> Track:
     """A track as a scanner makes it: smoothed places a few centimetres off, and its beams."""
     T_scanner_root = se2.inverse(T_ROOT[seen.scanner])
-    first, weights, slopes = knots.at(seen.times - OFFSET[seen.scanner])
-    places = se2.apply(T_scanner_root, evaluate(motion.control, first, weights)[:, :2])
-    velocities = evaluate(motion.control, first, slopes)[:, :2] @ T_scanner_root[:2, :2].T
-    owner = np.repeat(np.arange(len(seen.times)), np.diff(seen.start, append=len(seen.ranges)))
+    first, weights, slopes = knots.basis_at(seen.times - OFFSET[seen.scanner])
+    places = se2.apply(T_scanner_root, evaluate_spline(motion.control, first, weights)[:, :2])
+    velocities = evaluate_spline(motion.control, first, slopes)[:, :2] @ T_scanner_root[:2, :2].T
+    owner = np.repeat(np.arange(len(seen.times)), np.diff(seen.first_beam, append=len(seen.ranges)))
     hits = Hits(seen.ranges[:, None] * seen.direction, seen.times[owner], owner)
     spread = np.tile(0.02**2 * np.eye(2), (len(places), 1, 1))
     return Track(seen.times, places + rng.normal(0, 0.01, 2), velocities, spread, 0, hits)
 
 
-def with_arms(seen: Glimpses, knots: Knots, motion: Motion, swing: float, rng: np.random.Generator) -> Glimpses:
+def with_arms(
+    seen: BodyScans, knots: Knots, motion: BodyPath, swing: float, rng: np.random.Generator
+) -> BodyScans:
     """The same beams, but for those that arms are in the way of; these swing by ``swing``, m, to either side."""
-    at = np.repeat(seen.times - OFFSET[seen.scanner], np.diff(seen.start, append=len(seen.ranges)))
-    pose = evaluate(motion.control, *knots.at(at)[:2])
+    at = np.repeat(seen.times - OFFSET[seen.scanner], np.diff(seen.first_beam, append=len(seen.ranges)))
+    pose = evaluate_spline(motion.control, *knots.basis_at(at)[:2])
     ahead = np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
     left = ahead[:, ::-1] * [-1, 1]
     T = T_ROOT[seen.scanner]
@@ -55,7 +59,7 @@ def with_arms(seen: Glimpses, knots: Knots, motion: Motion, swing: float, rng: n
     for side in (1, -1):
         arm = pose[:, :2] + side * (motion.radii[0] * left + forth * ahead)
         origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], np.array([0.045, 0.06])))
-        hit = cast(origin, direction, arm, pose[:, 2], radii).ranges
+        hit = raycast_ellipses(origin, direction, arm, pose[:, 2], radii).ranges
         ranges = np.fmin(ranges, hit + rng.normal(0, SIGMA, len(hit)))
     return replace(seen, ranges=ranges)
 
@@ -93,28 +97,28 @@ def a_metre_beyond(track: Track) -> Track:
     return replace(track, hits=replace(track.hits, points=beyond))
 
 
-def errors(found: JointNetwork) -> Array:
+def errors(found: NetworkSolution) -> Array:
     """(2, 3) of the scanners but the root."""
     return np.asarray(se2.difference(found.T_root_scanner[1:], T_ROOT[1:]))
 
 
 @pytest.fixture(scope="module")
-def solved() -> list[JointNetwork]:
+def solved() -> list[NetworkSolution]:
     """Of several recordings."""
     return [solve_network(PEOPLE, *scene(seed)) for seed in range(6)]
 
 
-def test_scanners_come_out_far_better_than_they_start(solved: list[JointNetwork]) -> None:
+def test_scanners_come_out_far_better_than_they_start(solved: list[NetworkSolution]) -> None:
     rms = np.sqrt(np.mean(np.concatenate([errors(found) for found in solved]) ** 2, axis=0))
     # They start 30 mm and 10 mrad off.
     assert (rms[:2].max() < 0.0035, rms[2] < 0.001) == (True, True)
 
 
-def test_clocks_are_found_within_two_milliseconds(solved: list[JointNetwork]) -> None:
-    np.testing.assert_allclose([found.offset for found in solved], np.tile(OFFSET, (6, 1)), atol=0.002)
+def test_clocks_are_found_within_two_milliseconds(solved: list[NetworkSolution]) -> None:
+    np.testing.assert_allclose([found.clock_offset for found in solved], np.tile(OFFSET, (6, 1)), atol=0.002)
 
 
-def test_covariances_are_as_large_as_errors(solved: list[JointNetwork]) -> None:
+def test_covariances_are_as_large_as_errors(solved: list[NetworkSolution]) -> None:
     kept = [4, 5, 6, 8, 9, 10]
     squared = [
         errors(found).ravel() @ np.linalg.solve(found.covariance[np.ix_(kept, kept)], errors(found).ravel())
@@ -168,7 +172,7 @@ def test_where_nobody_is_seen_by_two_scanners_pairs_decide() -> None:
 
 def test_known_clocks_have_no_standard_deviation() -> None:
     tracked, averaged, graph = scene(5, scanners=())
-    clocks = solve_network(PEOPLE, tracked, averaged, graph, clocks=False).clocks
+    clocks = solve_network(PEOPLE, tracked, averaged, graph, estimate_clocks=False).clocks
     np.testing.assert_array_equal(clocks, np.full((3, 2), np.nan))
 
 

@@ -5,45 +5,46 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.ellipse_raycast import cast
-from calgraph.estimation.network.range_noise import measured_noise
-from calgraph.estimation.network.scan_equations import robust_weights
-from calgraph.estimation.network.solver import Body, Motion, Network, State, linearize, solve
-from calgraph.estimation.network.splines import Knots, evaluate
+from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
+from calgraph.estimation.network.range_noise import estimate_range_noise
+from calgraph.estimation.network.scan_equations import compute_tukey_weights
+from calgraph.estimation.network.solver import linearize_network, optimize_network
+from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array
 from network_scenes import OFFSET, SIGMA, T_ROOT, glimpses
 
 STATED = np.array([0.013])
 
 
-def followed(seconds: float, rng: np.random.Generator) -> tuple[Network, State]:
+def followed(seconds: float, rng: np.random.Generator) -> tuple[NetworkProblem, NetworkState]:
     """A body that one scanner sees, and the path that fits best: it has few beams to follow."""
-    knots = Knots.over(-0.5, seconds + 0.5, 0.2)
-    t = 0.9 * knots.centres()
+    knots = Knots.spanning(-0.5, seconds + 0.5, 0.2)
+    t = 0.9 * knots.control_times()
     path = np.column_stack([3 + 1.4 * np.sin(t), 2.2 + 0.9 * np.sin(1.5 * t + 0.4), t])
-    motion = Motion(path, np.array([0.25, 0.15]))
+    motion = BodyPath(path, np.array([0.25, 0.15]))
     seen = glimpses(0, knots, motion, np.arange(0.05, seconds, 0.08), rng)
-    body = Body(knots, (seen,), motion.radii, 0.1 * motion.radii, faces=False)
-    network = Network(1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0)
-    state = State(T_ROOT[:1], OFFSET[:1], (motion,))
+    body = BodyObservations(knots, (seen,), motion.radii, 0.1 * motion.radii, faces_forward=False)
+    network = NetworkProblem(1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0)
+    state = NetworkState(T_ROOT[:1], OFFSET[:1], (motion,))
     for _ in range(6):
         network = replace(network, bodies=(weighed(body, state),))
-        state, _ = solve(network, state)
+        state, _ = optimize_network(network, state)
     return network, state
 
 
-def weighed(body: Body, state: State) -> Body:
+def weighed(body: BodyObservations, state: NetworkState) -> BodyObservations:
     """The body with weights of beams about its path."""
-    (motion,), (seen,) = state.motions, body.glimpses
-    at = np.repeat(seen.times - OFFSET[seen.scanner], np.diff(seen.start, append=len(seen.ranges)))
-    pose, T = evaluate(motion.control, *body.knots.at(at)[:2]), T_ROOT[seen.scanner]
-    hits = cast(T[:2, 2], seen.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], motion.radii)
-    weight = robust_weights((hits.ranges - seen.ranges) / SIGMA, hits.squarely)
-    return replace(body, glimpses=(replace(seen, weight=weight),))
+    (motion,), (seen,) = state.paths, body.scans
+    at = np.repeat(seen.times - OFFSET[seen.scanner], np.diff(seen.first_beam, append=len(seen.ranges)))
+    pose, T = evaluate_spline(motion.control, *body.knots.basis_at(at)[:2]), T_ROOT[seen.scanner]
+    hits = raycast_ellipses(T[:2, 2], seen.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], motion.radii)
+    weight = compute_tukey_weights((hits.ranges - seen.ranges) / SIGMA, hits.not_grazing)
+    return replace(body, scans=(replace(seen, weight=weight),))
 
 
-def measured(network: Network, state: State) -> Array:
-    return measured_noise(network, state, linearize(network, state), STATED)
+def measured(network: NetworkProblem, state: NetworkState) -> Array:
+    return estimate_range_noise(network, state, linearize_network(network, state), STATED)
 
 
 def test_noise_is_measured_though_paths_follow_it(rng: np.random.Generator) -> None:
@@ -60,4 +61,4 @@ def test_scanners_that_see_next_to_nothing_are_as_noisy_as_their_background(rng:
 def test_ranges_without_noise_are_not_believed_to_have_none(rng: np.random.Generator) -> None:
     network, state = followed(20.0, rng)
     stated = np.array([3 * SIGMA])
-    assert measured_noise(network, state, linearize(network, state), stated) == 0.5 * stated
+    assert estimate_range_noise(network, state, linearize_network(network, state), stated) == 0.5 * stated

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.schur import path_covariance
+from calgraph.estimation.network.schur import compute_path_covariance
 from calgraph.geometry import Array
 
 
@@ -24,4 +24,4 @@ def test_covariances_of_a_path_are_those_of_the_whole_inverse(count: int, rng: n
     inverse = np.zeros((count, 3, count + 3, 3))
     inverse[:, :, :count] = np.linalg.inv(full).reshape(count, 3, count, 3)
     expected = np.stack([inverse[np.arange(count), :, np.arange(count) + apart] for apart in range(4)], axis=1)
-    np.testing.assert_allclose(path_covariance(band), expected, atol=1e-10)
+    np.testing.assert_allclose(compute_path_covariance(band), expected, atol=1e-10)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calgraph.estimation.network.track_association import scanners_of, walkers
+from calgraph.estimation.network.track_association import group_tracks_by_body
 from calgraph.geometry import Array, se2
 from calgraph.tracking import Track, Tracked
 from calgraph.tracking.track import Hits
@@ -34,7 +34,7 @@ def follow(scanner: int, paths: list[Array], rng: np.random.Generator, late: flo
 def grouped(tracked: list[Tracked]) -> list[list[tuple[int, int]]]:
     """By body: scanner, and which of its tracks."""
     index = {id(track): (s, k) for s, own in enumerate(tracked) for k, track in enumerate(own.tracks)}
-    found = walkers(tracked, T_ROOT[: len(tracked)])
+    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)])
     return sorted(sorted(index[id(track)] for _, track in walker.tracks) for walker in found)
 
 
@@ -89,10 +89,10 @@ def test_a_glimpse_of_half_a_second_is_left_out(rng: np.random.Generator) -> Non
 
 
 def test_an_empty_building_has_nobody() -> None:
-    assert walkers([Tracked((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2]) == []
+    assert group_tracks_by_body([Tracked((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2]) == []
 
 
 def test_a_bodys_tracks_are_known_by_scanner(rng: np.random.Generator) -> None:
     whole = path(0, 9, (0, 1), (1, 0.1))
-    [one] = walkers([follow(0, [whole], rng), follow(1, [whole[:60], whole[62:]], rng)], T_ROOT[:2])
-    assert {scanner: len(tracks) for scanner, tracks in scanners_of(one).items()} == {0: 1, 1: 2}
+    [one] = group_tracks_by_body([follow(0, [whole], rng), follow(1, [whole[:60], whole[62:]], rng)], T_ROOT[:2])
+    assert {scanner: len(tracks) for scanner, tracks in one.by_scanner().items()} == {0: 1, 1: 2}

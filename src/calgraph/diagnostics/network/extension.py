@@ -1,123 +1,125 @@
-"""More recordings, or scanners, for a network that is calibrated already, without starting over."""
+"""Extends the calibration of a network by recordings or scanners, with the earlier poses as a prior."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from calgraph.diagnostics.network.moved_scanners import displacements
+from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.errors import CalibrationError, InputError
-from calgraph.estimation.network.estimate import JointNetwork
-from calgraph.estimation.network.planar_poses import PlanarPoses, planar_poses
-from calgraph.estimation.network.scanner_prior import ScannerPrior, prior_of
+from calgraph.estimation.network.estimate import NetworkSolution
+from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses, lift_covariance
+from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, SensorPose, Verdict
 
-# Chance of calling a scanner moved in a network in which none has.
-_CHANCE = 1e-3
+# Probability of naming a moved scanner in a network in which none has moved.
+_FALSE_ALARM_PROBABILITY = 1e-3
 
 
-def earlier_poses(old: Calibration, root: str) -> PlanarPoses:
-    """The poses of an earlier calibration of a network that has this root.
+def extract_earlier_poses(earlier: Calibration, root: str) -> PlanarPoses:
+    """The poses of an earlier calibration of a network with this root.
 
     Raises:
-        InputError: it has another root, or is not a network's.
+        InputError: it has another root, or is not the calibration of a network.
     """
-    if old.root != root:
+    if earlier.root != root:
         raise InputError(
-            f"--extend: its poses are in the frame of {old.root}, not {root}; set root: {old.root} in rig.yaml"
+            f"extend: its poses are in the frame of {earlier.root}, not {root}; "
+            f"set root: {earlier.root} in rig.yaml"
         )
     try:
-        return planar_poses(old)
+        return extract_planar_poses(earlier)
     except InputError as error:
-        raise InputError(f"--extend: {error}") from error
+        raise InputError(f"extend: {error}") from error
 
 
-def without(old: Calibration, moved: Sequence[str]) -> Calibration:
-    """An earlier calibration that has forgotten some scanners, which are to be found anew.
+def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
+    """An earlier calibration without the scanners that have moved since.
 
     Raises:
-        InputError: it does not know one of them, or is in the frame of one.
+        InputError: one of them is not in the calibration, or is its root.
     """
-    known = [sensor.name for sensor in old.sensors]
+    names = [sensor.name for sensor in earlier.sensors]
     for name in moved:
-        if name not in known:
-            raise InputError(f"--moved: {name} is not in what is extended, which has {', '.join(sorted(known))}")
-        if name == old.root:
-            raise InputError(f"--moved: {name} is the root; calibrate the network anew, or with another root")
-    kept = [k for k, name in enumerate(known) if name not in moved]
+        if name not in names:
+            raise InputError(f"moved: {name} is not in what is extended, which has {', '.join(sorted(names))}")
+        if name == earlier.root:
+            raise InputError(f"moved: {name} is the root; calibrate the network anew, or with another root")
+    kept = [k for k, name in enumerate(names) if name not in moved]
     rows = (6 * np.array(kept)[:, None] + np.arange(6)).ravel()
-    joint = old.joint_covariance
+    joint = earlier.joint_covariance
     return replace(
-        old,
+        earlier,
         sensors=tuple(
-            replace(sensor, parent=old.root) if sensor.parent in moved else sensor
-            for sensor in (old.sensors[k] for k in kept)
+            replace(sensor, parent=earlier.root) if sensor.parent in moved else sensor
+            for sensor in (earlier.sensors[k] for k in kept)
         ),
-        edges=tuple(edge for edge in old.edges if edge.sensor_a not in moved and edge.sensor_b not in moved),
+        edges=tuple(edge for edge in earlier.edges if edge.sensor_a not in moved and edge.sensor_b not in moved),
         joint_covariance=None if joint is None else joint[np.ix_(rows, rows)],
     )
 
 
-def agreed_prior(known: PlanarPoses, names: Sequence[str], joint: JointNetwork) -> ScannerPrior:
-    """What earlier poses say of scanners, if what a recording says without them does not contradict it.
+def build_consistent_prior(earlier: PlanarPoses, names: Sequence[str], solution: NetworkSolution) -> ScannerPrior:
+    """The prior of earlier poses, provided that the recording alone does not contradict them.
 
     Args:
-        known: the earlier poses.
+        earlier: the earlier poses.
         names: scanners of the recording, the root first.
-        joint: their joint solution, from the recording alone.
+        solution: their joint solution from the recording alone.
 
     Raises:
-        CalibrationError: scanners have moved since; the message names them, and says how far.
+        CalibrationError: scanners have moved since; the message names them with their displacements.
     """
-    found = PlanarPoses(tuple(names), joint.T_root_scanner, joint.pose_covariance)
-    shared = [name for name in names if name in known.names]
-    still, moved = displacements(known.of(shared), found, _CHANCE)
+    found = PlanarPoses(tuple(names), solution.T_root_scanner, solution.pose_covariance)
+    shared = [name for name in names if name in earlier.names]
+    reference, moved = find_moved_scanners(earlier.select(shared), found, _FALSE_ALARM_PROBABILITY)
     if moved:
-        said = "; ".join(f"{one.name} has moved by {one}" for one in moved)
-        flags = " ".join(f"--moved {one.name}" for one in moved)
+        moved_names = [one.name for one in moved]
+        displacements = "; ".join(f"{one.name} has moved by {one}" for one in moved)
         advice = (
             "its root has moved: calibrate the network anew"
-            if names[0] in [one.name for one in moved]
-            else f"to find what has moved anew, and keep the others, add {flags}"
+            if names[0] in moved_names
+            else f"to estimate their poses anew and keep the others, give as moved: {', '.join(moved_names)}"
         )
         raise CalibrationError(
-            f"the recording contradicts what is extended: seen from {still}, {said}. If so, {advice}"
+            f"the recording contradicts what is extended: relative to {reference}, {displacements}. "
+            f"If so, {advice}"
         )
-    return prior_of(known, names)
+    return build_scanner_prior(earlier, names)
 
 
-def extended(found: Calibration, old: Calibration, prior: ScannerPrior) -> Calibration:
-    """A calibration together with the scanners that only the earlier one has, which stay where they were.
+def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerPrior) -> Calibration:
+    """A calibration together with the scanners that only the earlier one has, which keep their poses.
 
-    Their errors go together with those of the scanners that both have: ``found`` depends on the earlier errors by
-    ``C W``, where ``C`` is its covariance and ``W`` the prior's information.
+    The errors of kept scanners are correlated with those of the others: the poses in ``found`` depend on the
+    earlier ones by ``C W``, with its covariance ``C`` and the prior's information ``W``.
 
     Args:
         found: from the recording and the prior.
-        old: the earlier calibration.
-        prior: that ``found`` was solved with.
+        earlier: the earlier calibration.
+        prior: of the solution ``found``.
     """
-    now, then = planar_poses(found), planar_poses(old)
-    kept = [sensor for sensor in old.sensors if sensor.name not in now.names]
-    both, old_rows = [now.names[k] for k in prior.nodes], then.rows([sensor.name for sensor in kept])
-    gain = now.covariance[:, now.rows(both)] @ prior.information
-    cross = gain @ then.covariance[np.ix_(then.rows(both), old_rows)]
-    spread = np.block([[now.covariance, cross], [cross.T, then.covariance[np.ix_(old_rows, old_rows)]]])
+    now, before = extract_planar_poses(found), extract_planar_poses(earlier)
+    kept = [sensor for sensor in earlier.sensors if sensor.name not in now.names]
+    shared, kept_rows = [now.names[k] for k in prior.nodes], before.covariance_rows([one.name for one in kept])
+    gain = now.covariance[:, now.covariance_rows(shared)] @ prior.information
+    cross = gain @ before.covariance[np.ix_(before.covariance_rows(shared), kept_rows)]
+    covariance = np.block([[now.covariance, cross], [cross.T, before.covariance[np.ix_(kept_rows, kept_rows)]]])
     names = (*now.names, *(sensor.name for sensor in kept))
-    poses = np.concatenate([now.T_root_scanner, then.T_root_scanner[old_rows[::3] // 3]])
     pairs = {frozenset((edge.sensor_a, edge.sensor_b)) for edge in found.edges}
-    before = (e for e in old.edges if frozenset((e.sensor_a, e.sensor_b)) not in pairs)
+    edges = (e for e in earlier.edges if frozenset((e.sensor_a, e.sensor_b)) not in pairs)
     return replace(
         found,
-        sensors=(*found.sensors, *(_kept(sensor) for sensor in kept)),
-        edges=(*found.edges, *(e for e in before if {e.sensor_a, e.sensor_b} <= set(names))),
+        sensors=(*found.sensors, *(_mark_kept(sensor) for sensor in kept)),
+        edges=(*found.edges, *(e for e in edges if {e.sensor_a, e.sensor_b} <= set(names))),
         unconnected={name: why for name, why in found.unconnected.items() if name not in names},
-        joint_covariance=PlanarPoses(names, poses, spread).in_space()[1],
+        joint_covariance=lift_covariance(covariance),
     )
 
 
-def _kept(sensor: SensorPose) -> SensorPose:
-    said = "its pose is that of the earlier calibration: this recording does not tell it"
+def _mark_kept(sensor: SensorPose) -> SensorPose:
+    """The sensor with a remark that its pose is the earlier one."""
+    remark = "its pose is that of the earlier calibration: this recording does not tell it"
     before = sensor.verdict.reason
-    reason = before if said in before else f"{before}; {said}" if before else said
+    reason = before if remark in before else f"{before}; {remark}" if before else remark
     return replace(sensor, verdict=Verdict(sensor.verdict.grade, reason))

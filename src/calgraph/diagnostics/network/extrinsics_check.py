@@ -1,57 +1,62 @@
-"""Whether the given poses of a network agree with what a recording says of them, and which scanner has moved."""
+"""Compares given poses of a network with those of a recording, and finds the scanners that have moved."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from calgraph.diagnostics.comparison import CHANCE, ExtrinsicsComparison, SensorComparison, Tolerance, match_poses
-from calgraph.diagnostics.network.moved_scanners import Displacement, displacements
+from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.errors import InputError
-from calgraph.estimation.network.planar_poses import PlanarPoses, in_plane, planar_poses
+from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses, project_to_plane
 from calgraph.result import Calibration, ExtrinsicsFile
 
 
 def compare_network_poses(
     found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None
 ) -> ExtrinsicsComparison:
-    """Compares given poses of a network with those found, and names the fewest scanners that explain what differs.
+    """Compares given poses of a network with estimated ones, and finds the fewest scanners that have moved.
 
-    Scanners fail that have moved by more than the tolerance. If nothing has moved, none is taken to have with a
-    probability of 999 in 1000, however many there are; one that has moved within the tolerance is a warning.
+    A scanner that has moved by more than the tolerance fails; within the tolerance, it gets a warning. In a
+    network without a moved scanner, the probability of a false alarm is 0.001, regardless of its size.
 
     Args:
-        found: the calibration that the recording gives.
-        given: the poses to be judged.
-        tolerance: what may be off without harm.
+        found: the calibration of the recording.
+        given: the poses to be checked.
+        tolerance: deviations that are acceptable.
 
     Raises:
-        InputError: the root or all other scanners are not in the file, or nothing fixed connects them there.
+        InputError: the root or all other scanners are not in the file, or no fixed transforms connect them there.
     """
     compared = match_poses(found, given, tolerance)
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
-    before = PlanarPoses(tuple(frames), in_plane(T), np.zeros((3 * len(T),) * 2))
+    before = PlanarPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
-        known = _known(given.calibration).seen_from(frames[found.root])
-        before = replace(before, covariance=known.of(tuple(frames.values())).covariance)
-    reference, moved = displacements(before, planar_poses(found), CHANCE)
-    seen = compared.compare_in_frame(reference, {})
-    off = {one.name: one for one in moved}
-    judged = (_judged(sensor, off.get(sensor.sensor), compared.tolerance) for sensor in seen.sensors)
-    return replace(seen, sensors=tuple(judged))
+        poses = _extract_given_poses(given.calibration).change_root(frames[found.root])
+        before = replace(before, covariance=poses.select(tuple(frames.values())).covariance)
+    reference, moved = find_moved_scanners(before, extract_planar_poses(found), CHANCE)
+    from_reference = compared.compare_in_frame(reference, {})
+    moved_by_name = {one.name: one for one in moved}
+    sensors = (
+        _assess_scanner(sensor, moved_by_name.get(sensor.sensor), compared.tolerance)
+        for sensor in from_reference.sensors
+    )
+    return replace(from_reference, sensors=tuple(sensors))
 
 
-def _known(calibration: Calibration) -> PlanarPoses:
+def _extract_given_poses(calibration: Calibration) -> PlanarPoses:
     try:
-        return planar_poses(calibration)
+        return extract_planar_poses(calibration)
     except InputError as error:
-        raise InputError(f"--against: {error}") from error
+        raise InputError(f"against: {error}") from error
 
 
-def _judged(sensor: SensorComparison, moved: Displacement | None, tolerance: Tolerance) -> SensorComparison:
-    """A scanner as its own pose looks, and as all of them together say whether it has moved."""
+def _assess_scanner(
+    sensor: SensorComparison, moved: MovedScanner | None, tolerance: Tolerance
+) -> SensorComparison:
+    """The result of a scanner's own comparison, overruled by the joint test for moved scanners."""
     if moved is None:
         return replace(sensor, outcome="warn") if sensor.outcome == "fail" else sensor
-    far = moved.distance > tolerance.position or abs(moved.turn) > tolerance.rotation
-    said = f"has moved by {moved}{'' if far else ', which is within the tolerance'}"
-    reason = f"{said}; {sensor.reason}" if sensor.reason else said
+    far = moved.distance > tolerance.position or abs(moved.rotation) > tolerance.rotation
+    displacement = f"has moved by {moved}{'' if far else ', which is within the tolerance'}"
+    reason = f"{displacement}; {sensor.reason}" if sensor.reason else displacement
     return replace(sensor, outcome="fail" if far else "warn", reason=reason)

@@ -1,4 +1,4 @@
-"""What became of everybody who walked through a network, under its final poses: rows, residuals and pictures."""
+"""Report of the walks through a network under its final poses: capture rows, residuals, and floor plans."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -17,30 +17,33 @@ from calgraph.pairwise.synchronized_tracks import (
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import Tracked
 
-# Two scanners see one walker where their positions are so near, m, and they share a walk if for so many ticks.
-_NEAR = 0.5
-_SHARED = 5
-# How many are kept: whitened residuals for a histogram; static points and positions for a picture of the floor.
-_RESIDUALS, _POINTS, _POSITIONS = 20_000, 12_000, 30_000
-# Static points nearer together than this look like one, m; a line through a walk breaks where so many ticks lack.
-_CELL = 0.03
-_BREAK = 10
+# Two scanners detect one person where their positions are within this distance, m; a walk counts as shared from
+# this number of ticks on.
+_MAX_DISTANCE = 0.5
+_MIN_SHARED_TICKS = 5
+# Sizes of the report: whitened residuals of the histogram, static points and positions of the floor plan.
+_MAX_RESIDUALS, _MAX_POINTS, _MAX_POSITIONS = 20_000, 12_000, 30_000
+# Size of the cells that static points are thinned to, m; lines of walks are split at longer gaps, ticks.
+_CELL_SIZE = 0.03
+_MAX_GAP_TICKS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Meeting:
-    """What all scanners of a network saw of each other's walkers."""
+class CrossScannerMatches:
+    """Positions that several scanners of a network detected at the same time."""
 
     distance: Mapping[str, Array]
-    """(S,) by scanner, from each of its samples to the nearest of another scanner's, m; infinite without one."""
-    company: Mapping[str, NDArray[np.bool_]]
-    """(S,) by scanner, whether another scanner saw anybody at that time, wherever."""
+    """(S,) by scanner, from each of its samples to its nearest match, m; infinite without a match."""
+    others_active: Mapping[str, NDArray[np.bool_]]
+    """(S,) by scanner, whether another scanner detected a person at that time, anywhere."""
     residuals: Array
-    """(R, 2) differences of positions that belong together, in standard deviations."""
+    """(R, 2) differences of matched positions, in standard deviations."""
 
 
-def met(samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]) -> Meeting:
-    """Brings what the connected scanners saw at the same time together.
+def match_across_scanners(
+    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
+) -> CrossScannerMatches:
+    """Matches the samples of all pairs of connected scanners.
 
     Args:
         samples: by scanner; those without a pose are left out.
@@ -48,81 +51,85 @@ def met(samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
     """
     names = [name for name in samples if name in T_root_scanner]
     distance = {name: np.full(len(samples[name].tick), np.inf) for name in names}
-    company = {name: np.zeros(len(samples[name].tick), dtype=np.bool_) for name in names}
+    others_active = {name: np.zeros(len(samples[name].tick), dtype=np.bool_) for name in names}
     residuals = [np.zeros((0, 2))]
     for a, b in itertools.combinations(names, 2):
         both = pair_simultaneous_samples(samples[a], samples[b])
-        company[a][both.row_a] = company[b][both.row_b] = True
-        off = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
-        d = np.linalg.norm(off, axis=-1)
-        near = np.flatnonzero(d < _NEAR)
-        near = near[both.are_mutual_nearest(near, d[near])] if len(near) else near
-        np.minimum.at(distance[a], both.row_a[near], d[near])
-        np.minimum.at(distance[b], both.row_b[near], d[near])
-        residuals.append(_whitened(off, both, near, T_root_scanner[a], T_root_scanner[b]))
-    together = np.concatenate(residuals)
-    return Meeting(distance, company, together[:: len(together) // _RESIDUALS + 1])
+        others_active[a][both.row_a] = others_active[b][both.row_b] = True
+        offset = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
+        d = np.linalg.norm(offset, axis=-1)
+        matched = np.flatnonzero(d < _MAX_DISTANCE)
+        matched = matched[both.are_mutual_nearest(matched, d[matched])] if len(matched) else matched
+        np.minimum.at(distance[a], both.row_a[matched], d[matched])
+        np.minimum.at(distance[b], both.row_b[matched], d[matched])
+        residuals.append(_whiten(offset, both, matched, T_root_scanner[a], T_root_scanner[b]))
+    pooled = np.concatenate(residuals)
+    return CrossScannerMatches(distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
 
 
-def _whitened(
-    off: Array, both: SimultaneousPairs, near: NDArray[np.intp], T_root_a: Array, T_root_b: Array
+def _whiten(
+    offset: Array, both: SimultaneousPairs, matched: NDArray[np.intp], T_root_a: Array, T_root_b: Array
 ) -> Array:
     R_a, R_b = T_root_a[:2, :2], T_root_b[:2, :2]
-    S_a, S_b = both.a.covariances[both.row_a[near]], both.b.covariances[both.row_b[near]]
+    S_a, S_b = both.a.covariances[both.row_a[matched]], both.b.covariances[both.row_b[matched]]
     root = np.linalg.cholesky(R_a @ S_a @ R_a.T + R_b @ S_b @ R_b.T)
-    return np.asarray(np.linalg.solve(root, off[near, :, None])[..., 0])
+    return np.asarray(np.linalg.solve(root, offset[matched, :, None])[..., 0])
 
 
-def walk_rows(samples: Mapping[str, TrackSamples], meeting: Meeting, start: float) -> tuple[CaptureRow, ...]:
-    """One row for each scanner and walk, in order of time: whether another scanner saw it too, or why not.
+def build_walk_rows(
+    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float
+) -> tuple[CaptureRow, ...]:
+    """One row for each scanner and walk, in order of time: whether another scanner detected it too, or why not.
 
     Args:
         samples: by scanner.
-        meeting: of the connected ones among them.
+        matches: of the connected ones among them.
         start: of the recording, s.
     """
-    found = [
+    rows = [
         (
-            float(own.tick[rows[0]]) * TICK_PERIOD - start,
-            float(own.tick[rows[-1]]) * TICK_PERIOD - start,
+            float(of_scanner.tick[walk[0]]) * TICK_PERIOD - start,
+            float(of_scanner.tick[walk[-1]]) * TICK_PERIOD - start,
             name,
-            *_outcome(name, rows, meeting),
+            *_assess_walk(name, walk, matches),
         )
-        for name, own in samples.items()
-        for rows in _walks(own)
+        for name, of_scanner in samples.items()
+        for walk in _split_walks(of_scanner)
     ]
-    return tuple(CaptureRow(n, *row) for n, row in enumerate(sorted(found, key=lambda row: row[:3])))
+    return tuple(CaptureRow(n, *row) for n, row in enumerate(sorted(rows, key=lambda row: row[:3])))
 
 
-def _outcome(name: str, rows: NDArray[np.intp], meeting: Meeting) -> tuple[bool, str, float | None]:
-    """Whether samples of one walk were seen by others, why not, and the distance between the two, m."""
-    if name not in meeting.distance:
+def _assess_walk(
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches
+) -> tuple[bool, str, float | None]:
+    """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
+    if name not in matches.distance:
         return False, "its scanner is not connected to the root", None
-    d = meeting.distance[name][rows]
+    d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
-    if len(d) >= _SHARED:
+    if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner saw it for less than {_SHARED * TICK_PERIOD:g} s", None
-    if meeting.company[name][rows].any():
-        return False, f"other scanners saw somebody meanwhile, but not within {_NEAR:g} m of it", None
+        return False, f"another scanner saw it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
+    if matches.others_active[name][walk].any():
+        return False, f"other scanners saw somebody meanwhile, but not within {_MAX_DISTANCE:g} m of it", None
     return False, "no other scanner saw anybody meanwhile", None
 
 
-def _walks(samples: TrackSamples) -> Iterator[NDArray[np.intp]]:
-    """The samples of one walk after the other, ascending in time."""
+def _split_walks(samples: TrackSamples) -> Iterator[NDArray[np.intp]]:
+    """The rows of each walk, ascending in time."""
     order = np.argsort(samples.trajectory, kind="stable")
     cuts = np.flatnonzero(np.diff(samples.trajectory[order])) + 1
     return (rows for rows in np.split(order, cuts) if len(rows))
 
 
-def floor_views(
+def build_floor_views(
     tracked: Mapping[str, Tracked],
     samples: Mapping[str, TrackSamples],
     T_root_scanner: Mapping[str, Array],
     start: float,
 ) -> tuple[FloorView, ...]:
-    """What each connected scanner saw, laid on one floor and thinned for a picture.
+    """Static points and walks of each connected scanner in the root frame, thinned for a floor plan.
 
     Args:
         tracked: by scanner.
@@ -131,11 +138,11 @@ def floor_views(
         start: of the recording, s.
     """
     names = [name for name in tracked if name in T_root_scanner]
-    lines = {name: list(_lines(samples[name], _POSITIONS // len(names))) for name in names}
+    lines = {name: list(_split_lines(samples[name], _MAX_POSITIONS // len(names))) for name in names}
     return tuple(
         FloorView(
             name,
-            se2.apply(T_root_scanner[name], _thinned(tracked[name].background, _POINTS // len(names))),
+            se2.apply(T_root_scanner[name], _thin_points(tracked[name].background, _MAX_POINTS // len(names))),
             tuple(se2.apply(T_root_scanner[name], samples[name].positions[rows]) for rows in lines[name]),
             tuple(np.asarray(samples[name].tick[rows] * TICK_PERIOD - start) for rows in lines[name]),
         )
@@ -143,17 +150,17 @@ def floor_views(
     )
 
 
-def _thinned(points: Array, most: int) -> Array:
-    """At most so many of the finite ones of points (M, 2), one for each small square."""
+def _thin_points(points: Array, limit: int) -> Array:
+    """At most ``limit`` of the finite ones of points (M, 2), one in each cell."""
     points = points[np.isfinite(points).all(axis=1)]
-    _, first = np.unique(np.round(points / _CELL).astype(np.int64), axis=0, return_index=True)
-    return np.asarray(points[np.sort(first)][:: len(first) // max(most, 1) + 1])
+    _, first = np.unique(np.round(points / _CELL_SIZE).astype(np.int64), axis=0, return_index=True)
+    return np.asarray(points[np.sort(first)][:: len(first) // max(limit, 1) + 1])
 
 
-def _lines(samples: TrackSamples, most: int) -> Iterator[NDArray[np.intp]]:
-    """Walks as lines of at most so many samples together."""
-    step = max(3, len(samples.tick) // max(most, 1) + 1)
-    for rows in _walks(samples):
-        for part in np.split(rows, np.flatnonzero(np.diff(samples.tick[rows]) > _BREAK) + 1):
+def _split_lines(samples: TrackSamples, limit: int) -> Iterator[NDArray[np.intp]]:
+    """Rows of the lines of all walks, thinned to at most ``limit`` samples in total."""
+    step = max(3, len(samples.tick) // max(limit, 1) + 1)
+    for rows in _split_walks(samples):
+        for part in np.split(rows, np.flatnonzero(np.diff(samples.tick[rows]) > _MAX_GAP_TICKS) + 1):
             if len(part) > step:
                 yield part[::step]

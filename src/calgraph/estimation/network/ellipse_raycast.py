@@ -1,4 +1,4 @@
-"""Ranges along beams to an ellipse: what a scanner measures of a body."""
+"""Ranges along beams to ellipses, with their derivatives: the measurement model of a scanner and a body."""
 
 from dataclasses import dataclass
 
@@ -7,29 +7,30 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 
-# Beams flatter than this on the outline, a cosine, do not count.
-_GRAZING = 0.35
+# Beams with a smaller cosine of incidence are not used.
+_MIN_COS_INCIDENCE = 0.35
 
 
 @dataclass(frozen=True, eq=False)
-class Outlines:
-    """Where beams meet ellipses."""
+class RaycastHits:
+    """Intersections of N beams with an ellipse each."""
 
     ranges: Array
     """(N,) m; NaN where a beam misses its ellipse."""
-    incidence: Array
-    """(N,) cosines of the angles between beams and outlines' normals, 0..1; NaN likewise."""
+    cos_incidence: Array
+    """(N,) cosines of the angles between beams and outline normals, 0..1; NaN likewise."""
     jacobian: Array
-    """(N, 5) of the ranges by the ellipse's place (2, m) and turn (rad) before the scanner, and its radii (m)."""
+    """(N, 5) of the ranges by the ellipse's position (2, m) and heading (rad) in the beams' frame, and its radii
+    (2, m)."""
 
     @property
-    def squarely(self) -> NDArray[np.bool_]:
-        """(N,) whether beams meet their ellipses squarely enough to count."""
-        return np.asarray(self.incidence > _GRAZING)
+    def not_grazing(self) -> NDArray[np.bool_]:
+        """(N,) whether the beam hits its ellipse, and not at a grazing angle."""
+        return np.asarray(self.cos_incidence > _MIN_COS_INCIDENCE)
 
 
-def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> Outlines:
-    """Casts a beam each to an ellipse each; all in one frame.
+def raycast_ellipses(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> RaycastHits:
+    """Intersects each beam with its ellipse; all in one frame.
 
     Args:
         origin: (N, 2) of the beams, m; or (2,) of all of them.
@@ -38,38 +39,42 @@ def cast(origin: Array, direction: Array, centre: Array, heading: Array, radii: 
         heading: (N,) direction of their second radius, rad.
         radii: (N, 2) across and along the heading, m; or (2,) of all of them.
     """
-    return cast_facing(origin, direction, centre, np.stack([np.cos(heading), np.sin(heading)]), radii)
+    axis = np.stack([np.cos(heading), np.sin(heading)])
+    return raycast_ellipses_by_axis(origin, direction, centre, axis, radii)
 
 
-def cast_facing(origin: Array, direction: Array, centre: Array, facing: Array, radii: Array) -> Outlines:
-    """The same for headings given as unit vectors (2, N).
+def raycast_ellipses_by_axis(
+    origin: Array, direction: Array, centre: Array, axis: Array, radii: Array
+) -> RaycastHits:
+    """As :func:`raycast_ellipses`, with headings given as unit vectors (2, N).
 
-    Where ``h`` is the hit in the ellipse's own axes over its radii, ``|h| = 1`` holds: differentiated, it says how
-    far along the beam the hit moves with the ellipse.
+    The hit ``h``, in the axes of the ellipse and divided by its radii, satisfies ``|h| = 1``: the implicit
+    derivative of this equation is that of the range.
     """
-    c, s = facing
-    (x, y), (dx, dy), (across, ahead) = (origin - centre).T, direction.T, radii.T
-    # Where beams begin, and where they go, across and along the heading, in radii.
-    u, du = (c * y - s * x) / across, (c * dy - s * dx) / across
-    v, dv = (c * x + s * y) / ahead, (c * dx + s * dy) / ahead
+    c, s = axis
+    (x, y), (dx, dy), (radius_across, radius_along) = (origin - centre).T, direction.T, radii.T
+    # Beam origins and directions across (u) and along (v) the heading, in units of the radii.
+    u, du = (c * y - s * x) / radius_across, (c * dy - s * dx) / radius_across
+    v, dv = (c * x + s * y) / radius_along, (c * dx + s * dy) / radius_along
     square, half = du * du + dv * dv, u * du + v * dv
     with np.errstate(invalid="ignore"):
         ranges = (-half - np.sqrt(half * half - square * (u * u + v * v - 1))) / square
     u, v = u + ranges * du, v + ranges * dv
-    normal = np.stack([c * v / ahead - s * u / across, s * v / ahead + c * u / across])
+    normal = np.stack([c * v / radius_along - s * u / radius_across, s * v / radius_along + c * u / radius_across])
     slope = normal[0] * dx + normal[1] * dy
-    turn = (x + ranges * dx) * normal[1] - (y + ranges * dy) * normal[0]
+    by_heading = (x + ranges * dx) * normal[1] - (y + ranges * dy) * normal[0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        jacobian = np.stack([*normal, turn, u * u / across, v * v / ahead]) / slope
-        incidence = -slope / np.sqrt(normal[0] ** 2 + normal[1] ** 2)
-    return Outlines(ranges, incidence, jacobian.T)
+        jacobian = np.stack([*normal, by_heading, u * u / radius_across, v * v / radius_along]) / slope
+        cos_incidence = -slope / np.sqrt(normal[0] ** 2 + normal[1] ** 2)
+    return RaycastHits(ranges, cos_incidence, jacobian.T)
 
 
-def turned(c: Array, s: Array, turn: Array) -> Array:
-    """Unit vectors (2, N) with cosines and sines (N,), turned by small angles (N,), rad.
+def rotate_by_small_angles(c: Array, s: Array, angle: Array) -> Array:
+    """Rotates unit vectors with components ``c`` and ``s`` (N,) by small angles (N,), rad: (2, N).
 
-    A body hardly turns within a scan: few terms of the series tell it, far quicker than cosines of every beam.
+    A body turns by less than 0.1 rad within a scan, where the Taylor series is exact to 2e-9. It is much faster
+    than sines and cosines of every beam's angle.
     """
-    square = turn * turn
-    cos, sin = 1 - square / 2 + square * square / 24, turn * (1 - square / 6 + square * square / 120)
+    square = angle * angle
+    cos, sin = 1 - square / 2 + square * square / 24, angle * (1 - square / 6 + square * square / 120)
     return np.stack([c * cos - s * sin, s * cos + c * sin])

@@ -1,4 +1,4 @@
-"""The default estimator of a network: everything at once, from where averaging its pairs put the scanners."""
+"""The default estimator of a network: one joint robust solution, starting at the averaged poses of its pairs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,80 +11,82 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, People
 from calgraph.errors import Rejected
-from calgraph.estimation.network.heading_search import with_best_headings
-from calgraph.estimation.network.model_error import measured_sway
-from calgraph.estimation.network.range_noise import measured_noise
-from calgraph.estimation.network.scan_equations import robust_weights
+from calgraph.estimation.network.heading_search import search_headings
+from calgraph.estimation.network.model_error import estimate_model_error
+from calgraph.estimation.network.problem import (
+    BodyObservations,
+    BodyPath,
+    BodyScans,
+    NetworkProblem,
+    NetworkState,
+    WallConstraint,
+)
+from calgraph.estimation.network.range_noise import estimate_range_noise
+from calgraph.estimation.network.scan_equations import compute_tukey_weights
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.network.solver import (
-    Body,
-    Glimpses,
-    Motion,
-    Network,
-    State,
-    Wall,
-    along,
-    covariance,
-    outlines,
-    residuals,
-    solve,
-    straightness,
+    compute_network_covariance,
+    compute_residuals,
+    compute_smoothness_information,
+    evaluate_at,
+    optimize_network,
+    raycast_body,
 )
 from calgraph.estimation.network.splines import Knots
-from calgraph.estimation.network.track_association import Walker, scanners_of, walkers
+from calgraph.estimation.network.track_association import BodyTracks, group_tracks_by_body
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.pairwise import icp
 from calgraph.tracking import Track, Tracked
 
-# Control points of a path are this far apart, s: a step of a walk takes half a second.
-_KNOTS = 0.2
-# How well people's radii are known beforehand, as a part of themselves; a cylinder's, m.
-_BODIES, _CYLINDER = 0.3, 1e-4
-# Clocks that nobody set are off by about this, s.
-_CLOCKS = 0.1
-# By how much paths and sizes are off in the beginning, round after round, m.
-_ROUGH = (0.05, 0.02)
-# Arms are before a torso or beside it, never behind. While paths are rough, beams that end before the outline are
-# out of it so many times sooner; an outline that took arms in once would keep them.
-_BEFORE = 2.5
-# A body's place strays from its smooth path by so much to begin with, m; and its heading, rad.
-_SWAY, _TWIST = 0.005, 0.05
-# Rounds of choosing beams, matching walls anew, measuring the sway and solving, until the sway changes by less
-# than a share of itself; and steps in each.
-_ROUNDS = 5
-_SETTLED = 0.3
+# Interval of a path's control points, s: a step of a walk takes half a second.
+_KNOT_INTERVAL = 0.2
+# Prior standard deviation of people's radii, relative to them; and of a cylinder's, m.
+_PEOPLE_RADII_SIGMA, _CYLINDER_RADII_SIGMA = 0.3, 1e-4
+# Prior standard deviation of the offsets of clocks that are not synchronized, s.
+_CLOCK_SIGMA = 0.1
+# Standard deviation of paths and radii in the first rounds, m; added to the noise of ranges.
+_INITIAL_PATH_SIGMA = (0.05, 0.02)
+# Arms are in front of the torso or beside it, never behind. In the first rounds, the limit for beams that end in
+# front of the outline is divided by this: an outline that once fits arms would keep them.
+_INITIAL_NEAR_SIDE_FACTOR = 2.5
+# Start values of the model error: standard deviations of position, m, and heading, rad.
+_INITIAL_POSITION_ERROR, _INITIAL_HEADING_ERROR = 0.005, 0.05
+# Rounds of noise, weights, model error, walls and solution, until the model error changes by less than this ratio;
+# and steps of each solution.
+_MAX_ROUNDS = 5
+_MODEL_ERROR_TOLERANCE = 0.3
 _STEPS = 4
-# First guess of a path: noise of tracked places, m.
-_NOISE = 0.03
+# Noise of tracked positions for the first path, m.
+_TRACK_SIGMA = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class JointNetwork:
-    """The joint solution of a network."""
+class NetworkSolution:
+    """The joint solution of a network of S scanners."""
 
     T_root_scanner: Array
     """(S, 3, 3)."""
-    offset: Array
+    clock_offset: Array
     """(S,) scanner clock minus root clock, s."""
     covariance: Array
     """(4S, 4S) of pose in the root's fixed axes and clock offset, scanner by scanner."""
-    clocks_free: bool
+    clocks_estimated: bool
     """Whether clock offsets were estimated."""
-    sway: float
-    """How far bodies stray from ellipses on smooth paths from scan to scan, standard deviation, m."""
+    model_error: float
+    """Standard deviation of the position of bodies in a scan about their smooth path, m."""
 
     @property
     def pose_covariance(self) -> Array:
-        """(3S, 3S) of the poses alone, in the root's fixed axes; zero for the root."""
+        """(3S, 3S) of the poses, in the root's fixed axes; zero for the root."""
         poses = np.arange(len(self.covariance)) % 4 < 3
         return self.covariance[np.ix_(poses, poses)]
 
     @property
     def clocks(self) -> Array:
         """(S, 2) offsets and their standard deviations, s; NaN where they were not estimated, and for the root."""
-        clocks = np.column_stack([self.offset, np.sqrt(np.diagonal(self.covariance)[3::4])])
-        clocks[slice(0, 1) if self.clocks_free else slice(None)] = np.nan
+        clocks = np.column_stack([self.clock_offset, np.sqrt(np.diagonal(self.covariance)[3::4])])
+        clocks[slice(0, 1) if self.clocks_estimated else slice(None)] = np.nan
         return clocks
 
 
@@ -94,183 +96,196 @@ def solve_network(
     averaged: PoseGraphSolution,
     graph: PoseGraph,
     *,
-    clocks: bool = True,
+    estimate_clocks: bool = True,
     prior: ScannerPrior | None = None,
-) -> JointNetwork:
-    """Solves for scanners, clocks, paths and sizes at once.
+) -> NetworkSolution:
+    """Solves jointly for scanner poses, clock offsets, and paths and radii of bodies.
 
     Args:
-        target: what walks.
-        tracked: what each scanner followed, the root first.
-        averaged: start poses, and the pairs that agree with them.
+        target: the kind of bodies.
+        tracked: the tracks of each scanner, the root's first.
+        averaged: start poses, and the pairs that are inliers.
         graph: of these pairs.
-        clocks: whether the scanners' clocks may differ.
-        prior: what an earlier calibration says.
+        estimate_clocks: whether the scanners' clocks may differ.
+        prior: of scanner poses, from an earlier calibration.
     """
     T_root_scanner = averaged.T_root_node
     edges = [
-        Wall(int(i), int(j), T, information)
-        for (i, j), T, information, agrees in zip(
+        WallConstraint(int(i), int(j), T, information)
+        for (i, j), T, information, inlier in zip(
             graph.edges, graph.T_i_j, graph.information, averaged.inliers, strict=True
         )
-        if agrees
+        if inlier
     ]
-    bodies = walkers(tracked, T_root_scanner)
-    state = State(
+    bodies = group_tracks_by_body(tracked, T_root_scanner)
+    state = NetworkState(
         T_root_scanner,
         np.zeros(len(tracked)),
-        tuple(_first_motion(walker, target, T_root_scanner) for walker in bodies),
+        tuple(_initialize_path(body, target, T_root_scanner) for body in bodies),
     )
-    background = np.array([known.sigma for known in tracked])
-    network = Network(
+    background = np.array([scanner.sigma for scanner in tracked])
+    network = NetworkProblem(
         len(tracked),
-        tuple(_body(walker, target) for walker in bodies),
+        tuple(_build_observations(body, target) for body in bodies),
         (),
-        sigma=background,
-        sway=np.array([_SWAY, _TWIST]) ** 2,
-        clock_sigma=_CLOCKS if clocks else 0.0,
+        range_sigma=background,
+        model_error_variance=np.array([_INITIAL_POSITION_ERROR, _INITIAL_HEADING_ERROR]) ** 2,
+        clock_sigma=_CLOCK_SIGMA if estimate_clocks else 0.0,
         prior=prior,
     )
-    network = replace(network, walls=_bridging(network, (), edges))
-    for rough in _ROUGH:
-        network = _with_beams(replace(network, sigma=np.hypot(background, rough)), state, _BEFORE)
-        state, system = solve(network, state, iterations=_STEPS)
-        state = with_best_headings(network, state)
-    measured = np.full(2, np.inf)
-    for _ in range(_ROUNDS):
-        sigma = measured_noise(network, state, system, background)
-        network = _with_beams(replace(network, sigma=sigma), state)
-        network = replace(network, sway=measured_sway(network, state))
-        walls = _walls(tracked, network, state)
-        network = replace(network, walls=(*walls, *_bridging(network, walls, edges)))
-        state, system = solve(network, state, iterations=_STEPS)
-        if np.all(np.abs(network.sway / measured - 1) < _SETTLED):
+    network = replace(network, walls=_select_bridges(network, (), edges))
+    for path_sigma in _INITIAL_PATH_SIGMA:
+        network = replace(network, range_sigma=np.hypot(background, path_sigma))
+        network = _update_weights(network, state, _INITIAL_NEAR_SIDE_FACTOR)
+        state, equations = optimize_network(network, state, iterations=_STEPS)
+        state = search_headings(network, state)
+    previous = np.full(2, np.inf)
+    for _ in range(_MAX_ROUNDS):
+        range_sigma = estimate_range_noise(network, state, equations, background)
+        network = _update_weights(replace(network, range_sigma=range_sigma), state)
+        network = replace(network, model_error_variance=estimate_model_error(network, state))
+        walls = _register_walls(tracked, network, state)
+        network = replace(network, walls=(*walls, *_select_bridges(network, walls, edges)))
+        state, equations = optimize_network(network, state, iterations=_STEPS)
+        if np.all(np.abs(network.model_error_variance / previous - 1) < _MODEL_ERROR_TOLERANCE):
             break
-        measured = network.sway
-    return JointNetwork(
+        previous = network.model_error_variance
+    return NetworkSolution(
         state.T_root_scanner,
-        state.offset,
-        covariance(network, system),
-        clocks,
-        float(np.sqrt(network.sway[0])),
+        state.clock_offset,
+        compute_network_covariance(network, equations),
+        estimate_clocks,
+        float(np.sqrt(network.model_error_variance[0])),
     )
 
 
-def _body(walker: Walker, target: People | Cylinder) -> Body:
-    radii = _radii(target)
-    sigma = np.full(2, _CYLINDER) if isinstance(target, Cylinder) else _BODIES * radii
-    glimpses = tuple(_glimpses(scanner, tracks) for scanner, tracks in sorted(scanners_of(walker).items()))
-    margin = 3 * _CLOCKS
-    knots = Knots.over(walker.start - margin, walker.end + margin, _KNOTS)
-    return Body(knots, glimpses, radii, sigma, faces=isinstance(target, People))
+def _build_observations(body: BodyTracks, target: People | Cylinder) -> BodyObservations:
+    radii = _prior_radii(target)
+    sigma = np.full(2, _CYLINDER_RADII_SIGMA) if isinstance(target, Cylinder) else _PEOPLE_RADII_SIGMA * radii
+    scans = tuple(_collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
+    return BodyObservations(_place_knots(body), scans, radii, sigma, faces_forward=isinstance(target, People))
 
 
-def _radii(target: People | Cylinder) -> Array:
+def _place_knots(body: BodyTracks) -> Knots:
+    """Knots that cover the body's tracks, wherever their clocks are."""
+    margin = 3 * _CLOCK_SIGMA
+    return Knots.spanning(body.start - margin, body.end + margin, _KNOT_INTERVAL)
+
+
+def _prior_radii(target: People | Cylinder) -> Array:
     return np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
 
 
-def _glimpses(scanner: int, tracks: Sequence[Track]) -> Glimpses:
-    """All beams of one scanner on one body, scan by scanner in order of time."""
+def _collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
+    """All beams of one scanner on one body, by scan in order of time."""
     times, points, beam_times, counts = [], [], [], []
     for track in sorted(tracks, key=lambda track: float(track.times[0])):
         times.append(track.times)
         points.append(track.hits.points)
         beam_times.append(track.hits.times)
         counts.append(np.bincount(track.hits.owner, minlength=len(track.times)))
-    at, hit, when = (np.concatenate(part) for part in (times, points, beam_times))
+    scan_time, point, beam_time = (np.concatenate(part) for part in (times, points, beam_times))
     count = np.concatenate(counts)
-    # Tracks of one body that overlap by a moment are brought in order, beams and all.
-    order = np.argsort(at, kind="stable")
+    # Tracks of one body may overlap slightly: scans are sorted by time, with their beams.
+    order = np.argsort(scan_time, kind="stable")
     start = np.cumsum(count) - count
     beams = np.concatenate([np.arange(start[i], start[i] + count[i]) for i in order])
-    ranges = np.linalg.norm(hit[beams], axis=1)
-    view = np.repeat(np.arange(len(order)), count[order])
-    return Glimpses(
+    ranges = np.linalg.norm(point[beams], axis=1)
+    scan = np.repeat(np.arange(len(order)), count[order])
+    return BodyScans(
         scanner,
-        at[order],
+        scan_time[order],
         np.asarray(np.cumsum(count[order]) - count[order], dtype=np.intp),
-        hit[beams] / ranges[:, None],
+        point[beams] / ranges[:, None],
         ranges,
-        when[beams] - at[order][view],
+        beam_time[beams] - scan_time[order][scan],
         np.ones(len(beams)),
     )
 
 
-def _first_motion(walker: Walker, target: People | Cylinder, T_root_scanner: Array) -> Motion:
-    """A smooth path through the places that all tracks show, facing where it leads."""
-    margin = 3 * _CLOCKS
-    knots = Knots.over(walker.start - margin, walker.end + margin, _KNOTS)
-    times = np.concatenate([track.times for _, track in walker.tracks])
-    places = np.concatenate([se2.apply(T_root_scanner[s], track.positions) for s, track in walker.tracks])
-    first, weights, _ = knots.at(times)
+def _initialize_path(body: BodyTracks, target: People | Cylinder, T_root_scanner: Array) -> BodyPath:
+    """Smoothing spline through the positions of all tracks, with the heading along the direction of motion."""
+    knots = _place_knots(body)
+    times = np.concatenate([track.times for _, track in body.tracks])
+    positions = np.concatenate([se2.apply(T_root_scanner[s], track.positions) for s, track in body.tracks])
+    first, weights, _ = knots.basis_at(times)
     band, right = np.zeros((4, knots.count)), np.zeros((knots.count, 2))
     for i in range(4):
-        np.add.at(right, first + i, weights[:, i, None] * places / _NOISE**2)
+        np.add.at(right, first + i, weights[:, i, None] * positions / _TRACK_SIGMA**2)
         for j in range(i, 4):
-            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / _NOISE**2)
-    straight = straightness(_KNOTS)
+            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / _TRACK_SIGMA**2)
+    smooth = compute_smoothness_information(_KNOT_INTERVAL)
     for i in range(3):
         for j in range(i, 3):
-            band[j - i, i : knots.count - 2 + i] += straight[i, j]
+            band[j - i, i : knots.count - 2 + i] += smooth[i, j]
     band[0] += 1e-9
-    path = solveh_banded(band, right, lower=True)
-    velocity = np.gradient(path, _KNOTS, axis=0)
+    control = solveh_banded(band, right, lower=True)
+    velocity = np.gradient(control, _KNOT_INTERVAL, axis=0)
     walking = np.linalg.norm(velocity, axis=1) > 0.2
     heading = np.arctan2(velocity[:, 1], velocity[:, 0])
     if walking.any():
-        k = np.arange(len(path))
+        k = np.arange(len(control))
         heading = np.interp(k, k[walking], np.unwrap(heading[walking]))
-    return Motion(np.column_stack([path, heading]), _radii(target))
+    return BodyPath(np.column_stack([control, heading]), _prior_radii(target))
 
 
-def _with_beams(network: Network, state: State, before: float = 1.0) -> Network:
-    """The network with weights of beams: none where they do not meet their body well, or are not of it.
-
-    ``before`` as in :func:`robust_weights`.
-    """
+def _update_weights(network: NetworkProblem, state: NetworkState, near_side_factor: float = 1.0) -> NetworkProblem:
+    """The network with robust weights of beams at a state; ``near_side_factor`` as for the weights."""
     bodies = []
-    for body, motion in zip(network.bodies, state.motions, strict=True):
-        glimpses = tuple(
-            replace(one, weight=_weight(network, state, body, motion, one, before)) for one in body.glimpses
+    for body, path in zip(network.bodies, state.paths, strict=True):
+        scans = tuple(
+            replace(one, weight=_compute_weights(network, state, body, path, one, near_side_factor))
+            for one in body.scans
         )
-        bodies.append(replace(body, glimpses=glimpses))
+        bodies.append(replace(body, scans=scans))
     return replace(network, bodies=tuple(bodies))
 
 
-def _weight(network: Network, state: State, body: Body, motion: Motion, one: Glimpses, before: float) -> Array:
+def _compute_weights(
+    network: NetworkProblem,
+    state: NetworkState,
+    body: BodyObservations,
+    path: BodyPath,
+    scans: BodyScans,
+    near_side_factor: float,
+) -> Array:
     """(N,)."""
-    _, _, pose, rate = along(state, body, motion, one)
-    hits = outlines(state, motion, one, pose, rate)
-    residual, _ = residuals(network, one, hits)
-    return robust_weights(residual, hits.squarely, before)
+    _, _, pose, rate = evaluate_at(state, body, path, scans)
+    hits = raycast_body(state, path, scans, pose, rate)
+    residual, _ = compute_residuals(network, scans, hits)
+    return compute_tukey_weights(residual, hits.not_grazing, near_side_factor)
 
 
-def _walls(tracked: Sequence[Tracked], network: Network, state: State) -> tuple[Wall, ...]:
-    """What the static backgrounds of scanners that saw one body together say of each other."""
+def _register_walls(
+    tracked: Sequence[Tracked], network: NetworkProblem, state: NetworkState
+) -> tuple[WallConstraint, ...]:
+    """Registers the static backgrounds of all pairs of scanners that measured a common body."""
     pairs = {
         (a.scanner, b.scanner)
         for body in network.bodies
-        for k, a in enumerate(body.glimpses)
-        for b in body.glimpses[k + 1 :]
+        for k, a in enumerate(body.scans)
+        for b in body.scans[k + 1 :]
     }
-    backgrounds = [icp.StaticBackground(known.background) for known in tracked]
-    found = []
+    backgrounds = [icp.StaticBackground(scanner.background) for scanner in tracked]
+    walls = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
         sigma = float(np.hypot(tracked[a].sigma, tracked[b].sigma))
-        matched = icp.align_backgrounds(
+        registered = icp.align_backgrounds(
             T_a_b, np.diag([0.05**2, 0.05**2, 0.01**2]), backgrounds[a], backgrounds[b], sigma
         )
-        if not isinstance(matched, Rejected):
-            found.append(Wall(a, b, matched.T_a_b, matched.information))
-    return tuple(found)
+        if not isinstance(registered, Rejected):
+            walls.append(WallConstraint(a, b, registered.T_a_b, registered.information))
+    return tuple(walls)
 
 
-def _bridging(network: Network, walls: Sequence[Wall], edges: Sequence[Wall]) -> tuple[Wall, ...]:
-    """Those edges that connect scanners which neither walls nor beams that count do."""
-    seen_by = [[one.scanner for one in body.glimpses if one.weight.any()] for body in network.bodies]
-    together = [pair for scanners in seen_by for pair in pairwise(scanners)]
-    ends = np.array([*together, *((wall.a, wall.b) for wall in walls)], dtype=np.intp).reshape(-1, 2)
+def _select_bridges(
+    network: NetworkProblem, walls: Sequence[WallConstraint], edges: Sequence[WallConstraint]
+) -> tuple[WallConstraint, ...]:
+    """The pairwise edges between parts of the network that neither walls nor beams with a weight connect."""
+    scanners = [[scans.scanner for scans in body.scans if scans.weight.any()] for body in network.bodies]
+    connected = [pair for of_body in scanners for pair in pairwise(of_body)]
+    ends = np.array([*connected, *((wall.a, wall.b) for wall in walls)], dtype=np.intp).reshape(-1, 2)
     adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(network.count, network.count))
     part = connected_components(adjacency, directed=False)[1]
     return tuple(edge for edge in edges if part[edge.a] != part[edge.b])

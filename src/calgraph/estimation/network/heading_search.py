@@ -1,87 +1,91 @@
-"""Which way bodies face while they turn: the best sequence of headings on a grid, by dynamic programming.
+"""Finds the headings of people who turn on the spot: the best sequence on a grid, by dynamic programming.
 
-Where somebody turns about, the path alone does not tell whether to the left or to the right, and least squares
-does not find from one to the other; the outlines seen meanwhile do. An ellipse has no front: headings count
-modulo π.
+Where people turn round, the path does not tell to which side, and least squares does not get from one side to the
+other; the outlines measured meanwhile decide. An ellipse has no front: headings are modulo π.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from calgraph.estimation.network.problem import (
+    BodyObservations,
+    BodyPath,
+    BodyScans,
+    NetworkProblem,
+    NetworkState,
+)
 from calgraph.estimation.network.solver import (
-    TURNING,
-    Body,
-    Glimpses,
-    Motion,
-    Network,
-    State,
-    along,
-    facing,
-    view_of,
+    TURNING_DENSITY,
+    compute_heading_offsets,
+    evaluate_at,
+    index_scans,
 )
 from calgraph.geometry import Array, Index
 
-# Headings tried, and the noise at which they are: the path is still off by about this, m.
+# Headings of the grid, rad.
 _GRID = np.pi * np.arange(18) / 18
-_ROUGH = 0.01
-# A beam says at most so much, in half squared standard deviations: some are of arms, or of somebody else.
-_MOST = 4.5
-# Beams of one scan err together: they count by this share.
-_SHARE = 0.2
+# Standard deviation of the path's error at this stage, m; added to the noise of ranges.
+_PATH_SIGMA = 0.01
+# Greatest cost of a beam, half squared standard deviations: some beams are of arms, or of other people.
+_MAX_BEAM_COST = 4.5
+# Weight of a beam: errors of the beams of one scan are correlated.
+_BEAM_WEIGHT = 0.2
 
 
-def with_best_headings(network: Network, state: State) -> State:
-    """The state with headings that fit what was seen of each body best, its path and size being as they are."""
-    motions = [
-        _turned(network, state, body, motion) if body.faces else motion
-        for body, motion in zip(network.bodies, state.motions, strict=True)
+def search_headings(network: NetworkProblem, state: NetworkState) -> NetworkState:
+    """The state with the best headings of people, given their paths' positions and their radii."""
+    paths = [
+        _search_body(network, state, body, path) if body.faces_forward else path
+        for body, path in zip(network.bodies, state.paths, strict=True)
     ]
-    return replace(state, motions=tuple(motions))
+    return replace(state, paths=tuple(paths))
 
 
-def _turned(network: Network, state: State, body: Body, motion: Motion) -> Motion:
+def _search_body(network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath) -> BodyPath:
     cost = np.zeros((body.knots.count, len(_GRID)))
-    for seen in body.glimpses:
-        nearest, misfit = _misfits(network, state, body, motion, seen)
-        np.add.at(cost, nearest, misfit)
-    off, weight = facing(body, motion.control[:, :2], _GRID)
-    cost += 0.5 * weight[:, None] * off**2
-    best = _cheapest(cost, body.knots.step)
+    for scans in body.scans:
+        nearest, beam_cost = _compute_beam_costs(network, state, body, path, scans)
+        np.add.at(cost, nearest, beam_cost)
+    offset, weight = compute_heading_offsets(body, path.control[:, :2], _GRID)
+    cost += 0.5 * weight[:, None] * offset**2
+    best = _find_cheapest_sequence(cost, body.knots.step)
     turn = np.diff(_GRID[best])
     turn = (turn + np.pi / 2) % np.pi - np.pi / 2
     heading = np.concatenate([_GRID[best[:1]], turn]).cumsum()
-    return replace(motion, control=np.column_stack([motion.control[:, :2], heading]))
+    return replace(path, control=np.column_stack([path.control[:, :2], heading]))
 
 
-def _misfits(network: Network, state: State, body: Body, motion: Motion, seen: Glimpses) -> tuple[Index, Array]:
-    """Of each beam that counts the control point it is nearest to (N,), and its misfit (N, G) to all headings."""
-    first, weights, pose, rate = along(state, body, motion, seen)
-    counts = seen.weight > 0
-    view = view_of(seen)[counts]
+def _compute_beam_costs(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, scans: BodyScans
+) -> tuple[Index, Array]:
+    """The control point nearest to each beam with a weight (N,), and the beam's cost (N, G) at all headings."""
+    first, weights, pose, rate = evaluate_at(state, body, path, scans)
+    used = scans.weight > 0
+    scan = index_scans(scans)[used]
     nearest = first + 1 + (weights[:, 2] > weights[:, 1])
-    centre = pose[view, :2] + seen.lag[counts, None] * rate[view, :2]
-    T = state.T_root_scanner[seen.scanner]
-    direction = seen.direction[counts] @ T[:2, :2].T
-    sigma = np.hypot(network.sigma[seen.scanner], _ROUGH)
-    ranges = _ranges(T[:2, 2] - centre, direction, motion.radii)
-    off = 0.5 * ((ranges - seen.ranges[counts, None]) / sigma) ** 2
-    return nearest[view], _SHARE * np.fmin(off, _MOST)
+    centre = pose[scan, :2] + scans.beam_delay[used, None] * rate[scan, :2]
+    T = state.T_root_scanner[scans.scanner]
+    direction = scans.direction[used] @ T[:2, :2].T
+    sigma = np.hypot(network.range_sigma[scans.scanner], _PATH_SIGMA)
+    ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii)
+    cost = 0.5 * ((ranges - scans.ranges[used, None]) / sigma) ** 2
+    return nearest[scan], _BEAM_WEIGHT * np.fmin(cost, _MAX_BEAM_COST)
 
 
-def _ranges(start: Array, direction: Array, radii: Array) -> Array:
-    """Ranges (N, G) along beams to an ellipse about the origin in all headings, m; NaN where they miss it.
+def _raycast_grid(start: Array, direction: Array, radii: Array) -> Array:
+    """Ranges (N, G) along beams to an ellipse about the origin at all headings, m; NaN where they miss it.
 
-    Squares of lengths in radii are ``|h|² = xᵀ Q x``, with three numbers of ``Q`` for each heading.
+    The squared norm of a vector in units of the radii is ``xᵀ Q x``, with three numbers of ``Q`` for each heading.
 
     Args:
         start: (N, 2) of the beams, m.
         direction: (N, 2) unit vectors.
         radii: (2,) across and along the heading, m.
     """
-    across, ahead = radii**-2
+    across, along = radii**-2
     c, s = np.cos(_GRID), np.sin(_GRID)
-    Q = np.stack([across * s**2 + ahead * c**2, across * c**2 + ahead * s**2, (ahead - across) * s * c])
+    Q = np.stack([across * s**2 + along * c**2, across * c**2 + along * s**2, (along - across) * s * c])
 
     def product(a: Array, b: Array) -> Array:
         (x, y), (other_x, other_y) = a.T, b.T
@@ -92,17 +96,17 @@ def _ranges(start: Array, direction: Array, radii: Array) -> Array:
         return np.asarray((-half - np.sqrt(half**2 - square * (product(start, start) - 1))) / square)
 
 
-def _cheapest(cost: Array, step: float) -> Index:
-    """(K,) the choices of least total cost (K, G) and turning (Viterbi, 1967)."""
+def _find_cheapest_sequence(cost: Array, step: float) -> Index:
+    """(K,) the grid headings with the least total cost (K, G), including that of turning (Viterbi, 1967)."""
     turn = (_GRID[:, None] - _GRID + np.pi / 2) % np.pi - np.pi / 2
-    turning = turn**2 / (2 * step * TURNING)
-    total, before = cost[0], np.zeros(cost.shape, dtype=np.intp)
+    turning_cost = turn**2 / (2 * step * TURNING_DENSITY)
+    total, previous = cost[0], np.zeros(cost.shape, dtype=np.intp)
     for k in range(1, len(cost)):
-        reached = total[:, None] + turning
-        before[k] = np.argmin(reached, axis=0)
-        total = reached.min(axis=0) + cost[k]
+        candidates = total[:, None] + turning_cost
+        previous[k] = np.argmin(candidates, axis=0)
+        total = candidates.min(axis=0) + cost[k]
     best = np.empty(len(cost), dtype=np.intp)
     best[-1] = np.argmin(total)
     for k in range(len(cost) - 1, 0, -1):
-        best[k - 1] = before[k, best[k]]
+        best[k - 1] = previous[k, best[k]]
     return best

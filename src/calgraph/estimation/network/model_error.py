@@ -1,8 +1,8 @@
-"""How far bodies stray from ellipses on smooth paths: measured by how scanners contradict each other about them.
+"""Estimates how far bodies deviate from ellipses on smooth paths, from discrepancies between scanners.
 
-Arms and shoulders swing with the steps: what one scan is off by, the next ones are, too, and scanners on the other
-side see something else. So scans are compared by strides, not one by one: as independent as the estimator takes
-them to be, so much are they then allowed to scatter that a stride is told as well as it really is.
+Arms and shoulders swing with the steps: the errors of consecutive scans are correlated, and those of scanners on
+different sides differ. Scanners are therefore compared stride by stride. The joint estimator treats scans as
+independent, so the variance of a scan is chosen such that the covariance of a whole stride is right.
 """
 
 from collections.abc import Sequence
@@ -11,110 +11,118 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from calgraph.estimation.network.scan_equations import PULLED, Scans
-from calgraph.estimation.network.solver import Body, Motion, Network, State, along, says
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
+from calgraph.estimation.network.scan_equations import SCORE_TO_INFORMATION, ScanEquations
+from calgraph.estimation.network.solver import build_scan_equations, evaluate_at
 from calgraph.geometry import Array, Index
 
-# Two steps of a walk, s.
+# Duration of a stride, two steps, s.
 _STRIDE = 1.0
-# The sway is found to so much of itself, as a logarithm of its variance.
-_PRECISE = 0.02
-# Information (1/m², 1/rad²) that is as good as none.
-_NONE = 1e-6
+# Tolerance of the logarithm of a variance.
+_LOG_TOLERANCE = 0.02
+# Ridge (1/m², 1/rad²) that makes matrices invertible where there is no information.
+_RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class _Kind:
-    """What of a pose sways by one variance."""
+class _Component:
+    """Components of a pose that share one variance."""
 
-    rows: Index
+    axes: Index
     """Of the pose."""
-    least: float
-    """Nobody is an ellipse to a smaller standard deviation, m or rad; what sways less does no harm."""
-    most: float
-    """Nobody strays farther."""
+    min_sigma: float
+    """Least standard deviation, m or rad; smaller deviations have no effect."""
+    max_sigma: float
+    """Greatest standard deviation, m or rad."""
 
 
-# Place and heading, in the order of :attr:`Network.sway`.
-_KINDS = (_Kind(np.array([0, 1]), 0.0005, 0.1), _Kind(np.array([2]), 0.002, 0.5))
+# Position and heading, in the order of :attr:`NetworkProblem.model_error_variance`.
+_COMPONENTS = (_Component(np.array([0, 1]), 0.0005, 0.1), _Component(np.array([2]), 0.002, 0.5))
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """What one scanner says of one body, which does not sway yet."""
+class _ScannerEquations:
+    """One scanner's equations of one body, before the model error is marginalised."""
 
-    scans: Scans
+    scans: ScanEquations
     stride: Index
     """(V,) of each scan."""
 
 
-def measured_sway(network: Network, state: State) -> Array:
-    """(2,) variances of places (m²) and headings (rad²) that explain how scanners contradict each other.
+def estimate_model_error(network: NetworkProblem, state: NetworkState) -> Array:
+    """(2,) variances of position (m²) and heading (rad²) that explain the discrepancies between scanners.
 
-    Each is searched for, the other being as it is: to multiply it by how many times more than explained the
-    contradiction is leads there, too, but the slower, the smaller the sway is beside the noise of a scan.
-    Where no two scanners see a body within one stride, there is nothing to compare, and it stays as it is.
+    Each is found as the root of an equation, given the other. Multiplying it repeatedly by the ratio of observed
+    to expected discrepancy has the same fixed point, but converges slowly where the model error is small beside
+    the noise of a scan. Where no two scanners measure a body within one stride, a variance keeps its value.
     """
-    bodies = [_of_body(network, state, *own) for own in zip(network.bodies, state.motions, strict=True)]
-    sway = network.sway.copy()
-    for which, kind in enumerate(_KINDS):
-        sway[which] = _explaining(bodies, sway, which, kind)
-    return sway
+    bodies = [_collect_equations(network, state, *pair) for pair in zip(network.bodies, state.paths, strict=True)]
+    variances = network.model_error_variance.copy()
+    for index, component in enumerate(_COMPONENTS):
+        variances[index] = _find_variance(bodies, variances, index, component)
+    return variances
 
 
-def _explaining(bodies: Sequence[tuple[_Seen, ...]], sway: Array, which: int, kind: _Kind) -> float:
-    """The variance of one kind, the other being as in ``sway`` (2,)."""
+def _find_variance(
+    bodies: Sequence[tuple[_ScannerEquations, ...]], variances: Array, index: int, component: _Component
+) -> float:
+    """The variance of one component, with the other as in ``variances`` (2,)."""
 
-    def shown_and_explained(log_variance: float) -> Array:
-        trial = sway.copy()
-        trial[which] = np.exp(log_variance)
-        return np.asarray(np.sum([np.zeros(2), *(_contradiction(own, trial, kind) for own in bodies)], axis=0))
+    def sum_discrepancies(log_variance: float) -> Array:
+        trial = variances.copy()
+        trial[index] = np.exp(log_variance)
+        return np.asarray(
+            np.sum([np.zeros(2), *(_compare_scanners(body, trial, component) for body in bodies)], axis=0)
+        )
 
-    def excess(log_variance: float) -> float:
-        shown, explained = shown_and_explained(log_variance)
-        return float(np.log(shown / (PULLED * explained)))
+    def log_ratio(log_variance: float) -> float:
+        observed, expected = sum_discrepancies(log_variance)
+        return float(np.log(observed / (SCORE_TO_INFORMATION * expected)))
 
-    low, high = 2 * np.log([kind.least, kind.most])
-    if shown_and_explained(low)[1] < kind.most**-2:
-        return float(sway[which])
-    if excess(low) <= 0:
-        return kind.least**2
-    if excess(high) >= 0:
-        return kind.most**2
-    return float(np.exp(brentq(excess, low, high, xtol=_PRECISE)))
+    low, high = 2 * np.log([component.min_sigma, component.max_sigma])
+    if sum_discrepancies(low)[1] < component.max_sigma**-2:
+        return float(variances[index])
+    if log_ratio(low) <= 0:
+        return component.min_sigma**2
+    if log_ratio(high) >= 0:
+        return component.max_sigma**2
+    return float(np.exp(brentq(log_ratio, low, high, xtol=_LOG_TOLERANCE)))
 
 
-def _of_body(network: Network, state: State, body: Body, motion: Motion) -> tuple[_Seen, ...]:
+def _collect_equations(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> tuple[_ScannerEquations, ...]:
     """By scanner."""
-    found = []
-    for seen in body.glimpses:
-        _, _, pose, rate = along(state, body, motion, seen)
-        stride = (seen.times - state.offset[seen.scanner] - body.knots.start) / _STRIDE
-        found.append(_Seen(says(network, state, motion, seen, pose, rate), np.maximum(stride, 0).astype(np.intp)))
-    return tuple(found)
+    collected = []
+    for scans in body.scans:
+        _, _, pose, rate = evaluate_at(state, body, path, scans)
+        stride = (scans.times - state.clock_offset[scans.scanner] - body.knots.start) / _STRIDE
+        equations = build_scan_equations(network, state, path, scans, pose, rate)
+        collected.append(_ScannerEquations(equations, np.maximum(stride, 0).astype(np.intp)))
+    return tuple(collected)
 
 
-def _contradiction(body: tuple[_Seen, ...], sway: Array, kind: _Kind) -> Array:
-    """(2,) squared contradiction of scanners about a body that sways (2,), and what is explained of it.
+def _compare_scanners(body: tuple[_ScannerEquations, ...], variances: Array, component: _Component) -> Array:
+    """(2,) sum of squared discrepancies between scanners about a body, and its expectation.
 
-    Each scanner's beams of one stride pull the body by ``b``, with covariance ``A``, which is their information.
-    What is not of this kind each scanner may see as it likes. Where all pulls together hold the body, those of
-    single scanners have the covariance ``A - A (Σ A)⁻¹ A``.
+    The gradients ``b`` of a scanner's beams in a stride have the covariance ``A``, their information. The other
+    component of the pose is free for each scanner. At the pose that balances all scanners, their gradients have
+    the covariance ``A - A (Σ A)⁻¹ A``.
     """
-    strides = 1 + max(int(seen.stride.max(initial=0)) for seen in body)
+    strides = 1 + max(int(scanner.stride.max(initial=0)) for scanner in body)
     A, b = np.zeros((strides, len(body), 3, 3)), np.zeros((strides, len(body), 3))
-    for k, seen in enumerate(body):
-        scans = seen.scans.swayed(sway[[0, 0, 1]])
-        np.add.at(A[:, k], seen.stride, scans.information[:, :3, :3])
-        np.add.at(b[:, k], seen.stride, scans.gradient[:, :3])
-    own, other = kind.rows, np.setdiff1d(np.arange(3), kind.rows)
-    mixed = A[..., own[:, None], other]
-    gain = mixed @ np.linalg.inv(A[..., other[:, None], other] + _NONE * np.eye(len(other)))
-    A = A[..., own[:, None], own] - gain @ np.swapaxes(mixed, -1, -2)
-    b = b[..., own] - (gain @ b[..., other, None])[..., 0]
+    for k, scanner in enumerate(body):
+        scans = scanner.scans.marginalize_model_error(variances[[0, 0, 1]])
+        np.add.at(A[:, k], scanner.stride, scans.information[:, :3, :3])
+        np.add.at(b[:, k], scanner.stride, scans.gradient[:, :3])
+    axes, others = component.axes, np.setdiff1d(np.arange(3), component.axes)
+    mixed = A[..., axes[:, None], others]
+    gain = mixed @ np.linalg.inv(A[..., others[:, None], others] + _RIDGE * np.eye(len(others)))
+    A = A[..., axes[:, None], axes] - gain @ np.swapaxes(mixed, -1, -2)
+    b = b[..., axes] - (gain @ b[..., others, None])[..., 0]
     several = np.sum(np.trace(A, axis1=-2, axis2=-1) > 0, axis=1) > 1
     A, b = A[several], b[several]
-    spread = np.linalg.inv(A.sum(axis=1) + _NONE * np.eye(len(own)))
-    held = b - (A @ (spread @ b.sum(axis=1)[..., None])[:, None])[..., 0]
-    left = A - A @ spread[:, None] @ A
-    return np.array([np.sum(held**2), np.sum(np.trace(left, axis1=-2, axis2=-1))])
+    pose_covariance = np.linalg.inv(A.sum(axis=1) + _RIDGE * np.eye(len(axes)))
+    discrepancy = b - (A @ (pose_covariance @ b.sum(axis=1)[..., None])[:, None])[..., 0]
+    expected = A - A @ pose_covariance[:, None] @ A
+    return np.array([np.sum(discrepancy**2), np.sum(np.trace(expected, axis1=-2, axis2=-1))])

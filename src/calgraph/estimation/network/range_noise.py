@@ -1,65 +1,81 @@
-"""How noisy ranges are: measured by how they scatter about bodies.
+"""Estimates the noise of ranges from the residuals at bodies.
 
-A scanner's background tells its noise, too, but by medians that take steps as coarse as ranges are sent in, and
-clothes are no walls. Paths follow the noise, though, the more so the fewer beams they have: how much the scatter
-has become smaller is known from how much the beams hold the path, which is their leverage (Huber, "Robust
-statistics", 1981, section 7.2).
+The static background gives a noise as well, but its medians are quantised as coarsely as the ranges are sent, and
+clothes scatter more than walls. Residuals, in turn, are smaller than the noise, because paths are fitted to them:
+the more so, the greater the leverage of the beams (Huber, "Robust statistics", 1981, section 7.2).
 """
 
 import numpy as np
 
-from calgraph.estimation.network.scan_equations import COUNTED, SHRUNK, Scans, summed
-from calgraph.estimation.network.schur import path_covariance
-from calgraph.estimation.network.solver import Network, State, System, along, outlines, residuals
+from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.scan_equations import (
+    MEAN_WEIGHT,
+    MEDIAN_SHRINKAGE,
+    ScanEquations,
+    sum_over_scans,
+)
+from calgraph.estimation.network.schur import compute_path_covariance
+from calgraph.estimation.network.solver import (
+    NetworkEquations,
+    compute_residuals,
+    evaluate_at,
+    raycast_body,
+)
 from calgraph.geometry import Array, Index
 
-# Standard deviations of Gaussian noise in one median of absolute values.
-_NORMAL = 1.4826
-# So many beams tell the noise of a scanner to a few percent. But ranges may have none at all.
-_ENOUGH, _LEAST = 300, 0.5
-# What scatters more, m, is not noise: the beams are not of these bodies.
-_MOST = 0.05
-# Where beams tell hardly more than the path, what is left of their noise is not trusted to tell it.
-_MOST_HELD = 0.3
+# Standard deviation of Gaussian noise as a multiple of its median absolute value.
+_MEDIAN_TO_SIGMA = 1.4826
+# Beams that give a scanner's noise to a few percent; with fewer of them, the background's noise is used.
+_MIN_BEAMS = 300
+# Least noise, as a ratio to the background's: ranges of a simulation may have none at all.
+_MIN_RATIO = 0.5
+# Most noise beyond the background's, m: larger residuals are not of these bodies.
+_MAX_EXCESS = 0.05
+# Greatest leverage that is corrected for: with few beams per path, the correction would be uncertain.
+_MAX_LEVERAGE = 0.3
 
 
-def measured_noise(network: Network, state: State, system: System, background: Array) -> Array:
-    """(S,) noise of ranges, m: as they scatter about bodies, and as much more as paths followed it.
+def estimate_range_noise(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
+) -> Array:
+    """(S,) noise of ranges, m: median absolute residual at bodies, corrected for the leverage of the beams.
 
-    Between half of what the background says, and 5 cm beyond it.
+    It is at least half of the background's noise, and at most 5 cm beyond it.
 
     Args:
-        network: as it was solved last, with the weights of then.
-        state: where bodies are.
-        system: of that solution.
-        background: (S,) noise of each scanner's background, m: where few beams meet bodies, this one is.
+        network: with the weights of its last solution.
+        state: of that solution.
+        equations: of that solution.
+        background: (S,) noise of each scanner's background, m; used for scanners with few beams on bodies.
     """
-    off: list[list[Array]] = [[] for _ in background]
-    held, told = np.zeros((2, len(background)))
-    for body, motion, equations in zip(network.bodies, state.motions, system.bodies, strict=True):
-        spread = path_covariance(equations.band)
-        for one in body.glimpses:
-            first, weights, pose, rate = along(state, body, motion, one)
-            hits = outlines(state, motion, one, pose, rate)
-            off[one.scanner].append(np.abs(hits.ranges - one.ranges)[hits.squarely])
-            scans = summed(*residuals(network, one, hits), one.weight, one.start).swayed(network.sway[[0, 0, 1]])
-            held[one.scanner] += _held(weights, first, scans, spread)
-            told[one.scanner] += one.weight.sum() / COUNTED
-    beams = [np.concatenate([np.zeros(0), *own]) for own in off]
-    followed = SHRUNK * np.minimum(held / np.maximum(told, 1), _MOST_HELD)
-    scatter = [
-        _NORMAL * np.median(own) / (1 - share) if len(own) >= _ENOUGH else stated
-        for own, share, stated in zip(beams, followed, background, strict=True)
+    residuals: list[list[Array]] = [[] for _ in background]
+    leverage, effective_beams = np.zeros((2, len(background)))
+    for body, path, body_equations in zip(network.bodies, state.paths, equations.bodies, strict=True):
+        path_covariance = compute_path_covariance(body_equations.band)
+        for scans in body.scans:
+            first, weights, pose, rate = evaluate_at(state, body, path, scans)
+            hits = raycast_body(state, path, scans, pose, rate)
+            residuals[scans.scanner].append(np.abs(hits.ranges - scans.ranges)[hits.not_grazing])
+            scan_equations = sum_over_scans(
+                *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
+            ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
+            leverage[scans.scanner] += _sum_leverages(weights, first, scan_equations, path_covariance)
+            effective_beams[scans.scanner] += scans.weight.sum() / MEAN_WEIGHT
+    by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
+    shrinkage = MEDIAN_SHRINKAGE * np.minimum(leverage / np.maximum(effective_beams, 1), _MAX_LEVERAGE)
+    sigma = [
+        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= _MIN_BEAMS else stated
+        for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
-    return np.asarray(np.clip(scatter, _LEAST * background, np.hypot(background, _MOST)))
+    return np.asarray(np.clip(sigma, _MIN_RATIO * background, np.hypot(background, _MAX_EXCESS)))
 
 
-def _held(weights: Array, first: Index, scans: Scans, spread: Array) -> float:
-    """The sum of the leverages that scans have on a path whose control points vary by ``spread``."""
-    A = scans.information[:, :3, :3]
-    held = 0.0
+def _sum_leverages(weights: Array, first: Index, equations: ScanEquations, path_covariance: Array) -> float:
+    """The sum of the leverages of scans on a path with the given covariance of its control points."""
+    A = equations.information[:, :3, :3]
+    total = 0.0
     for i in range(4):
         for j in range(i, 4):
-            own = np.einsum("vij,vji->v", A, spread[first + i, j - i])
-            held += (1 + (i < j)) * float((weights[:, i] * weights[:, j]) @ own)
-    return held
+            trace = np.einsum("vij,vji->v", A, path_covariance[first + i, j - i])
+            total += (1 + (i < j)) * float((weights[:, i] * weights[:, j]) @ trace)
+    return total

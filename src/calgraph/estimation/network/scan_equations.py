@@ -1,8 +1,8 @@
-"""From beams to what each scan of a body says: weighed, summed, and allowed to see the body a little off its path.
+"""Normal equations of a body's pose and radii, summed over the beams of each scan.
 
-Bodies are no ellipses on smooth curves: arms swing, shoulders turn. The beams of one scan then err together, and
-however many there are, they say no more of the path than the body keeps to it. So each scan may see its body
-displaced by an unknown of its own, which is marginalised.
+People are not ellipses on smooth curves: arms swing, shoulders turn. These errors are common to all beams of a
+scan, so that more beams do not average them. Each scan therefore has an unknown displacement of the body's pose
+with a given variance, which is marginalised.
 """
 
 from dataclasses import dataclass
@@ -12,85 +12,89 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
 
-# Beams farther off than so many standard deviations are of arms, or of somebody else (Beaton and Tukey, 1974). The
-# textbook's 4.685 would lose less of Gaussian noise, but takes arms that swing by for the torso.
-_TUKEY = 2.5
-# Of normal residuals r with Tukey's weights w, which pull by ψ = w r: means of w, of the derivative ψ', and of ψ².
-_WEIGHT, _SLOPE, _PULL2 = 0.755, 0.399, 0.248
-# Estimates scatter as if a beam told E[ψ']² / E[ψ²] of what its noise says (Huber, 1981), which is less than E[w].
-_INFORMED = _SLOPE**2 / (_PULL2 * _WEIGHT)
-# Squared pulls of beams over the information that is in their weights.
-PULLED = _INFORMED * _PULL2 / _WEIGHT
-# What normal beams count on average.
-COUNTED = _INFORMED * _WEIGHT
-# The median of normal residuals, without sign. Where beams have a leverage on what is fitted to them, it becomes
-# smaller by so many times that leverage: by what a beam pulls there itself, less what the noise of others adds.
+# Limit of Tukey's biweight, standard deviations (Beaton and Tukey, 1974): beams beyond it are of arms, or of other
+# people. The textbook's 4.685 is more efficient for Gaussian noise, but takes swinging arms for the torso.
+_TUKEY_LIMIT = 2.5
+# Expectations for Gaussian residuals r with weights w(r) and score ψ(r) = w(r) r: E[w], E[ψ'], E[ψ²].
+_EXPECTED_WEIGHT, _EXPECTED_SCORE_DERIVATIVE, _EXPECTED_SQUARED_SCORE = 0.755, 0.399, 0.248
+# A beam carries E[ψ']² / E[ψ²] of the information of its noise (Huber, 1981), which is less than E[w]: weights are
+# multiplied by this ratio, so that their sum is the information.
+_WEIGHT_SCALE = _EXPECTED_SCORE_DERIVATIVE**2 / (_EXPECTED_SQUARED_SCORE * _EXPECTED_WEIGHT)
+# Expected square of a scaled score, as a multiple of the information in the scaled weights.
+SCORE_TO_INFORMATION = _WEIGHT_SCALE * _EXPECTED_SQUARED_SCORE / _EXPECTED_WEIGHT
+# Expected scaled weight of a beam with Gaussian noise.
+MEAN_WEIGHT = _WEIGHT_SCALE * _EXPECTED_WEIGHT
+# The median absolute Gaussian residual. Where a model is fitted to the beams, it shrinks by this coefficient times
+# the beams' leverage: the effect of a beam on its own prediction, less the noise that other beams add to it.
 _MEDIAN = 0.6745
-SHRUNK = (1 - (_MEDIAN / _TUKEY) ** 2) ** 2 / _SLOPE - _PULL2 / _SLOPE**2 / 2
-# Numbers that a beam's range depends on: the body's pose and its radii.
+MEDIAN_SHRINKAGE = (
+    1 - (_MEDIAN / _TUKEY_LIMIT) ** 2
+) ** 2 / _EXPECTED_SCORE_DERIVATIVE - _EXPECTED_SQUARED_SCORE / _EXPECTED_SCORE_DERIVATIVE**2 / 2
+# Upper triangle of the products of five derivatives (pose and radii) and the residual.
 _ROWS, _COLUMNS = np.triu_indices(6)
 _UPPER = np.triu_indices(3)
 
 
 @dataclass(frozen=True, eq=False)
-class Scans:
-    """What V scans say of a body's pose and radii."""
+class ScanEquations:
+    """Normal equations of V scans, each over the body's pose (3) and radii (2)."""
 
     information: Array
     """(V, 5, 5)."""
     gradient: Array
     """(V, 5)."""
     cost: Array
-    """(V,) half squared standard deviations."""
+    """(V,) half the sum of squared whitened residuals."""
 
-    def swayed(self, sway: Array) -> "Scans":
-        """The same if each scan saw the body's pose displaced by an unknown of its own, with variances (3,) Q.
+    def marginalize_model_error(self, variance: Array) -> "ScanEquations":
+        """The equations if each scan sees the pose displaced by an unknown with variances (3,), Q.
 
-        Marginalising it leaves ``A - A (Q⁻¹ + A)⁻¹ A``, and ``b - A (Q⁻¹ + A)⁻¹ b``.
+        Marginalising it leaves the information ``A - A (Q⁻¹ + A)⁻¹ A`` and the gradient ``b - A (Q⁻¹ + A)⁻¹ b``.
         """
         A, b = self.information, self.gradient
-        inverse = self._displaced(sway)
+        inverse = _invert_3x3(A[:, :3, :3] + np.diag(1 / variance))
         gain, shift = A[:, :, :3] @ inverse, inverse @ b[:, :3, None]
-        return Scans(
+        return ScanEquations(
             A - gain @ A[:, :3],
             b - (A[:, :, :3] @ shift)[..., 0],
             self.cost - 0.5 * np.sum(b[:, :3] * shift[..., 0], axis=-1),
         )
 
-    def _displaced(self, sway: Array) -> Array:
-        """(V, 3, 3) covariance of the displacement, the path being as it is."""
-        return _inverse3(self.information[:, :3, :3] + np.diag(1 / sway))
 
-
-def summed(residual: Array, jacobian: Array, weight: Array, start: Index) -> Scans:
-    """Sums whitened residuals (N,), jacobians (N, 5) and weights (N,) over scans that begin at ``start`` (V,)."""
-    rows = np.concatenate([jacobian.T, residual[None]])
-    weighted = weight * rows
-    # One product of numbers after the other, all beams at once: scans are short, and there are many.
-    products = [np.add.reduceat(weighted[i] * rows[j], start) for i, j in zip(_ROWS, _COLUMNS, strict=True)]
-    total = np.empty((len(start), 6, 6))
-    total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
-    return Scans(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
-
-
-def robust_weights(residual: Array, used: NDArray[np.bool_], before: float = 1.0) -> Array:
-    """(N,) how much each beam counts: the less, the farther off, and nothing beyond what noise explains (Tukey).
-
-    On average beams count as much as they tell, so that sums of weights are their information.
-
-    Beams are judged about where the path has the body. Were each scan to say first where it sees the body, arms
-    would pass for a body that is displaced.
+def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:
+    """Sums the normal equations of beams over scans.
 
     Args:
-        residual: (N,) whitened, positive for beams that end before the outline.
-        used: (N,) whether a beam counts at all.
-        before: by how much nearer the limit is for beams that end before the outline than for those behind it.
+        residual: (N,) whitened.
+        jacobian: (N, 5) whitened.
+        weight: (N,).
+        first_beam: (V,) the first beam of each scan.
     """
-    off = np.where(residual > 0, residual * before, residual) / _TUKEY
-    return np.asarray(_INFORMED * used * np.maximum(1 - off**2, 0) ** 2)
+    rows = np.concatenate([jacobian.T, residual[None]])
+    weighted = weight * rows
+    # One product at a time over all beams: scans have few beams, and there are many scans.
+    products = [np.add.reduceat(weighted[i] * rows[j], first_beam) for i, j in zip(_ROWS, _COLUMNS, strict=True)]
+    total = np.empty((len(first_beam), 6, 6))
+    total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
+    return ScanEquations(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
 
 
-def _inverse3(A: Array) -> Array:
+def compute_tukey_weights(residual: Array, used: NDArray[np.bool_], near_side_factor: float = 1.0) -> Array:
+    """(N,) Tukey's weights of beams, scaled so that their sum is the information of the beams.
+
+    Residuals are those of the smooth path, not of the body's displacement in each scan: displacements would fit
+    the arms.
+
+    Args:
+        residual: (N,) whitened, positive for beams that end in front of the outline.
+        used: (N,) whether a beam has a weight at all.
+        near_side_factor: by how much the limit is lower for beams that end in front of the outline.
+    """
+    ratio = np.where(residual > 0, residual * near_side_factor, residual) / _TUKEY_LIMIT
+    return np.asarray(_WEIGHT_SCALE * used * np.maximum(1 - ratio**2, 0) ** 2)
+
+
+def _invert_3x3(A: Array) -> Array:
     """Inverses of symmetric (V, 3, 3) by cofactors, several times as fast as a decomposition."""
     a, b, c, d, e, f = A[:, _UPPER[0], _UPPER[1]].T
     cofactors = np.stack(

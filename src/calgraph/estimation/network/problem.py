@@ -1,0 +1,93 @@
+"""The joint estimation problem of a network: measurements, priors, and the values of all unknowns."""
+
+from dataclasses import dataclass
+
+from calgraph.estimation.network.scanner_prior import ScannerPrior
+from calgraph.estimation.network.splines import Knots
+from calgraph.geometry import Array, Index
+
+
+@dataclass(frozen=True, eq=False)
+class BodyScans:
+    """One scanner's beams on one body: V scans, N beams."""
+
+    scanner: int
+    times: Array
+    """(V,) mean time of each scan's beams on the body, by the scanner's clock, s, ascending."""
+    first_beam: Index
+    """(V,) the first beam of each scan."""
+    direction: Array
+    """(N, 2) unit vectors, scanner frame."""
+    ranges: Array
+    """(N,) m."""
+    beam_delay: Array
+    """(N,) time of each beam after the mean time of its scan, s."""
+    weight: Array
+    """(N,) robust weights, 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyObservations:
+    """All measurements of one body, and the prior of its radii."""
+
+    knots: Knots
+    scans: tuple[BodyScans, ...]
+    """By scanner."""
+    radii: Array
+    """(2,) prior mean across and along its heading, m."""
+    radii_sigma: Array
+    """(2,) prior standard deviation, m."""
+    faces_forward: bool
+    """Whether its heading follows its direction of motion, as people's does and a cylinder's does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class WallConstraint:
+    """Relative pose of two scanners from the registration of their static backgrounds."""
+
+    a: int
+    b: int
+    T_a_b: Array
+    """(3, 3)."""
+    information: Array
+    """(3, 3) in the fixed axes of a; singular where walls constrain fewer than three directions."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkProblem:
+    """All measurements of a network of S scanners, with their noise."""
+
+    count: int
+    """S; the first scanner is the root."""
+    bodies: tuple[BodyObservations, ...]
+    walls: tuple[WallConstraint, ...]
+    range_sigma: Array
+    """(S,) noise of a range, m."""
+    model_error_variance: Array
+    """(2,) variances of the displacement (m²) and rotation (rad²) of a body from its path in a scan."""
+    clock_sigma: float
+    """Prior standard deviation of clock offsets, s; 0 where all clocks are synchronized."""
+    prior: ScannerPrior | None = None
+    """Prior of scanner poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPath:
+    """Estimated path and radii of one body."""
+
+    control: Array
+    """(K, 3) control points of position, m, and heading, rad."""
+    radii: Array
+    """(2,) across and along the heading, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkState:
+    """Values of all unknowns."""
+
+    T_root_scanner: Array
+    """(S, 3, 3)."""
+    clock_offset: Array
+    """(S,) scanner clock minus root clock, s."""
+    paths: tuple[BodyPath, ...]
+    """One for each body."""
