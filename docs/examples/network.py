@@ -30,7 +30,7 @@ rig = calgraph.Rig(
 )
 calibration = calgraph.calibrate_network(rig, calgraph.MessageRecording(scans), calgraph.Options())
 columns = ["x", "y", "yaw_deg", "stddev_x", "stddev_y", "clock_offset", "verdict"]
-print(calibration.to_dataframe()[columns].round(4).to_string())
+print(calgraph.to_dataframe(calibration)[columns].round(4).to_string())
 
 # %%
 # Errors, mm and degrees:

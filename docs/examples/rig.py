@@ -46,7 +46,7 @@ calgraph.save_calibration(calibration, folder / "calibration.yaml")
 # Reading the result
 # ------------------
 # A row for each sensor: pose in the root's frame in metres and degrees, standard deviations, and the verdict.
-table = calibration.to_dataframe()
+table = calgraph.to_dataframe(calibration)
 print(table[["x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg", "verdict"]].round(4).to_string())
 
 # %%

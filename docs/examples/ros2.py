@@ -25,7 +25,7 @@ scenario = RigScenario(
 rig, captured, _ = simulate_detections(set_stage(scenario, 0), seed=0)
 problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
 calibration = calgraph.solve_problem(problem)
-print(calibration.to_dataframe()[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())
+print(calgraph.to_dataframe(calibration)[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())
 
 # %%
 # A launch file

@@ -49,22 +49,21 @@ if TYPE_CHECKING:
     from calgraph.pairwise import PairwiseEstimate, estimate_pair
     from calgraph.recording import MessageRecording, open_recording, open_recordings
     from calgraph.report import write_report
-    from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration
+    from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration, to_dataframe
     from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, colorize_points
     from calgraph.tracking import Track, Tracked, track_scanner
 
 __all__ = [
-    "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel",
-    "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan",
-    "Lidar2dSpec", "Lidar3dSpec", "MessageRecording", "Options", "PairwiseEstimate", "People",
-    "PixelNoise", "PlanePatch", "PointCloud", "PoseGraph", "PoseGraphSolution", "Problem", "RangeNoise",
-    "RecordingError", "Rejected", "Rig", "Segment", "SensorPose", "Tag", "Track", "Tracked",
-    "average_poses", "board_corners_from_pixels", "bootstrap_covariances", "build_problem",
-    "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
+    "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel", "CameraSpec",
+    "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec", "Lidar3dSpec",
+    "MessageRecording", "Options", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch", "PointCloud",
+    "PoseGraph", "PoseGraphSolution", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "Segment",
+    "SensorPose", "Tag", "Track", "Tracked", "average_poses", "board_corners_from_pixels", "bootstrap_covariances",
+    "build_problem", "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
     "calibrate_tracks", "captures_from_detections", "colorize_points", "estimate_pair", "export",
     "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
-    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points",
-    "so3", "solve_problem", "track_scanner", "write_report",
+    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points", "so3",
+    "solve_problem", "to_dataframe", "track_scanner", "write_report",
 ]  # fmt: skip
 
 _ROOMS = (

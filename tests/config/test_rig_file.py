@@ -157,7 +157,7 @@ MISTAKES = {
                     "target.kind: must be one of board, people, cylinder, got 'bord'; did you mean 'board'?"),
     "no_target_kind": ((TAGGED, "{size: [1, 1]}"), "target.kind: is missing; allowed are board, people, cylinder"),
     "people_in_list": ((TAGGED, "[{kind: people}]"),
-                       "target[0].kind: must be 'board', got 'people'\ntarget[0].size: is missing (Width (x) and height (y) of the sheet, m)"),
+                       "target[0].kind: must be 'board', got 'people'\ntarget[0].size: is missing (Width (x) and height (y), m)"),
     "pattern_kind": ((TAGGED, BOARD + "pattern: {kind: chess}}"),
                      "target.pattern.kind: must be one of checkerboard, charuco, aprilgrid, got 'chess'"),
     "model": (("camera_info: /info", f"intrinsics: {{model: omni, {K}}}"),

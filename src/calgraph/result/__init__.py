@@ -19,6 +19,7 @@ from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.snapshots import Snapshot
+from calgraph.result.table import to_dataframe
 from calgraph.result.transform_tree import TransformTree
 from calgraph.result.used_intrinsics import calibrated_cameras
 
@@ -26,5 +27,5 @@ __all__ = [
     "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
     "ExtrinsicsFile", "FloorView", "HeldOutError", "SensorPose", "Snapshot", "Suggestion", "TransformTree",
     "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "load_calibration", "load_scene",
-    "read_extrinsics", "save_calibration", "save_captures", "save_scene", "to_json",
+    "read_extrinsics", "save_calibration", "save_captures", "save_scene", "to_dataframe", "to_json",
 ]  # fmt: skip

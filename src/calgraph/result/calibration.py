@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from calgraph.result.board_views import BoardOutline, BoardView
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.transform_tree import TransformTree
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Grade = Literal["good", "weak", "unobservable"]
 
@@ -246,22 +243,6 @@ class Calibration:
         names = [sensor.name for sensor in self.sensors]
         both = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
         return se3.relative_covariance(T_root_a, T_root_b, self.joint_covariance[np.ix_(both, both)])
-
-    def to_dataframe(self) -> "pd.DataFrame":
-        """A pandas table with a row for each sensor, those without a pose included; needs ``calgraph[tables]``.
-
-        Indexed by ``sensor``. Columns: ``kind``, ``frame_id``, ``parent``; the pose in the root's frame as
-        ``x y z`` (m), ``qx qy qz qw``, and ``roll_deg pitch_deg yaw_deg`` about fixed axes; standard deviations
-        along and about the root's axes, ``stddev_x`` ... (m) and ``stddev_rx_deg`` ...; ``clock_offset`` and
-        ``clock_offset_stddev`` (s), missing where not estimated; ``verdict`` (good, weak, unobservable,
-        unconnected) and its ``reason``.
-
-        Raises:
-            CalgraphError: pandas is not installed.
-        """
-        from calgraph.result.table import to_dataframe  # which needs this class
-
-        return to_dataframe(self)
 
 
 def _format_millimetres(metres: float) -> str:

@@ -1,4 +1,4 @@
-"""A calibration as a pandas table, a row a sensor, for notebooks."""
+"""A calibration as a pandas table, one row a sensor."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,13 @@ _DEVIATIONS = tuple(f"stddev_{axis}" for axis in ("x", "y", "z", "rx_deg", "ry_d
 
 
 def to_dataframe(calibration: Calibration) -> "pd.DataFrame":
-    """The table that :meth:`Calibration.to_dataframe` describes.
+    """A pandas table with a row for each sensor, those without a pose included; needs ``calgraph[tables]``.
+
+    Indexed by ``sensor``. Columns: ``kind``, ``frame_id``, ``parent``; the pose in the root's frame as
+    ``x y z`` (m), ``qx qy qz qw``, and ``roll_deg pitch_deg yaw_deg`` about fixed axes; standard deviations
+    along and about the root's axes, ``stddev_x`` ... (m) and ``stddev_rx_deg`` ...; ``clock_offset`` and
+    ``clock_offset_stddev`` (s), missing where not estimated; ``verdict`` (good, weak, unobservable,
+    unconnected) and its ``reason``.
 
     Raises:
         CalgraphError: pandas is not installed.
@@ -54,6 +60,6 @@ def _number(value: float | None) -> float:
 
 
 def _unconnected(calibration: Calibration) -> Iterator[dict[str, Any]]:
-    """Sensors without a pose have a row, too: a table that leaves them out hides that they are missing."""
+    """Rows of the sensors without a pose."""
     for name, reason in calibration.unconnected.items():
         yield {"sensor": name, "verdict": "unconnected", "reason": reason}
