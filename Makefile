@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test coverage check docs format requirements clean
+.PHONY: help setup demo test coverage mutants check docs format requirements clean
 
 BIN := .venv/bin
 READY := .venv/.ready
@@ -26,6 +26,13 @@ test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
 # All tests; settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
 coverage: $(READY)  ## run all tests and measure coverage; fails below the limit in pyproject.toml
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-report= $(ARGS)
+
+# ROOM may be several, parts of one, or files. The tests of the room run, and those that TESTS names.
+N := 50
+SEED := 0
+JOBS := $(shell nproc 2>/dev/null || echo 2)
+mutants: .venv/.mutants  ## change N random places of ROOM, one at a time, and list the changes that no test notices
+	$(BIN)/python benchmarks/mutants.py $(ROOM) -n $(N) --seed $(SEED) --jobs $(JOBS) --tests $(TESTS)
 
 check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/ruff check .
@@ -53,4 +60,8 @@ clean:  ## remove .venv, results of the demo and all caches
 
 $(READY): .venv/.pinned pyproject.toml
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
+
+.venv/.mutants: requirements/mutants.txt $(READY)
+	$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements/mutants.txt
 	touch $@

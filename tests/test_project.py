@@ -16,7 +16,7 @@ from calgraph.config import load_rig
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-PINNED = ("requirements/dev.txt", "requirements/runtime.txt")
+PINNED = ("requirements/dev.txt", "requirements/runtime.txt", "requirements/mutants.txt")
 WORKFLOW = ".github/workflows/ci.yml"
 FORMS = sorted(form for form in ROOT.glob(".github/ISSUE_TEMPLATE/*.yml") if form.stem != "config")
 
@@ -42,9 +42,13 @@ def code_of(page: str, language: str) -> list[str]:
 def requirements() -> list[tuple[str, Requirement]]:
     """Every requirement of pyproject.toml, with the files that must pin it."""
     of_users = [(file, Requirement(line)) for line in project()["dependencies"] for file in PINNED]
-    extras = [Requirement(line) for lines in project()["optional-dependencies"].values() for line in lines]
-    # Developers have all extras of calgraph itself.
-    of_developers = [(PINNED[0], needed) for needed in extras if needed.name != project()["name"]]
+    # Developers have all extras of calgraph itself, but for the one that only make mutants needs.
+    extras = [
+        ("requirements/mutants.txt" if extra == "mutants" else PINNED[0], Requirement(line))
+        for extra, lines in project()["optional-dependencies"].items()
+        for line in lines
+    ]
+    of_developers = [(file, needed) for file, needed in extras if needed.name != project()["name"]]
     return of_users + of_developers
 
 
