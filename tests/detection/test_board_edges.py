@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.config import Board, RangeNoise
 from calgraph.detection import find_segments
-from calgraph.detection.board_edges import beams_about, sheet_edges
+from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index
 from calgraph.sensors import LaserScan
@@ -28,7 +28,7 @@ def angles_of(edges: Array) -> Array:
 def found(ranges: Array, beams: Index = BEAMS, line: Index | None = None, parallax: float = 0.0) -> Array:
     """Edges of a sheet at the same distance in all directions, in steps of beams."""
     line = np.zeros(len(beams), dtype=np.intp) if line is None else line
-    edges = sheet_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, parallax)
+    edges = find_board_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, parallax)
     return np.asarray(angles_of(edges) / STEP)
 
 
@@ -85,7 +85,9 @@ def test_lines_are_apart() -> None:
 
 def test_directions_of_what_lies_behind_do_not_count_where_beams_start_beside_the_origin() -> None:
     angles = STEP * BEAMS + np.where(scene() == WALL, 0.6 * STEP, 0.0)
-    edges = sheet_edges(directions_of(angles), scene() - SHEET, np.zeros(40, dtype=np.intp), 0.05, parallax=0.03)
+    edges = find_board_edges(
+        directions_of(angles), scene() - SHEET, np.zeros(40, dtype=np.intp), 0.05, parallax=0.03
+    )
     np.testing.assert_allclose(angles_of(edges) / STEP, [[10, 9], [29, 30]], atol=1e-3)
 
 
@@ -95,7 +97,7 @@ def test_a_few_beams_have_no_edges(count: int) -> None:
 
 
 def test_beams_about_a_sheet_are_those_on_it_and_two_on_each_side() -> None:
-    np.testing.assert_array_equal(beams_about(scene() == SHEET), np.arange(8, 32))
+    np.testing.assert_array_equal(select_beams_with_margin(scene() == SHEET), np.arange(8, 32))
 
 
 def test_edges_of_scans_lie_on_either_side_of_the_boards_ends_without_bias() -> None:

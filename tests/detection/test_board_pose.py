@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import Board, Tag
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
-from calgraph.detection.landmarks import landmarks
+from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
@@ -17,7 +17,7 @@ PINHOLE = CameraModel("pinhole", 1280, 960, K, np.array([-0.3, 0.1, 0.001, -0.00
 FISHEYE = CameraModel(
     "fisheye", 1280, 960, K * [[0.57, 1, 1], [1, 0.57, 1], [1, 1, 1]], np.array([0.05, 0.01, 0, 0])
 )
-MARKS = landmarks(
+MARKS = compute_landmarks(
     Board(
         size=(1.0, 0.8),
         tags=(
@@ -43,7 +43,7 @@ def seen(T: Array, camera: CameraModel, rng: np.random.Generator | None = None, 
 
 
 def fitted(pixels: Array, camera: CameraModel = PINHOLE, ids: NDArray[np.intp] = MARKS.ids) -> BoardPose:
-    pose = fit_pose(ids, MARKS.of(ids), pixels, camera, SIGMA)
+    pose = fit_pose(ids, MARKS.corners_of(ids), pixels, camera, SIGMA)
     assert isinstance(pose, BoardPose), pose.reason
     return pose
 
@@ -97,25 +97,25 @@ def test_covariance_grows_with_the_residuals(rng: np.random.Generator) -> None:
 def test_a_single_bad_corner_is_dropped(rng: np.random.Generator) -> None:
     pixels = seen(a_pose(), PINHOLE, rng)
     pixels[1, 2] += [9, -7]
-    assert np.argwhere(~fitted(pixels).used).tolist() == [[1, 2]]
+    assert np.argwhere(~fitted(pixels).inliers).tolist() == [[1, 2]]
 
 
 def test_a_false_tag_is_dropped(rng: np.random.Generator) -> None:
     pixels = seen(a_pose(), PINHOLE, rng)
     pixels[2] += [150, 40]
-    assert fitted(pixels).used.all(axis=1).tolist() == [True, True, False]
+    assert fitted(pixels).inliers.all(axis=1).tolist() == [True, True, False]
 
 
 def test_a_tag_turned_by_a_quarter_is_false(rng: np.random.Generator) -> None:
     pixels = seen(a_pose(), PINHOLE, rng)
     pixels[0] = np.roll(pixels[0], 1, axis=0)
-    assert fitted(pixels).used.all(axis=1).tolist() == [False, True, True]
+    assert fitted(pixels).inliers.all(axis=1).tolist() == [False, True, True]
 
 
 def test_of_two_tags_with_one_id_the_one_on_the_board_is_used(rng: np.random.Generator) -> None:
     pixels = seen(a_pose(), PINHOLE, rng)
     copy = pixels[:1] + np.array([300.0, 200])
-    used = fitted(np.concatenate([copy, pixels]), ids=np.append(3, MARKS.ids)).used
+    used = fitted(np.concatenate([copy, pixels]), ids=np.append(3, MARKS.ids)).inliers
     assert used.all(axis=1).tolist() == [False, True, True, True]
 
 

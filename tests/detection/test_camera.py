@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.detection import BoardCorners, CameraDetector, find_boards
-from calgraph.detection.landmarks import landmarks
+from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel, Image
@@ -298,7 +298,7 @@ def test_a_board_that_leaves_the_image_is_found_by_the_rest(
     x, y, z = 1.1 * ray
     T = a_pose((0.1, np.arctan2(x, z) + 0.2, 0.05), (x, y, z))
     found = detect(BOARDS[name], render(BOARDS[name], camera, T, rng), camera)
-    whole = landmarks(BOARDS[name]).corners[..., 0].size
+    whole = compute_landmarks(BOARDS[name]).corners[..., 0].size
     assert len(found.pixels) < 0.8 * whole
     error = se3.difference(found.T_camera_board, T)
     assert np.linalg.norm(error[:3]) < 0.015

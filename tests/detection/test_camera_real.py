@@ -10,7 +10,7 @@ import pytest
 
 from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
 from calgraph.detection import BoardCorners, CameraDetector
-from calgraph.detection.landmarks import landmarks
+from calgraph.detection.landmarks import compute_landmarks
 from calgraph.detection.tags import GridFinder, TagFinder
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
@@ -111,7 +111,7 @@ def test_tags_of_a_kalibr_grid_lie_on_one_plane_as_printed(name: str, data_dir: 
         size=(0.8, 0.8), pattern=AprilGrid(kind="aprilgrid", columns=6, rows=6, tag_size=0.088, tag_spacing=0.3)
     )
     seen = GridFinder("tag36h11").find(gray(data_dir / "apriltag-images" / "aprilgrid_phone" / f"{name}.jpg"))
-    corners = landmarks(board).of(seen.ids)[..., :2].reshape(-1, 2)
+    corners = compute_landmarks(board).corners_of(seen.ids)[..., :2].reshape(-1, 2)
     H, _ = cv2.findHomography(corners, seen.pixels.reshape(-1, 2))
     away = np.linalg.norm(cv2.perspectiveTransform(corners[:, None], H)[:, 0] - seen.pixels.reshape(-1, 2), axis=1)
     assert len(seen) == {"001": 36, "004": 21}[name]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import Board, PixelNoise, Tag
 from calgraph.detection import find_boards
-from calgraph.detection.landmarks import landmarks
+from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array
 from calgraph.printing import Page, Wishes, design, lay_out, parse_paper
 from calgraph.printing.pdf import caption, write_pdf
@@ -69,7 +69,7 @@ def errors(board: Board, raster: Gray, corner: tuple[float, float], per_mm: floa
     on_paper = np.column_stack([seen.pixels[:, 0] + 0.5, height - 0.5 - seen.pixels[:, 1]]) / per_mm
     half = 500 * np.array(board.size)
     expected = 1000 * seen.corners_board[:, :2] + half + corner
-    return np.linalg.norm(on_paper - expected, axis=1), landmarks(board).corners[..., 0].size
+    return np.linalg.norm(on_paper - expected, axis=1), compute_landmarks(board).corners[..., 0].size
 
 
 def assembled(pages: tuple[Page, ...], rasters: list[Gray], size: tuple[float, float], per_mm: float) -> Gray:

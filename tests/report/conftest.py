@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
-from calgraph.detection import landmarks
+from calgraph.detection import compute_landmarks
 from calgraph.geometry import Array, se2, se3
 from calgraph.result import (
     BoardOutline,
@@ -156,7 +156,7 @@ def _view(outline: BoardOutline, sensor: SensorPose, rig: Rig, rng: np.random.Ge
     T_sensor_board = se3.inverse(sensor.T_root_sensor) @ board_pose(outline)
     if sensor.kind == "camera":
         camera = rig.cameras()[sensor.name].intrinsics.camera()  # type: ignore[union-attr]
-        pixels = camera.project(se3.apply(T_sensor_board, landmarks(rig.boards[0]).corners.reshape(-1, 3)))
+        pixels = camera.project(se3.apply(T_sensor_board, compute_landmarks(rig.boards[0]).corners.reshape(-1, 3)))
         if camera.contains(pixels).all():
             off = rng.normal(0, PIXEL, pixels.shape)
             yield BoardView(outline.capture, sensor.name, True, pixels + off, off)

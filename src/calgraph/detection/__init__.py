@@ -8,12 +8,12 @@ from calgraph.detection.from_measurements import (
     plane_patch_from_points,
     segment_from_points,
 )
-from calgraph.detection.landmarks import Landmarks, landmarks
+from calgraph.detection.landmarks import Landmarks, compute_landmarks
 from calgraph.detection.lidar2d import find_segments
 from calgraph.detection.lidar3d import find_patches
 
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "Landmarks", "PlanePatch",
-    "Segment", "board_corners_from_pixels", "find_boards", "find_patches", "find_segments", "landmarks",
+    "Segment", "board_corners_from_pixels", "compute_landmarks", "find_boards", "find_patches", "find_segments",
     "plane_of", "plane_patch_from_points", "segment_from_points",
 ]  # fmt: skip

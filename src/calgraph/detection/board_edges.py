@@ -1,7 +1,7 @@
-"""Where a sheet ends in a scan: between the last beam on it and the first one that goes past it.
+"""Edges of a board in a scan: between the last beam on it and the first one past it.
 
-An end tells where the sheet is only if what comes next lies behind it. Where something nearer begins (a hand, an
-occluder), or the field of view ends, the sheet goes on unseen.
+The end of a board in a scan is an edge of the board only if the next beam ends behind it. Where something nearer
+begins (a hand, an occluder), or the field of view ends, the board may continue.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
 
-BLUR = 0.002
+EDGE_BLUR = 0.002
 """Sheets are not cut, and beams not bundled, more sharply than this, m (standard deviation)."""
 # What is farther behind the sheet than this, m, is certainly not part of it.
 _BEHIND = 0.10
@@ -20,63 +20,78 @@ _FAR = 1e3
 _STEPS = 4.0
 
 
-def beams_about(near: NDArray[np.bool_]) -> Index:
-    """Numbers of those of N beams, in order, that pass near the sheet, and of the two beside them on each side."""
+def select_beams_with_margin(near: NDArray[np.bool_]) -> Index:
+    """Indices of the beams (N,) that pass near the board, and of two beams on either side of each."""
     return np.flatnonzero(np.convolve(near, np.ones(5), mode="same") > 0.5)
 
 
-def sheet_edges(directions: Array, excess: Array, line: Index, thickness: float, parallax: float = 0.0) -> Array:
-    """Pairs of beams between which the sheet ends.
+def find_board_edges(
+    directions: Array, excess: Array, scan_line: Index, thickness: float, parallax: float = 0.0
+) -> Array:
+    """Pairs of beams between which the board ends.
 
     Args:
         directions: (N, 3) unit vectors of beams that measured something, line by line, each in order of angle.
-        excess: (N,) by how much each went past the sheet's plane, m; negative where it was stopped before it, and
-            where it never meets it.
-        line: (N,) scan line of each beam.
-        thickness: up to this far from it, a beam ends on the sheet, m.
-        parallax: by how much directions of beams that miss the sheet may be off, as seen from the sensor's origin,
-            rad: then it tells neither how many steps there are to the next beam, nor what is missing.
+        excess: (N,) range beyond the board's plane, m; negative where a beam ends before the plane, and where it
+            does not intersect it.
+        scan_line: (N,) scan line of each beam.
+        thickness: a beam ends on the board up to this distance from its plane along the beam, m.
+        parallax: error of the directions of beams that miss the board, as they do not start in the sensor's
+            origin, rad. If it is not zero, directions do not show how many beams without return lie between two.
 
     Returns:
-        (M, 2, 3) unit vectors: the last beam on the sheet, and where the first one past it points.
+        (M, 2, 3) unit vectors: the last beam on the board, and the direction of the first one past it.
 
     """
     excess = np.maximum(excess, -_FAR)
-    on = np.abs(excess) < thickness
-    together = on[1:] & on[:-1] & (line[1:] == line[:-1])
-    steps = np.linalg.norm(np.diff(directions, axis=0), axis=1)[together]
+    on_board = np.abs(excess) < thickness
+    adjacent = on_board[1:] & on_board[:-1] & (scan_line[1:] == scan_line[:-1])
+    steps = np.linalg.norm(np.diff(directions, axis=0), axis=1)[adjacent]
     if not len(steps):
         return np.empty((0, 2, 3))
     step = float(np.median(steps))
-    ways = (np.arange(len(line)), np.arange(len(line))[::-1])
-    found = [_leaving(directions[w], excess[w], on[w], line[w], step, parallax) for w in ways]
-    return np.concatenate(found)
+    orders = (np.arange(len(scan_line)), np.arange(len(scan_line))[::-1])
+    edges = [
+        _find_trailing_edges(directions[w], excess[w], on_board[w], scan_line[w], step, parallax) for w in orders
+    ]
+    return np.concatenate(edges)
 
 
-def _leaving(
-    directions: Array, excess: Array, on: NDArray[np.bool_], line: Index, step: float, parallax: float
+def _find_trailing_edges(
+    directions: Array, excess: Array, on_board: NDArray[np.bool_], scan_line: Index, step: float, parallax: float
 ) -> Array:
-    """Edges at which beams, in this order, leave the sheet."""
-    # Behind the last beam, a line of its own that nothing is on.
+    """Edges at which beams, in this order, leave the board."""
+    # One beam off the board, on another scan line, ends the last one.
     directions, excess = np.pad(directions, ((0, 1), (0, 0)), mode="edge"), np.append(excess, 0.0)
-    on, line = np.append(on, False), np.append(line, line.max() + 1)
-    if len(line) < 4:
+    on_board, scan_line = np.append(on_board, False), np.append(scan_line, scan_line.max() + 1)
+    if len(scan_line) < 4:
         return np.empty((0, 2, 3))
-    before, last, first, second = (slice(i, len(line) - 3 + i) for i in range(4))
-    gap = np.linalg.norm(directions[first] - directions[last], axis=1)
-    tread = directions[last] - directions[before]
-    length = np.linalg.norm(tread, axis=1)
-    same = (line[before] == line[last]) & (line[last] == line[first])
-    ends = same & on[before] & on[last] & ~on[first] & (length < _STEPS * step) & (length > 0)
-    # Beams that are missing between others went where nothing is.
+    previous, last, next_beam, after_next = (slice(i, len(scan_line) - 3 + i) for i in range(4))
+    gap = np.linalg.norm(directions[next_beam] - directions[last], axis=1)
+    last_step = directions[last] - directions[previous]
+    step_length = np.linalg.norm(last_step, axis=1)
+    same_line = (scan_line[previous] == scan_line[last]) & (scan_line[last] == scan_line[next_beam])
+    board_ends = (
+        same_line
+        & on_board[previous]
+        & on_board[last]
+        & ~on_board[next_beam]
+        & (step_length < _STEPS * step)
+        & (step_length > 0)
+    )
+    # Beams without return between others did not hit the board.
     near = gap < _STEPS * step + parallax
-    silent = ~near & (parallax == 0)
-    # Between two depths, a beam has hit the edge: the outline is on either side of it.
-    follows = near & (line[second] == line[first]) & (excess[second] > _BEHIND)
-    mixed = follows & (excess[first] > 0) & (excess[second] - excess[first] > _MIXED)
-    leaves = ends & (silent | (near & (excess[first] > _BEHIND)) | mixed)
-    count = np.where(near, np.maximum(np.rint(gap / step), 1.0), 1.0) if parallax == 0 else np.ones(len(gap))
-    reach = step * (count + mixed)
-    past = directions[last] + tread * np.divide(reach, length, out=np.zeros_like(reach), where=length > 0)[:, None]
-    pair = np.stack([directions[last], past / np.linalg.norm(past, axis=1)[:, None]], axis=1)
-    return np.asarray(pair[leaves])
+    no_return = ~near & (parallax == 0)
+    # A beam between two depths is a mixed pixel: the edge may be on either side of it.
+    background_follows = near & (scan_line[after_next] == scan_line[next_beam]) & (excess[after_next] > _BEHIND)
+    mixed_pixel = background_follows & (excess[next_beam] > 0) & (excess[after_next] - excess[next_beam] > _MIXED)
+    is_edge = board_ends & (no_return | (near & (excess[next_beam] > _BEHIND)) | mixed_pixel)
+    steps = np.where(near, np.maximum(np.rint(gap / step), 1.0), 1.0) if parallax == 0 else np.ones(len(gap))
+    angle_past = step * (steps + mixed_pixel)
+    outside = (
+        directions[last]
+        + last_step
+        * np.divide(angle_past, step_length, out=np.zeros_like(angle_past), where=step_length > 0)[:, None]
+    )
+    pairs = np.stack([directions[last], outside / np.linalg.norm(outside, axis=1)[:, None]], axis=1)
+    return np.asarray(pairs[is_edge])

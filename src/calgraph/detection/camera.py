@@ -1,4 +1,4 @@
-"""Finding boards in the images of one capture."""
+"""Detection of boards in the images of one capture."""
 
 import logging
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners
-from calgraph.detection.landmarks import Landmarks, landmarks
-from calgraph.detection.rectified_view import has_straight_lines, straight_view
+from calgraph.detection.landmarks import Landmarks, compute_landmarks
+from calgraph.detection.rectified_view import is_undistorted, rectify_view
 from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
@@ -30,8 +30,8 @@ _DARK, _FLAT = 12.0, 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Printed:
-    """One board with what finds it."""
+class _PrintedBoard:
+    """A board with a print, and the finder of its marks."""
 
     number: int
     board: Board
@@ -43,7 +43,7 @@ class CameraDetector:
     """Finds a rig's boards in one camera's images; build it once a camera, and use it from one thread.
 
     Args:
-        boards: the rig's boards; those without a print are never seen.
+        boards: the rig's boards; those without a print are not detected.
         camera: intrinsics of the images.
         noise: start value of the corners' noise.
         averaging: ``pnp`` takes the plane from one PnP over all corners; ``mean_plane`` is MSG-Cal's: the mean
@@ -58,12 +58,12 @@ class CameraDetector:
         self, boards: Sequence[Board], camera: CameraModel, noise: PixelNoise, averaging: Averaging = "pnp"
     ) -> None:
         self._camera, self._noise, self._averaging = camera, noise, averaging
-        self._printed = _with_finders(boards)
+        self._printed = _make_finders(boards)
 
     def find(self, images: Sequence[Image]) -> tuple[BoardCorners, ...] | Rejected:
-        """Every board seen in the images of one capture, during which the boards rested.
+        """Every board in the images of one capture, during which the boards rested.
 
-        Corners seen in several images are averaged; a board that moved between them is rejected.
+        Corners detected in several images are averaged; a board that moved between them is rejected.
 
         Raises:
             InputError: an image is not of the size that the intrinsics are for.
@@ -72,26 +72,28 @@ class CameraDetector:
         if not images:
             return Rejected("no image in this capture")
         if not self._printed:
-            return Rejected("the rig has no board with tags or a pattern for cameras to see")
-        grays = [self._checked(image) for image in images]
-        found: list[BoardCorners] = []
+            return Rejected("the rig has no board with tags or a pattern for cameras to detect")
+        grays = [self._to_gray(image) for image in images]
+        detections: list[BoardCorners] = []
         reasons: list[str] = []
-        seen = [{printed.finder: printed.finder.find(gray) for printed in self._printed} for gray in grays]
+        marks_by_image = [
+            {printed.finder: printed.finder.find(gray) for printed in self._printed} for gray in grays
+        ]
         for printed in self._printed:
-            detection = self._find_one(printed, grays, [marks[printed.finder] for marks in seen])
+            detection = self._find_board(printed, grays, [marks[printed.finder] for marks in marks_by_image])
             if isinstance(detection, BoardCorners):
-                found.append(detection)
+                detections.append(detection)
             else:
                 reasons.append(
                     f"board {printed.number}: {detection.reason}" if len(self._printed) > 1 else detection.reason
                 )
-        if found:
+        if detections:
             for reason in reasons:
                 _log.debug("in the image at %.3f s: %s", images[0].stamp, reason)
-            return tuple(found)
-        return Rejected("; ".join(reasons) + _exposure(grays))
+            return tuple(detections)
+        return Rejected("; ".join(reasons) + _explain_exposure(grays))
 
-    def _checked(self, image: Image) -> Gray:
+    def _to_gray(self, image: Image) -> Gray:
         gray = image.gray
         if gray.shape != (self._camera.height, self._camera.width):
             height, width = gray.shape
@@ -101,78 +103,82 @@ class CameraDetector:
             )
         return gray
 
-    def _find_one(
-        self, printed: _Printed, grays: Sequence[Gray], seen: Sequence[Marks]
+    def _find_board(
+        self, printed: _PrintedBoard, grays: Sequence[Gray], marks_by_image: Sequence[Marks]
     ) -> BoardCorners | Rejected:
         """One board in all images."""
-        sightings: list[tuple[Marks, BoardPose]] = []
-        reason: Rejected | None = None
-        for gray, marks in zip(grays, seen, strict=True):
-            sighting = self._sight(printed, gray, marks)
-            if isinstance(sighting, Rejected):
-                reason = reason or sighting
+        detected: list[tuple[Marks, BoardPose]] = []
+        first_rejection: Rejected | None = None
+        for gray, marks in zip(grays, marks_by_image, strict=True):
+            result = self._find_in_image(printed, gray, marks)
+            if isinstance(result, Rejected):
+                first_rejection = first_rejection or result
             else:
-                sightings.append(sighting)
-        if not sightings:
-            return reason or Rejected("no image in this capture")
-        if len(sightings) == 1:
-            return self._detection(printed, *sightings[0])
-        averaged = _averaged([marks for marks, _ in sightings], _MOVED * max(self._noise.pixel, 0.2))
+                detected.append(result)
+        if not detected:
+            return first_rejection or Rejected("no image in this capture")
+        if len(detected) == 1:
+            return self._make_detection(printed, *detected[0])
+        averaged = _average_marks([marks for marks, _ in detected], _MOVED * max(self._noise.pixel, 0.2))
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)
-        return pose if isinstance(pose, Rejected) else self._detection(printed, averaged, pose)
+        return pose if isinstance(pose, Rejected) else self._make_detection(printed, averaged, pose)
 
-    def _sight(self, printed: _Printed, gray: Gray, seen: Marks) -> tuple[Marks, BoardPose] | Rejected:
-        """The marks that are the board's, each once, and its pose, in one image."""
-        marks = seen.select(np.isin(seen.ids, printed.landmarks.ids))
+    def _find_in_image(
+        self, printed: _PrintedBoard, gray: Gray, found: Marks
+    ) -> tuple[Marks, BoardPose] | Rejected:
+        """The marks of the board, each once, and its pose, in one image."""
+        marks = found.select(np.isin(found.ids, printed.landmarks.ids))
         if not len(marks):
-            return Rejected(_missing(printed, seen))
+            return Rejected(_explain_missing(printed, found))
         pose = self._fit(printed, marks)
         if isinstance(pose, Rejected):
             return pose
         if isinstance(printed.finder, TagFinder):
-            better = self._looked_at_again(printed, printed.finder, gray, marks, pose)
-            if better is not marks:
-                marks = better
-                again = self._fit(printed, marks)
-                if isinstance(again, Rejected):
-                    return again
-                pose = again
-        kept = np.asarray(pose.used.any(axis=1))
-        return marks.select(kept), replace(pose, used=pose.used[kept])
+            refined = self._refine_tags(printed, printed.finder, gray, marks, pose)
+            if refined is not marks:
+                marks = refined
+                refined_pose = self._fit(printed, marks)
+                if isinstance(refined_pose, Rejected):
+                    return refined_pose
+                pose = refined_pose
+        used = np.asarray(pose.inliers.any(axis=1))
+        return marks.select(used), replace(pose, inliers=pose.inliers[used])
 
-    def _looked_at_again(
-        self, printed: _Printed, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
+    def _refine_tags(
+        self, printed: _PrintedBoard, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
     ) -> Marks:
-        """The tags with those that the first look missed, and with corners that the lens does not shift.
+        """The tags with those that the first search missed, and with corners free of the bias of lens distortion.
 
-        They are looked for where the pose expects them, where lines are bent in a straightened view.
+        The second search is where the pose predicts tags; with lens distortion it is in a rectified view.
         """
         corners = se3.apply(pose.T_camera_board, printed.landmarks.corners.reshape(-1, 3))
         expected = self._camera.project(corners).reshape(-1, 4, 2)
         inside = self._camera.contains(expected.reshape(-1, 2)).reshape(-1, 4).all(axis=1)
-        straight = has_straight_lines(self._camera)
-        wanted = inside & ~np.isin(printed.landmarks.ids, marks.ids) if straight else inside
+        undistorted = is_undistorted(self._camera)
+        wanted = inside & ~np.isin(printed.landmarks.ids, marks.ids) if undistorted else inside
         if not wanted.any():
             return marks
-        if straight:
+        if undistorted:
             found = finder.find_within(gray, expected[wanted])
         else:
-            view = straight_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted])
+            view = rectify_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted])
             if view is None:
                 return marks
-            seen = finder.find(view.image)
-            found = Marks(seen.ids, view.in_image(seen.pixels))
+            in_view = finder.find(view.image)
+            found = Marks(in_view.ids, view.to_image(in_view.pixels))
         found = found.select(np.isin(found.ids, printed.landmarks.ids[wanted]))
         return marks.select(~np.isin(marks.ids, found.ids)) + found if len(found) else marks
 
-    def _fit(self, printed: _Printed, marks: Marks) -> BoardPose | Rejected:
-        return fit_pose(marks.ids, printed.landmarks.of(marks.ids), marks.pixels, self._camera, self._noise.pixel)
+    def _fit(self, printed: _PrintedBoard, marks: Marks) -> BoardPose | Rejected:
+        return fit_pose(
+            marks.ids, printed.landmarks.corners_of(marks.ids), marks.pixels, self._camera, self._noise.pixel
+        )
 
-    def _detection(self, printed: _Printed, marks: Marks, pose: BoardPose) -> BoardCorners:
-        corners = printed.landmarks.of(marks.ids)
-        detection = board_corners(pose, corners, marks.pixels, printed.number)
+    def _make_detection(self, printed: _PrintedBoard, marks: Marks, pose: BoardPose) -> BoardCorners:
+        corners = printed.landmarks.corners_of(marks.ids)
+        detection = make_board_corners(pose, corners, marks.pixels, printed.number)
         if self._averaging == "mean_plane" and marks.pixels.shape[1] == 4:
             mean = mean_plane(marks, corners, self._camera, max(self._noise.pixel, pose.rms))
             if mean is not None:
@@ -180,19 +186,19 @@ class CameraDetector:
         return detection
 
 
-def board_corners(pose: BoardPose, corners: Array, pixels: Array, board: int = 0) -> BoardCorners:
+def make_board_corners(pose: BoardPose, corners: Array, pixels: Array, board: int = 0) -> BoardCorners:
     """The detection of a board by the pose of its marks.
 
     Args:
         pose: fitted to them.
         corners: (M, k, 3) the marks' corners in the board frame, m.
-        pixels: (M, k, 2) where they were seen.
+        pixels: (M, k, 2) where they were detected.
         board: which of the rig's boards.
 
     """
     return BoardCorners(
-        corners_board=corners[pose.used],
-        pixels=pixels[pose.used],
+        corners_board=corners[pose.inliers],
+        pixels=pixels[pose.inliers],
         T_camera_board=pose.T_camera_board,
         covariance=pose.covariance,
         plane=plane.towards_origin(plane.from_pose(pose.T_camera_board)),
@@ -210,7 +216,7 @@ def find_boards(
     *,
     averaging: Averaging = "pnp",
 ) -> tuple[BoardCorners, ...] | Rejected:
-    """Every board seen in the images of one capture; :class:`CameraDetector` for many captures."""
+    """Every board in the images of one capture; :class:`CameraDetector` for many captures."""
     return CameraDetector(boards, camera, noise, averaging).find(images)
 
 
@@ -244,30 +250,30 @@ def _chart(normal: Array) -> Array:
     return J
 
 
-def _averaged(sightings: Sequence[Marks], tolerance: float) -> Marks | Rejected:
-    """Every mark's mean over the images that show it, unless the board moved by more than ``tolerance`` pixels."""
-    ids = np.unique(np.concatenate([marks.ids for marks in sightings]))
-    pixels = np.full((len(sightings), len(ids), *sightings[0].pixels.shape[1:]), np.nan)
-    for row, marks in zip(pixels, sightings, strict=True):
+def _average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | Rejected:
+    """Every mark's mean over the images, unless the board moved by more than ``tolerance`` pixels."""
+    ids = np.unique(np.concatenate([marks.ids for marks in marks_by_image]))
+    pixels = np.full((len(marks_by_image), len(ids), *marks_by_image[0].pixels.shape[1:]), np.nan)
+    for row, marks in zip(pixels, marks_by_image, strict=True):
         row[np.searchsorted(ids, marks.ids)] = marks.pixels
     center = np.nanmedian(pixels, axis=0)
-    away = np.linalg.norm(pixels - center, axis=-1)
-    shift = np.array([np.nanmedian(one) for one in away])
+    deviation = np.linalg.norm(pixels - center, axis=-1)
+    shift = np.array([np.nanmedian(one) for one in deviation])
     if shift.max() > tolerance:
         return Rejected(f"board moved between images: its corners by {2 * shift.max():.1f} px")
-    # A mark that jumps while the board rests was misread in that image.
-    pixels[(away > tolerance).any(axis=-1)] = np.nan
+    # A mark that jumps while the board rests is a false detection in that image.
+    pixels[(deviation > tolerance).any(axis=-1)] = np.nan
     steady = np.isfinite(pixels).all(axis=(2, 3)).any(axis=0)
     return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
 
 
-def _with_finders(boards: Sequence[Board]) -> tuple[_Printed, ...]:
-    """The boards that cameras can see; boards with tags of one family are looked for together."""
+def _make_finders(boards: Sequence[Board]) -> tuple[_PrintedBoard, ...]:
+    """The boards with a print, and their finders; boards with tags of one family share a finder."""
     shared: dict[tuple[type, str], TagFinder | GridFinder] = {}
-    owners: dict[tuple[type, str, int], int] = {}
+    board_of_tag: dict[tuple[type, str, int], int] = {}
     printed = []
     for number, board in enumerate(boards):
-        marks = landmarks(board)
+        marks = compute_landmarks(board)
         if not len(marks.ids):
             continue
         finder: Finder
@@ -280,38 +286,38 @@ def _with_finders(boards: Sequence[Board]) -> tuple[_Printed, ...]:
                 kind = TagFinder if board.pattern is None else GridFinder
                 finder = shared.setdefault((kind, board.family), kind(board.family))
                 for mark in marks.ids.tolist():
-                    other = owners.setdefault((kind, board.family, mark), number)
+                    other = board_of_tag.setdefault((kind, board.family, mark), number)
                     if other != number:
                         raise InputError(
                             f"target: boards {other} and {number} both have tag {mark} of {board.family}"
                         )
-        printed.append(_Printed(number, board, marks, finder))
+        printed.append(_PrintedBoard(number, board, marks, finder))
     return tuple(printed)
 
 
-def _missing(printed: _Printed, seen: Marks) -> str:
-    """Why a board was not seen, in words."""
+def _explain_missing(printed: _PrintedBoard, found: Marks) -> str:
+    """The reason why a board was not detected."""
     match printed.board.pattern:
         case Checkerboard() as pattern:
             return f"checkerboard of {pattern.columns}x{pattern.rows} inner corners not found"
         case Charuco() as pattern:
             return f"no corner of the {pattern.columns}x{pattern.rows} ChArUco board of {pattern.dictionary} found"
-    expected = _listed(printed.landmarks.ids.tolist())
-    if not len(seen):
+    expected = _format_ids(printed.landmarks.ids.tolist())
+    if not len(found):
         return f"no tag of family {printed.board.family} found; {expected} expected"
-    others = _listed(np.unique(seen.ids).tolist())
+    others = _format_ids(np.unique(found.ids).tolist())
     are = "is" if others.startswith("id ") else "are"
-    return f"only {others} seen, which {are} not on the board; {expected} expected"
+    return f"only {others} detected, which {are} not on the board; {expected} expected"
 
 
-def _listed(ids: Sequence[int]) -> str:
+def _format_ids(ids: Sequence[int]) -> str:
     if len(ids) > 2 and list(ids) == list(range(ids[0], ids[-1] + 1)):
         return f"ids {ids[0]} to {ids[-1]}"
     return ("id " if len(ids) == 1 else "ids ") + ", ".join(map(str, ids))
 
 
-def _exposure(grays: Sequence[Gray]) -> str:
-    """What is wrong with images that show nothing."""
+def _explain_exposure(grays: Sequence[Gray]) -> str:
+    """Why images without any detection are unusable: too dark, or blank; otherwise empty."""
     brightest = max(float(np.percentile(gray, 99)) for gray in grays)
     if brightest < _DARK:
         return f" (the image is too dark: 99 % of it below grey value {brightest:.0f})"

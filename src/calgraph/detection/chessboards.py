@@ -1,4 +1,4 @@
-"""Finding chessboard corners in an image: plain checkerboards and ChArUco boards, by OpenCV."""
+"""Detection of chessboard corners in an image: plain checkerboards and ChArUco boards, by OpenCV."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from calgraph.config import Charuco, Checkerboard, dictionary
-from calgraph.detection.tags import Gray, Marks, no_marks
+from calgraph.detection.tags import Gray, Marks, empty_marks
 from calgraph.geometry import Array
 
 _ATTEMPTS = ((480, 0), (960, cv2.CALIB_CB_NORMALIZE_IMAGE))
@@ -16,11 +16,11 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
 
 
 class CheckerboardFinder:
-    """Finds a whole checkerboard and tells which of its corners is which.
+    """Finds a whole checkerboard and identifies its corners.
 
-    The top-left square of the print is dark. Where a half turn swaps colours (columns + rows odd) that decides
-    which end is up; where it does not, the print looks the same both ways and the end that is up in the image
-    counts as up. The board's plane is the same either way.
+    The top-left square of the print is dark. Where a half turn swaps colours (columns + rows odd) this fixes the
+    orientation; otherwise the print is symmetric, and the end that is up in the image is taken as up. The board's
+    plane is the same either way.
     """
 
     def __init__(self, pattern: Checkerboard) -> None:
@@ -28,15 +28,15 @@ class CheckerboardFinder:
 
     def find(self, gray: Gray) -> Marks:
         """All inner corners of the board in an image (height, width), or none."""
-        corners = self._locate(gray)
+        corners = self._find_corners(gray)
         if corners is None:
-            return no_marks(1)
-        corners = _labelled(gray, corners, self.pattern.columns == self.pattern.rows)
+            return empty_marks(1)
+        corners = _orient_corners(gray, corners, self.pattern.columns == self.pattern.rows)
         if corners is None:
-            return no_marks(1)
+            return empty_marks(1)
         return Marks(np.arange(corners.shape[0] * corners.shape[1]), corners.reshape(-1, 1, 2))
 
-    def _locate(self, gray: Gray) -> Array | None:
+    def _find_corners(self, gray: Gray) -> Array | None:
         """Corners (rows, columns, 2) in some orientation, refined in the full image."""
         columns, rows = self.pattern.columns, self.pattern.rows
         for side, flags in _ATTEMPTS:
@@ -46,7 +46,7 @@ class CheckerboardFinder:
             if found:
                 lattice = np.reshape(corners, (rows, columns, 2)).astype(np.float64)
                 ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
-                return _refined(gray, (lattice + 0.5) * ratio - 0.5)
+                return _refine_corners(gray, (lattice + 0.5) * ratio - 0.5)
         return None
 
 
@@ -62,17 +62,17 @@ class CharucoFinder:
         self._detector = cv2.aruco.CharucoDetector(board)
 
     def find(self, gray: Gray) -> Marks:
-        """Inner corners in an image (height, width), each known by its number."""
-        # OpenCV's stubs do not know that it answers None when it sees nothing.
+        """Inner corners in an image (height, width), each with its number."""
+        # OpenCV's type stubs lack that it returns None where it finds nothing.
         found: tuple[Any, ...] = self._detector.detectBoard(gray)
         corners, ids = found[:2]
         if ids is None:
-            return no_marks(1)
+            return empty_marks(1)
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), np.reshape(corners, (-1, 1, 2)).astype(np.float64))
 
 
-def _refined(gray: Gray, lattice: Array) -> Array:
-    """Corners (rows, columns, 2) at sub-pixel places of the full image."""
+def _refine_corners(gray: Gray, lattice: Array) -> Array:
+    """Corners (rows, columns, 2) refined to sub-pixel accuracy in the full image."""
     gaps = [np.linalg.norm(np.diff(lattice, axis=axis), axis=-1).min() for axis in (0, 1)]
     reach = int(np.clip(0.35 * min(gaps), 2, 12))
     start = lattice.reshape(-1, 1, 2).astype(np.float32)
@@ -81,21 +81,21 @@ def _refined(gray: Gray, lattice: Array) -> Array:
     )
 
 
-def _labelled(gray: Gray, lattice: Array, square: bool) -> Array | None:
-    """The corners (rows, columns, 2) row by row from the top left of the print, as its reader sees it."""
-    turns = [lattice, lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1]]
+def _orient_corners(gray: Gray, lattice: Array, square: bool) -> Array | None:
+    """The corners (rows, columns, 2) row by row from the top left of the print."""
+    orientations = [lattice, lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1]]
     if square:
-        turns += [np.swapaxes(turn, 0, 1) for turn in turns]
-    # In an image (y down) the print's right and down are a right-handed pair; its mirror images are not.
-    front = [turn for turn in turns if _handedness(turn) > 0]
-    if not front:
+        orientations += [np.swapaxes(turn, 0, 1) for turn in orientations]
+    # In an image (y down) the print's right and down are right-handed; its mirror images are not.
+    unmirrored = [turn for turn in orientations if _compute_handedness(turn) > 0]
+    if not unmirrored:
         return None
-    dark_first = [turn for turn in front if _first_square_is_dark(gray, turn)]
-    upright = [-(turn[-1] - turn[0]).mean(axis=0)[1] for turn in dark_first or front]
-    return (dark_first or front)[int(np.argmin(upright))]
+    dark_first = [turn for turn in unmirrored if _first_square_is_dark(gray, turn)]
+    upright = [-(turn[-1] - turn[0]).mean(axis=0)[1] for turn in dark_first or unmirrored]
+    return (dark_first or unmirrored)[int(np.argmin(upright))]
 
 
-def _handedness(lattice: Array) -> float:
+def _compute_handedness(lattice: Array) -> float:
     right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
     return float(right[0] * down[1] - right[1] * down[0])
 

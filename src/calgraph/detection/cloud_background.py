@@ -1,7 +1,7 @@
-"""What 3-D scanners see without target and operator, and which points are new against it.
+"""Background subtraction for 3-D scanners: the space occupied without target and operator.
 
-Source: MSG-Cal, section III-A (change detection between octrees). A hash of voxels answers the same question;
-:class:`calgraph.sensors.ScanBackground` answers it for 2-D scanners.
+Source: MSG-Cal, section III-A (change detection between octrees). A hash of voxels serves the same purpose;
+:class:`calgraph.sensors.ScanBackground` serves it for 2-D scanners.
 """
 
 from collections.abc import Iterable
@@ -34,15 +34,15 @@ class CloudBackground:
     """Edge of a voxel, m."""
     keys: NDArray[np.int64]
     """(M,) sorted keys of all voxels within half a voxel of a background point."""
-    reach: Array
+    max_range: Array
     """(elevations, azimuths) farthest background range in and around each direction cell, m; inf where unknown."""
 
     @staticmethod
     def build(clouds: Iterable[PointCloud], voxel: float = 0.10) -> "CloudBackground":
-        """Accumulates the sweeps taken while neither target nor operator were in view.
+        """Accumulates the sweeps measured while neither target nor operator were in view.
 
-        Every point claims all voxels within half a voxel of it, in each axis, so that noise at a voxel's border
-        does not let the background through.
+        Every point occupies all voxels within half a voxel of it, in each axis, so that noise at the border of a
+        voxel does not turn background into foreground.
 
         Args:
             clouds: sweeps of one sensor; memory grows with the space they cover, not with their number.
@@ -55,34 +55,38 @@ class CloudBackground:
         from scipy.ndimage import maximum_filter  # takes as long to import as all of NumPy
 
         keys = np.empty(0, dtype=np.int64)
-        reach = np.zeros((round(np.pi / _DIRECTION), round(2 * np.pi / _DIRECTION)))
+        max_range = np.zeros((round(np.pi / _DIRECTION), round(2 * np.pi / _DIRECTION)))
         # Just less than half a voxel: a cube as wide as a voxel could straddle three of them by rounding.
         corners = (
             0.499 * voxel * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
         )
         for cloud in clouds:
-            claimed = np.unique(_keys((cloud.points + corners).reshape(-1, 3), voxel))
-            keys = np.union1d(keys, claimed)
-            np.maximum.at(reach, _direction_cells(cloud.points, reach.shape), np.linalg.norm(cloud.points, axis=1))
+            occupied = np.unique(_pack_voxel_keys((cloud.points + corners).reshape(-1, 3), voxel))
+            keys = np.union1d(keys, occupied)
+            np.maximum.at(
+                max_range,
+                _find_direction_cells(cloud.points, max_range.shape),
+                np.linalg.norm(cloud.points, axis=1),
+            )
         if not len(keys):
             raise InputError("capture.background: no points in this window; choose one with measurements")
-        reach = maximum_filter(reach, size=3, mode=["nearest", "wrap"])
-        return CloudBackground(voxel, keys, np.where(reach > 0, reach, np.inf))
+        max_range = maximum_filter(max_range, size=3, mode=["nearest", "wrap"])
+        return CloudBackground(voxel, keys, np.where(max_range > 0, max_range, np.inf))
 
     def foreground(self, points: Array) -> Mask:
         """Which of the points (N, 3), m, are neither at nor behind the background: (N,)."""
-        keys = _keys(points, self.voxel)
-        at = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
-        far = self.reach[_direction_cells(points, self.reach.shape)] + _BEHIND
-        return np.asarray(~at & (np.linalg.norm(points, axis=1) < far))
+        keys = _pack_voxel_keys(points, self.voxel)
+        in_background = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
+        farthest = self.max_range[_find_direction_cells(points, self.max_range.shape)] + _BEHIND
+        return np.asarray(~in_background & (np.linalg.norm(points, axis=1) < farthest))
 
 
-def _keys(points: Array, voxel: float) -> NDArray[np.int64]:
+def _pack_voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:
     cells = np.clip(np.floor(points / voxel).astype(np.int64) + _HALF, 0, 2 * _HALF - 1)
     return np.asarray((cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2])
 
 
-def _direction_cells(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _find_direction_cells(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Row and column of each point's direction from the sensor in a grid of elevations and azimuths."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     azimuth = np.arctan2(points[:, 1], points[:, 0])

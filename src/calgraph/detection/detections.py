@@ -1,4 +1,4 @@
-"""What a detector found in one capture: a plane patch, a line segment, printed corners, or a reason why not."""
+"""Detections of the board in one capture: a plane patch, a line segment, or printed corners."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ from calgraph.geometry import Array
 
 @dataclass(frozen=True, eq=False)
 class PlanePatch:
-    """The board as a 3-D scanner sees it."""
+    """The board detected by a 3-D scanner: a plane and the points on it."""
 
     plane: Array
     """(4,) unit normal and offset in the sensor frame, oriented towards the sensor (d >= 0)."""
@@ -20,14 +20,14 @@ class PlanePatch:
     center: Array
     """(3,) centre of the patch, projected on the plane, m."""
     match: float = 1.0
-    """How well its outline fits a board of the known size: 1 is perfect, 0 is nothing alike."""
+    """Score, 0 to 1, of its outline against a board of the known size."""
     edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
-    """(M, 2, 3) where the sheet truly ends: unit vectors of the last beam on it and the first one past it."""
+    """(M, 2, 3) its edges: unit vectors of the last beam on the board and the first one past it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """The board as a 2-D scanner sees it: the cut of its plane with the scan plane z = 0."""
+    """The board detected by a 2-D scanner: the intersection of the board with the scan plane z = 0."""
 
     endpoints: Array
     """(2, 3) the outermost beams projected on the fitted line, in order of angle, sensor frame, m."""
@@ -36,9 +36,9 @@ class Segment:
     points: Array
     """(N, 3) measured points on the board, sensor frame, m."""
     match: float = 1.0
-    """How plausible its length is for a board of the known size."""
+    """Score, 0 to 1, of its length, straightness and ends against a board of the known size."""
     edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
-    """(M, 2, 3) where the sheet truly ends: unit vectors of the last beam on it and the first one past it."""
+    """(M, 2, 3) its edges: unit vectors of the last beam on the board and the first one past it."""
 
     @property
     def center(self) -> Array:
@@ -48,12 +48,12 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class BoardCorners:
-    """The board as a camera sees it."""
+    """The board detected by a camera."""
 
     corners_board: Array
     """(N, 3) the printed corners in the board frame (z = 0), m."""
     pixels: Array
-    """(N, 2) where they were seen, OpenCV's pixel convention, distorted as measured."""
+    """(N, 2) where they were detected, OpenCV's pixel convention, distorted as measured."""
     T_camera_board: Array
     """(4, 4) from one PnP over all corners."""
     covariance: Array
@@ -65,11 +65,11 @@ class BoardCorners:
     rms: float
     """Root mean square reprojection error, pixels."""
     board: int = 0
-    """Which of the rig's boards."""
+    """Index of the board among the rig's boards."""
 
     @property
     def center(self) -> Array:
-        """(3,) the centre of the sheet in the camera frame, m."""
+        """(3,) the centre of the board in the camera frame, m."""
         return self.T_camera_board[:3, 3]
 
 

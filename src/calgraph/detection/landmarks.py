@@ -1,6 +1,6 @@
-"""Where the marks are printed on a board: the one place that knows each pattern's layout and corner order.
+"""Positions of the marks on a board: the layout and corner order of every pattern.
 
-Board frame: origin at the centre of the sheet, x right, y up as the reader of the print sees it, z out of the
+Board frame: origin at the centre of the board, x right, y up as the reader of the print sees it, z out of the
 face towards the reader.
 """
 
@@ -15,14 +15,14 @@ from calgraph.geometry import Array
 Ids = NDArray[np.intp]
 
 # Unit squares' corners in the order in which they are detected, in the board frame.
-_UPRIGHT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+_OPENCV_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 # Kalibr prints its tags upside down compared with how OpenCV draws them.
-_KALIBR = -_UPRIGHT
+_KALIBR_CORNERS = -_OPENCV_CORNERS
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """The marks on one board. A mark is what is detected whole: a tag with 4 corners, or a single corner."""
+    """The marks on one board. A mark is detected as a whole: a tag with 4 corners, or a single corner."""
 
     ids: Ids
     """(M,) tag ids; for checkerboards and ChArUco the corner's number, row by row from the top left."""
@@ -30,48 +30,52 @@ class Landmarks:
     """(M, k, 3) corners of each mark in the board frame, m; k = 4 for tags, clockwise from the top left of the
     tag as OpenCV draws it; k = 1 otherwise."""
 
-    def of(self, ids: Ids) -> Array:
+    def corners_of(self, ids: Ids) -> Array:
         """Corners (N, k, 3) of the marks ``ids`` (N,), in that order; KeyError if one is not on the board."""
         row = {int(mark): i for i, mark in enumerate(self.ids)}
         return self.corners[[row[int(mark)] for mark in ids]]
 
 
-def landmarks(board: Board) -> Landmarks:
+def compute_landmarks(board: Board) -> Landmarks:
     """The printed corners of a board, empty if nothing is printed on it."""
     match board.pattern:
         case None:
-            return _tags(board)
+            return _layout_tags(board)
         case Checkerboard() as p:
-            return _lattice(p.columns, p.rows, p.square, p.center)
+            return _layout_lattice(p.columns, p.rows, p.square, p.center)
         case Charuco() as p:
-            return _lattice(p.columns - 1, p.rows - 1, p.square, p.center)
+            return _layout_lattice(p.columns - 1, p.rows - 1, p.square, p.center)
         case AprilGrid() as p:
-            return _aprilgrid(p)
+            return _layout_aprilgrid(p)
 
 
-def _tags(board: Board) -> Landmarks:
+def _layout_tags(board: Board) -> Landmarks:
     centers = np.array([tag.center for tag in board.tags]).reshape(-1, 1, 2)
     sizes = np.array([tag.size for tag in board.tags]).reshape(-1, 1, 1)
-    return Landmarks(np.array([tag.id for tag in board.tags], dtype=np.intp), _flat(centers + sizes * _UPRIGHT))
+    return Landmarks(
+        np.array([tag.id for tag in board.tags], dtype=np.intp), _append_zero(centers + sizes * _OPENCV_CORNERS)
+    )
 
 
-def _lattice(columns: int, rows: int, square: float, center: tuple[float, float]) -> Landmarks:
+def _layout_lattice(columns: int, rows: int, square: float, center: tuple[float, float]) -> Landmarks:
     """Inner corners of a chessboard, row by row from the top left."""
     x = (np.arange(columns) - (columns - 1) / 2) * square + center[0]
     y = ((rows - 1) / 2 - np.arange(rows)) * square + center[1]
     corners = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
-    return Landmarks(np.arange(columns * rows), _flat(corners))
+    return Landmarks(np.arange(columns * rows), _append_zero(corners))
 
 
-def _aprilgrid(grid: AprilGrid) -> Landmarks:
+def _layout_aprilgrid(grid: AprilGrid) -> Landmarks:
     """Kalibr numbers tags from the bottom left, along the rows, upwards."""
     pitch = grid.tag_size * (1 + grid.tag_spacing)
     x = (np.arange(grid.columns) - (grid.columns - 1) / 2) * pitch + grid.center[0]
     y = (np.arange(grid.rows) - (grid.rows - 1) / 2) * pitch + grid.center[1]
     centers = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
-    return Landmarks(grid.first_id + np.arange(len(centers)), _flat(centers + grid.tag_size * _KALIBR))
+    return Landmarks(
+        grid.first_id + np.arange(len(centers)), _append_zero(centers + grid.tag_size * _KALIBR_CORNERS)
+    )
 
 
-def _flat(corners: Array) -> Array:
-    """Corners (M, k, 2) on the sheet as points (M, k, 3) with z = 0."""
+def _append_zero(corners: Array) -> Array:
+    """Corners (M, k, 2) on the board as points (M, k, 3) with z = 0."""
     return np.concatenate([corners, np.zeros((*corners.shape[:2], 1))], axis=-1)

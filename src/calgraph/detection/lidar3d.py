@@ -1,4 +1,4 @@
-"""The board in the clouds of a 3-D scanner: a flat patch of the board's size that stands free.
+"""The board in the clouds of a 3-D scanner: a free-standing flat patch of the board's size.
 
 Source: MSG-Cal, section III-B.
 """
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection.board_edges import beams_about, sheet_edges
+from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import PlanePatch
 from calgraph.detection.line_plane_fit import fit_plane
-from calgraph.detection.rectangle_fit import Sheet, lay_sheet, standing_free
-from calgraph.detection.region_growing import flat_regions
+from calgraph.detection.rectangle_fit import BoardRectangle, fit_rectangle, measure_solidity_and_isolation
+from calgraph.detection.region_growing import grow_flat_regions
 from calgraph.detection.voxel_normals import Cells, Indices, make_cells
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane
@@ -59,8 +59,7 @@ def find_patches(
         clouds: all sweeps of one scanner that were measured while the board rested.
         boards: the boards to look for.
         noise: of a single beam.
-        background: what the scanner sees without the board; without it all flat patches of the scene that could
-            be a board are candidates.
+        background: model of the scene without the board; without it all flat patches of the scene are candidates.
         rng: for the random sampling.
 
     Returns:
@@ -70,60 +69,67 @@ def find_patches(
     if not clouds:
         return Rejected("no cloud was measured while the board rested")
     scene = np.concatenate([cloud.points for cloud in clouds])
-    rings = _joined_rings(clouds)
-    fresh = np.linalg.norm(scene, axis=1) > _MIN_RANGE
+    rings = _join_rings(clouds)
+    foreground = np.linalg.norm(scene, axis=1) > _MIN_RANGE
     if background is not None:
-        fresh &= background.foreground(scene)
-    if fresh.sum() < _MIN_POINTS:
+        foreground &= background.foreground(scene)
+    if foreground.sum() < _MIN_POINTS:
         return Rejected(
-            f"{fresh.sum()} foreground points: the board is not in view, or the background window contains it"
+            f"{foreground.sum()} foreground points: the board is not in view, or the background window contains it"
             if background is not None
-            else f"the clouds hold {fresh.sum()} points"
+            else f"the clouds hold {foreground.sum()} points"
         )
-    points = scene[fresh]
-    what = f"{len(points)} {'points' if background is None else 'foreground points'}"
-    hit = _MIN_RINGS if rings is None else len(np.unique(rings[fresh]))
-    if hit < _MIN_RINGS:
+    points = scene[foreground]
+    count_text = f"{len(points)} {'points' if background is None else 'foreground points'}"
+    ring_count = _MIN_RINGS if rings is None else len(np.unique(rings[foreground]))
+    if ring_count < _MIN_RINGS:
         return Rejected(
-            f"only {hit} of the rings hit the board ({what}), a plane needs {_MIN_RINGS}: "
+            f"only {ring_count} of the rings hit the board ({count_text}), a plane needs {_MIN_RINGS}: "
             "bring the board nearer or turn its longer side across the rings"
         )
-    cells = make_cells(points, None if rings is None else rings[fresh])
+    cells = make_cells(points, None if rings is None else rings[foreground])
     thickness = max(3 * noise.range, _MIN_THICKNESS)
-    regions = [] if cells is None else flat_regions(cells, thickness)
+    regions = [] if cells is None else grow_flat_regions(cells, thickness)
     if cells is None or not regions:
-        return Rejected(f"{what} hold no flat patch: the board is not in view, too far or seen edge-on")
-    few = scene[:: max(1, len(scene) // _SCENE_POINTS)]
-    likely = _most_likely(cells, regions, boards, few, thickness)
-    patches = [_patch(points, cells, region, boards, noise, thickness, few, rng) for region in likely]
+        return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or seen edge-on")
+    subsampled = scene[:: max(1, len(scene) // _SCENE_POINTS)]
+    candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness)
+    patches = [
+        _fit_patch(points, cells, region, boards, noise, thickness, subsampled, rng) for region in candidates
+    ]
     found = sorted((p for p in patches if p is not None and p.match >= _MIN_MATCH), key=lambda p: -p.match)
     if not found:
-        return _no_match(cells, regions, boards)
-    lines, reach = _scan_lines(clouds[0]), max(0.5 * float(np.hypot(*board.size)) for board in boards) + _BESIDE
+        return _explain_no_match(cells, regions, boards)
+    lines, radius = (
+        _order_by_scan_line(clouds[0]),
+        max(0.5 * float(np.hypot(*board.size)) for board in boards) + _BESIDE,
+    )
     return tuple(
-        replace(p, edges=_edges(lines, p, max(4 * noise.range, _MIN_THICKNESS), reach))
+        replace(p, edges=_find_edges(lines, p, max(4 * noise.range, _MIN_THICKNESS), radius))
         for p in found
         if p.match >= _WORTH * found[0].match
     )
 
 
-def _most_likely(
+def _select_candidate_regions(
     cells: Cells, regions: Sequence[Indices], boards: Sequence[Board], scene: Array, thickness: float
 ) -> list[Indices]:
-    """The regions that look most like a board, before any work on their single points."""
+    """The regions with the best scores, from their cells alone."""
     scored = []
     for region in regions:
         points = cells.points[region]
         surface = plane.fit(points)
-        possible = [board for board in boards if _size_possible(points, board, cells.spacing)]
+        possible = [board for board in boards if _has_plausible_size(points, board, cells.spacing)]
         if possible:
-            match = max(_match(surface, points, board, cells.spacing, scene, thickness)[0] for board in possible)
+            match = max(
+                _score_patch(surface, points, board, cells.spacing, scene, thickness)[0] for board in possible
+            )
             scored.append((match, region))
     scored.sort(key=lambda s: -s[0])
     return [region for match, region in scored[:_MAX_CANDIDATES] if match >= _MIN_MATCH]
 
 
-def _patch(
+def _fit_patch(
     points: Array,
     cells: Cells,
     region: Indices,
@@ -133,27 +139,27 @@ def _patch(
     scene: Array,
     rng: np.random.Generator,
 ) -> PlanePatch | None:
-    """The plane and the points of one flat region, and how well it fits a board."""
-    surface = _consensus_plane(points[np.isin(cells.of_point, region)], thickness, rng)
+    """The plane, points and score of one flat region."""
+    surface = _find_consensus_plane(points[np.isin(cells.cell_of_point, region)], thickness, rng)
     if surface is None:
         return None
-    members = _gather(points, cells, region, surface, thickness)
-    flat = cells.points[np.unique(cells.of_point[members])]
-    match, sheet = max(
-        (_match(surface, flat, board, cells.spacing, scene, thickness) for board in boards),
+    members = _collect_plane_points(points, cells, region, surface, thickness)
+    flat = cells.points[np.unique(cells.cell_of_point[members])]
+    match, rectangle = max(
+        (_score_patch(surface, flat, board, cells.spacing, scene, thickness) for board in boards),
         key=lambda matched: matched[0],
     )
-    interior = members[_interior(points[members], sheet, match)]
+    interior = members[_select_interior(points[members], rectangle, match)]
     fit = fit_plane(points[interior], noise.range, noise.angle, surface)
     if fit is None or fit.inliers.sum() < _MIN_POINTS:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
-    center = sheet.center - (n @ sheet.center + d) * n
+    center = rectangle.center - (n @ rectangle.center + d) * n
     return PlanePatch(fit.parameters, fit.covariance, points[interior[fit.inliers]], center, match)
 
 
-def _consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
-    """The plane (4,) that most of the points (N, 3) agree with."""
+def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
+    """The plane (4,) with the most inliers among the points (N, 3)."""
     if len(points) > _SAMPLE_POINTS:
         points = points[rng.choice(len(points), _SAMPLE_POINTS, replace=False)]
 
@@ -169,27 +175,29 @@ def _consensus_plane(points: Array, threshold: float, rng: np.random.Generator) 
         return plane.distance(planes, points[None]) ** 2
 
     groups = np.arange(len(points))
-    found = find_consensus(groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=200)
-    return None if found is None else found.model
+    consensus = find_consensus(groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=200)
+    return None if consensus is None else consensus.model
 
 
-def _gather(points: Array, cells: Cells, region: Indices, surface: Array, thickness: float) -> Indices:
-    """All points on the plane within reach of the region: edge cells without a normal of their own too."""
+def _collect_plane_points(
+    points: Array, cells: Cells, region: Indices, surface: Array, thickness: float
+) -> Indices:
+    """All points on the plane next to cells of the region, those of edge cells without a normal included."""
     near = np.flatnonzero(np.abs(plane.distance(surface, points)) < thickness)
     distance, _ = cKDTree(cells.points[region]).query(points[near])
     return np.asarray(near[distance < cells.spacing * np.linalg.norm(points[near], axis=1)])
 
 
-def _interior(points: Array, sheet: Sheet, match: float) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie clear of the patch's outline; all if that would leave too few."""
-    surface = sheet.surface
-    # Where the beam meets the plane, not where noise put the point: on an inclined board that would keep the far
-    # points at one edge and the near ones at the other, and turn the plane.
-    flat = sheet.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
+def _select_interior(points: Array, rectangle: BoardRectangle, match: float) -> NDArray[np.bool_]:
+    """Selects the points (N, 3) inside the patch's outline, with a margin; all if too few would be left."""
+    surface = rectangle.surface
+    # The intersection of the beam with the plane, not the noisy point: on an inclined board a cut by points would
+    # keep the far ones at one edge and the near ones at the other, which rotates the plane.
+    flat = rectangle.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
     kept: NDArray[np.bool_] = np.ones(len(flat), dtype=np.bool_)
     if match > _TRUSTED:
-        # The sheet leaves out stand and arms.
-        kept = np.asarray(np.all(np.abs(flat) < 0.5 * np.array(sheet.size), axis=1), dtype=np.bool_)
+        # The rectangle excludes stand and arms.
+        kept = np.asarray(np.all(np.abs(flat) < 0.5 * np.array(rectangle.size), axis=1), dtype=np.bool_)
     try:
         hull = ConvexHull(flat[kept])
     except (QhullError, ValueError):
@@ -199,23 +207,23 @@ def _interior(points: Array, sheet: Sheet, match: float) -> NDArray[np.bool_]:
     return clear if clear.sum() > max(_MIN_POINTS, 0.6 * kept.sum()) else kept
 
 
-def _match(
+def _score_patch(
     surface: Array, cells: Array, board: Board, spacing: float, scene: Array, thickness: float
-) -> tuple[float, Sheet]:
-    """How much a patch looks like the board, 0 to 1, and where the board would be."""
+) -> tuple[float, BoardRectangle]:
+    """Score, 0 to 1, of a patch as the board, and the rectangle of the board in it."""
     centre = cells.mean(axis=0)
     step = spacing * float(np.linalg.norm(centre))
     cosine = max(abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre)), 0.3)
-    sheet = lay_sheet(surface, cells, board.size, min(0.6 * step / cosine, min(board.size) / 4))
-    if sheet.covered * sheet.inside < _MIN_MATCH:
-        return 0.0, sheet
-    solid, free = standing_free(sheet, scene, thickness, max(0.15, 1.5 * step))
-    # A few cells fit any outline: far walls seen by few rings must not pass for boards.
-    resolved = min(1.0, min(board.size) / (4 * step))
-    return sheet.covered * sheet.inside * solid * free * resolved, sheet
+    rectangle = fit_rectangle(surface, cells, board.size, min(0.6 * step / cosine, min(board.size) / 4))
+    if rectangle.covered * rectangle.contained < _MIN_MATCH:
+        return 0.0, rectangle
+    solidity, isolation = measure_solidity_and_isolation(rectangle, scene, thickness, max(0.15, 1.5 * step))
+    # A few cells fit any outline: far walls hit by few rings are no boards.
+    resolution = min(1.0, min(board.size) / (4 * step))
+    return rectangle.covered * rectangle.contained * solidity * isolation * resolution, rectangle
 
 
-def _extent(points: Array) -> tuple[float, float]:
+def _measure_extent(points: Array) -> tuple[float, float]:
     """Length and width of a flat set of points along its principal axes, m."""
     centred = points - points.mean(axis=0)
     _, vectors = np.linalg.eigh(centred.T @ centred)
@@ -223,8 +231,8 @@ def _extent(points: Array) -> tuple[float, float]:
     return float(spans[2]), float(spans[1])
 
 
-def _size_possible(points: Array, board: Board, spacing: float) -> bool:
-    length, width = _extent(points)
+def _has_plausible_size(points: Array, board: Board, spacing: float) -> bool:
+    length, width = _measure_extent(points)
     step = spacing * float(np.linalg.norm(points.mean(axis=0)))
     short, diagonal = min(board.size), float(np.hypot(*board.size))
     return (
@@ -235,8 +243,8 @@ def _size_possible(points: Array, board: Board, spacing: float) -> bool:
     )
 
 
-def _no_match(cells: Cells, regions: Sequence[Indices], boards: Sequence[Board]) -> Rejected:
-    extents = [_extent(cells.points[region]) for region in regions]
+def _explain_no_match(cells: Cells, regions: Sequence[Indices], boards: Sequence[Board]) -> Rejected:
+    extents = [_measure_extent(cells.points[region]) for region in regions]
     length, width = max(extents, key=lambda e: e[0] * e[1])
     sizes = " or ".join(f"{b.size[0]:g} x {b.size[1]:g} m" for b in boards)
     return Rejected(
@@ -246,41 +254,45 @@ def _no_match(cells: Cells, regions: Sequence[Indices], boards: Sequence[Board])
 
 @dataclass(frozen=True, eq=False)
 class _ScanLines:
-    """One sweep, beam by beam as they scan. Sweeps have the same beams: a further one would not tell more."""
+    """The beams of one sweep in scan order. Sweeps have the same beams: one shows all edges."""
 
     points: Array
     """(N, 3) m."""
-    line: Indices
+    scan_line: Indices
     """(N,) scan line of each."""
     parallax: float
-    """How far beams may start from the sensor's origin, as an angle, rad."""
+    """Error of directions, as beams do not start in the sensor's origin, rad."""
 
 
-def _scan_lines(cloud: PointCloud) -> _ScanLines:
+def _order_by_scan_line(cloud: PointCloud) -> _ScanLines:
     """Rings, each by azimuth; without rings, points as they were sent, which is as they were measured."""
-    there = np.linalg.norm(cloud.points, axis=1) > _MIN_RANGE
-    points = cloud.points[there]
+    valid = np.linalg.norm(cloud.points, axis=1) > _MIN_RANGE
+    points = cloud.points[valid]
     if cloud.rings is None:
         return _ScanLines(points, np.zeros(len(points), dtype=np.intp), _PARALLAX)
-    rings = cloud.rings[there]
+    rings = cloud.rings[valid]
     order = np.lexsort([np.arctan2(points[:, 1], points[:, 0]), rings])
     return _ScanLines(points[order], rings[order].astype(np.intp), 0.0)
 
 
-def _edges(lines: _ScanLines, patch: PlanePatch, thickness: float, reach: float) -> Array:
-    """(M, 2, 3) where beams leave the patch's plane within so far of its centre."""
+def _find_edges(lines: _ScanLines, patch: PlanePatch, thickness: float, radius: float) -> Array:
+    """(M, 2, 3) edges of the patch within ``radius`` of its centre."""
     n, d = patch.plane[:3], patch.plane[3]
     ranges = np.linalg.norm(lines.points, axis=1)
     directions = lines.points / ranges[:, None]
-    facing = -(directions @ n)
-    meets = np.where(facing > _MIN_COSINE, d / np.maximum(facing, _MIN_COSINE), np.inf)
-    at = np.minimum(meets, np.linalg.norm(patch.center) + 2 * reach)[:, None] * directions
-    near = beams_about(np.linalg.norm(at - patch.center, axis=1) < reach)
-    # Where other beams of the line lie between, another one begins.
-    _, line = np.unique(np.stack([lines.line[near], near - np.arange(len(near))]), axis=1, return_inverse=True)
-    return sheet_edges(directions[near], (ranges - meets)[near], np.ravel(line), thickness, lines.parallax)
+    cosine = -(directions @ n)
+    predicted = np.where(cosine > _MIN_COSINE, d / np.maximum(cosine, _MIN_COSINE), np.inf)
+    intersections = np.minimum(predicted, np.linalg.norm(patch.center) + 2 * radius)[:, None] * directions
+    near = select_beams_with_margin(np.linalg.norm(intersections - patch.center, axis=1) < radius)
+    # Beams of a scan line that are not consecutive are different scan lines.
+    _, scan_line = np.unique(
+        np.stack([lines.scan_line[near], near - np.arange(len(near))]), axis=1, return_inverse=True
+    )
+    return find_board_edges(
+        directions[near], (ranges - predicted)[near], np.ravel(scan_line), thickness, lines.parallax
+    )
 
 
-def _joined_rings(clouds: Sequence[PointCloud]) -> NDArray[np.int32] | None:
+def _join_rings(clouds: Sequence[PointCloud]) -> NDArray[np.int32] | None:
     rings = [cloud.rings for cloud in clouds if cloud.rings is not None]
     return np.concatenate(rings) if len(rings) == len(clouds) else None

@@ -1,8 +1,8 @@
 """Lines and planes fitted to ranges along beams, with their covariance.
 
-The beams' directions are the regressors and the ranges the observations, as the noise has it. Total least squares
-on the points takes noise along the beam for a spread of the surface too, which turns an inclined board by more
-than its standard deviation once it has some hundred points.
+The beams' directions are the regressors and the ranges the observations, because the noise is along the beams.
+Total least squares on the points attributes noise along the beam to the surface normal, which rotates an inclined
+board by more than its standard deviation once it has some hundred points.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from calgraph.geometry import Array, plane
 
-Whitened = Callable[[Array], tuple[Array, Array]]
+WhitenedResiduals = Callable[[Array], tuple[Array, Array]]
 """Parameters to whitened residuals (N,) and the Jacobian (N, P) of the whitened predictions."""
 
 _ROUNDS = 2
@@ -25,7 +25,7 @@ _MIN_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class SurfaceFit:
     """A line or plane in the sensor frame."""
 
     parameters: Array
@@ -33,12 +33,14 @@ class Fit:
     covariance: Array
     """(2, 2) of the line's parameters; (3, 3) of the plane in the chart of ``plane.retract``."""
     inliers: NDArray[np.bool_]
-    """(N,) which measurements the last round kept."""
+    """(N,) the inliers of the last round."""
     scale: float
     """Robust standard deviation of the whitened residuals: 1 if the stated noise is right."""
 
 
-def fit_line(angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array, start: Array) -> Fit | None:
+def fit_line(
+    angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array, start: Array
+) -> SurfaceFit | None:
     """The line ``x cos(a) + y sin(a) = p`` through the ends of beams, in two rounds of rejection.
 
     Args:
@@ -60,10 +62,10 @@ def fit_line(angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Arra
         J = np.stack([-line[1] * tangent / cosine, 1 / cosine], axis=-1)  # of the predicted range
         return (ranges - line[1] / cosine) / sigma, J / sigma[:, None]
 
-    return _robust(whitened, lambda line, step: line + step, np.asarray(start, dtype=np.float64))
+    return _fit_robustly(whitened, lambda line, step: line + step, np.asarray(start, dtype=np.float64))
 
 
-def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Array) -> Fit | None:
+def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Array) -> SurfaceFit | None:
     """The plane through the ends of beams from the origin, in two rounds of rejection.
 
     Args:
@@ -87,40 +89,42 @@ def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Arra
         J = np.column_stack([d / cosine[:, None] ** 2 * (directions @ plane.tangent_basis(n)), -1 / cosine])
         return (ranges + d / cosine) / sigma, J / sigma[:, None]
 
-    return _robust(whitened, plane.retract, start)
+    return _fit_robustly(whitened, plane.retract, start)
 
 
-def _robust(whitened: Whitened, retract: Callable[[Array, Array], Array], parameters: Array) -> Fit | None:
-    """Gauss–Newton in rounds, each on the measurements that agreed with the round before."""
-    used = np.ones(len(whitened(parameters)[0]), dtype=bool)
+def _fit_robustly(
+    whitened: WhitenedResiduals, retract: Callable[[Array, Array], Array], parameters: Array
+) -> SurfaceFit | None:
+    """Gauss–Newton in rounds, each on the inliers of the round before."""
+    inliers = np.ones(len(whitened(parameters)[0]), dtype=bool)
     scale = 1.0
     for round_ in range(_ROUNDS + 1):
         for _ in range(_ITERATIONS):
             residuals, J = whitened(parameters)
-            # Before the first rejection the weights have to hold the outliers off.
-            weights = 1.0 * used if round_ else _huber(residuals)
+            # Before the first rejection Huber weights limit the influence of outliers.
+            weights = 1.0 * inliers if round_ else _compute_huber_weights(residuals)
             H = (J * weights[:, None]).T @ J
-            if used.sum() <= J.shape[1] or np.linalg.cond(H) > 1e14:
+            if inliers.sum() <= J.shape[1] or np.linalg.cond(H) > 1e14:
                 return None
             step: Array = np.asarray(np.linalg.solve(H, J.T @ (weights * residuals)), dtype=np.float64)
             parameters = retract(parameters, step)
             if np.abs(step).max() < 1e-9:
                 break
         residuals, J = whitened(parameters)
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(residuals[used]))))
-        used = np.abs(residuals) < _REJECT * scale
-    if used.sum() <= J.shape[1]:
+        scale = max(1.0, 1.4826 * float(np.median(np.abs(residuals[inliers]))))
+        inliers = np.abs(residuals) < _REJECT * scale
+    if inliers.sum() <= J.shape[1]:
         return None
-    covariance = np.linalg.inv(J[used].T @ J[used]) * _inflation(residuals[used], J.shape[1])
-    return Fit(parameters, np.asarray(covariance, dtype=np.float64), used, scale)
+    covariance = np.linalg.inv(J[inliers].T @ J[inliers]) * _compute_inflation(residuals[inliers], J.shape[1])
+    return SurfaceFit(parameters, np.asarray(covariance, dtype=np.float64), inliers, scale)
 
 
-def _huber(residuals: Array) -> Array:
+def _compute_huber_weights(residuals: Array) -> Array:
     return np.minimum(1.0, 1.5 / np.maximum(np.abs(residuals), 1e-12))
 
 
-def _inflation(residuals: Array, parameters: int) -> float:
-    """The reduced chi-square where it is significantly above one: the stated noise is too small there."""
+def _compute_inflation(residuals: Array, parameters: int) -> float:
+    """The reduced chi-square where it is significantly above one, as the stated noise is then too small."""
     freedom = len(residuals) - parameters
     total = float(residuals @ residuals)
     return total / freedom if total > chdtri(freedom, 0.001) else 1.0

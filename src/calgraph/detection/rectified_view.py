@@ -1,7 +1,7 @@
-"""A board as a camera without distortion, looking straight at it, would have seen it.
+"""Rectified views of tags: the image of a virtual camera without distortion that points at them.
 
-The AprilTag library fits straight lines to the edges of tags. Lenses bend them: a tag that measures 36 pixels, 40
-degrees off a fisheye's axis, comes out larger by 0.2 pixels, and so nearer by half a per cent.
+The AprilTag library fits straight lines to the edges of tags. Lens distortion bends them: a tag of 36 pixels, 40
+degrees off a fisheye's axis, is detected larger by 0.2 pixels, and so nearer by half a per cent.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _STEP = 8
 
 
 @dataclass(frozen=True, eq=False)
-class StraightView:
+class RectifiedView:
     """A piece of an image, resampled."""
 
     image: Gray
@@ -38,71 +38,73 @@ class StraightView:
     focal: float
     """Its focal length, pixels."""
     corner: Array
-    """(2,) where on its plane z = 1 the middle of the view's first pixel is."""
+    """(2,) the centre of the view's first pixel on its plane z = 1."""
 
-    def in_image(self, pixels: Array) -> Array:
-        """Where pixels (..., 2) of the view are in the image."""
-        return _in_image(pixels, self.camera, self.R_camera_view, self.focal, self.corner)
+    def to_image(self, pixels: Array) -> Array:
+        """Maps pixels (..., 2) of the view to the image."""
+        return _project_to_image(pixels, self.camera, self.R_camera_view, self.focal, self.corner)
 
 
-def has_straight_lines(camera: CameraModel) -> bool:
-    """Whether straight lines are straight in its images."""
+def is_undistorted(camera: CameraModel) -> bool:
+    """Whether straight lines are straight in the camera's images."""
     return camera.model == "pinhole" and not camera.distortion.any()
 
 
-def straight_view(gray: Gray, camera: CameraModel, corners: Array) -> StraightView | None:
-    """A view of tags; None if they lie too far around for one view.
+def rectify_view(gray: Gray, camera: CameraModel, corners: Array) -> RectifiedView | None:
+    """Resamples the image of tags; None if they span too wide an angle for one view.
 
     Args:
         gray: image (height, width).
         camera: its intrinsics.
-        corners: (M, 4, 3) about where the tags' corners are, camera frame, m.
+        corners: (M, 4, 3) approximate corners of the tags, camera frame, m.
 
     """
     points = corners.reshape(-1, 3)
-    R_camera_view = _looking_at(points.mean(axis=0))
+    R_camera_view = _compute_look_at(points.mean(axis=0))
     local = points @ R_camera_view
     flat = local[:, :2] / local[:, 2:]
     if (local[:, 2] <= 0).any() or np.abs(flat).max() > _WIDEST:
         return None
-    edges = _lengths(flat.reshape(-1, 4, 2))
-    focal = _FINER * float(np.median(_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
+    edges = _edge_lengths(flat.reshape(-1, 4, 2))
+    focal = _FINER * float(np.median(_edge_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
     margin = _MARGIN * edges.max()
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
     focal = min(focal, _LONGEST / (high - low).max())
     width, height = np.ceil(focal * (high - low)).astype(int) + 1
-    nodes = np.stack(np.meshgrid(_nodes(width), _nodes(height)), axis=-1)
-    sparse = _in_image(nodes, camera, R_camera_view, focal, low)
-    down, across = _hats(height), _hats(width)
+    nodes = np.stack(np.meshgrid(_grid_nodes(width), _grid_nodes(height)), axis=-1)
+    sparse = _project_to_image(nodes, camera, R_camera_view, focal, low)
+    down, across = _interpolation_weights(height), _interpolation_weights(width)
     x, y = ((down @ np.nan_to_num(sparse[..., k], nan=-1e4) @ across.T).astype(np.float32) for k in (0, 1))
     image = cv2.remap(gray, x, y, cv2.INTER_LINEAR)
-    return StraightView(np.asarray(image, dtype=np.uint8), camera, R_camera_view, focal, low)
+    return RectifiedView(np.asarray(image, dtype=np.uint8), camera, R_camera_view, focal, low)
 
 
-def _looking_at(point: Array) -> Array:
-    """Rotation (3, 3) from a frame whose z points at a point, as upright as may be."""
+def _compute_look_at(point: Array) -> Array:
+    """Rotation (3, 3) from a frame whose z axis points at a point, with y downwards where possible."""
     z = point / np.linalg.norm(point)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [0.0, 0.0, -1.0], z)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _in_image(pixels: Array, camera: CameraModel, R_camera_view: Array, focal: float, corner: Array) -> Array:
+def _project_to_image(
+    pixels: Array, camera: CameraModel, R_camera_view: Array, focal: float, corner: Array
+) -> Array:
     flat = (corner + pixels / focal).reshape(-1, 2)
     rays = np.column_stack([flat, np.ones(len(flat))]) @ R_camera_view.T
     return camera.project(rays).reshape(pixels.shape)
 
 
-def _lengths(quads: Array) -> Array:
+def _edge_lengths(quads: Array) -> Array:
     """(M, 4) lengths of the edges of quadrilaterals (M, 4, 2)."""
     return np.asarray(np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=-1))
 
 
-def _nodes(length: int) -> Array:
+def _grid_nodes(length: int) -> Array:
     return np.arange(0.0, length + _STEP, _STEP)
 
 
-def _hats(length: int) -> Array:
+def _interpolation_weights(length: int) -> Array:
     """(length, nodes) weights of linear interpolation between the nodes."""
-    away = np.abs(np.arange(length)[:, None] - _nodes(length)) / _STEP
-    return np.asarray(np.clip(1 - away, 0, None))
+    distance = np.abs(np.arange(length)[:, None] - _grid_nodes(length)) / _STEP
+    return np.asarray(np.clip(1 - distance, 0, None))

@@ -1,7 +1,7 @@
-"""Flat regions of a cloud, grown from its flattest places.
+"""Flat regions of a cloud, grown from seeds of least curvature.
 
-Source: MSG-Cal, section III-B (regions seeded at minimum curvature). A region's own plane, updated as it grows,
-decides who joins: single normals are too noisy on a cloud of few rings.
+Source: MSG-Cal, section III-B (regions seeded at minimum curvature). Cells join by their distance from the
+region's plane, refitted as it grows: single normals are too noisy on a cloud of few rings.
 """
 
 import numpy as np
@@ -17,12 +17,12 @@ _MIN_CELLS = 8
 _REFIT = 1.2
 
 
-def flat_regions(cells: Cells, thickness: float) -> list[Indices]:
+def grow_flat_regions(cells: Cells, thickness: float) -> list[Indices]:
     """Cells of each flat region, the region with the flattest seed first.
 
     Args:
         cells: the cloud.
-        thickness: how far from a region's plane its cells may lie, m.
+        thickness: largest distance of cells from their region's plane, m.
 
     """
     free = np.ones(len(cells.points), dtype=bool)
@@ -32,7 +32,7 @@ def flat_regions(cells: Cells, thickness: float) -> list[Indices]:
             break
         if not free[seed]:
             continue
-        region = _grow(cells, int(seed), free, thickness)
+        region = _grow_region(cells, int(seed), free, thickness)
         free[seed] = False
         if len(region) >= _MIN_CELLS:
             free[region] = False
@@ -40,7 +40,7 @@ def flat_regions(cells: Cells, thickness: float) -> list[Indices]:
     return regions
 
 
-def _grow(cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float) -> Indices:
+def _grow_region(cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float) -> Indices:
     n = cells.normals[seed]
     around = cells.neighbours[seed]
     around = around[around >= 0]
@@ -54,19 +54,19 @@ def _grow(cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float) ->
         touched = np.zeros(len(free), dtype=bool)
         touched[around[around >= 0]] = True
         reached = np.flatnonzero(touched & free & ~inside)
-        joins = _belongs(cells, reached, surface, thickness)
+        joins = _lies_on_plane(cells, reached, surface, thickness)
         frontier = reached[joins]
         inside[frontier] = True
         size += len(frontier)
         if size >= max(_MIN_CELLS, _REFIT * fitted):
             surface, fitted = plane.fit(cells.points[inside]), size
     members = np.flatnonzero(inside)
-    # The plane moved while the region grew: those that joined early may be off it now.
-    return members[_belongs(cells, members, surface, thickness)]
+    # The plane moved while the region grew: cells that joined early may be off it.
+    return members[_lies_on_plane(cells, members, surface, thickness)]
 
 
-def _belongs(cells: Cells, index: Indices, surface: Array, thickness: float) -> NDArray[np.bool_]:
+def _lies_on_plane(cells: Cells, index: Indices, surface: Array, thickness: float) -> NDArray[np.bool_]:
     near = np.abs(plane.distance(surface, cells.points[index])) < thickness
-    # A cell at an edge has no normal of its own to disagree with.
+    # A cell at an edge has no normal (zero).
     along = np.abs(cells.normals[index] @ surface[:3])
     return np.asarray(near & ((along > _MIN_COSINE) | (along == 0)))

@@ -1,4 +1,4 @@
-"""The scans of one capture as one scan: the board rested, so a beam's repeated ranges are one, better, range."""
+"""The average of the scans of one capture, during which the board rested."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ from calgraph.sensors import LaserScan
 
 
 @dataclass(frozen=True, eq=False)
-class MergedScan:
+class AveragedScan:
     """Beams that measured something, in order of angle."""
 
     angles: Array
-    """(N,) ascending, rad; past pi where the scanner looks all around and the seam was moved."""
+    """(N,) ascending, rad; beyond pi where the field of view is a full turn and the seam was moved."""
     ranges: Array
     """(N,) m, finite."""
     sigma_range: Array
     """(N,) standard deviation of each range, m."""
     sigma_angle: Array
     """(N,) standard deviation of each direction, rad."""
-    fresh: NDArray[np.bool_]
-    """(N,) which beams are foreground."""
+    foreground: NDArray[np.bool_]
+    """(N,) whether each beam is foreground."""
     spacing: float
     """Angle between neighbouring beams, rad."""
 
@@ -34,18 +34,18 @@ class MergedScan:
         return np.asarray(self.ranges[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1))
 
 
-def merge_scans(
-    scans: Sequence[LaserScan], noise: RangeNoise, fresh: Sequence[NDArray[np.bool_]]
-) -> MergedScan | None:
+def average_scans(
+    scans: Sequence[LaserScan], noise: RangeNoise, foreground: Sequence[NDArray[np.bool_]]
+) -> AveragedScan | None:
     """The robust mean of every beam over scans of a scene at rest, or None if no beam measured anything.
 
-    A beam keeps the ranges near its median; a beam that answered in less than half of the scans is left out, and
-    so is one that has no majority near its median: it flickers between two depths at an edge.
+    A beam's ranges near their median are averaged. A beam with returns in less than half of the scans is left out,
+    and so is one without a majority near its median: it alternates between two depths at an edge.
 
     Args:
         scans: one or more, of one sensor; not necessarily with the same beams.
         noise: of a single beam.
-        fresh: for each scan which beams (N,) are foreground; a beam is if it is in most scans.
+        foreground: for each scan whether its beams (N,) are foreground; a beam is if it is in most scans.
 
     """
     reference = max(scans, key=lambda scan: len(scan.angles))
@@ -54,22 +54,22 @@ def merge_scans(
         return None
     ranges = np.full((len(scans), len(angles)), np.nan)
     votes = np.zeros(len(angles))
-    for row, scan, new in zip(ranges, scans, fresh, strict=True):
+    for row, scan, is_foreground in zip(ranges, scans, foreground, strict=True):
         beams = np.clip(np.rint(np.interp(scan.angles, angles, np.arange(len(angles)))).astype(int), 0, None)
         row[beams[scan.valid]] = scan.ranges[scan.valid]
-        votes[beams[scan.valid]] += new[scan.valid]
+        votes[beams[scan.valid]] += is_foreground[scan.valid]
     answered = np.isfinite(ranges).sum(axis=0)
     kept = np.flatnonzero(2 * answered >= len(scans))
     kept = kept[answered[kept] > 0]
     ranges = ranges[:, kept]
     near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max(4 * noise.range, 0.03) if len(kept) else ranges > 0
-    agreed = 2 * near.sum(axis=0) > answered[kept]
-    if not agreed.any():
+    steady = 2 * near.sum(axis=0) > answered[kept]
+    if not steady.any():
         return None
-    kept, ranges, near = kept[agreed], ranges[:, agreed], near[:, agreed]
+    kept, ranges, near = kept[steady], ranges[:, steady], near[:, steady]
     count = near.sum(axis=0)
     return _move_seam(
-        MergedScan(
+        AveragedScan(
             angles[kept],
             np.where(near, ranges, 0).sum(axis=0) / count,
             noise.range / np.sqrt(count),
@@ -80,18 +80,18 @@ def merge_scans(
     )
 
 
-def _move_seam(scan: MergedScan) -> MergedScan:
+def _move_seam(scan: AveragedScan) -> AveragedScan:
     """Starts a scan that goes all around at its largest jump in range, so that no board lies across the seam."""
     if scan.angles[-1] - scan.angles[0] < 2 * np.pi - 20 * scan.spacing:
         return scan
     start = int(np.argmax(np.abs(np.diff(scan.ranges)))) + 1
     turned = np.roll(scan.angles, -start)
     turned[len(turned) - start :] += 2 * np.pi
-    return MergedScan(
+    return AveragedScan(
         turned,
         np.roll(scan.ranges, -start),
         np.roll(scan.sigma_range, -start),
         np.roll(scan.sigma_angle, -start),
-        np.roll(scan.fresh, -start),
+        np.roll(scan.foreground, -start),
         scan.spacing,
     )

@@ -1,4 +1,4 @@
-"""Finding AprilTags in an image: single tags by the AprilTag library, Kalibr's grids by OpenCV."""
+"""Detection of AprilTags in an image: single tags by the AprilTag library, Kalibr's grids by OpenCV."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -29,7 +29,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Marks seen in one image; the same id may come more than once."""
+    """Marks detected in one image; an id may occur more than once."""
 
     ids: NDArray[np.intp]
     """(N,)."""
@@ -47,30 +47,30 @@ class Marks:
         return Marks(np.concatenate([self.ids, other.ids]), np.concatenate([self.pixels, other.pixels]))
 
 
-def no_marks(k: int) -> Marks:
-    """Nothing seen, of marks with k corners."""
+def empty_marks(k: int) -> Marks:
+    """No marks, of k corners each."""
     return Marks(np.zeros(0, dtype=np.intp), np.zeros((0, k, 2)))
 
 
 class TagFinder:
-    """Finds tags of one family with the AprilTag library; not for use by several threads at once.
+    """Finds tags of one family with the AprilTag library; not for concurrent use by several threads.
 
     Half resolution with a light blur finds tags down to about 20 pixels and costs a ninth of the time; edges are
-    refined at full resolution, so its corners are as good (0.06 against 0.05 pixels RMS on rendered sheets).
+    refined at full resolution, so its corners are as good (0.06 against 0.05 pixels RMS on rendered boards).
     """
 
     def __init__(self, family: Family) -> None:
         self.family = family
         self._margins = _MARGINS[family]
-        self._coarse = _library_detector(family, quad_decimate=2.0, quad_sigma=0.8)
-        self._fine = _library_detector(family, quad_decimate=1.0, quad_sigma=0.0)
+        self._coarse = _make_detector(family, quad_decimate=2.0, quad_sigma=0.8)
+        self._fine = _make_detector(family, quad_decimate=1.0, quad_sigma=0.0)
 
     def find(self, gray: Gray) -> Marks:
-        """All tags in an image (height, width), known to the rig or not."""
+        """All tags of the family in an image (height, width), of the rig's boards or not."""
         return self._decode(self._coarse if gray.size > _COARSE_ABOVE else self._fine, gray)
 
     def find_within(self, gray: Gray, pixels: Array) -> Marks:
-        """Tags at full resolution near where their corners (N, 4, 2) are expected; tiny ones too."""
+        """Tags at full resolution near their predicted corners (N, 4, 2); small ones too."""
         margin = 0.5 * np.ptp(pixels, axis=(0, 1)).max() / np.sqrt(len(pixels)) + 10
         low = np.maximum(np.floor(pixels.min(axis=(0, 1)) - margin), 0).astype(int)
         high = np.ceil(pixels.max(axis=(0, 1)) + margin).astype(int)
@@ -79,16 +79,16 @@ class TagFinder:
 
     def _decode(self, detector: Any, gray: Gray) -> Marks:
         if min(gray.shape) < 8:
-            return no_marks(4)
+            return empty_marks(4)
         tags = [
             tag
             for tag in detector.detect(np.ascontiguousarray(gray))
             if tag.hamming < len(self._margins) and tag.decision_margin > self._margins[tag.hamming]
         ]
         if not tags:
-            return no_marks(4)
-        # The library starts at another corner, goes round the other way, and puts the centre of the first pixel
-        # at (0.5, 0.5).
+            return empty_marks(4)
+        # The library starts at another corner, in the opposite sense, and has the centre of the first pixel at
+        # (0.5, 0.5).
         corners = np.array([tag.corners for tag in tags])[:, [1, 0, 3, 2]] - 0.5
         height, width = gray.shape
         inside = np.asarray(((corners > -0.5) & (corners < np.array([width, height]) - 0.5)).all(axis=(1, 2)))
@@ -108,16 +108,16 @@ class GridFinder:
         """All tags in an image (height, width), with corners refined as the saddle points they are."""
         corners, ids, _ = self._detector.detectMarkers(gray)
         if not len(corners):
-            return no_marks(4)
+            return empty_marks(4)
         pixels = np.array([_refine_saddles(gray, np.reshape(c, (4, 2))) for c in corners])
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), pixels)
 
 
-def _library_detector(family: Family, quad_decimate: float, quad_sigma: float) -> Any:
+def _make_detector(family: Family, quad_decimate: float, quad_sigma: float) -> Any:
     from pupil_apriltags import Detector
 
     detector = Detector(families=family, nthreads=1, quad_decimate=quad_decimate, quad_sigma=quad_sigma)
-    # When it is collected it frees its families and then uses them, which corrupts the heap. Let it forget them.
+    # Its destructor frees its families and then uses them, which corrupts the heap: it is left without any.
     detector.tag_families.clear()
     return detector
 

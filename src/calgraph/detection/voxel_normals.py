@@ -1,8 +1,8 @@
-"""A cloud of any density as cells of even spacing, with normals from neighbours in other rings too.
+"""Downsampling of a cloud to direction cells of even spacing, and their normals.
 
 Multi-beam scanners measure every few millimetres along a ring and every few decimetres across: the nearest points
-all lie on one line there, and have no normal. Averaging the points in cells of direction evens that out, lowers
-the noise, and makes the work independent of the number of points.
+lie on one line, which has no normal. Averages over direction cells are evenly spaced and less noisy, and the time
+is independent of the number of points.
 """
 
 from dataclasses import dataclass
@@ -28,11 +28,11 @@ _MIN_NEIGHBOURS = 5
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Averages of the points in one cell each."""
+    """Direction cells, each with the mean of its points."""
 
     points: Array
     """(M, 3) m."""
-    of_point: Indices
+    cell_of_point: Indices
     """(N,) cell of each point of the cloud; -1 where the cell was dropped as an outlier."""
     spacing: float
     """Angle between neighbouring cells in the direction in which they are sparser, rad."""
@@ -46,35 +46,35 @@ class Cells:
 
 def make_cells(points: Array, rings: NDArray[np.int32] | None) -> Cells | None:
     """Averages points (N, 3) in cells, removes stray cells and finds normals; None if too few are left."""
-    levels = _ring_elevations(points, rings)
+    levels = _find_ring_elevations(points, rings)
     across = float(np.percentile(np.diff(levels), 75)) if levels is not None else _STEP
     along = max(np.radians(0.4), across / 3) if levels is not None else _STEP
-    cell = _cell_of(points, levels, along)
-    means = _means(points, cell)
+    cell = _assign_cells(points, levels, along)
+    means = _average_cells(points, cell)
     if len(means) <= _MIN_NEIGHBOURS:
         return None
     radius = np.linalg.norm(means, axis=1)
     k = min(_NEIGHBOURS if levels is None else _RING_NEIGHBOURS, len(means))
     distance, neighbours = cKDTree(means).query(means, k=k)
-    # On a square grid the eighth neighbour is a diagonal away; rarer than that are the planes of a slow spinner.
+    # On a square grid the eighth neighbour is a diagonal away; the scan planes of a slow spinner are sparser.
     spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))
     near = distance <= _REACH * spacing * radius[:, None]
-    keep = _not_stray(distance / radius[:, None], near)
+    keep = _select_inlier_cells(distance / radius[:, None], near)
     if keep.sum() <= _MIN_NEIGHBOURS:
         return None
     new_index = np.where(keep, np.cumsum(keep) - 1, -1)
     neighbours = np.where(near, new_index[neighbours], -1)[keep]
-    normals, curvature = _normals(means[keep], neighbours)
+    normals, curvature = _estimate_normals(means[keep], neighbours)
     return Cells(means[keep], new_index[cell], spacing, neighbours, normals, curvature)
 
 
-def _ring_elevations(points: Array, rings: NDArray[np.int32] | None) -> Array | None:
+def _find_ring_elevations(points: Array, rings: NDArray[np.int32] | None) -> Array | None:
     """Ascending elevations of the rings of a multi-beam scanner, rad; None if the scanner has no sparse rings."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     if rings is not None:
         levels = np.sort([np.median(elevation[rings == ring]) for ring in np.unique(rings)])
     else:
-        # The elevations of a multi-beam scanner are few narrow peaks.
+        # The histogram of elevations of a multi-beam scanner has few narrow peaks.
         bins = np.floor(elevation / np.radians(0.1)).astype(np.int64)
         values, count = np.unique(bins, return_counts=True)
         values = values[count > 2e-4 * len(points)]
@@ -86,8 +86,8 @@ def _ring_elevations(points: Array, rings: NDArray[np.int32] | None) -> Array | 
     return np.asarray(levels)
 
 
-def _cell_of(points: Array, levels: Array | None, along: float) -> Indices:
-    """Numbers 0..M-1 of the cell that each point belongs to."""
+def _assign_cells(points: Array, levels: Array | None, along: float) -> Indices:
+    """Index 0..M-1 of the cell of each point."""
     radius = np.linalg.norm(points, axis=1)
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     if levels is None:
@@ -102,12 +102,12 @@ def _cell_of(points: Array, levels: Array | None, along: float) -> Indices:
     return np.asarray(cell).ravel()
 
 
-def _means(points: Array, cell: Indices) -> Array:
+def _average_cells(points: Array, cell: Indices) -> Array:
     count = np.bincount(cell)
     return np.stack([np.bincount(cell, points[:, i]) / count for i in range(3)], axis=-1)
 
 
-def _not_stray(relative: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _select_inlier_cells(relative: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Statistical outlier removal (MSG-Cal, III-B) on distances relative to range, as density falls with it."""
     mean = relative.mean(axis=1)
     usual = mean[near.sum(axis=1) > _MIN_NEIGHBOURS]
@@ -116,10 +116,10 @@ def _not_stray(relative: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray((near.sum(axis=1) > _MIN_NEIGHBOURS) & (mean < usual.mean() + 3 * usual.std() + 1e-9))
 
 
-def _normals(points: Array, neighbours: Indices) -> tuple[Array, Array]:
-    there = neighbours >= 0
-    offsets = np.where(there[..., None], points[neighbours] - points[:, None], 0)
-    count = np.maximum(there.sum(axis=1), 1)
+def _estimate_normals(points: Array, neighbours: Indices) -> tuple[Array, Array]:
+    valid = neighbours >= 0
+    offsets = np.where(valid[..., None], points[neighbours] - points[:, None], 0)
+    count = np.maximum(valid.sum(axis=1), 1)
     mean = offsets.sum(axis=1) / count[:, None]
     scatter = np.einsum("nki,nkj->nij", offsets, offsets) / count[:, None, None] - mean[:, :, None] * mean[:, None]
     values, vectors = np.linalg.eigh(scatter)

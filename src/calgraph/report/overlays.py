@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.detection import landmarks
+from calgraph.detection import compute_landmarks
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView, Calibration, SensorPose
 from calgraph.sensors import CameraModel
@@ -78,7 +78,7 @@ def _printed(outline: BoardOutline, rig: Rig) -> Sequence[Array]:
     if outline.board is None or outline.board >= len(rig.boards):
         return ()
     T_root_board = _pose(outline.corners)
-    marks = landmarks(rig.boards[outline.board]).corners
+    marks = compute_landmarks(rig.boards[outline.board]).corners
     return [se3.apply(T_root_board, mark if len(mark) == 1 else _edges(mark)) for mark in marks]
 
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from calgraph.captures import CaptureSet, Hold, RecordingTimeline, SensorCapture, SensorTimes, collect_detections
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
-from calgraph.detection import Detection, PlanePatch, landmarks
-from calgraph.detection.board_edges import BLUR
+from calgraph.detection import Detection, PlanePatch, compute_landmarks
+from calgraph.detection.board_edges import EDGE_BLUR
 from calgraph.detection.board_pose import fit_pose
-from calgraph.detection.camera import board_corners
-from calgraph.detection.lidar2d import segment_between
+from calgraph.detection.camera import make_board_corners
+from calgraph.detection.lidar2d import build_segment
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3
@@ -127,7 +127,7 @@ def _corners(
     camera: CameraModel, board: Board, knobs: DetectionKnobs, T_camera_board: Array, rng: np.random.Generator
 ) -> Found:
     """The pose of the board from its marks that lie in the image as a whole."""
-    marks = landmarks(board)
+    marks = compute_landmarks(board)
     if plane.from_pose(T_camera_board)[3] <= 0:
         return Rejected("the board shows its back")
     true = camera.project(se3.apply(T_camera_board, marks.corners.reshape(-1, 3)))
@@ -138,7 +138,7 @@ def _corners(
     pixels = (true + rng.normal(0.0, knobs.pixel, true.shape)).reshape(*marks.corners.shape[:2], 2)[shown]
     corners = marks.corners[shown]
     pose = fit_pose(marks.ids[shown], corners, pixels, camera, _pixel_noise(knobs).pixel)
-    return pose if isinstance(pose, Rejected) else (board_corners(pose, corners, pixels),)
+    return pose if isinstance(pose, Rejected) else (make_board_corners(pose, corners, pixels),)
 
 
 def _patch(
@@ -177,7 +177,7 @@ def _segment(
     if fit is None:
         return Rejected("the beams graze the board")
     spacing = float(np.diff(scanner.pattern.angles[:2])[0])
-    segment = segment_between(angles[[0, len(hits) - 1]], spacing, fit, points)
+    segment = build_segment(angles[[0, len(hits) - 1]], spacing, fit, points)
     length, least = float(np.linalg.norm(np.diff(segment.endpoints, axis=0))), min(board.size) / 3
     if length < least:
         return Rejected(f"the scan cuts off a corner of the board, {length:.2f} m long")
@@ -214,7 +214,7 @@ def _edges(scanner: MountedScanner, board: Board, T_sensor_board: Array, rng: np
     walls = (np.sign(step) * half - hit[last]) / np.where(step == 0, np.nan, step)
     side = np.nanargmin(walls, axis=1)[:, None]
     share = np.take_along_axis(walls, side, axis=1) - rng.uniform(size=(len(ends), 1))
-    moved = share * step + rng.normal(0.0, BLUR, (len(ends), 2))
+    moved = share * step + rng.normal(0.0, EDGE_BLUR, (len(ends), 2))
     ends_on_board = np.stack([hit[last] + moved, hit[past] + moved], axis=1)
     at = se3.apply(T_sensor_board, np.concatenate([ends_on_board, np.zeros((len(ends), 2, 1))], axis=-1))
     return np.asarray(at / np.linalg.norm(at, axis=-1, keepdims=True))

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.detection import landmarks
+from calgraph.detection import compute_landmarks
 from calgraph.detection.landmarks import Landmarks
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, BundleState, ExtraParameter
@@ -125,7 +125,7 @@ def _intrinsic_parameters(name: str, sensor: int, camera: CameraModel) -> Iterat
 def _add_tag_displacements(bundle: Bundle, rig: Rig, board_of: Index) -> Bundle:
     """Tags may be off their places, but one of each board, the one seen most often: it is where the board is."""
     cameras = {s: own for s, own in enumerate(bundle.views) if isinstance(own, CornerObservations)}
-    printed = [_tag_corners(which, landmarks(board)) for which, board in enumerate(rig.boards)]
+    printed = [_tag_corners(which, compute_landmarks(board)) for which, board in enumerate(rig.boards)]
     on = {s: _find_tags(own, board_of, printed) for s, own in cameras.items()}
     seen = Counter(key for keys in on.values() for key in keys if key != _NO_TAG)
     by_board = groupby(sorted(seen), key=itemgetter(0))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.detection import PlanePatch, Segment
-from calgraph.detection.board_edges import BLUR
+from calgraph.detection.board_edges import EDGE_BLUR
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -142,7 +142,7 @@ class OutlineObservations:
         return replace(
             self,
             side=np.where(certain, nearest, -1).astype(np.int8),
-            sigma=scale * np.hypot(spread, BLUR),
+            sigma=scale * np.hypot(spread, EDGE_BLUR),
             noise_scale=scale,
         )
 
