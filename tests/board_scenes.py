@@ -1,4 +1,4 @@
-"""Boards around a robot, and what its sensors would detect of them: truth plus the noise that is stated."""
+"""Boards around a robot, and their detections: ground truth plus the stated noise."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -17,7 +17,7 @@ def random_pose(rng: np.random.Generator, translation: float = 0.3, rotation: fl
     )
 
 
-def boards(rng: np.random.Generator, count: int, tilt: float = 0.6) -> Array:
+def make_boards(rng: np.random.Generator, count: int, tilt: float = 0.6) -> Array:
     """Boards 1.5–3 m away all around frame a, facing it, turned by up to ``tilt`` about each axis."""
     poses = []
     for _ in range(count):
@@ -32,18 +32,18 @@ def boards(rng: np.random.Generator, count: int, tilt: float = 0.6) -> Array:
     return np.array(poses)
 
 
-def patch(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> PlanePatch:
-    seen = plane.towards_origin(plane.from_pose(T_s_board))
+def make_patch(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> PlanePatch:
+    truth = plane.towards_origin(plane.from_pose(T_s_board))
     # Turned and shifted about the board's centre, as a fit to points on the board is.
     about_center = np.eye(3)
-    about_center[2, :2] = -T_s_board[:3, 3] @ plane.tangent_basis(seen[:3])
+    about_center[2, :2] = -T_s_board[:3, 3] @ plane.tangent_basis(truth[:3])
     root = about_center * [sigma / 0.3, sigma / 0.3, sigma]
-    noisy = plane.retract(seen, root @ rng.normal(size=3))
+    noisy = plane.retract(truth, root @ rng.normal(size=3))
     return PlanePatch(noisy, root @ root.T, np.empty((0, 3)), T_s_board[:3, 3])
 
 
-def segment(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> Segment | None:
-    """The cut of the board with z = 0; None if the scan plane misses it."""
+def make_segment(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> Segment | None:
+    """The intersection of the board with z = 0; None if the scan plane misses it."""
     corners = se3.apply(
         T_s_board, np.array([[x, y, 0] for x, y in ((-0.6, -0.45), (0.6, -0.45), (0.6, 0.45), (-0.6, 0.45))])
     )
@@ -59,16 +59,16 @@ def segment(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) ->
     return Segment(ends, np.diag([sigma**2, sigma**2, 1e-8] * 2), ends)
 
 
-def observe(
+def detect_boards(
     kind: str, T_s_root: Array, boards_root: Array, rng: np.random.Generator, sigma: float = 0.003
 ) -> dict[int, tuple[Detection, ...]]:
-    see: Callable[[Array, np.random.Generator, float], Detection | None] = patch if kind == "plane" else segment
-    seen = {i: see(T_s_root @ T, rng, sigma) for i, T in enumerate(boards_root)}
-    return {i: (d,) for i, d in seen.items() if d is not None}
+    detect: Callable[..., Detection | None] = make_patch if kind == "plane" else make_segment
+    detections = {i: detect(T_s_root @ T, rng, sigma) for i, T in enumerate(boards_root)}
+    return {i: (d,) for i, d in detections.items() if d is not None}
 
 
-def cuts(candidates: Mapping[int, Sequence[Detection]], capture: int) -> Array:
-    """End points (2, 3) of the segment seen in one capture."""
-    (found,) = candidates[capture]
-    assert isinstance(found, Segment)
-    return found.endpoints
+def segment_endpoints(candidates: Mapping[int, Sequence[Detection]], capture: int) -> Array:
+    """End points (2, 3) of the segment detected in one capture."""
+    (segment,) = candidates[capture]
+    assert isinstance(segment, Segment)
+    return segment.endpoints

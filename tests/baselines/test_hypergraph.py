@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from board_scenes import SIZE, boards, observe
+from board_scenes import SIZE, detect_boards, make_boards
 from calgraph.baselines import solve_hypergraph
 from calgraph.errors import Rejected
 from calgraph.estimation import RigSolution
@@ -25,13 +25,13 @@ def world(seed: int, captures: int = 40, moved: int = 0) -> World:
     rng = np.random.default_rng(seed)
     truth = {name: se3.pose(so3.exp(rng.normal(size=3) * 0.2), rng.normal(size=3) * 0.2) for name in KINDS}
     truth["lidar"] = np.eye(4)
-    scene = boards(rng, captures)
+    scene = make_boards(rng, captures)
     seen: dict[str, Candidates] = {}
     for name, kind in KINDS.items():
         slipped = scene.copy()
         for i in rng.choice(captures, moved, replace=False):
             slipped[i] = se3.retract(slipped[i], rng.normal(size=6) * 0.2)
-        seen[name] = observe(kind, se3.inverse(truth[name]), slipped, rng)
+        seen[name] = detect_boards(kind, se3.inverse(truth[name]), slipped, rng)
     found = [
         estimate_pair(a, b, seen[a], seen[b], SIZE, rng)
         for a, b in itertools.combinations(KINDS, 2)

@@ -25,7 +25,7 @@ from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
 from calgraph.tracking import Track, Tracked
-from seen_rigs import Seen, seen
+from detected_rigs import DetectedRig, detect_rig
 
 SCANNERS = Rig(
     root="scanner_1",
@@ -34,9 +34,9 @@ SCANNERS = Rig(
 )
 
 
-def measured(one: Seen) -> dict[str, dict[int, Detection | Rejected]]:
+def measured(one: DetectedRig) -> dict[str, dict[int, Detection | Rejected]]:
     """Detections from nothing but the arrays of what was measured."""
-    cameras, sensors = one.captured.cameras, one.rig.sensors
+    cameras, sensors = one.captures.cameras, one.rig.sensors
 
     def again(name: str, detection: Detection) -> Detection | Rejected:
         if isinstance(detection, BoardCorners):
@@ -49,7 +49,7 @@ def measured(one: Seen) -> dict[str, dict[int, Detection | Rejected]]:
 
     return {
         name: {capture: again(name, found[0]) for capture, found in by.items()}
-        for name, by in one.captured.detections.items()
+        for name, by in one.captures.detections.items()
     }
 
 
@@ -65,14 +65,14 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def calibration(kept: Path) -> Calibration:
-    one = seen()
-    return calibrate_detections(one.rig, measured(one), Options(folds=0, dump=kept), one.captured.cameras)
+    one = detect_rig()
+    return calibrate_detections(one.rig, measured(one), Options(folds=0, dump=kept), one.captures.cameras)
 
 
 def test_rig_is_calibrated_from_arrays(calibration: Calibration) -> None:
     assert {sensor.name for sensor in calibration.sensors} == {"lidar", "camera", "laser_front"}
     # Standard deviations are up to 2.6 mm, in height of the 2-D scanner.
-    assert_close(calibration, seen().T_root_sensor, 0.008)
+    assert_close(calibration, detect_rig().T_root_sensor, 0.008)
 
 
 def test_problem_of_own_detections_is_kept(calibration: Calibration, kept: Path) -> None:

@@ -82,7 +82,7 @@ def _rays(camera: CameraModel, fine: int) -> Array:
 
 
 def _print(board: Board) -> Gray:
-    """The sheet at one pixel a millimetre."""
+    """The print at one pixel a millimetre."""
     sheet = np.full((_px(board.size[1]), _px(board.size[0])), 255, dtype=np.uint8)
     match board.pattern:
         case None:

@@ -1,4 +1,4 @@
-"""Where a sheet ends: at jumps to what lies behind it, and nowhere else."""
+"""Edges of a board: at depth jumps to the background, and nowhere else."""
 
 import numpy as np
 import pytest
@@ -20,70 +20,70 @@ def directions_of(angles: Array) -> Array:
 
 
 def angles_of(edges: Array) -> Array:
-    """(M, 2) rad, those at the lower end of the sheet first."""
+    """(M, 2) rad, those at the lower end of the board first."""
     angles = np.arctan2(edges[..., 1], edges[..., 0])
     return np.asarray(angles[np.argsort(angles[:, 0])])
 
 
-def found(ranges: Array, beams: Index = BEAMS, line: Index | None = None, parallax: float = 0.0) -> Array:
-    """Edges of a sheet at the same distance in all directions, in steps of beams."""
+def edges_of(ranges: Array, beams: Index = BEAMS, line: Index | None = None, parallax: float = 0.0) -> Array:
+    """Edges of a board at the same distance in all directions, in steps of beams."""
     line = np.zeros(len(beams), dtype=np.intp) if line is None else line
     edges = find_board_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, parallax)
     return np.asarray(angles_of(edges) / STEP)
 
 
 def scene(first: int = 10, last: int = 29, behind: float = WALL) -> Array:
-    """Ranges of beams of which those from ``first`` to ``last`` end on the sheet."""
+    """Ranges of beams of which those from ``first`` to ``last`` end on the board."""
     return np.where((first <= BEAMS) & (last >= BEAMS), SHEET, behind)
 
 
-def test_a_sheet_ends_between_the_last_beam_on_it_and_the_first_one_past_it() -> None:
-    np.testing.assert_allclose(found(scene()), [[10, 9], [29, 30]], atol=1e-3)
+def test_edges_lie_between_the_last_beam_on_the_board_and_the_first_one_past_it() -> None:
+    np.testing.assert_allclose(edges_of(scene()), [[10, 9], [29, 30]], atol=1e-3)
 
 
-def test_a_sheet_behind_something_nearer_ends_nowhere() -> None:
+def test_an_occluded_board_has_no_edges() -> None:
     ranges = scene()
     ranges[30:34] = HAND
-    np.testing.assert_allclose(found(ranges), [[10, 9]], atol=1e-3)
+    np.testing.assert_allclose(edges_of(ranges), [[10, 9]], atol=1e-3)
 
 
-def test_a_sheet_that_goes_on_to_the_end_of_the_field_of_view_ends_nowhere_there() -> None:
-    np.testing.assert_allclose(found(scene(last=39)), [[10, 9]], atol=1e-3)
+def test_the_end_of_the_field_of_view_is_no_edge() -> None:
+    np.testing.assert_allclose(edges_of(scene(last=39)), [[10, 9]], atol=1e-3)
 
 
-def test_a_sheet_before_a_wall_just_behind_it_ends_nowhere() -> None:
-    assert len(found(scene(behind=SHEET + 0.08))) == 0
+def test_a_board_close_to_a_wall_has_no_edges() -> None:
+    assert len(edges_of(scene(behind=SHEET + 0.08))) == 0
 
 
-def test_of_a_beam_between_two_depths_the_outline_may_be_on_either_side() -> None:
+def test_a_mixed_pixel_widens_the_edge_by_one_step() -> None:
     ranges = scene()
     ranges[30] = 3.4
-    np.testing.assert_allclose(found(ranges), [[10, 9], [29, 31]], atol=1e-3)
+    np.testing.assert_allclose(edges_of(ranges), [[10, 9], [29, 31]], atol=1e-3)
 
 
-def test_a_missing_beam_at_the_edge_leaves_it_open_over_two_steps() -> None:
+def test_a_missing_beam_at_the_edge_widens_it_by_one_step() -> None:
     there = np.delete(BEAMS, 30)
-    np.testing.assert_allclose(found(scene()[there], there), [[10, 9], [29, 31]], atol=1e-3)
+    np.testing.assert_allclose(edges_of(scene()[there], there), [[10, 9], [29, 31]], atol=1e-3)
 
 
-def test_beyond_a_sheet_before_the_sky_nothing_answers() -> None:
+def test_a_board_with_no_returns_around_it_has_edges() -> None:
     there = np.concatenate([BEAMS[:5], BEAMS[10:30], [200]])
     ranges = np.concatenate([np.full(5, WALL), np.full(20, SHEET), [WALL]])
-    np.testing.assert_allclose(found(ranges, there), [[10, 9], [29, 30]], atol=1e-3)
+    np.testing.assert_allclose(edges_of(ranges, there), [[10, 9], [29, 30]], atol=1e-3)
 
 
-def test_silent_beams_with_the_sheet_on_both_sides_are_no_end_of_it() -> None:
+def test_missing_beams_within_the_board_are_no_edges() -> None:
     there = np.delete(BEAMS, np.arange(15, 21))
-    np.testing.assert_allclose(found(scene()[there], there), [[10, 9], [29, 30]], atol=1e-3)
+    np.testing.assert_allclose(edges_of(scene()[there], there), [[10, 9], [29, 30]], atol=1e-3)
 
 
-def test_lines_are_apart() -> None:
+def test_edges_do_not_span_scan_lines() -> None:
     line = np.where(BEAMS < 20, 0, 1)
     ranges = np.where(BEAMS < 20, SHEET, WALL)
-    assert len(found(ranges, line=line)) == 0
+    assert len(edges_of(ranges, line=line)) == 0
 
 
-def test_directions_of_what_lies_behind_do_not_count_where_beams_start_beside_the_origin() -> None:
+def test_with_parallax_directions_of_the_background_do_not_count() -> None:
     angles = STEP * BEAMS + np.where(scene() == WALL, 0.6 * STEP, 0.0)
     edges = find_board_edges(
         directions_of(angles), scene() - SHEET, np.zeros(40, dtype=np.intp), 0.05, parallax=0.03
@@ -93,15 +93,15 @@ def test_directions_of_what_lies_behind_do_not_count_where_beams_start_beside_th
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_a_few_beams_have_no_edges(count: int) -> None:
-    assert found(np.full(count, SHEET), BEAMS[:count]).shape == (0, 2)
+    assert edges_of(np.full(count, SHEET), BEAMS[:count]).shape == (0, 2)
 
 
-def test_beams_about_a_sheet_are_those_on_it_and_two_on_each_side() -> None:
+def test_selected_beams_are_those_near_the_board_and_two_on_each_side() -> None:
     np.testing.assert_array_equal(select_beams_with_margin(scene() == SHEET), np.arange(8, 32))
 
 
 def test_edges_of_scans_lie_on_either_side_of_the_boards_ends_without_bias() -> None:
-    """A board across the view; over many phases of the beams, middles of the pairs are where it ends."""
+    """A board across the view; over many phases of the beams, the pairs are centred on its ends."""
     rng, step, half = np.random.default_rng(0), np.radians(0.25), 0.5
     off, widths = [], []
     for _ in range(60):

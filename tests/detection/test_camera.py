@@ -136,7 +136,7 @@ def test_mean_of_the_tags_planes_is_less_certain_than_one_pnp(render: Render, rn
     ("board", "roll"),
     [(CHECKERBOARD, 0.0), (CHECKERBOARD, 1.5), (CHECKERBOARD, 3.1), (SQUARE, 0.0), (SQUARE, 1.5), (SQUARE, -1.5)],
 )
-def test_colours_tell_which_side_of_a_checkerboard_is_up(
+def test_colours_determine_which_side_of_a_checkerboard_is_up(
     board: Board, roll: float, render: Render, rng: np.random.Generator
 ) -> None:
     T = a_pose((0.1, 0.2, 0))
@@ -152,35 +152,35 @@ def test_symmetric_checkerboard_is_taken_as_upright(render: Render, rng: np.rand
     assert np.linalg.norm(se3.difference(found.T_camera_board, T)[3:]) < 0.02
 
 
-def test_a_covered_tag_is_done_without(render: Render, rng: np.random.Generator) -> None:
+def test_a_covered_tag_is_left_out(render: Render, rng: np.random.Generator) -> None:
     T = a_pose()
     two = Board(size=(1.0, 0.8), tags=TAGS[:2])
     found = detect(TAGGED, render(two, CAMERA, T, rng))
     assert len(found.pixels) == 8
 
 
-def test_a_tag_half_out_of_the_image_is_done_without(render: Render, rng: np.random.Generator) -> None:
+def test_a_tag_half_out_of_the_image_is_left_out(render: Render, rng: np.random.Generator) -> None:
     found = detect(TAGGED, render(TAGGED, CAMERA, a_pose((0, 0, 0), (-1.45, 0, 2)), rng))
     assert found.corners_board[:, 0].min() > -0.13
 
 
-def test_small_tags_are_found_where_large_ones_expect_them(render: Render, rng: np.random.Generator) -> None:
+def test_small_tags_are_found_where_large_ones_predict_them(render: Render, rng: np.random.Generator) -> None:
     board = Board(size=(1.0, 0.8), tags=(*TAGS[:2], Tag(id=9, size=0.06, center=(0, -0.2))))
     found = detect(board, render(board, CAMERA, a_pose((0.2, 0.1, 0), (0, 0, 2.6)), rng))
     assert len(found.pixels) == 12
 
 
-def test_a_dim_and_noisy_image_will_do(render: Render, rng: np.random.Generator) -> None:
+def test_board_is_detected_in_a_dim_and_noisy_image(render: Render, rng: np.random.Generator) -> None:
     pixels = render(TAGGED, CAMERA, a_pose(), rng, contrast=0.15, noise=3.0)
     assert len(detect(TAGGED, pixels).pixels) == 12
 
 
-def test_colour_images_will_do(render: Render, rng: np.random.Generator) -> None:
+def test_board_is_detected_in_colour_images(render: Render, rng: np.random.Generator) -> None:
     pixels = cv2.cvtColor(render(TAGGED, CAMERA, a_pose(), rng), cv2.COLOR_GRAY2BGR)
     assert len(detect(TAGGED, np.asarray(pixels, dtype=np.uint8)).pixels) == 12
 
 
-def test_several_boards_are_told_apart(render: Render, rng: np.random.Generator) -> None:
+def test_several_boards_are_distinguished(render: Render, rng: np.random.Generator) -> None:
     left = Board(size=(0.4, 0.4), tags=(Tag(id=1, size=0.3),))
     right = Board(size=(0.4, 0.4), tags=(Tag(id=2, size=0.3),))
     a, b = (render(board, CAMERA, a_pose(t=(x, 0, 2)), rng) for board, x in ((left, -0.5), (right, 0.5)))
@@ -203,7 +203,7 @@ def test_a_board_that_moved_is_rejected(render: Render, rng: np.random.Generator
     assert "moved between images" in reason(find_boards(images, [TAGGED], SMALL, NOISE))
 
 
-def test_an_image_without_the_board_is_done_without(render: Render, rng: np.random.Generator) -> None:
+def test_an_image_without_the_board_is_left_out(render: Render, rng: np.random.Generator) -> None:
     empty = np.full((480, 640), 90, dtype=np.uint8)
     images = [image(empty), image(render(TAGGED, SMALL, a_pose(), rng))]
     assert len(one(find_boards(images, [TAGGED], SMALL, NOISE)).pixels) == 12
@@ -223,32 +223,32 @@ def noise_image(rng: np.random.Generator) -> Gray:
         (APRILGRID, "no tag of family tag36h11 found; ids 0 to 24 expected"),
     ],
 )
-def test_a_miss_says_what_was_looked_for(board: Board, message: str, rng: np.random.Generator) -> None:
+def test_rejection_names_what_was_expected(board: Board, message: str, rng: np.random.Generator) -> None:
     assert reason(find_boards([image(noise_image(rng))], [board], SMALL, NOISE)) == message
 
 
 def test_tags_of_another_board_are_named(render: Render, rng: np.random.Generator) -> None:
     other = Board(size=(1.0, 0.8), tags=(Tag(id=17, size=0.3),))
     found = find_boards([image(render(other, SMALL, a_pose(), rng))], [TAGGED], SMALL, NOISE)
-    assert reason(found) == "only id 17 seen, which is not on the board; ids 3, 5, 7 expected"
+    assert reason(found) == "only id 17 detected, which is not on the board; ids 3, 5, 7 expected"
 
 
-def test_a_dark_image_is_called_dark() -> None:
+def test_rejection_names_a_dark_image() -> None:
     dark = np.full((480, 640), 3, dtype=np.uint8)
     assert "too dark" in reason(find_boards([image(dark)], [TAGGED], SMALL, NOISE))
 
 
-def test_a_blank_image_is_called_blank() -> None:
+def test_rejection_names_a_blank_image() -> None:
     assert "blank" in reason(
         find_boards([image(np.full((480, 640), 200, dtype=np.uint8))], [TAGGED], SMALL, NOISE)
     )
 
 
-def test_no_images_are_a_miss() -> None:
+def test_no_images_are_rejected() -> None:
     assert reason(find_boards([], [TAGGED], SMALL, NOISE)) == "no image in this capture"
 
 
-def test_a_bare_board_cannot_be_seen() -> None:
+def test_a_board_without_a_print_is_rejected() -> None:
     bare = Board(size=(1, 1))
     assert "no board with tags" in reason(
         find_boards([image(np.zeros((480, 640), np.uint8))], [bare], SMALL, NOISE)
@@ -265,7 +265,7 @@ def test_boards_that_share_a_tag_are_refused() -> None:
         CameraDetector([TAGGED, TAGGED], CAMERA, NOISE)
 
 
-def test_detectors_can_be_built_and_dropped_at_will() -> None:
+def test_detectors_can_be_built_and_deleted_repeatedly() -> None:
     """The AprilTag library corrupts the heap when it frees its families by itself."""
     blank = [image(np.zeros((480, 640), np.uint8))]
     found = [CameraDetector([BOARDS["tag25h9"]], SMALL, NOISE).find(blank) for _ in range(10)]
@@ -290,7 +290,7 @@ def test_bent_edges_do_not_shift_the_corners_of_tags(
 
 @pytest.mark.parametrize("camera", [SMALL, BARREL, FISHEYE], ids=["pinhole", "barrel", "fisheye"])
 @pytest.mark.parametrize("name", ["tags", "charuco", "aprilgrid"])
-def test_a_board_that_leaves_the_image_is_found_by_the_rest(
+def test_a_board_partly_outside_the_image_is_detected(
     name: str, camera: CameraModel, render: Render, rng: np.random.Generator
 ) -> None:
     """Its centre lies near the image's left edge."""

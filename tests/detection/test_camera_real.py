@@ -110,9 +110,11 @@ def test_tags_of_a_kalibr_grid_lie_on_one_plane_as_printed(name: str, data_dir: 
     board = Board(
         size=(0.8, 0.8), pattern=AprilGrid(kind="aprilgrid", columns=6, rows=6, tag_size=0.088, tag_spacing=0.3)
     )
-    seen = GridFinder("tag36h11").find(gray(data_dir / "apriltag-images" / "aprilgrid_phone" / f"{name}.jpg"))
-    corners = compute_landmarks(board).corners_of(seen.ids)[..., :2].reshape(-1, 2)
-    H, _ = cv2.findHomography(corners, seen.pixels.reshape(-1, 2))
-    away = np.linalg.norm(cv2.perspectiveTransform(corners[:, None], H)[:, 0] - seen.pixels.reshape(-1, 2), axis=1)
-    assert len(seen) == {"001": 36, "004": 21}[name]
+    marks = GridFinder("tag36h11").find(gray(data_dir / "apriltag-images" / "aprilgrid_phone" / f"{name}.jpg"))
+    corners = compute_landmarks(board).corners_of(marks.ids)[..., :2].reshape(-1, 2)
+    H, _ = cv2.findHomography(corners, marks.pixels.reshape(-1, 2))
+    away = np.linalg.norm(
+        cv2.perspectiveTransform(corners[:, None], H)[:, 0] - marks.pixels.reshape(-1, 2), axis=1
+    )
+    assert len(marks) == {"001": 36, "004": 21}[name]
     assert np.median(away) < 3  # of 4080 pixels, through a lens of unknown distortion

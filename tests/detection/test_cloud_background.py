@@ -1,4 +1,4 @@
-"""What is new in a cloud against the background."""
+"""Foreground of a cloud against the background."""
 
 from time import perf_counter
 
@@ -18,23 +18,23 @@ def wall_cloud(rng: np.random.Generator, count: int = 20_000, noise: float = 0.0
     return PointCloud(0.0, "scanner", np.column_stack([x + rng.normal(0, noise, count), yz]))
 
 
-def test_noise_at_a_voxels_border_does_not_let_the_background_through(rng: np.random.Generator) -> None:
+def test_noise_at_the_border_of_a_voxel_is_background(rng: np.random.Generator) -> None:
     background = CloudBackground.build([wall_cloud(rng) for _ in range(3)])
     assert background.foreground(wall_cloud(rng).points).sum() == 0
 
 
-def test_a_board_before_the_wall_is_new(rng: np.random.Generator) -> None:
+def test_a_board_before_the_wall_is_foreground(rng: np.random.Generator) -> None:
     background = CloudBackground.build([wall_cloud(rng) for _ in range(3)])
     assert background.foreground(wall_cloud(rng, 1000, x=3.5).points).sum() == 1000
 
 
-def test_points_behind_the_background_are_not_new(rng: np.random.Generator) -> None:
+def test_points_behind_the_background_are_not_foreground(rng: np.random.Generator) -> None:
     background = CloudBackground.build([wall_cloud(rng) for _ in range(3)])
     behind = wall_cloud(rng, 1000, x=5.0).points
     assert background.foreground(behind * [1, 0.5, 0.5]).sum() == 0
 
 
-def test_directions_never_seen_before_are_new(rng: np.random.Generator) -> None:
+def test_directions_without_background_are_foreground(rng: np.random.Generator) -> None:
     background = CloudBackground.build([wall_cloud(rng)])
     assert background.foreground(np.array([[-6.0, 0, 0], [0, -30.0, 2.0]])).tolist() == [True, True]
 
@@ -49,7 +49,7 @@ def test_subtracting_100000_points_is_quick(rng: np.random.Generator) -> None:
 
 
 @given(st.lists(st.tuples(*[st.floats(-200, 200)] * 3), min_size=1, max_size=30), st.floats(0.02, 0.5))
-def test_background_points_are_never_new(points: list[tuple[float, float, float]], voxel: float) -> None:
+def test_background_points_are_never_foreground(points: list[tuple[float, float, float]], voxel: float) -> None:
     cloud = PointCloud(0.0, "scanner", np.array(points))
     assert not CloudBackground.build([cloud], voxel).foreground(cloud.points).any()
 

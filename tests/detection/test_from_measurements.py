@@ -1,4 +1,4 @@
-"""Detections from arrays: what a program of the user's own has found on the board."""
+"""Detections from arrays that were segmented outside calgraph."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ BOARD = np.array([-np.cos(0.3), -np.sin(0.3), 0.0, 2.0])
 
 
 def on_board(rng: np.random.Generator, directions: Array, sigma: float) -> Array:
-    """Where beams end on BOARD, with noise along them."""
+    """The ends of beams on BOARD, with noise along them."""
     ranges = -BOARD[3] / (directions @ BOARD[:3]) + rng.normal(0, sigma, len(directions))
     return np.asarray(ranges[:, None] * directions)
 
@@ -53,7 +53,7 @@ def test_corners_give_the_pose_within_their_covariance() -> None:
     assert 4.2 < np.mean(distances) < 7.8
 
 
-def test_corner_that_contradicts_the_others_is_left_out(rng: np.random.Generator) -> None:
+def test_an_outlier_among_corners_is_left_out(rng: np.random.Generator) -> None:
     pixels = corners(rng)
     pixels[3] += 25
     found = board_corners_from_pixels(CORNERS, pixels, CAMERA)
@@ -89,7 +89,7 @@ def test_beams_give_the_cut_of_the_board(rng: np.random.Generator) -> None:
     assert np.abs(found.endpoints - ends).max() < 0.005
 
 
-def test_board_behind_the_scanner_is_not_cut_where_angles_wrap(rng: np.random.Generator) -> None:
+def test_board_behind_the_scanner_is_not_split_where_angles_wrap(rng: np.random.Generator) -> None:
     half_turn = np.diag([-1.0, -1, 1])
     found = segment_from_points(on_board(rng, fan(-0.2, 0.2, 60), 0.003) @ half_turn)
     assert isinstance(found, Segment)
@@ -142,6 +142,6 @@ def test_beams_off_the_scan_plane_are_an_error() -> None:
         segment_from_points(np.ones((5, 3)))
 
 
-def test_as_many_pixels_as_corners_are_asked_for(rng: np.random.Generator) -> None:
+def test_pixels_must_be_as_many_as_corners(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="pixels: must be as many as corners_board, 35, got 34"):
         board_corners_from_pixels(CORNERS, corners(rng)[:-1], CAMERA)

@@ -25,7 +25,7 @@ def test_checkerboard_corners_start_at_the_top_left() -> None:
 
 
 @pytest.mark.parametrize("pattern", [CHARUCO, APRILGRID], ids=["charuco", "aprilgrid"])
-def test_pattern_is_centred_on_the_sheet(pattern: Charuco | AprilGrid) -> None:
+def test_pattern_is_centred_on_the_board(pattern: Charuco | AprilGrid) -> None:
     corners = compute_landmarks(Board(size=(1, 1), pattern=pattern)).corners.reshape(-1, 3)
     np.testing.assert_allclose(corners.min(axis=0) + corners.max(axis=0), 0, atol=1e-15)
 

@@ -68,7 +68,7 @@ def measure(
     return LaserScan(0.0, "laser", angles, ranges)
 
 
-def found(result: tuple[Segment, ...] | Rejected) -> tuple[Segment, ...]:
+def accepted(result: tuple[Segment, ...] | Rejected) -> tuple[Segment, ...]:
     assert not isinstance(result, Rejected), result.reason
     return result
 
@@ -86,20 +86,20 @@ def distances(segment: Segment, ends: Array = ENDS) -> Array:
 
 
 def test_finds_a_board_without_background(rng: np.random.Generator) -> None:
-    best = found(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
     assert np.abs(distances(best)).max() < 0.01
     assert np.linalg.norm(best.endpoints[:, :2] - ENDS, axis=1).max() < 0.04
 
 
 def test_finds_a_board_with_background(rng: np.random.Generator) -> None:
     background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
-    segments = found(find_segments([measure(rng)], [BOARD], NOISE, background, rng))
+    segments = accepted(find_segments([measure(rng)], [BOARD], NOISE, background, rng))
     assert len(segments) == 1
     assert np.abs(distances(segments[0])).max() < 0.01
 
 
 def test_end_points_come_in_order_of_angle(rng: np.random.Generator) -> None:
-    for segment in found(find_segments([measure(rng)], [BOARD], NOISE, None, rng)):
+    for segment in accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng)):
         first, last = np.arctan2(segment.endpoints[:, 1], segment.endpoints[:, 0])
         assert first < last
 
@@ -108,7 +108,7 @@ def test_operator_beside_the_board_does_not_extend_it(rng: np.random.Generator) 
     background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
     leg = (*(ENDS[1] + 0.08 * ALONG), 0.08)
     scan = measure(rng, legs=[(float(leg[0]), float(leg[1]), leg[2])])
-    best = found(find_segments([scan], [BOARD], NOISE, background, rng))[0]
+    best = accepted(find_segments([scan], [BOARD], NOISE, background, rng))[0]
     assert np.linalg.norm(best.endpoints[1, :2] - ENDS[1]) < 0.06
     assert np.abs(distances(best)).max() < 0.015
 
@@ -120,8 +120,8 @@ def test_a_body_alone_is_a_bad_match(rng: np.random.Generator) -> None:
 
 
 def test_repeated_scans_are_averaged(rng: np.random.Generator) -> None:
-    one = found(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
-    many = found(find_segments([measure(rng) for _ in range(16)], [BOARD], NOISE, None, rng))[0]
+    one = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    many = accepted(find_segments([measure(rng) for _ in range(16)], [BOARD], NOISE, None, rng))[0]
     n = np.array([-ALONG[1], ALONG[0], 0])
     ratio = (n @ many.covariance[:3, :3] @ n) / (n @ one.covariance[:3, :3] @ n)
     assert np.sqrt(ratio) == pytest.approx(0.25, rel=0.2)
@@ -130,21 +130,21 @@ def test_repeated_scans_are_averaged(rng: np.random.Generator) -> None:
 def test_a_board_across_the_seam_of_a_full_turn_is_one_segment(rng: np.random.Generator) -> None:
     around = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     ends = np.array([[1.5, -0.4], [1.6, 0.5]])
-    best = found(find_segments([measure(rng, ends=ends, angles=around)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([measure(rng, ends=ends, angles=around)], [BOARD], NOISE, None, rng))[0]
     assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.906, abs=0.04)
 
 
-def test_dark_print_that_swallows_beams_does_not_split_the_board(rng: np.random.Generator) -> None:
+def test_beams_missing_in_dark_print_do_not_split_the_board(rng: np.random.Generator) -> None:
     scan = measure(rng, dropouts=0.3)
-    best = found(find_segments([scan], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([scan], [BOARD], NOISE, None, rng))[0]
     assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(LENGTH, abs=0.05)
 
 
 def test_descending_angles_are_the_same_scan(rng: np.random.Generator) -> None:
     scan = measure(rng)
     reverse = LaserScan(0.0, "laser", scan.angles[::-1], scan.ranges[::-1])
-    forward = found(find_segments([scan], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
-    backward = found(find_segments([reverse], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
+    forward = accepted(find_segments([scan], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
+    backward = accepted(find_segments([reverse], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
     assert np.allclose(forward.endpoints, backward.endpoints)
 
 
@@ -158,7 +158,7 @@ def test_covariance_is_that_of_repeated_scans() -> None:
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         scan = measure(rng, walls=[], angles=near)
-        best = found(find_segments([scan], [BOARD], NOISE, None, rng))[0]
+        best = accepted(find_segments([scan], [BOARD], NOISE, None, rng))[0]
         error = distances(best)
         total += float(error @ np.linalg.solve(N @ best.covariance @ N.T, error))
     low, high = chi2.ppf([0.005, 0.995], 2 * seeds)
@@ -166,7 +166,7 @@ def test_covariance_is_that_of_repeated_scans() -> None:
 
 
 def test_end_points_are_uncertain_by_the_beam_spacing_along_the_line(rng: np.random.Generator) -> None:
-    best = found(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
     t = np.append(ALONG, 0)
     for i in range(2):
         end = best.endpoints[i]
@@ -184,29 +184,29 @@ def test_a_wall_is_too_long(rng: np.random.Generator) -> None:
     assert "4.9" in reason or "5.0" in reason
 
 
-def test_says_that_there_was_no_scan(rng: np.random.Generator) -> None:
+def test_rejection_names_missing_scans(rng: np.random.Generator) -> None:
     assert "no scan" in rejection(find_segments([], [BOARD], NOISE, None, rng))
 
 
-def test_says_that_a_scan_is_empty(rng: np.random.Generator) -> None:
+def test_rejection_names_empty_scans(rng: np.random.Generator) -> None:
     blind = LaserScan(0.0, "laser", ANGLES, np.full(len(ANGLES), np.inf))
     assert "no steady returns" in rejection(find_segments([blind], [BOARD], NOISE, None, rng))
 
 
-def test_says_that_nothing_is_new(rng: np.random.Generator) -> None:
+def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
     background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
     still = [measure(rng, ends=None) for _ in range(5)]
     assert "no foreground beams" in rejection(find_segments(still, [BOARD], NOISE, background, rng))
 
 
-def test_says_that_few_beams_hit_the_board(rng: np.random.Generator) -> None:
+def test_rejection_names_too_few_beams(rng: np.random.Generator) -> None:
     edge_on = np.array([[2.0, 0.5], [2.3, 0.6]])
     scan = measure(rng, ends=edge_on, walls=[], dropouts=0.0)
     assert "seen edge-on" in rejection(find_segments([scan], [BOARD], NOISE, None, rng))
 
 
 def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random.Generator) -> None:
-    """The sheet is 0.50 x 0.30 m by the proportions of the images; it stands 0.7 to 1.2 m before the scanner."""
+    """The board is 0.50 x 0.30 m by the proportions of the images, 0.7 to 1.2 m before the scanner."""
     files = sorted((data_dir / "acfr-rpg-camera-2dlidar" / "lasers").glob("*.pcd"))
     assert len(files) == 5
     for file in files:
@@ -216,6 +216,6 @@ def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random
         scan = LaserScan(
             0.0, "laser", np.arctan2(xy[:, 1], xy[:, 0])[order], np.where(ranges > 0, ranges, np.inf)[order]
         )
-        best = found(find_segments([scan], [Board(size=(0.5, 0.3))], RangeNoise(), None, rng))[0]
+        best = accepted(find_segments([scan], [Board(size=(0.5, 0.3))], RangeNoise(), None, rng))[0]
         assert 0.7 < best.center[0] < 1.2
         assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.5, abs=0.04)

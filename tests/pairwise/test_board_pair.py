@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from board_scenes import SIZE, boards, cuts, observe, patch, random_pose
+from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import estimate_pair, evaluate_coplanarity
@@ -23,14 +23,14 @@ def test_pair_is_found_among_disturbed_captures(
     kind_a: str, kind_b: str, metres: float, degrees: float, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    scene = boards(rng, 60)
+    scene = make_boards(rng, 60)
     moved = scene.copy()
     for i in rng.choice(60, 8, replace=False):
         moved[i] = se3.retract(moved[i], rng.normal(size=6) * 0.3)
     # Scanners that see each other's board are mounted with some tilt, at different places.
     T_a_b = random_pose(rng, rotation=3.0 if kind_a == kind_b else 0.6)
-    a = observe(kind_a, np.eye(4), scene, rng)
-    b = observe(kind_b, se3.inverse(T_a_b), moved, rng)
+    a = detect_boards(kind_a, np.eye(4), scene, rng)
+    b = detect_boards(kind_b, se3.inverse(T_a_b), moved, rng)
     found = estimate_pair("a", "b", a, b, SIZE, rng)
     assert not isinstance(found, Rejected), found
     assert error(found.T_a_b, T_a_b) < (metres, degrees)
@@ -41,34 +41,40 @@ def test_two_line_scanners_explain_new_boards(seed: int) -> None:
     """Coplanarity leaves the turn about the scan planes' common line open; all else must hold for new boards."""
     rng = np.random.default_rng(seed)
     T_a_b = se3.pose(so3.exp(np.array([0.5, 0.3, 0.4])), np.array([0.3, -0.2, 0.1]))
-    scene = boards(rng, 60)
+    scene = make_boards(rng, 60)
     moved = scene.copy()
     for i in rng.choice(60, 8, replace=False):
         moved[i] = se3.retract(moved[i], rng.normal(size=6) * 0.3)
     found = estimate_pair(
         "a",
         "b",
-        observe("line", np.eye(4), scene, rng),
-        observe("line", se3.inverse(T_a_b), moved, rng),
+        detect_boards("line", np.eye(4), scene, rng),
+        detect_boards("line", se3.inverse(T_a_b), moved, rng),
         SIZE,
         rng,
     )
     assert not isinstance(found, Rejected), found
-    new = boards(rng, 40)
-    a, b = observe("line", np.eye(4), new, rng, 1e-9), observe("line", se3.inverse(T_a_b), new, rng, 1e-9)
-    gaps = [evaluate_coplanarity(found.T_a_b, cuts(a, i), cuts(b, i))[0] for i in set(a) & set(b)]
+    new = make_boards(rng, 40)
+    a, b = (
+        detect_boards("line", np.eye(4), new, rng, 1e-9),
+        detect_boards("line", se3.inverse(T_a_b), new, rng, 1e-9),
+    )
+    gaps = [
+        evaluate_coplanarity(found.T_a_b, segment_endpoints(a, i), segment_endpoints(b, i))[0]
+        for i in set(a) & set(b)
+    ]
     assert np.sqrt(np.mean(np.square(gaps))) < 0.015
     spread = np.linalg.eigvalsh(found.information)
     assert spread[0] < 1e-3 * spread[1]
 
 
 def test_the_right_one_of_several_candidates_is_picked(rng: np.random.Generator) -> None:
-    scene = boards(rng, 30)
+    scene = make_boards(rng, 30)
     T_a_b = random_pose(rng)
-    a = observe("plane", np.eye(4), scene, rng)
+    a = detect_boards("plane", np.eye(4), scene, rng)
     b = {
-        i: (patch(se3.inverse(T_a_b) @ boards(rng, 1)[0], rng), *seen)
-        for i, seen in observe("plane", se3.inverse(T_a_b), scene, rng).items()
+        i: (make_patch(se3.inverse(T_a_b) @ make_boards(rng, 1)[0], rng), *seen)
+        for i, seen in detect_boards("plane", se3.inverse(T_a_b), scene, rng).items()
     }
     found = estimate_pair("a", "b", a, b, SIZE, rng)
     assert not isinstance(found, Rejected)
@@ -77,8 +83,8 @@ def test_the_right_one_of_several_candidates_is_picked(rng: np.random.Generator)
 
 
 def test_too_few_common_captures_are_said(rng: np.random.Generator) -> None:
-    scene = boards(rng, 2)
-    seen = observe("plane", np.eye(4), scene, rng)
+    scene = make_boards(rng, 2)
+    seen = detect_boards("plane", np.eye(4), scene, rng)
     found = estimate_pair("a", "b", seen, seen, SIZE, rng)
     assert isinstance(found, Rejected)
     assert "2 captures" in found.reason
@@ -86,12 +92,12 @@ def test_too_few_common_captures_are_said(rng: np.random.Generator) -> None:
 
 def test_upright_boards_leave_height_roll_and_pitch_open(rng: np.random.Generator) -> None:
     """Upright boards in an upright scanner's plane: only x, y and yaw can be known, and those are right."""
-    scene = boards(rng, 12, tilt=0.0)
+    scene = make_boards(rng, 12, tilt=0.0)
     for i in range(12):
         scene[i, :3, :3] = so3.exp(np.array([0, 0, rng.uniform(-0.6, 0.6)])) @ scene[i, :3, :3]
     T_a_b = se3.pose(so3.exp(np.array([0, 0, 0.3])), np.array([0.2, -0.1, 0.0]))
-    a = observe("plane", np.eye(4), scene, rng)
-    b = observe("line", se3.inverse(T_a_b), scene, rng)
+    a = detect_boards("plane", np.eye(4), scene, rng)
+    b = detect_boards("line", se3.inverse(T_a_b), scene, rng)
     found = estimate_pair("a", "b", a, b, SIZE, rng)
     assert not isinstance(found, Rejected)
     known = [0, 1, 5]

@@ -3,17 +3,20 @@
 import numpy as np
 import pytest
 
-from board_scenes import boards, cuts, observe, random_pose
+from board_scenes import detect_boards, make_boards, random_pose, segment_endpoints
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import evaluate_coplanarity
 from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
 
 
 def segments(T_a_b: Array, rng: np.random.Generator, count: int = 40, sigma: float = 1e-9) -> Array:
-    scene = boards(rng, count)
-    a, b = observe("line", np.eye(4), scene, rng, sigma), observe("line", se3.inverse(T_a_b), scene, rng, sigma)
+    scene = make_boards(rng, count)
+    a, b = (
+        detect_boards("line", np.eye(4), scene, rng, sigma),
+        detect_boards("line", se3.inverse(T_a_b), scene, rng, sigma),
+    )
     common = sorted(set(a) & set(b))
-    return np.array([[cuts(seen, i) for i in common] for seen in (a, b)])[:, None]
+    return np.array([[segment_endpoints(seen, i) for i in common] for seen in (a, b)])[:, None]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from board_scenes import SIZE, boards, patch, random_pose
+from board_scenes import SIZE, make_boards, make_patch, random_pose
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
@@ -13,7 +13,7 @@ CAPTURES = 12
 
 
 def corners(T_s_board: Array, board: int, rng: np.random.Generator) -> BoardCorners:
-    seen = patch(T_s_board, rng)
+    seen = make_patch(T_s_board, rng)
     return BoardCorners(
         np.zeros((4, 3)), np.zeros((4, 2)), T_s_board, 1e-6 * np.eye(6), seen.plane, seen.covariance, 0.1, board
     )
@@ -21,7 +21,7 @@ def corners(T_s_board: Array, board: int, rng: np.random.Generator) -> BoardCorn
 
 def scene(rng: np.random.Generator) -> tuple[Array, Array]:
     """Two boards (C, 4, 4) in every capture."""
-    both = boards(rng, 2 * CAPTURES)
+    both = make_boards(rng, 2 * CAPTURES)
     return both[:CAPTURES], both[CAPTURES:]
 
 
@@ -36,7 +36,7 @@ def by_lidar(T_s_root: Array, both: tuple[Array, Array], rng: np.random.Generato
     found: dict[int, tuple[Detection, ...]] = {}
     for i in range(CAPTURES):
         order = rng.permutation(2)
-        found[i] = tuple(patch(T_s_root @ both[k][i], rng) for k in order)
+        found[i] = tuple(make_patch(T_s_root @ both[k][i], rng) for k in order)
     return found
 
 

@@ -10,32 +10,32 @@ from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_boa
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
-from seen_rigs import QUICK, Seen, seen
+from detected_rigs import QUICK, DetectedRig, detect_rig
 
 
 @pytest.fixture(scope="module")
-def one() -> Seen:
-    return seen(QUICK)
+def one() -> DetectedRig:
+    return detect_rig(QUICK)
 
 
 @pytest.fixture(scope="module")
-def joint(one: Seen) -> RigSolution:
-    return one.solved()
+def joint(one: DetectedRig) -> RigSolution:
+    return one.solve()
 
 
 @pytest.fixture(scope="module")
-def used(one: Seen) -> InlierResiduals:
-    return {(n, name): {0: [0.0]} for name, by in one.captured.detections.items() for n in by}
+def used(one: DetectedRig) -> InlierResiduals:
+    return {(n, name): {0: [0.0]} for name, by in one.captures.detections.items() for n in by}
 
 
 @pytest.fixture(scope="module")
-def views(one: Seen, used: InlierResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
-    return collect_board_views(one.captured, used, joint)
+def views(one: DetectedRig, used: InlierResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
+    return collect_board_views(one.captures, used, joint)
 
 
 @pytest.fixture(scope="module")
-def outlines(one: Seen, used: InlierResiduals, joint: RigSolution) -> tuple[BoardOutline, ...]:
-    return collect_board_outlines(one.rig, one.captured, used, joint)
+def outlines(one: DetectedRig, used: InlierResiduals, joint: RigSolution) -> tuple[BoardOutline, ...]:
+    return collect_board_outlines(one.rig, one.captures, used, joint)
 
 
 def offs(views: tuple[BoardView, ...], kind: int) -> Array:
@@ -43,12 +43,12 @@ def offs(views: tuple[BoardView, ...], kind: int) -> Array:
     return np.concatenate([v.residuals for v in views if v.residuals is not None and v.residuals.ndim == kind])
 
 
-def test_every_detection_has_a_view(one: Seen, views: tuple[BoardView, ...]) -> None:
-    detected = {(n, name) for name, by in one.captured.detections.items() for n in by}
+def test_every_detection_has_a_view(one: DetectedRig, views: tuple[BoardView, ...]) -> None:
+    detected = {(n, name) for name, by in one.captures.detections.items() for n in by}
     assert {(v.capture, v.sensor) for v in views} == detected
 
 
-def test_corners_are_off_by_their_noise(one: Seen, views: tuple[BoardView, ...]) -> None:
+def test_corners_are_off_by_their_noise(one: DetectedRig, views: tuple[BoardView, ...]) -> None:
     """A board's six unknowns are fitted to 24 numbers, and less than the noise remains."""
     stated = next(iter(one.rig.cameras().values())).noise.pixel
     assert 0.6 * stated < np.sqrt(np.mean(offs(views, 2) ** 2)) < 1.1 * stated
@@ -74,7 +74,7 @@ def test_distances_are_positive_beyond_the_sheet_as_the_scanner_sees_it(
         np.testing.assert_allclose(view.residuals, (se3.apply(T, view.measured) - corners[0]) @ normal, atol=1e-9)
 
 
-def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline, ...]) -> None:
+def test_sheets_are_where_the_board_was(one: DetectedRig, outlines: tuple[BoardOutline, ...]) -> None:
     """Wherever a camera saw it, corner by corner."""
     pictured = [o for o in outlines if o.board is not None]
     assert len(pictured) > 10
@@ -85,12 +85,14 @@ def test_sheets_are_where_the_board_was(one: Seen, outlines: tuple[BoardOutline,
         assert np.linalg.norm(outline.corners - truth, axis=1).max() < 0.02
 
 
-def test_without_a_bundle_nothing_is_predicted(one: Seen, used: InlierResiduals, joint: RigSolution) -> None:
+def test_without_a_bundle_nothing_is_predicted(
+    one: DetectedRig, used: InlierResiduals, joint: RigSolution
+) -> None:
     other = replace(joint, solved_bundle=None, estimator="hypergraph")
-    views = collect_board_views(one.captured, used, other)
+    views = collect_board_views(one.captures, used, other)
     assert all(v.used and v.residuals is None for v in views)
-    outlines = collect_board_outlines(one.rig, one.captured, used, other)
+    outlines = collect_board_outlines(one.rig, one.captures, used, other)
     seen_by_cameras = {
-        n for by in one.captured.detections.values() for n, d in by.items() if isinstance(d[0], BoardCorners)
+        n for by in one.captures.detections.values() for n, d in by.items() if isinstance(d[0], BoardCorners)
     }
     assert {o.capture for o in outlines if o.board == 0} == seen_by_cameras

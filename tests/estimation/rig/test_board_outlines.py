@@ -8,7 +8,7 @@ from calgraph.config import Board
 from calgraph.detection import BoardCorners, Detection
 from calgraph.geometry import se3
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs
-from seen_rigs import QUICK, seen
+from detected_rigs import QUICK, detect_rig
 
 FINE = QUICK.model_copy(
     update={
@@ -27,8 +27,8 @@ def without_edges(_: str, detection: Detection) -> Detection:
 
 
 def test_without_cameras_sheets_lie_where_they_were_seen_to_end() -> None:
-    one = seen(BLIND)
-    adjusted = one.solved().solved_bundle
+    one = detect_rig(BLIND)
+    adjusted = one.solve().solved_bundle
     assert adjusted is not None
     boards = {i: board.T_root_board for i, board in enumerate(one.truth.boards)}
     T_truth = np.array([boards[int(capture)] for capture in adjusted.captures])
@@ -39,24 +39,24 @@ def test_without_cameras_sheets_lie_where_they_were_seen_to_end() -> None:
 
 
 def test_nothing_is_remarked_of_outlines_that_fit() -> None:
-    assert seen(FINE).solved().remarks == ()
+    assert detect_rig(FINE).solve().remarks == ()
 
 
 def test_outlines_make_every_axis_surer() -> None:
-    one = seen(BLIND)
-    blunt = one.changed(without_edges)
-    with_edges, without = (np.diag(rig.solved().covariance["laser_front"]) for rig in (one, blunt))
+    one = detect_rig(BLIND)
+    blunt = one.map_detections(without_edges)
+    with_edges, without = (np.diag(rig.solve().covariance["laser_front"]) for rig in (one, blunt))
     assert np.all(with_edges < without)
     assert np.sqrt(np.prod(with_edges / without)) < 0.5
 
 
 def test_sheets_of_another_size_than_stated_are_named_and_bend_nothing() -> None:
-    one = seen(FINE)
-    blunt = one.changed(without_edges).solved()
+    one = detect_rig(FINE)
+    blunt = one.map_detections(without_edges).solve()
     board = one.rig.boards[0]
     large = Board.model_validate({**board.model_dump(), "size": (board.size[0] + 0.08, board.size[1] + 0.08)})
     wrong = replace(one, rig=one.rig.model_copy(update={"target": large}))
-    joint = wrong.solved()
+    joint = wrong.solve()
     assert any(
         remark.startswith("lidar sees the board's edges 40 mm inside the target's size on average")
         for remark in joint.remarks
@@ -81,9 +81,9 @@ def print_aside(_: str, detection: Detection) -> Detection:
 
 
 def test_outlines_that_contradict_the_print_are_not_used() -> None:
-    one = seen(FINE).changed(print_aside)
-    blunt = one.changed(without_edges).solved()
-    joint = one.solved()
+    one = detect_rig(FINE).map_detections(print_aside)
+    blunt = one.map_detections(without_edges).solve()
+    joint = one.solve()
     (remark,) = joint.remarks
     assert "contradicts planes and prints" in remark
     np.testing.assert_allclose(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"], atol=1e-9)

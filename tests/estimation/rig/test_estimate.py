@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from calgraph.estimation import RigSolution, cramer_rao, solve_bundle
 from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, set_stage
-from seen_rigs import QUICK, Seen, seen, seen_on
+from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
 RUNS = 10
 CONFIDENCE = 0.998
@@ -18,15 +18,15 @@ DISTURBED = QUICK.model_copy(update={"disturbed": 0.2})
 
 
 @pytest.fixture(scope="module")
-def runs() -> list[tuple[Seen, RigSolution]]:
+def runs() -> list[tuple[DetectedRig, RigSolution]]:
     stage = set_stage(SMALL, 1)
-    found = [seen_on(stage, seed) for seed in range(RUNS)]
-    return [(one, one.solved()) for one in found]
+    found = [detect_rig_on(stage, seed) for seed in range(RUNS)]
+    return [(one, one.solve()) for one in found]
 
 
-def bound(one: Seen) -> dict[str, Array]:
+def bound(one: DetectedRig) -> dict[str, Array]:
     T_root_board = {i: board.T_root_board for i, board in enumerate(one.truth.boards)}
-    return cramer_rao(one.rig, one.captured, one.T_root_sensor, T_root_board)
+    return cramer_rao(one.rig, one.captures, one.T_root_sensor, T_root_board)
 
 
 def interval(count: int) -> tuple[float, float]:
@@ -36,7 +36,7 @@ def interval(count: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", ["camera", "laser_front"])
-def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[Seen, RigSolution]], name: str) -> None:
+def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[DetectedRig, RigSolution]], name: str) -> None:
     errors = [se3.difference(joint.T_root_sensor[name], one.T_root_sensor[name]) for one, joint in runs]
     squared = [e @ np.linalg.solve(bound(one)[name], e) / 6 for e, (one, _) in zip(errors, runs, strict=True)]
     low, high = interval(6 * RUNS)
@@ -45,18 +45,18 @@ def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[Seen, RigSolu
 
 
 @pytest.mark.parametrize("name", ["camera", "laser_front"])
-def test_errors_are_as_the_covariance_says(runs: list[tuple[Seen, RigSolution]], name: str) -> None:
+def test_errors_are_as_the_covariance_says(runs: list[tuple[DetectedRig, RigSolution]], name: str) -> None:
     low, high = interval(6 * RUNS)
     nees = np.mean([one.mahalanobis(joint, name) for one, joint in runs])
     # Sway that chance makes appear widens the covariance of a rig without any.
     assert 0.8 * low < nees < 1.1 * high
 
 
-def test_nothing_right_is_rejected(runs: list[tuple[Seen, RigSolution]]) -> None:
+def test_nothing_right_is_rejected(runs: list[tuple[DetectedRig, RigSolution]]) -> None:
     assert sum(len(joint.rejected) for _, joint in runs) <= 1
 
 
-def test_the_noise_found_is_the_noise_stated(runs: list[tuple[Seen, RigSolution]]) -> None:
+def test_the_noise_found_is_the_noise_stated(runs: list[tuple[DetectedRig, RigSolution]]) -> None:
     scales = np.array([[noise.scale for noise in joint.noise.values()] for _, joint in runs])
     np.testing.assert_allclose(scales.mean(axis=0), 1.0, atol=0.05)
 
@@ -66,24 +66,24 @@ def test_slips_in_a_fifth_of_the_captures_cost_little() -> None:
     squares = np.zeros(2)
     for seed in range(3):
         for i, stage in enumerate((calm, slipping)):
-            one = seen_on(stage, seed)
+            one = detect_rig_on(stage, seed)
             # Not even told by pairs which captures were disturbed.
-            error = se3.difference(one.solved().T_root_sensor["camera"], one.T_root_sensor["camera"])
+            error = se3.difference(one.solve().T_root_sensor["camera"], one.T_root_sensor["camera"])
             squares[i] += error @ np.linalg.solve(bound(one)["camera"], error)
     assert np.sqrt(squares[1] / squares[0]) < 2
 
 
 def test_what_was_left_out_is_from_captures_that_were_disturbed() -> None:
-    one = seen(DISTURBED)
-    rejected = {capture for capture, _ in one.solved().rejected}
+    one = detect_rig(DISTURBED)
+    rejected = {capture for capture, _ in one.solve().rejected}
     disturbed = {i for i, board in enumerate(one.truth.boards) if board.disturbed}
     assert rejected
     assert len(rejected - disturbed) <= 1
 
 
 def test_scanners_suffice_without_cameras() -> None:
-    blind = seen(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
-    joint = blind.solved()
+    blind = detect_rig(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
+    joint = blind.solve()
     assert joint.converged
     assert blind.mahalanobis(joint, "laser_front") < 3
 
@@ -98,28 +98,28 @@ def test_scanners_suffice_without_cameras() -> None:
     ids=["camera and 3-D", "camera and 2-D", "two cameras"],
 )
 def test_two_sensors_suffice(others: dict[str, object]) -> None:
-    pair = seen(QUICK.model_copy(update=others))
+    pair = detect_rig(QUICK.model_copy(update=others))
     (name,) = set(pair.T_root_sensor) - {pair.rig.root}
-    joint = pair.solved()
+    joint = pair.solve()
     assert joint.converged
     assert pair.mahalanobis(joint, name) < 3
 
 
 def test_a_sensor_that_shares_no_board_stays_where_it_was() -> None:
-    one = seen(SMALL)
-    pairs = [pair for pair in one.agreeing() if "laser_front" not in (pair.sensor_a, pair.sensor_b)]
-    joint = solve_bundle(one.rig, one.captured, pairs, one.T_root_sensor)
+    one = detect_rig(SMALL)
+    pairs = [pair for pair in one.pairs() if "laser_front" not in (pair.sensor_a, pair.sensor_b)]
+    joint = solve_bundle(one.rig, one.captures, pairs, one.T_root_sensor)
     np.testing.assert_allclose(joint.T_root_sensor["laser_front"], one.T_root_sensor["laser_front"], atol=1e-9)
     assert joint.covariance["laser_front"][0, 0] == pytest.approx(100.0)
     assert one.mahalanobis(joint, "camera") < 3
 
 
 def test_a_rough_start_ends_where_a_good_one_does() -> None:
-    one, rng = seen(SMALL), np.random.default_rng(0)
+    one, rng = detect_rig(SMALL), np.random.default_rng(0)
     rough = {
         n: se3.retract(T, (n != one.rig.root) * 0.1 * rng.normal(size=6)) for n, T in one.T_root_sensor.items()
     }
-    good, found = one.solved(), solve_bundle(one.rig, one.captured, one.agreeing(), rough)
+    good, found = one.solve(), solve_bundle(one.rig, one.captures, one.pairs(), rough)
     for name, T in good.T_root_sensor.items():
         # By a small part of their standard deviations.
         stddev = np.sqrt(np.diag(good.covariance[name])) + 1e-9
@@ -127,20 +127,20 @@ def test_a_rough_start_ends_where_a_good_one_does() -> None:
 
 
 def test_the_same_problem_gives_the_same_bits() -> None:
-    one = seen(SMALL)
-    first, second = one.solved(), one.solved()
+    one = detect_rig(SMALL)
+    first, second = one.solve(), one.solve()
     for name, T in first.T_root_sensor.items():
         np.testing.assert_array_equal(T, second.T_root_sensor[name])
 
 
 def test_stated_noise_hardly_matters() -> None:
-    one = seen(SMALL)
+    one = detect_rig(SMALL)
     doubled = {
         name: spec.model_copy(update={"noise": spec.noise.model_copy(update=_twice(spec.noise.model_dump()))})
         for name, spec in one.rig.sensors.items()
     }
     loud = replace(one, rig=one.rig.model_copy(update={"sensors": doubled}))
-    a, b = one.solved(), loud.solved()
+    a, b = one.solve(), loud.solve()
     ratio = np.diag(b.covariance["camera"]) / np.diag(a.covariance["camera"])
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)
 

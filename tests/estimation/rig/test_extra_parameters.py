@@ -11,19 +11,19 @@ from calgraph.errors import InputError
 from calgraph.estimation import Estimable, RigSolution
 from calgraph.result import EstimatedParameter
 from calgraph.simulation import CameraKnobs
-from seen_rigs import QUICK, Seen, seen
+from detected_rigs import QUICK, DetectedRig, detect_rig
 
 # How far the board's first tag is printed off its stated place, m.
 SHIFT = np.array([0.003, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def right() -> Seen:
-    return seen()
+def right() -> DetectedRig:
+    return detect_rig()
 
 
 @pytest.fixture(scope="module")
-def biased(right: Seen) -> Seen:
+def biased(right: DetectedRig) -> DetectedRig:
     """The 2-D scanner measures 30 mm too much."""
 
     def longer(name: str, detection: Detection) -> Detection:
@@ -32,19 +32,19 @@ def biased(right: Seen) -> Seen:
         ranges = np.linalg.norm(detection.points, axis=1, keepdims=True)
         return replace(detection, points=detection.points * (1 + 0.03 / ranges))
 
-    return right.changed(longer)
+    return right.map_detections(longer)
 
 
 @pytest.fixture(scope="module")
-def misfocused(right: Seen) -> Seen:
+def misfocused(right: DetectedRig) -> DetectedRig:
     """The camera's focal length is stated 1 % too large."""
-    camera = right.captured.cameras["camera"]
+    camera = right.captures.cameras["camera"]
     wrong = camera.with_intrinsics(camera.intrinsics * [1.01, 1.01, *[1.0] * 6])
-    return replace(right, captured=replace(right.captured, cameras={"camera": wrong}))
+    return replace(right, captures=replace(right.captures, cameras={"camera": wrong}))
 
 
 @pytest.fixture(scope="module")
-def misprinted(right: Seen) -> Seen:
+def misprinted(right: DetectedRig) -> DetectedRig:
     """The first tag is stated 3 mm off where it is."""
     (board,) = right.rig.boards
     first, *others = board.tags
@@ -59,7 +59,7 @@ def misprinted(right: Seen) -> Seen:
         return replace(detection, corners_board=detection.corners_board + on_first[:, None] * SHIFT)
 
     rig = right.rig.model_copy(update={"target": target})
-    return replace(right.changed(moved), rig=rig)
+    return replace(right.map_detections(moved), rig=rig)
 
 
 def one(joint: RigSolution, of: str, quantity: str) -> EstimatedParameter:
@@ -67,66 +67,68 @@ def one(joint: RigSolution, of: str, quantity: str) -> EstimatedParameter:
     return found
 
 
-def test_range_bias_is_recovered(biased: Seen) -> None:
-    bias = one(biased.solved("range_bias"), "laser_front", "range bias")
+def test_range_bias_is_recovered(biased: DetectedRig) -> None:
+    bias = one(biased.solve("range_bias"), "laser_front", "range bias")
     assert abs(bias.value - 0.03) < 3 * bias.stddev
     assert bias.stddev < 0.005
 
 
-def test_range_bias_of_a_scanner_that_has_none_is_none(biased: Seen) -> None:
-    bias = one(biased.solved("range_bias"), "lidar", "range bias")
+def test_range_bias_of_a_scanner_that_has_none_is_none(biased: DetectedRig) -> None:
+    bias = one(biased.solve("range_bias"), "lidar", "range bias")
     assert abs(bias.value) < 3 * bias.stddev
 
 
-def test_a_biased_scanner_is_placed_right_if_its_bias_is_estimated(biased: Seen) -> None:
-    assert biased.mahalanobis(biased.solved("range_bias"), "laser_front") < 3
-    assert biased.error(biased.solved(), "laser_front") > 0.01
+def test_a_biased_scanner_is_placed_right_if_its_bias_is_estimated(biased: DetectedRig) -> None:
+    assert biased.mahalanobis(biased.solve("range_bias"), "laser_front") < 3
+    assert biased.error(biased.solve(), "laser_front") > 0.01
 
 
-def test_focal_length_is_recovered(misfocused: Seen, right: Seen) -> None:
-    joint, truth = misfocused.solved("intrinsics"), right.captured.cameras["camera"]
+def test_focal_length_is_recovered(misfocused: DetectedRig, right: DetectedRig) -> None:
+    joint, truth = misfocused.solve("intrinsics"), right.captures.cameras["camera"]
     for found, true in zip(joint.extra_parameters, truth.intrinsics, strict=True):
         assert abs(found.value - true) < 3.5 * found.stddev
     assert one(joint, "camera", "fx").stddev < 0.003 * truth.focal[0]
 
 
-def test_a_misfocused_camera_is_placed_right_if_its_intrinsics_are_estimated(misfocused: Seen) -> None:
-    assert misfocused.mahalanobis(misfocused.solved("intrinsics"), "camera") < 3
-    assert misfocused.error(misfocused.solved(), "camera") > 0.01
+def test_a_misfocused_camera_is_placed_right_if_its_intrinsics_are_estimated(misfocused: DetectedRig) -> None:
+    assert misfocused.mahalanobis(misfocused.solve("intrinsics"), "camera") < 3
+    assert misfocused.error(misfocused.solve(), "camera") > 0.01
 
 
-def test_a_tags_place_is_recovered(misprinted: Seen) -> None:
-    joint = misprinted.solved("tags")
+def test_a_tags_place_is_recovered(misprinted: DetectedRig) -> None:
+    joint = misprinted.solve("tags")
     # What is stated too far to the right is found as much to the left; one tag is where it is by definition.
     (free,) = [e for e in joint.extra_parameters if (e.of, e.quantity) == ("tag 0", "x")]
     assert abs(free.value + 0.003) < 3 * free.stddev
     assert free.stddev < 0.001
 
 
-def test_a_camera_is_placed_right_if_the_misprint_is_estimated(misprinted: Seen) -> None:
-    with_it, without = misprinted.solved("tags"), misprinted.solved()
+def test_a_camera_is_placed_right_if_the_misprint_is_estimated(misprinted: DetectedRig) -> None:
+    with_it, without = misprinted.solve("tags"), misprinted.solve()
     assert misprinted.mahalanobis(with_it, "camera") < 3
     assert misprinted.mahalanobis(without, "camera") > 4
 
 
-def test_what_is_right_stays_right_if_all_is_estimated(right: Seen) -> None:
-    joint = right.solved("tags", "range_bias", "intrinsics")
+def test_what_is_right_stays_right_if_all_is_estimated(right: DetectedRig) -> None:
+    joint = right.solve("tags", "range_bias", "intrinsics")
     stated = np.array([e.stated for e in joint.extra_parameters])
     z = (np.array([e.value for e in joint.extra_parameters]) - stated) / [e.stddev for e in joint.extra_parameters]
     assert np.abs(z).max() < 4
     assert right.mahalanobis(joint, "camera") < 3
 
 
-def test_poses_are_less_certain_if_more_is_unknown(right: Seen) -> None:
-    fewer, more = right.solved().covariance["camera"], right.solved("intrinsics").covariance["camera"]
+def test_poses_are_less_certain_if_more_is_unknown(right: DetectedRig) -> None:
+    fewer, more = right.solve().covariance["camera"], right.solve("intrinsics").covariance["camera"]
     assert np.all(np.diag(more) > np.diag(fewer))
 
 
-def test_what_no_capture_tells_is_said_to_be_unmeasured(right: Seen, caplog: pytest.LogCaptureFixture) -> None:
-    camera = right.captured.cameras["camera"]
+def test_what_no_capture_tells_is_said_to_be_unmeasured(
+    right: DetectedRig, caplog: pytest.LogCaptureFixture
+) -> None:
+    camera = right.captures.cameras["camera"]
     # Those above and those below the line of a rational polynomial do nearly the same.
     rational = replace(camera, distortion=np.array([*camera.distortion, 0.0, 0.0, 0.0, 0.0]))
-    joint = replace(right, captured=replace(right.captured, cameras={"camera": rational})).solved("intrinsics")
+    joint = replace(right, captures=replace(right.captures, cameras={"camera": rational})).solve("intrinsics")
     assert not one(joint, "camera", "k1").measured
     assert "k1 of camera is told by no capture" in caplog.text
     assert one(joint, "camera", "fx").measured
@@ -134,13 +136,13 @@ def test_what_no_capture_tells_is_said_to_be_unmeasured(right: Seen, caplog: pyt
 
 @pytest.mark.parametrize(("estimate", "lack"), [("intrinsics", "no camera"), ("tags", "no camera")])
 def test_unknowns_that_no_sensor_has_are_refused(estimate: Estimable, lack: str) -> None:
-    blind = seen(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
+    blind = detect_rig(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
     with pytest.raises(InputError, match=lack):
-        blind.solved(estimate)
+        blind.solve(estimate)
 
 
 def test_boards_without_tags_have_none_to_estimate() -> None:
     pattern = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.12)
-    chess = seen(QUICK.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)}))
+    chess = detect_rig(QUICK.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)}))
     with pytest.raises(InputError, match="two tags"):
-        chess.solved("tags")
+        chess.solve("tags")

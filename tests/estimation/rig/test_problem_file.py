@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from board_scenes import boards, observe, random_pose
+from board_scenes import detect_boards, make_boards, random_pose
 from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
@@ -42,14 +42,14 @@ RIG = Rig.model_validate(
 def problem() -> Problem:
     """With several candidates, a camera's corners, a blind sensor, a rejected pair, and numbers of all sorts."""
     rng = np.random.default_rng(20150713)
-    scene = boards(rng, 12)
-    patches: dict[int, tuple[Detection, ...]] = observe("plane", np.eye(4), scene, rng)
+    scene = make_boards(rng, 12)
+    patches: dict[int, tuple[Detection, ...]] = detect_boards("plane", np.eye(4), scene, rng)
     for capture, (patch,) in patches.items():
         assert isinstance(patch, PlanePatch)
         with_points = dataclasses.replace(patch, points=rng.normal(size=(capture, 3)), match=0.1 * capture)
         patches[capture] = (with_points, dataclasses.replace(patch, points=np.asfortranarray(np.ones((2, 3)))))
     patches = dict(reversed(patches.items()))
-    segments = observe("line", random_pose(rng), scene, rng)
+    segments = detect_boards("line", random_pose(rng), scene, rng)
     ugly = np.array([np.nan, np.inf, -0.0, 5e-324, 1 / 3, -np.inf])
     corners = BoardCorners(
         rng.normal(size=(4, 3)), rng.normal(size=(4, 2)), random_pose(rng), np.tile(ugly, (6, 1)), np.ones(4),

@@ -1,4 +1,4 @@
-"""Simulated detections whose matches are all believed: what joint estimators start from, without search."""
+"""Simulated detections with all matches as inliers: the input of joint estimators, without a search for pairs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -36,33 +36,33 @@ QUICK = RigScenario(
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class DetectedRig:
     rig: Rig
-    captured: CaptureSet
+    captures: CaptureSet
     T_root_sensor: dict[str, Array]
     """True poses, the root first."""
     truth: Truth
 
-    def changed(self, change: Callable[[str, Detection], Detection]) -> "Seen":
+    def map_detections(self, change: Callable[[str, Detection], Detection]) -> "DetectedRig":
         detections = {
             name: {capture: tuple(change(name, d) for d in found) for capture, found in by.items()}
-            for name, by in self.captured.detections.items()
+            for name, by in self.captures.detections.items()
         }
-        return replace(self, captured=replace(self.captured, detections=detections))
+        return replace(self, captures=replace(self.captures, detections=detections))
 
-    def solved(self, *estimate: Estimable) -> RigSolution:
-        """From the true poses, and with matches all of which are believed."""
-        return solve_bundle(self.rig, self.captured, self.agreeing(), self.T_root_sensor, estimate=estimate)
+    def solve(self, *estimate: Estimable) -> RigSolution:
+        """The joint solution from the true poses, with all matches as inliers."""
+        return solve_bundle(self.rig, self.captures, self.pairs(), self.T_root_sensor, estimate=estimate)
 
-    def agreeing(self) -> Sequence[PairwiseEstimate]:
-        return [self._pair(a, b) for a, b in combinations(self.T_root_sensor, 2)]
+    def pairs(self) -> Sequence[PairwiseEstimate]:
+        return [self._make_pair(a, b) for a, b in combinations(self.T_root_sensor, 2)]
 
-    def _pair(self, a: str, b: str) -> PairwiseEstimate:
-        common = sorted(set(self.captured.detections[a]) & set(self.captured.detections[b]))
+    def _make_pair(self, a: str, b: str) -> PairwiseEstimate:
+        common = sorted(set(self.captures.detections[a]) & set(self.captures.detections[b]))
         matches = np.array([(capture, 0, 0) for capture in common], dtype=np.intp).reshape(-1, 3)
         T_a_b = se3.inverse(self.T_root_sensor[a]) @ self.T_root_sensor[b]
-        believed, residuals = np.ones(len(common), dtype=bool), np.zeros(len(common))
-        return PairwiseEstimate(a, b, T_a_b, np.eye(6), matches, believed, residuals)
+        inliers, residuals = np.ones(len(common), dtype=bool), np.zeros(len(common))
+        return PairwiseEstimate(a, b, T_a_b, np.eye(6), matches, inliers, residuals)
 
     def mahalanobis(self, joint: RigSolution, name: str) -> float:
         """Squared distance of a sensor's pose from the truth, over its degrees of freedom."""
@@ -74,12 +74,12 @@ class Seen:
         return float(np.linalg.norm((joint.T_root_sensor[name] - self.T_root_sensor[name])[:3, 3]))
 
 
-def seen(scenario: RigScenario = QUICK, seed: int = 0) -> Seen:
-    return seen_on(set_stage(scenario, 1), seed)
+def detect_rig(scenario: RigScenario = QUICK, seed: int = 0) -> DetectedRig:
+    return detect_rig_on(set_stage(scenario, 1), seed)
 
 
-def seen_on(stage: Stage, seed: int) -> Seen:
+def detect_rig_on(stage: Stage, seed: int) -> DetectedRig:
     """One of many recordings of the same boards."""
     rig, captured, truth = simulate_detections(stage, seed)
     others = {name: T for name, T in truth.T_root_sensor.items() if name != rig.root}
-    return Seen(rig, captured, {rig.root: np.eye(4), **others}, truth)
+    return DetectedRig(rig, captured, {rig.root: np.eye(4), **others}, truth)
