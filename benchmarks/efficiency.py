@@ -34,7 +34,7 @@ from calgraph.estimation.rig.board_outlines import add_outlines
 from calgraph.estimation.rig.bundle_solver import linearize_bundle
 from calgraph.estimation.rig.estimate import build_bundle, update_noise
 from calgraph.geometry import Array, se3
-from calgraph.simulation import DetectionKnobs, RigScenario, Truth, set_stage, simulate_detections
+from calgraph.simulation import GroundTruth, IdealDetectorOptions, RigScenario, build_world, simulate_detections
 from simulated import poses_of, recorded
 
 ESTIMATORS = "pairwise", *get_args(Estimator)
@@ -50,7 +50,7 @@ class Recording:
 
     rig: Rig
     captured: CaptureSet
-    truth: Truth
+    truth: GroundTruth
     noise: Rig
     """The rig with the noise that its measurements have."""
 
@@ -124,7 +124,7 @@ def main() -> None:
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
     scenario = scenario_of(arguments.captures)
-    knobs = DetectionKnobs(stated=arguments.stated)
+    knobs = IdealDetectorOptions(stated_noise_factor=arguments.stated)
     print(
         f"{scenario.captures} captures, {arguments.runs} runs of {arguments.scenarios} rigs, {arguments.level}, "
         f"{arguments.disturbed:.0%} disturbed, stated noise {arguments.stated:g} times the true one"
@@ -160,11 +160,13 @@ def scenario_of(captures: int) -> RigScenario:
     return RigScenario(samples=samples)
 
 
-def detected_runs(scenario: RigScenario, scenarios: int, runs: int, knobs: DetectionKnobs) -> Iterator[Recording]:
+def detected_runs(
+    scenario: RigScenario, scenarios: int, runs: int, knobs: IdealDetectorOptions
+) -> Iterator[Recording]:
     """Runs that differ in their noise only, of one rig with its board poses after the other."""
     for world in range(scenarios):
-        stage = set_stage(scenario, world)
-        noise, _, _ = simulate_detections(stage, 0, replace(knobs, stated=1.0))
+        stage = build_world(scenario, world)
+        noise, _, _ = simulate_detections(stage, 0, replace(knobs, stated_noise_factor=1.0))
         for seed in range(runs):
             yield Recording(*simulate_detections(stage, seed, knobs), noise)
 
@@ -271,7 +273,7 @@ def with_noise(spec: SensorSpec, sigma: float) -> SensorSpec:
 
 
 def deviations(
-    poses: Mapping[str, Array], stated: Mapping[str, Array], truth: Truth, sensors: Sequence[str]
+    poses: Mapping[str, Array], stated: Mapping[str, Array], truth: GroundTruth, sensors: Sequence[str]
 ) -> tuple[Array, Array]:
     """Errors (S, 6) and stated covariances (S, 6, 6); NaN for sensors that were not found."""
     errors, covariances = np.full((len(sensors), 6), np.nan), np.full((len(sensors), 6, 6), np.nan)

@@ -21,7 +21,7 @@ from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.sensors import LaserScan
-from calgraph.simulation import NetworkScenario, build_network, network_rig, scans_of
+from calgraph.simulation import NetworkScenario, build_network, network_rig, simulate_scans
 from network_runs import JOINT, USUAL_PEOPLE, follow, solved
 
 MINUTE = 60.0
@@ -71,11 +71,11 @@ def check(seed: int) -> Outcome:
     )
     pushed = replace(network.scanners[k], T_world_scanner=se2.retract(network.scanners[k].T_world_scanner, step))
     shifted = replace(network, scanners=(*network.scanners[:k], pushed, *network.scanners[k + 1 :]))
-    scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
+    scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
     before = found(rig, {name: [scan for scan in own if scan.stamp < middle] for name, own in scans.items()})
     later = {name: [scan for scan in own if scan.stamp >= middle] for name, own in scans.items()}
     _, alarms = find_moved_scanners(before, found(rig, later), CHANCE)
-    own = [scan for scan in scans_of(shifted, pushed) if scan.stamp >= middle]
+    own = [scan for scan in simulate_scans(shifted, pushed) if scan.stamp >= middle]
     _, named = find_moved_scanners(before, found(rig, {**later, pushed.name: own}), CHANCE)
     off = next(((one.distance, one.rotation) for one in named if one.name == pushed.name), ())
     return Outcome(pushed.name, tuple(one.name for one in named), off, tuple(one.name for one in alarms))

@@ -24,8 +24,15 @@ from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples, resample_tracks
 from calgraph.sensors import LaserScan
-from calgraph.simulation import NetworkScenario, Truth, build_network, network_rig, network_truth, scans_of
-from calgraph.tracking import Feature, Tracked, track_scanner
+from calgraph.simulation import (
+    GroundTruth,
+    NetworkScenario,
+    build_network,
+    network_rig,
+    network_truth,
+    simulate_scans,
+)
+from calgraph.tracking import CenterFeature, ScannerTracks, track_scanner
 
 SCENARIOS: Mapping[str, dict[str, Any]] = {
     "ring": {"layout": "ring", "ring_diameter": 46.0, "duration": 180.0},
@@ -36,7 +43,7 @@ SCENARIOS: Mapping[str, dict[str, Any]] = {
     "halls": {"layout": "halls"},
 }
 CYLINDER = ("ring", "ring60")
-FEATURES: tuple[Feature, ...] = ("com", "ellipse", "nls")
+FEATURES: tuple[CenterFeature, ...] = ("com", "ellipse", "nls")
 USUAL_PEOPLE = 2
 GROSS = (5.0, 0.5)
 """Degrees and metres."""
@@ -65,7 +72,7 @@ class Cell(NamedTuple):
 class Setup(NamedTuple):
     """One way to calibrate a recording."""
 
-    feature: Feature
+    feature: CenterFeature
     icp: bool
     average: Average
     weighted: bool
@@ -126,7 +133,7 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
     """Simulates one recording and calibrates it in all these ways, each stage once."""
     network = build_network(scenario_of(cell), seed)
     rig, truth = stated(network_rig(network), cell, seed), planar(network_truth(network))
-    scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
+    scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
     found: dict[Setup, Solved] = {}
     judged = np.zeros((0, 2))
     for feature in {setup.feature for setup in setups}:
@@ -169,19 +176,19 @@ def stated(rig: Rig, cell: Cell, seed: int) -> Rig:
     return rig.model_copy(update={"target": People(kind="people", axes=(across / off, along / off))})
 
 
-def follow(rig: Rig, scans: Mapping[str, list[LaserScan]], feature: Feature) -> dict[str, Tracked]:
+def follow(rig: Rig, scans: Mapping[str, list[LaserScan]], feature: CenterFeature) -> dict[str, ScannerTracks]:
     """What each scanner followed, of those that followed anything."""
     assert isinstance(rig.target, People | Cylinder)
-    tracked: dict[str, Tracked] = {}
+    tracked: dict[str, ScannerTracks] = {}
     for name, spec in rig.sensors.items():
         assert isinstance(spec, Lidar2dSpec)
         found = track_scanner(scans[name], rig.target, spec.noise, feature=feature)
-        if isinstance(found, Tracked):
+        if isinstance(found, ScannerTracks):
             tracked[name] = found
     return tracked
 
 
-def planar(truth: Truth) -> dict[str, Array]:
+def planar(truth: GroundTruth) -> dict[str, Array]:
     """T_root_sensor (3, 3) by sensor."""
     in_plane = np.ix_((0, 1, 3), (0, 1, 3))
     return {name: T[in_plane] for name, T in truth.T_root_sensor.items()}
@@ -189,7 +196,7 @@ def planar(truth: Truth) -> dict[str, Array]:
 
 def solved(
     rig: Rig,
-    tracked: Mapping[str, Tracked],
+    tracked: Mapping[str, ScannerTracks],
     pairs: Sequence[ScannerPairEstimate],
     setup: Setup,
     rng: np.random.Generator,
@@ -239,7 +246,7 @@ def nees_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
 
 
 def judge(
-    pair: ScannerPairEstimate, tracked: Mapping[str, Tracked], truth: Mapping[str, Array]
+    pair: ScannerPairEstimate, tracked: Mapping[str, ScannerTracks], truth: Mapping[str, Array]
 ) -> tuple[bool, float]:
     """Whether a pair is right, and the root mean square distance of all that a saw from what b did, m."""
     true = se2.inverse(truth[pair.sensor_a]) @ truth[pair.sensor_b]

@@ -20,8 +20,8 @@ from calgraph.config import Lidar2dSpec, People
 from calgraph.estimation import solve_network
 from calgraph.geometry import se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
-from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, scans_of
-from calgraph.tracking import Tracked, track_scanner
+from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
+from calgraph.tracking import ScannerTracks, track_scanner
 
 SCANNERS, MINUTES = (6, 30, 100), (1, 10)
 WALKERS = 0.4
@@ -70,8 +70,8 @@ def measure(count: int) -> tuple[float, list[Measured]]:
         spec = rig.sensors[scanner.name]
         assert isinstance(spec, Lidar2dSpec)
         assert isinstance(rig.target, People)
-        found = track_scanner(scans_of(network, scanner), rig.target, spec.noise)
-        if isinstance(found, Tracked):
+        found = track_scanner(simulate_scans(network, scanner), rig.target, spec.noise)
+        if isinstance(found, ScannerTracks):
             tracked[scanner.name] = found
     T = np.array([truth[name][np.ix_((0, 1, 3), (0, 1, 3))] for name in tracked])
     off = np.random.default_rng(0).normal(0, START, (len(T), 3))
@@ -88,7 +88,7 @@ def measure(count: int) -> tuple[float, list[Measured]]:
     return before, measured
 
 
-def again(tracked: Tracked, times: int) -> Tracked:
+def again(tracked: ScannerTracks, times: int) -> ScannerTracks:
     """The same tracks so many times, one after the other."""
     tracks = [
         replace(track, times=track.times + k * PAUSE, hits=replace(track.hits, times=track.hits.times + k * PAUSE))

@@ -12,7 +12,7 @@ import numpy as np
 from calgraph.calibrate import Options, build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
-from calgraph.simulation import RigScenario, Truth
+from calgraph.simulation import GroundTruth, RigScenario
 from simulated import errors, poses_of, recorded
 
 
@@ -44,7 +44,7 @@ def main() -> None:
     print(f"{good} of {arguments.seeds} with every sensor within 10 mm and 0.3 degrees")
 
 
-def _nees(calibration: Calibration, truth: Truth) -> float:
+def _nees(calibration: Calibration, truth: GroundTruth) -> float:
     """Mean normalised estimation error squared per degree of freedom: 1 where covariances are honest."""
     values = []
     for sensor in calibration.sensors:

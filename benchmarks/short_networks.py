@@ -16,7 +16,7 @@ import numpy as np
 
 from calgraph.calibrate import Options, calibrate_tracks
 from calgraph.geometry import Array, se2
-from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, scans_of
+from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import follow, gross, planar
 
 LAYOUTS = {"office": 0.3, "lab": 0.25, "halls": 0.2, "semicircle": 0.1, "grid": 0.15}
@@ -53,7 +53,9 @@ def outcome(seed: int) -> Outcome:
     """Simulates and calibrates one recording."""
     network = build_network(NetworkScenario(**knobs(np.random.default_rng(10000 + seed))), seed)
     rig, truth = network_rig(network), planar(network_truth(network))
-    followed = follow(rig, {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}, "nls")
+    followed = follow(
+        rig, {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}, "nls"
+    )
     found = calibrate_tracks(rig, followed, Options(seed=seed))
     others = [sensor for sensor in found.sensors if sensor.name != rig.root]
     rows = np.ix_((0, 1, 3), (0, 1, 3))

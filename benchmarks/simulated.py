@@ -21,23 +21,23 @@ from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.simulation import (
+    GroundTruth,
     RigScenario,
-    Truth,
+    build_world,
+    ground_truth,
     load_truth,
-    rig_of,
-    set_stage,
     simulate_background,
     simulate_captures,
     simulate_rig,
-    truth_of,
+    world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
 
 
-def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
+def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundTruth]:
     """Simulates the holds alone, without a recording, and finds the board in them."""
-    stage = set_stage(scenario, seed)
-    rig, truth = rig_of(stage), truth_of(stage)
+    stage = build_world(scenario, seed)
+    rig, truth = world_rig(stage), ground_truth(stage)
     cameras = {s.name: s.camera for s in stage.robot if isinstance(s, MountedCamera)}
     backgrounds = {
         name: learn_background(messages, rig.sensors[name])
@@ -56,7 +56,7 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
     return rig, collect_detections(rig, timeline, holds, observations, cameras), truth
 
 
-def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
+def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundTruth]:
     """Simulates a whole recording on disc, motion included, and finds captures and board in it."""
     with TemporaryDirectory() as folder:
         out = Path(folder) / "rig"
@@ -67,7 +67,7 @@ def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, Truth]:
         return rig, captured, load_truth(out / "truth.yaml")
 
 
-def errors(poses: dict[str, Array], truth: Truth) -> tuple[Array, Array]:
+def errors(poses: dict[str, Array], truth: GroundTruth) -> tuple[Array, Array]:
     """Translation (m) and rotation (degrees) errors of all sensors but the root."""
     d = np.array([se3.difference(T, truth.T_root_sensor[n]) for n, T in poses.items() if n != truth.root])
     return np.linalg.norm(d[:, :3], axis=1), np.degrees(np.linalg.norm(d[:, 3:], axis=1))

@@ -31,12 +31,12 @@ from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.estimate import build_bundle
 from calgraph.pairwise import select_matches, select_successful
 from calgraph.simulation import (
-    CameraKnobs,
-    LaserKnobs,
-    MultibeamKnobs,
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
     RigScenario,
-    SpinningKnobs,
-    set_stage,
+    SpinningOptions,
+    build_world,
     simulate_detections,
 )
 from sparse_problem import SparseProblem
@@ -68,7 +68,7 @@ def main() -> None:
 
 def show(sensors: int, captures: int, repeat: int, oracle: bool) -> None:
     """Prints one line."""
-    rig, captured, _ = simulate_detections(set_stage(scenario_of(sensors, captures), 0), 0)
+    rig, captured, _ = simulate_detections(build_world(scenario_of(sensors, captures), 0), 0)
     # Nothing is to be selected among clean detections, and the hypergraph's time is not this one's.
     before, problem = timed(
         lambda: build_problem_from_captures(rig, captured, Options(keep="none"), np.random.default_rng(0)), 1
@@ -87,10 +87,10 @@ def scenario_of(sensors: int, captures: int) -> RigScenario:
     cameras, lasers, spinning, multibeams = RIGS[sensors]
     return RigScenario(
         samples=samples,
-        camera=CameraKnobs(count=cameras),
-        laser=LaserKnobs(count=lasers),
-        spinning=SpinningKnobs(count=spinning),
-        multibeam=MultibeamKnobs(count=multibeams),
+        camera=CameraOptions(count=cameras),
+        laser=LaserOptions(count=lasers),
+        spinning=SpinningOptions(count=spinning),
+        multibeam=MultibeamOptions(count=multibeams),
     )
 
 

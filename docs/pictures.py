@@ -10,11 +10,11 @@ import numpy as np
 
 import calgraph
 from calgraph.simulation import (
-    LaserKnobs,
-    MultibeamKnobs,
+    LaserOptions,
+    MultibeamOptions,
     RigScenario,
-    SpinningKnobs,
-    set_stage,
+    SpinningOptions,
+    build_world,
     simulate_detections,
 )
 
@@ -155,16 +155,16 @@ SEEDS = range(3)
 def height_deviation(tilt: float, samples: int, seed: int) -> float:
     """Standard deviation of a 2-D scanner's height with boards tilted by up to so many degrees, mm."""
     scenario = RigScenario(
-        laser=LaserKnobs(count=1, resolution=0.5),
-        multibeam=MultibeamKnobs(count=1, resolution=0.4),
-        spinning=SpinningKnobs(count=0),
+        laser=LaserOptions(count=1, resolution=0.5),
+        multibeam=MultibeamOptions(count=1, resolution=0.4),
+        spinning=SpinningOptions(count=0),
         bearings=(-30, 0, 30),
         radii=(1.7, 2.3, 3.0),
         samples=samples,
         max_rotation=tilt,
     )
     rng = np.random.default_rng(seed)
-    rig, captured, _ = simulate_detections(set_stage(scenario, seed), seed)
+    rig, captured, _ = simulate_detections(build_world(scenario, seed), seed)
     problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), rng)
     calibration = calgraph.solve_problem(problem)
     if "laser_front" in calibration.unconnected:

@@ -13,22 +13,22 @@ from calgraph.estimation import Estimable, RigSolution, solve_bundle
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.simulation import (
-    CameraKnobs,
-    LaserKnobs,
-    MultibeamKnobs,
+    CameraOptions,
+    GroundTruth,
+    LaserOptions,
+    MultibeamOptions,
     RigScenario,
-    SpinningKnobs,
-    Stage,
-    Truth,
-    set_stage,
+    SpinningOptions,
+    World,
+    build_world,
     simulate_detections,
 )
 
 QUICK = RigScenario(
-    camera=CameraKnobs(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
-    laser=LaserKnobs(count=1, resolution=1.0),
-    spinning=SpinningKnobs(count=0),
-    multibeam=MultibeamKnobs(count=1, resolution=2.0),
+    camera=CameraOptions(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
+    laser=LaserOptions(count=1, resolution=1.0),
+    spinning=SpinningOptions(count=0),
+    multibeam=MultibeamOptions(count=1, resolution=2.0),
     bearings=(-30, -20, -10, 0, 10, 20, 30),
     radii=(1.5, 2.2, 3.0),
     background=1.0,
@@ -41,7 +41,7 @@ class DetectedRig:
     captures: CaptureSet
     T_root_sensor: dict[str, Array]
     """True poses, the root first."""
-    truth: Truth
+    truth: GroundTruth
 
     def map_detections(self, change: Callable[[str, Detection], Detection]) -> "DetectedRig":
         detections = {
@@ -75,10 +75,10 @@ class DetectedRig:
 
 
 def detect_rig(scenario: RigScenario = QUICK, seed: int = 0) -> DetectedRig:
-    return detect_rig_on(set_stage(scenario, 1), seed)
+    return detect_rig_on(build_world(scenario, 1), seed)
 
 
-def detect_rig_on(stage: Stage, seed: int) -> DetectedRig:
+def detect_rig_on(stage: World, seed: int) -> DetectedRig:
     """One of many recordings of the same boards."""
     rig, captured, truth = simulate_detections(stage, seed)
     others = {name: T for name, T in truth.T_root_sensor.items() if name != rig.root}

@@ -1,4 +1,4 @@
-"""Recordings of simulated robots that need no file, and ways to spoil them."""
+"""Recordings of simulated robots without files, and ways to corrupt them."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -17,21 +17,21 @@ from calgraph.recording.recording import TopicInfo, select_topics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraInfo, Message, RecordedMessage, Trigger
 from calgraph.simulation import (
+    GroundTruth,
     RigScenario,
-    Stage,
-    Truth,
-    rig_of,
-    set_stage,
-    truth_of,
+    World,
+    build_world,
+    ground_truth,
+    world_rig,
 )
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC, topic_of
 from calgraph.simulation.robot import MountedCamera
-from calgraph.simulation.world import measurement
+from calgraph.simulation.world import simulate_measurement
 
 
 @dataclass(frozen=True)
 class SimulatedRecording:
-    """A recording whose measurements are simulated when they are decoded: only those looked at cost time."""
+    """A recording whose measurements are simulated when they are decoded."""
 
     path: Path
     topics: tuple[TopicInfo, ...]
@@ -61,8 +61,8 @@ class SimulatedRecording:
         pass
 
 
-def recorded(messages: Iterable[RecordedMessage]) -> SimulatedRecording:
-    """A recording of records, which are brought into order of arrival."""
+def build_recording(messages: Iterable[RecordedMessage]) -> SimulatedRecording:
+    """A recording of records, sorted by arrival."""
     ordered = tuple(sorted(messages, key=lambda r: r.arrival))
     count: dict[str, int] = {}
     for record in ordered:
@@ -71,42 +71,49 @@ def recorded(messages: Iterable[RecordedMessage]) -> SimulatedRecording:
     return SimulatedRecording(Path("simulated"), topics, ordered[0].arrival, ordered[-1].arrival, ordered)
 
 
-def recording_of(stage: Stage) -> SimulatedRecording:
-    """All that the robot of a stage records."""
-    t0, rng = stage.scenario.start_time, np.random.default_rng(stage.seed)
+def simulate_recording(world: World) -> SimulatedRecording:
+    """The full recording of a world's robot."""
+    t0, rng = world.scenario.start_time, np.random.default_rng(world.seed)
     messages = []
-    for sensor in stage.robot:
-        topic = topic_of(sensor, stage.scenario)
-        for index in sensor.clock.within(0, stage.timeline.end):
+    for sensor in world.robot:
+        topic = topic_of(sensor, world.scenario)
+        for index in sensor.clock.within(0, world.trajectory.end):
             stamp = t0 + sensor.clock.start(index)
             arrival = stamp + sensor.clock.duration + rng.uniform(0.002, 0.02)
-            messages.append(RecordedMessage(topic, stamp, arrival, partial(measurement, stage, sensor, index)))
+            messages.append(
+                RecordedMessage(topic, stamp, arrival, partial(simulate_measurement, world, sensor, index))
+            )
         if isinstance(sensor, MountedCamera):
             info = CameraInfo(t0, sensor.frame_id, sensor.camera)
-            messages.append(RecordedMessage(f"/{sensor.name}/camera_info", t0, t0 + 0.01, partial(_said, info)))
-    if stage.scenario.trigger:
-        for hold in stage.timeline.holds:
+            messages.append(
+                RecordedMessage(f"/{sensor.name}/camera_info", t0, t0 + 0.01, partial(_decode_constant, info))
+            )
+    if world.scenario.trigger:
+        for hold in world.trajectory.holds:
             at = t0 + hold.start
             messages.append(RecordedMessage(TRIGGER_TOPIC, at, at, partial(Trigger, at)))
-    return recorded(messages)
+    return build_recording(messages)
 
 
-def _said(message: Message) -> Message:
+def _decode_constant(message: Message) -> Message:
     return message
 
 
-def _changed(record: RecordedMessage, change: Callable[[Message], Message]) -> Message:
+def _decode_changed(record: RecordedMessage, change: Callable[[Message], Message]) -> Message:
     return change(record.decode())
 
 
-def altered(recording: SimulatedRecording, topic: str, change: Callable[[Message], Message]) -> SimulatedRecording:
+def alter_messages(
+    recording: SimulatedRecording, topic: str, change: Callable[[Message], Message]
+) -> SimulatedRecording:
     """The recording with the messages of one topic changed as they are decoded."""
-    return recorded(
-        replace(r, decode=partial(_changed, r, change)) if r.topic == topic else r for r in recording.messages
+    return build_recording(
+        replace(r, decode=partial(_decode_changed, r, change)) if r.topic == topic else r
+        for r in recording.messages
     )
 
 
-def errors(calibration: Calibration, truth: Truth) -> dict[str, Array]:
+def pose_errors(calibration: Calibration, truth: GroundTruth) -> dict[str, Array]:
     """By calibrated sensor, its error (6,) in the root's axes, m and rad."""
     return {
         sensor.name: se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])
@@ -115,11 +122,11 @@ def errors(calibration: Calibration, truth: Truth) -> dict[str, Array]:
     }
 
 
-def calibrated(rig: Rig, recording: Recording, options: Options | None = None) -> Calibration:
+def calibrate(rig: Rig, recording: Recording, options: Options | None = None) -> Calibration:
     return calibrate_rig(rig, recording, options or Options())
 
 
-def staged(scenario: RigScenario, seed: int = 1) -> tuple[Rig, SimulatedRecording, Truth]:
+def simulate_scenario(scenario: RigScenario, seed: int = 1) -> tuple[Rig, SimulatedRecording, GroundTruth]:
     """Rig, recording and truth of a scenario."""
-    stage = set_stage(scenario, seed)
-    return rig_of(stage), recording_of(stage), truth_of(stage)
+    world = build_world(scenario, seed)
+    return world_rig(world), simulate_recording(world), ground_truth(world)

@@ -16,16 +16,16 @@ import numpy as np
 
 import calgraph
 from calgraph.simulation import (
-    CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, set_stage, simulate_captures,
+    CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions, build_world, simulate_captures,
     simulate_detections,
 )  # fmt: skip
 
-stage = set_stage(
+stage = build_world(
     RigScenario(
-        camera=CameraKnobs(width=960, height=720, texels_per_mm=1.0),
-        multibeam=MultibeamKnobs(count=1, rings=32, lowest=-20, highest=12, rate=5),
-        laser=LaserKnobs(count=0),
-        spinning=SpinningKnobs(count=0),
+        camera=CameraOptions(width=960, height=720, texels_per_mm=1.0),
+        multibeam=MultibeamOptions(count=1, rings=32, lowest=-20, highest=12, rate=5),
+        laser=LaserOptions(count=0),
+        spinning=SpinningOptions(count=0),
         bearings=(-20, 0, 20),
         samples=3,
     ),

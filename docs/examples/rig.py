@@ -16,14 +16,21 @@ Simulates the recording of a robot with a camera, a 2-D scanner and a LiDAR, cal
 from pathlib import Path
 from tempfile import mkdtemp
 
-from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, simulate_rig
+from calgraph.simulation import (
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+    simulate_rig,
+)
 
 folder = Path(mkdtemp())
 scenario = RigScenario(
-    camera=CameraKnobs(width=640, height=480, texels_per_mm=0.5),
-    laser=LaserKnobs(count=1, rate=10, resolution=0.5),
-    multibeam=MultibeamKnobs(count=1, rate=5, resolution=0.5),
-    spinning=SpinningKnobs(count=0),
+    camera=CameraOptions(width=640, height=480, texels_per_mm=0.5),
+    laser=LaserOptions(count=1, rate=10, resolution=0.5),
+    multibeam=MultibeamOptions(count=1, rate=5, resolution=0.5),
+    spinning=SpinningOptions(count=0),
     bearings=(-30, -20, -10, 0, 10, 20, 30),
     samples=1,
     background=1.0,

@@ -15,14 +15,14 @@ import numpy as np
 
 import calgraph
 from calgraph.simulation import (
-    CameraKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, set_stage, simulate_detections,
+    CameraOptions, MultibeamOptions, RigScenario, SpinningOptions, build_world, simulate_detections,
 )  # fmt: skip
 
 scenario = RigScenario(
-    camera=CameraKnobs(texels_per_mm=0.5), multibeam=MultibeamKnobs(count=1), spinning=SpinningKnobs(count=0),
-    bearings=(-20, 0, 20), radii=(1.7, 2.5), samples=2,
+    camera=CameraOptions(texels_per_mm=0.5), multibeam=MultibeamOptions(count=1),
+    spinning=SpinningOptions(count=0), bearings=(-20, 0, 20), radii=(1.7, 2.5), samples=2,
 )  # fmt: skip
-rig, captured, _ = simulate_detections(set_stage(scenario, 0), seed=0)
+rig, captured, _ = simulate_detections(build_world(scenario, 0), seed=0)
 problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
 calibration = calgraph.solve_problem(problem)
 print(calgraph.to_dataframe(calibration)[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())

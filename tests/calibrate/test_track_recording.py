@@ -9,7 +9,7 @@ from calgraph.calibrate import Options, track_people, track_recording
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, RecordedMessage
-from calgraph.tracking import Tracked
+from calgraph.tracking import ScannerTracks
 from walking_scenes import World, circling
 
 NAMES = ("east", "west", "south")
@@ -40,7 +40,7 @@ def test_a_recording_is_read_once(recording: Counted) -> None:
     followed, frames = track_people(RIG, recording, Options())
     assert recording.read == [["/east", "/south", "/west"]]
     assert frames == {name: f"{name}_frame" for name in NAMES}
-    assert all(isinstance(own, Tracked) for own in followed.values())
+    assert all(isinstance(own, ScannerTracks) for own in followed.values())
 
 
 def test_a_long_recording_is_read_in_portions_that_the_memory_holds(

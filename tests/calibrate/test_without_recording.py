@@ -24,7 +24,7 @@ from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 from detected_rigs import DetectedRig, detect_rig
 
 SCANNERS = Rig(
@@ -101,7 +101,7 @@ def test_network_is_calibrated_from_scans_at_hand() -> None:
     assert_close(found, T_root_sensor, 0.03)
 
 
-def walks(T_root_scanner: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Tracked]:
+def walks(T_root_scanner: Mapping[str, Array], rng: np.random.Generator) -> dict[str, ScannerTracks]:
     """Two people's positions by every scanner's own frame, each with noise of 2 cm, and no beams."""
     times = np.arange(0, 30, 0.1)
     paths = [
@@ -115,7 +115,7 @@ def walks(T_root_scanner: Mapping[str, Array], rng: np.random.Generator) -> dict
         return Track(times, own, np.gradient(own, times, axis=0), covariances, period=0)
 
     return {
-        name: Tracked(tuple(track(T, path) for path in paths), np.zeros((0, 2)), 0.01)
+        name: ScannerTracks(tuple(track(T, path) for path in paths), np.zeros((0, 2)), 0.01)
         for name, T in T_root_scanner.items()
     }
 

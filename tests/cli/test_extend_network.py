@@ -17,13 +17,13 @@ from calgraph.recording.writer import RecordingWriter
 from calgraph.result import Calibration, load_calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
-    Network,
+    GroundTruth,
     NetworkScenario,
-    Truth,
+    SimulatedNetwork,
     build_network,
     network_rig,
     network_truth,
-    scans_of,
+    simulate_scans,
 )
 
 Run = Callable[..., Result]
@@ -38,7 +38,7 @@ class Halves:
     """rig.yaml, recordings ``first``, ``second`` and ``moved``, calibration of the first; not to be changed."""
 
     folder: Path
-    truth: Truth
+    truth: GroundTruth
 
     def distance(self, found: Calibration) -> float:
         """Squared Mahalanobis distance of all scanners' poses from the truth."""
@@ -50,9 +50,9 @@ class Halves:
         return float(error @ np.linalg.solve(found.joint_covariance[np.ix_(rows, rows)], error))
 
 
-def scans(network: Network, name: str) -> Iterator[tuple[float, str, LaserScan]]:
+def scans(network: SimulatedNetwork, name: str) -> Iterator[tuple[float, str, LaserScan]]:
     scanner = next(one for one in network.scanners if one.name == name)
-    return ((scan.stamp, f"/{name}/scan", scan) for scan in scans_of(network, scanner))
+    return ((scan.stamp, f"/{name}/scan", scan) for scan in simulate_scans(network, scanner))
 
 
 @pytest.fixture(scope="module")

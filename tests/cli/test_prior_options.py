@@ -17,7 +17,7 @@ from calgraph.graph import find_spanning_tree
 from calgraph.io import save_yaml
 from calgraph.pairwise import select_successful
 from calgraph.result import export, load_calibration, read_extrinsics
-from calgraph.simulation import DetectionKnobs, RigScenario, set_stage, simulate_detections
+from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
 
 Run = Callable[..., Result]
 
@@ -62,8 +62,8 @@ def quaternion(T: Array) -> list[float]:
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     folder = tmp_path_factory.mktemp("known")
-    stage = set_stage(RigScenario.model_validate(_SCENARIO), 1)
-    rig, captured, truth = simulate_detections(stage, 1, DetectionKnobs(pixel=0.05))
+    stage = build_world(RigScenario.model_validate(_SCENARIO), 1)
+    rig, captured, truth = simulate_detections(stage, 1, IdealDetectorOptions(pixel=0.05))
     save_yaml(folder / "rig.yaml", rig.to_plain())
     save_problem(
         build_problem_from_captures(rig, captured, Options(), np.random.default_rng(0)), folder / "dump.npz"

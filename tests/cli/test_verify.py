@@ -10,7 +10,7 @@ from typer.testing import Result
 
 from calgraph.calibrate import Options, build_problem_from_captures
 from calgraph.estimation import save_problem
-from calgraph.simulation import CameraKnobs, LaserKnobs, RigScenario, set_stage, simulate_detections
+from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, build_world, simulate_detections
 
 Run = Callable[..., Result]
 
@@ -18,8 +18,8 @@ Run = Callable[..., Result]
 @pytest.fixture(scope="module")
 def dump(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The joint problem of a camera and two scanners."""
-    camera = CameraKnobs(width=640, height=480, texels_per_mm=0.5)
-    stage = set_stage(RigScenario(camera=camera, laser=LaserKnobs(count=1), radii=(2.0,), samples=1), 3)
+    camera = CameraOptions(width=640, height=480, texels_per_mm=0.5)
+    stage = build_world(RigScenario(camera=camera, laser=LaserOptions(count=1), radii=(2.0,), samples=1), 3)
     rig, captured, _ = simulate_detections(stage, 0)
     path = tmp_path_factory.mktemp("dump") / "problem.npz"
     save_problem(build_problem_from_captures(rig, captured, Options(), np.random.default_rng(0)), path)

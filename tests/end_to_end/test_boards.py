@@ -7,8 +7,15 @@ import pytest
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
 from calgraph.result import Calibration
-from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, Truth
-from simulated_rigs import calibrated, errors, staged
+from calgraph.simulation import (
+    CameraOptions,
+    GroundTruth,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+)
+from simulated_rigs import calibrate, pose_errors, simulate_scenario
 
 SHEET = (1.0, 0.8)
 BOARDS: Mapping[str, Board] = {
@@ -28,30 +35,30 @@ BOARDS: Mapping[str, Board] = {
         size=(0.7, 0.5), pattern=Checkerboard(kind="checkerboard", columns=8, rows=5, square=0.075)
     ),
 }
-PINHOLE = CameraKnobs(count=2, width=560, height=420, field_of_view=110, rate=2.0, texels_per_mm=1.0)
+PINHOLE = CameraOptions(count=2, width=560, height=420, field_of_view=110, rate=2.0, texels_per_mm=1.0)
 FISHEYE = PINHOLE.model_copy(
     update={"model": "fisheye", "field_of_view": 150.0, "distortion": (0.02, -0.01, 0.003, -0.001)}
 )
 CAMERAS = RigScenario(
     camera=PINHOLE,
-    laser=LaserKnobs(count=0),
-    spinning=SpinningKnobs(count=0),
+    laser=LaserOptions(count=0),
+    spinning=SpinningOptions(count=0),
     bearings=(-15, -8, 0, 8, 15),
     radii=(1.3, 1.8),
     samples=1,
     clutter=3,
     move_time=0.4,
 )
-LIDAR = MultibeamKnobs(count=1, rate=4.0, rings=24, resolution=0.5)
+LIDAR = MultibeamOptions(count=1, rate=4.0, rings=24, resolution=0.5)
 
 
 def scenario(**knobs: object) -> RigScenario:
     return CAMERAS.model_copy(update=knobs)
 
 
-def assert_true(calibration: Calibration, truth: Truth, millimetres: float) -> None:
+def assert_true(calibration: Calibration, truth: GroundTruth, millimetres: float) -> None:
     assert not calibration.unconnected
-    for name, error in errors(calibration, truth).items():
+    for name, error in pose_errors(calibration, truth).items():
         assert 1000 * np.linalg.norm(error[:3]) < millimetres, name
         assert np.degrees(np.linalg.norm(error[3:])) < 0.3, name
         assert np.all(np.abs(error) < 5 * np.sqrt(np.diag(calibration[name].covariance))), name
@@ -63,9 +70,9 @@ def used(calibration: Calibration, sensor: str) -> int:
 
 @pytest.mark.parametrize("lens", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
-def test_two_cameras_are_calibrated_with_every_board(board: Board, lens: CameraKnobs) -> None:
-    rig, recording, truth = staged(scenario(board=board, camera=lens), seed=4)
-    calibration = calibrated(rig, recording)
+def test_two_cameras_are_calibrated_with_every_board(board: Board, lens: CameraOptions) -> None:
+    rig, recording, truth = simulate_scenario(scenario(board=board, camera=lens), seed=4)
+    calibration = calibrate(rig, recording)
     assert_true(calibration, truth, 10)
     assert used(calibration, "camera_2") >= 5
 
@@ -82,8 +89,8 @@ def test_boards_shown_at_once_are_all_used() -> None:
         bearings=bearings,
         radii=(1.8,),
     )
-    rig, recording, truth = staged(shown, seed=3)
-    calibration = calibrated(rig, recording)
+    rig, recording, truth = simulate_scenario(shown, seed=3)
+    calibration = calibrate(rig, recording)
     assert_true(calibration, truth, 25)
     (edge,) = calibration.edges
     assert edge.inliers > len(bearings)

@@ -12,7 +12,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
-from calgraph.simulation import NetworkScenario, Truth, load_truth, simulate_network
+from calgraph.simulation import GroundTruth, NetworkScenario, load_truth, simulate_network
 
 TWO: dict[str, object] = {
     "root": "front",
@@ -31,7 +31,7 @@ def two_scanners(recording: Path) -> Calibration:
 
 
 @pytest.fixture(scope="module")
-def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Truth]:
+def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, GroundTruth]:
     out = tmp_path_factory.mktemp("office")
     simulate_network(NetworkScenario(layout="office", duration=40), out / "network", seed=1)
     with open_recording(out / "network/recording") as recording:
@@ -70,7 +70,7 @@ def test_all_formats_of_a_recording_give_the_same_network(data_dir: Path) -> Non
     np.testing.assert_array_equal(poses[2], poses[0])
 
 
-def test_an_office_is_calibrated_within_centimetres(office: tuple[Calibration, Truth]) -> None:
+def test_an_office_is_calibrated_within_centimetres(office: tuple[Calibration, GroundTruth]) -> None:
     found, truth = office
     assert not found.unconnected
     errors = [se3.difference(s.T_root_sensor, truth.T_root_sensor[s.name]) for s in found.sensors]
@@ -78,7 +78,7 @@ def test_an_office_is_calibrated_within_centimetres(office: tuple[Calibration, T
     assert np.degrees(np.mean([abs(e[5]) for e in errors[1:]])) < 0.2
 
 
-def test_deviations_of_an_office_cover_its_errors(office: tuple[Calibration, Truth]) -> None:
+def test_deviations_of_an_office_cover_its_errors(office: tuple[Calibration, GroundTruth]) -> None:
     found, truth = office
     for sensor in found.sensors[1:]:
         error = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])[[0, 1, 5]]
@@ -86,7 +86,7 @@ def test_deviations_of_an_office_cover_its_errors(office: tuple[Calibration, Tru
         assert np.all(np.abs(error) < 4 * spread)
 
 
-def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibration, Truth]) -> None:
+def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibration, GroundTruth]) -> None:
     """Two people in the views of six scanners are hardly ever seen by one alone."""
     walks = office[0].captures
     assert {row.sensor for row in walks} == {sensor.name for sensor in office[0].sensors}
@@ -95,12 +95,12 @@ def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibr
     assert all(0 <= row.start < row.end < 41 for row in walks)
 
 
-def test_walks_of_an_office_lie_on_each_other(office: tuple[Calibration, Truth]) -> None:
+def test_walks_of_an_office_lie_on_each_other(office: tuple[Calibration, GroundTruth]) -> None:
     distances = [row.residual for row in office[0].captures if row.residual is not None]
     assert np.median(distances) < 0.04
 
 
-def test_the_floor_of_an_office_is_that_of_all_scanners(office: tuple[Calibration, Truth]) -> None:
+def test_the_floor_of_an_office_is_that_of_all_scanners(office: tuple[Calibration, GroundTruth]) -> None:
     """Half of the static points of each scanner lie within 3 cm of another's: they see the same walls."""
     floor = office[0].floor
     assert [view.sensor for view in floor] == [sensor.name for sensor in office[0].sensors]
@@ -110,7 +110,7 @@ def test_the_floor_of_an_office_is_that_of_all_scanners(office: tuple[Calibratio
         assert np.median(distances) < 0.03, view.sensor
 
 
-def test_every_scanner_hangs_from_the_root(office: tuple[Calibration, Truth]) -> None:
+def test_every_scanner_hangs_from_the_root(office: tuple[Calibration, GroundTruth]) -> None:
     found, _ = office
     parents = {sensor.name: sensor.parent for sensor in found.sensors}
     for name in parents:

@@ -10,13 +10,13 @@ from calgraph.recording import with_intrinsics
 from calgraph.report import write_report
 from calgraph.result import Calibration
 from calgraph.simulation import RigScenario
-from simulated_rigs import calibrated, staged
+from simulated_rigs import calibrate, simulate_scenario
 
 
 @pytest.fixture(scope="module")
 def found() -> tuple[Calibration, Rig]:
-    rig, recording, _ = staged(RigScenario())
-    return calibrated(rig, recording), with_intrinsics(rig, recording)
+    rig, recording, _ = simulate_scenario(RigScenario())
+    return calibrate(rig, recording), with_intrinsics(rig, recording)
 
 
 def test_it_is_small_and_quick(found: tuple[Calibration, Rig], tmp_path: Path) -> None:

@@ -12,15 +12,29 @@ from calgraph.graph import Initialization
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan, Message
-from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs, Truth
-from simulated_rigs import SimulatedRecording, altered, calibrated, errors, recorded, staged
+from calgraph.simulation import (
+    CameraOptions,
+    GroundTruth,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+)
+from simulated_rigs import (
+    SimulatedRecording,
+    alter_messages,
+    build_recording,
+    calibrate,
+    pose_errors,
+    simulate_scenario,
+)
 
-NO_CAMERA = CameraKnobs(count=0)
-NO_LASER = LaserKnobs(count=0)
-NO_SPINNING = SpinningKnobs(count=0)
-CAMERA = CameraKnobs(width=560, height=420, texels_per_mm=1.0, rate=2.0)
-LASERS = LaserKnobs(count=2, rate=4.0, resolution=0.5)
-MULTIBEAM = MultibeamKnobs(count=1, rate=4.0, rings=32, resolution=0.4)
+NO_CAMERA = CameraOptions(count=0)
+NO_LASER = LaserOptions(count=0)
+NO_SPINNING = SpinningOptions(count=0)
+CAMERA = CameraOptions(width=560, height=420, texels_per_mm=1.0, rate=2.0)
+LASERS = LaserOptions(count=2, rate=4.0, resolution=0.5)
+MULTIBEAM = MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.4)
 SCENARIO = RigScenario(
     camera=CAMERA,
     laser=LASERS,
@@ -34,7 +48,7 @@ SCENARIO = RigScenario(
 )
 CHECKERBOARD = Board(size=(1.0, 0.8), pattern=Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1))
 LASER = "/laser_front/scan"
-Staged = tuple[Rig, SimulatedRecording, Truth]
+Staged = tuple[Rig, SimulatedRecording, GroundTruth]
 
 
 def scenario(**knobs: object) -> RigScenario:
@@ -62,9 +76,11 @@ def flat(scan: Message, at: float) -> Message:
     return replace(scan, ranges=np.full_like(scan.ranges, at))
 
 
-def assert_true(calibration: Calibration, truth: Truth, millimetres: float = 25.0, degrees: float = 1.0) -> None:
+def assert_true(
+    calibration: Calibration, truth: GroundTruth, millimetres: float = 25.0, degrees: float = 1.0
+) -> None:
     """A dozen captures: every sensor near the truth, and no error beyond five standard deviations."""
-    for name, error in errors(calibration, truth).items():
+    for name, error in pose_errors(calibration, truth).items():
         assert 1000 * np.linalg.norm(error[:3]) < millimetres, name
         assert np.degrees(np.linalg.norm(error[3:])) < degrees, name
         assert np.all(np.abs(error) < 5 * np.sqrt(np.diag(calibration[name].covariance))), name
@@ -72,7 +88,7 @@ def assert_true(calibration: Calibration, truth: Truth, millimetres: float = 25.
 
 @pytest.fixture(scope="module")
 def recorded_rig() -> Staged:
-    return staged(SCENARIO)
+    return simulate_scenario(SCENARIO)
 
 
 def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:
@@ -91,7 +107,7 @@ def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorde
 
 def test_camera_lidar_and_scanners_are_found(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
-    calibration = calibrated(rig, recording)
+    calibration = calibrate(rig, recording)
     assert len(calibration.sensors) == 4
     assert_true(calibration, truth)
 
@@ -100,7 +116,7 @@ def test_the_same_seed_gives_the_same_result(recorded_rig: Staged) -> None:
     """Scanners only, for time; the last bit counts."""
     rig, recording, _ = recorded_rig
     few = without(rig, "camera")
-    first, second = (calibrated(few, recording, Options(seed=7)) for _ in range(2))
+    first, second = (calibrate(few, recording, Options(seed=7)) for _ in range(2))
     for a, b in zip(first.sensors, second.sensors, strict=True):
         np.testing.assert_array_equal(a.T_root_sensor, b.T_root_sensor)
         np.testing.assert_array_equal(a.covariance, b.covariance)
@@ -109,17 +125,17 @@ def test_the_same_seed_gives_the_same_result(recorded_rig: Staged) -> None:
 def test_an_upside_down_scanner_is_found(recorded_rig: Staged) -> None:
     """Its beams run the other way round and its z points down."""
     rig, recording, truth = recorded_rig
-    turned = altered(recording, LASER, upside_down)
+    turned = alter_messages(recording, LASER, upside_down)
     poses = dict(truth.T_root_sensor)
     poses["laser_front"] = poses["laser_front"] @ np.diag([1.0, -1.0, -1.0, 1.0])
-    calibration = calibrated(without(rig, "laser_left"), turned)
+    calibration = calibrate(without(rig, "laser_left"), turned)
     assert_true(calibration, replace(truth, T_root_sensor=poses))
 
 
 def test_a_scanner_that_never_sees_the_board_is_named_and_the_rest_is_calibrated(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
-    blind = altered(recording, LASER, partial(flat, at=9.0))
-    calibration = calibrated(rig, blind)
+    blind = alter_messages(recording, LASER, partial(flat, at=9.0))
+    calibration = calibrate(rig, blind)
     assert list(calibration.unconnected) == ["laser_front"]
     assert "none of 12 captures" in calibration.unconnected["laser_front"]
     assert_true(calibration, truth)
@@ -127,8 +143,8 @@ def test_a_scanner_that_never_sees_the_board_is_named_and_the_rest_is_calibrated
 
 def test_a_dead_scanner_is_named_and_the_rest_is_calibrated(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
-    dead = altered(recording, LASER, partial(flat, at=np.nan))
-    calibration = calibrated(without(rig, "camera"), dead)
+    dead = alter_messages(recording, LASER, partial(flat, at=np.nan))
+    calibration = calibrate(without(rig, "camera"), dead)
     assert list(calibration.unconnected) == ["laser_front"]
     assert_true(calibration, truth)
 
@@ -136,7 +152,7 @@ def test_a_dead_scanner_is_named_and_the_rest_is_calibrated(recorded_rig: Staged
 def test_tags_that_are_not_on_the_board_leave_only_the_camera_out(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
     tags = tuple(tag.model_copy(update={"id": tag.id + 10}) for tag in board_of(rig).tags)
-    calibration = calibrated(
+    calibration = calibrate(
         rig.model_copy(update={"target": board_of(rig).model_copy(update={"tags": tags})}), recording
     )
     assert "which are not on the board; ids 10 to 12 expected" in calibration.unconnected["camera"]
@@ -150,7 +166,7 @@ def test_a_print_of_another_size_is_no_good_camera(recorded_rig: Staged) -> None
         tag.model_copy(update={"size": 1.05 * tag.size, "center": (1.05 * tag.center[0], 1.05 * tag.center[1])})
         for tag in board_of(rig).tags
     )
-    calibration = calibrated(
+    calibration = calibrate(
         rig.model_copy(update={"target": board_of(rig).model_copy(update={"tags": tags})}), recording
     )
     verdict = calibration["camera"].verdict
@@ -162,7 +178,7 @@ def test_messages_that_arrive_late_and_twice_change_nothing_much(recorded_rig: S
     rig, recording, truth = recorded_rig
     rng = np.random.default_rng(3)
     late = [replace(r, arrival=r.arrival + rng.uniform(0, 1)) for r in [*recording.messages, *recording.messages]]
-    calibration = calibrated(without(rig, "camera"), recorded(late))
+    calibration = calibrate(without(rig, "camera"), build_recording(late))
     assert {row.capture for row in calibration.captures} == set(range(12))
     assert_true(calibration, truth, 50, 2)
 
@@ -172,15 +188,15 @@ def test_messages_that_arrive_late_and_twice_change_nothing_much(recorded_rig: S
     [
         pytest.param({"root": "camera", "laser": NO_LASER}, 2, id="the camera is the root"),
         pytest.param(
-            {"laser": LASERS.model_copy(update={"count": 1}), "multibeam": MultibeamKnobs()},
+            {"laser": LASERS.model_copy(update={"count": 1}), "multibeam": MultibeamOptions()},
             2,
             id="a camera and a 2-D scanner only",
         ),
         pytest.param(
             {
                 "camera": NO_CAMERA,
-                "multibeam": MultibeamKnobs(),
-                "spinning": SpinningKnobs(count=1, resolution=1.0, scans_per_degree=0.5),
+                "multibeam": MultibeamOptions(),
+                "spinning": SpinningOptions(count=1, resolution=1.0, scans_per_degree=0.5),
             },
             3,
             id="a spinning scanner and 2-D scanners",
@@ -191,7 +207,7 @@ def test_messages_that_arrive_late_and_twice_change_nothing_much(recorded_rig: S
         pytest.param({"camera": NO_CAMERA, "disturbed": 0.17}, 3, id="two captures disturbed"),
         pytest.param(
             {
-                "camera": CameraKnobs(
+                "camera": CameraOptions(
                     count=2, width=560, height=420, model="fisheye", field_of_view=150,
                     distortion=(0.02, -0.01, 0.003, -0.001), rate=2.0, texels_per_mm=1.0,
                 ),
@@ -204,15 +220,17 @@ def test_messages_that_arrive_late_and_twice_change_nothing_much(recorded_rig: S
     ],
 )  # fmt: skip
 def test_other_robots_are_found(knobs: dict[str, object], count: int) -> None:
-    rig, recording, truth = staged(scenario(**knobs), seed=2)
-    calibration = calibrated(rig, recording)
+    rig, recording, truth = simulate_scenario(scenario(**knobs), seed=2)
+    calibration = calibrate(rig, recording)
     assert len(calibration.sensors) == count
     assert_true(calibration, truth, 40, 1.5)
 
 
 def test_without_a_background_window_the_board_is_found_by_its_shape() -> None:
-    rig, recording, truth = staged(scenario(camera=NO_CAMERA, laser=LASERS.model_copy(update={"count": 1})))
-    calibration = calibrated(
+    rig, recording, truth = simulate_scenario(
+        scenario(camera=NO_CAMERA, laser=LASERS.model_copy(update={"count": 1}))
+    )
+    calibration = calibrate(
         rig.model_copy(update={"capture": rig.capture.model_copy(update={"background": None})}), recording
     )
     assert_true(calibration, truth, 40, 1.5)
@@ -221,15 +239,17 @@ def test_without_a_background_window_the_board_is_found_by_its_shape() -> None:
 def test_two_halves_of_a_recording_are_one(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
     middle = (recording.start + recording.end) / 2
-    halves = [recorded(r for r in recording.messages if (r.arrival < middle) == first) for first in (True, False)]
+    halves = [
+        build_recording(r for r in recording.messages if (r.arrival < middle) == first) for first in (True, False)
+    ]
     with JoinedRecording(halves) as both:
-        calibration = calibrated(without(rig, "camera"), both)
+        calibration = calibrate(without(rig, "camera"), both)
     assert_true(calibration, truth)
 
 
 def test_without_the_filter_an_undisturbed_recording_is_calibrated_too(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
-    calibration = calibrated(without(rig, "camera"), recording, Options(keep="none"))
+    calibration = calibrate(without(rig, "camera"), recording, Options(keep="none"))
     assert_true(calibration, truth, 50, 2)
 
 
@@ -237,9 +257,9 @@ def test_four_captures_do_not_pass_for_a_good_scanner(recorded_rig: Staged) -> N
     """So few planes fit several poses of a 2-D scanner, one turned by 180 degrees: the verdict has to say so."""
     rig, recording, truth = recorded_rig
     fourth = truth.boards[3].end
-    few = recorded(r for r in recording.messages if r.arrival < fourth + 0.3)
-    calibration = calibrated(without(rig, "camera"), few)
-    for name, error in errors(calibration, truth).items():
+    few = build_recording(r for r in recording.messages if r.arrival < fourth + 0.3)
+    calibration = calibrate(without(rig, "camera"), few)
+    for name, error in pose_errors(calibration, truth).items():
         within = np.all(np.abs(error) < 5 * np.sqrt(np.diag(calibration[name].covariance)))
         assert within or calibration[name].verdict.grade == "unobservable", name
 
@@ -252,9 +272,9 @@ def test_errors_scatter_as_the_covariances_say() -> None:
     )
     values = []
     for seed in range(8):
-        rig, recording, truth = staged(small, seed)
-        calibration = calibrated(rig, recording)
-        for name, error in errors(calibration, truth).items():
+        rig, recording, truth = simulate_scenario(small, seed)
+        calibration = calibrate(rig, recording)
+        for name, error in pose_errors(calibration, truth).items():
             values.append(error @ np.linalg.solve(calibration[name].covariance, error) / 6)
     assert len(values) == 16
     assert 0.3 < np.mean(values) < 3

@@ -10,15 +10,15 @@ from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.recording import Recording
 from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMessage
-from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, RigScenario, SpinningKnobs
-from simulated_rigs import SimulatedRecording, altered, calibrated, recorded, staged
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
+from simulated_rigs import SimulatedRecording, alter_messages, build_recording, calibrate, simulate_scenario
 
 CAMERA, FRONT, CLOUD = "/camera/image_raw/compressed", "/laser_front/scan", "/lidar/points"
 SCENARIO = RigScenario(
-    camera=CameraKnobs(width=320, height=240, texels_per_mm=0.5, rate=2.0),
-    laser=LaserKnobs(count=1, rate=4.0, resolution=1.0),
-    spinning=SpinningKnobs(count=0),
-    multibeam=MultibeamKnobs(count=1, rate=2.0, rings=16, resolution=1.0),
+    camera=CameraOptions(width=320, height=240, texels_per_mm=0.5, rate=2.0),
+    laser=LaserOptions(count=1, rate=4.0, resolution=1.0),
+    spinning=SpinningOptions(count=0),
+    multibeam=MultibeamOptions(count=1, rate=2.0, rings=16, resolution=1.0),
     bearings=(-10, 0, 10),
     radii=(1.8,),
     samples=1,
@@ -28,7 +28,7 @@ SCENARIO = RigScenario(
 
 @pytest.fixture(scope="module")
 def staged_rig() -> tuple[Rig, SimulatedRecording]:
-    rig, recording, _ = staged(SCENARIO)
+    rig, recording, _ = simulate_scenario(SCENARIO)
     return rig, recording
 
 
@@ -87,14 +87,14 @@ def test_a_rig_that_does_not_fit_its_recording_is_bad_input(
 ) -> None:
     rig, recording = staged_rig
     with pytest.raises(InputError, match=said):
-        calibrated(changed(rig, path, value), recording)
+        calibrate(changed(rig, path, value), recording)
 
 
 def test_a_camera_without_intrinsics_is_bad_input(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
     rig, recording = staged_rig
-    none = recorded(r for r in recording.messages if "camera_info" not in r.topic)
+    none = build_recording(r for r in recording.messages if "camera_info" not in r.topic)
     with pytest.raises(InputError, match=r"sensors.camera: has no intrinsics; give camera_info"):
-        calibrated(changed(rig, "sensors.camera.camera_info", None), none)
+        calibrate(changed(rig, "sensors.camera.camera_info", None), none)
 
 
 @pytest.mark.parametrize("topics", [(FRONT,), (FRONT, CLOUD, CAMERA)])
@@ -102,16 +102,16 @@ def test_stamps_that_stand_still_are_bad_input(
     staged_rig: tuple[Rig, SimulatedRecording], topics: tuple[str, ...]
 ) -> None:
     rig, recording = staged_rig
-    still = recorded(unstamped(r) if r.topic in topics else r for r in recording.messages)
+    still = build_recording(unstamped(r) if r.topic in topics else r for r in recording.messages)
     with pytest.raises(InputError, match=r"messages have the header stamp 0\.000 s"):
-        calibrated(rig, still)
+        calibrate(rig, still)
 
 
 def test_a_clock_far_from_the_others_is_bad_input(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
     rig, recording = staged_rig
-    off = recorded(replace(r, stamp=r.stamp + 3600) if r.topic == FRONT else r for r in recording.messages)
+    off = build_recording(replace(r, stamp=r.stamp + 3600) if r.topic == FRONT else r for r in recording.messages)
     with pytest.raises(InputError, match=r"sensors\.laser_front: its header stamps run from .* clocks differ"):
-        calibrated(rig, off)
+        calibrate(rig, off)
 
 
 def test_a_background_window_that_covers_all_triggers_leaves_nothing(
@@ -119,30 +119,30 @@ def test_a_background_window_that_covers_all_triggers_leaves_nothing(
 ) -> None:
     rig, recording = staged_rig
     with pytest.raises(CalibrationError, match=r"all 3 messages of /trigger lie .*make"):
-        calibrated(changed(rig, "capture.background", [0.0, 60.0]), recording)
+        calibrate(changed(rig, "capture.background", [0.0, 60.0]), recording)
 
 
 def test_a_recording_that_ends_with_the_background_leaves_nothing(
     staged_rig: tuple[Rig, SimulatedRecording],
 ) -> None:
     rig, recording = staged_rig
-    short = recorded(r for r in recording.messages if r.arrival < recording.start + 3)
+    short = build_recording(r for r in recording.messages if r.arrival < recording.start + 3)
     with pytest.raises(CalibrationError, match="the board never rests: hold it still"):
-        calibrated(changed(rig, "capture.trigger", None), short)
+        calibrate(changed(rig, "capture.trigger", None), short)
 
 
 def test_one_sensor_alone_is_not_calibrated(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
     rig, recording = staged_rig
     only = changed(rig, "sensors", {"lidar": rig.model_dump(mode="json", exclude_none=True)["sensors"]["lidar"]})
     with pytest.raises(CalibrationError, match=r"lidar is the only sensor: a rig\.yaml needs two"):
-        calibrated(only, recording)
+        calibrate(only, recording)
 
 
 def test_sensors_that_see_nothing_each_say_why(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
     rig, recording = staged_rig
     for topic in (FRONT, CLOUD, CAMERA):
-        recording = altered(recording, topic, empty)
-    calibration = calibrated(rig, recording)
+        recording = alter_messages(recording, topic, empty)
+    calibration = calibrate(rig, recording)
     assert [sensor.name for sensor in calibration.sensors] == [rig.root]
     assert "found the board in none of 3 captures" in calibration.unconnected["camera"]
     assert "too dark" in calibration.unconnected["camera"]
@@ -154,14 +154,14 @@ def test_sensors_that_see_nothing_without_trigger_are_named(
 ) -> None:
     rig, recording = staged_rig
     for topic in (FRONT, CLOUD, CAMERA):
-        recording = altered(recording, topic, empty)
+        recording = alter_messages(recording, topic, empty)
     blind = changed(changed(rig, "capture.trigger", None), "capture.background", None)
-    assert set(calibrated(blind, recording).unconnected) == set(rig.sensors) - {rig.root}
+    assert set(calibrate(blind, recording).unconnected) == set(rig.sensors) - {rig.root}
 
 
 def test_a_board_stated_in_millimetres_is_told_from_the_one_that_was_seen(
     staged_rig: tuple[Rig, SimulatedRecording],
 ) -> None:
     rig, recording = staged_rig
-    calibration = calibrated(changed(rig, "target.size", [1200.0, 900.0]), recording)
+    calibration = calibrate(changed(rig, "target.size", [1200.0, 900.0]), recording)
     assert re.search(r"the longest is .* m, the board 1200 x 900 m", calibration.unconnected["laser_front"])

@@ -7,7 +7,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import NetworkInitialization, PoseGraphSolution, build_network_graph, initialize_network
 from calgraph.graph.visibility_check import VisibilityConflict, find_visibility_conflict
 from calgraph.pairwise import PoseHypothesis, ScannerObservations, ScannerPairEstimate
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 
 NAMES = ("a", "b", "c", "d")
 T = {name: se2.pose(0.4 * k, np.array([3.0 * k, -2.0 * (k % 2)])) for k, name in enumerate(NAMES)}
@@ -23,14 +23,14 @@ def sights(seconds: float = 20.0) -> dict[str, ScannerObservations]:
     }
 
 
-def followed(name: str, seconds: float) -> Tracked:
+def followed(name: str, seconds: float) -> ScannerTracks:
     """What a scanner followed of a walk to and fro through the hall."""
     times = np.arange(0.0, seconds, 0.1)
     places = np.column_stack([4 + 3 * np.sin(0.3 * times), 2 * np.sin(0.7 * times + 0.5)])
     x = se2.apply(se2.inverse(T[name]), places)
     track = Track(times, x, np.gradient(x, 0.1, axis=0), np.tile(0.02**2 * np.eye(2), (len(x), 1, 1)), period=0)
     angle = np.linspace(-np.pi, np.pi, 720)
-    return Tracked((track,), 20 * np.column_stack([np.cos(angle), np.sin(angle)]), 0.01)
+    return ScannerTracks((track,), 20 * np.column_stack([np.cos(angle), np.sin(angle)]), 0.01)
 
 
 def hypothesis(T_a_b: Array, observations: int) -> PoseHypothesis:

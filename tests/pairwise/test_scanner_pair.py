@@ -15,7 +15,7 @@ from calgraph.geometry import Array, se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import Feature, Track, Tracked, track_scanner
+from calgraph.tracking import CenterFeature, ScannerTracks, Track, track_scanner
 
 STEP = 0.04  # s, of the simulated truth
 SIGMA = 0.04  # m, of a smoothed position
@@ -63,7 +63,7 @@ def observe(
     near: float = 0.0,
     sigma: float = SIGMA,
     background: Array = NO_BACKGROUND,
-) -> Tracked:
+) -> ScannerTracks:
     """What a scanner with a view of 270° makes of people: errors that last, dropouts, tracks cut in pieces.
 
     Stamps are ``late`` by so many seconds, and people look ``near`` by so many metres.
@@ -88,7 +88,7 @@ def observe(
             if len(k) >= 4:
                 S = np.broadcast_to(sigma**2 * np.eye(2), (len(k), 2, 2))
                 tracks.append(Track(t[k] + late, p[k], u[k], S, period=int(piece[k[0]])))
-    return Tracked(tuple(tracks), background, 0.01)
+    return ScannerTracks(tuple(tracks), background, 0.01)
 
 
 def somewhere(rng: np.random.Generator, size: float = 10.0) -> Array:
@@ -232,7 +232,7 @@ def test_people_who_stand_still_tell_no_direction(rng: np.random.Generator) -> N
 
 
 def test_a_scanner_without_tracks_is_no_error(rng: np.random.Generator) -> None:
-    nobody = Tracked((), NO_BACKGROUND, 0.01)
+    nobody = ScannerTracks((), NO_BACKGROUND, 0.01)
     found = estimate_scanner_pair("a", "b", nobody, nobody, rng)
     assert found == Rejected("only 0.0 s in which both saw somebody, 2.0 s are needed")
 
@@ -265,9 +265,9 @@ def test_six_scanners_of_a_minute_take_two_seconds() -> None:
     assert time.process_time() - begin < 4  # twice the aim, for busy machines
 
 
-@pytest.mark.parametrize("feature", get_args(Feature))
+@pytest.mark.parametrize("feature", get_args(CenterFeature))
 def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
-    data_dir: Path, feature: Feature, rng: np.random.Generator
+    data_dir: Path, feature: CenterFeature, rng: np.random.Generator
 ) -> None:
     """One person walks by for six seconds; the only walls that both see are parallel to x."""
     scans: dict[str, list[LaserScan]] = {"/front_scan": [], "/rear_scan": []}
@@ -279,7 +279,7 @@ def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
     tracked = []
     for of_one in scans.values():
         known = track_scanner(of_one, People(kind="people"), RangeNoise(), feature=feature)
-        assert isinstance(known, Tracked)
+        assert isinstance(known, ScannerTracks)
         tracked.append(known)
     found = estimate_scanner_pair("front", "rear", tracked[0], tracked[1], rng)
     assert error(found, se2.pose(np.pi, np.array([-0.474, 0.006]))) < (0.1, 1.5)

@@ -11,7 +11,7 @@ from calgraph.pairwise.visibility_map import (
     contradicts_visibility,
     is_free_space,
 )
-from calgraph.tracking import Tracked
+from calgraph.tracking import ScannerTracks
 
 NOBODY = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)))
 
@@ -31,8 +31,8 @@ def walks(positions: Array, first: int = 0) -> TrackSamples:
     )
 
 
-def still(background: Array, watched: Array | None = None) -> Tracked:
-    return Tracked((), background, 0.01, watched)
+def still(background: Array, watched: Array | None = None) -> ScannerTracks:
+    return ScannerTracks((), background, 0.01, watched)
 
 
 def circle(radius: float, ticks: int = 100) -> Array:

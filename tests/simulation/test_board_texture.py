@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
-from calgraph.simulation.board_texture import board_texture
+from calgraph.simulation.board_texture import render_board_texture
 
 
 def to_image(face: np.ndarray) -> np.ndarray:
@@ -12,7 +12,7 @@ def to_image(face: np.ndarray) -> np.ndarray:
 
 def test_tag_is_upright_and_where_it_is_stated() -> None:
     board = Board(size=(1.0, 0.8), tags=(Tag(id=7, size=0.24, center=(-0.2, 0.1)),))
-    image = to_image(board_texture(board, 1000))
+    image = to_image(render_board_texture(board, 1000))
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(image)
     assert np.ravel(ids).tolist() == [7]
@@ -25,7 +25,8 @@ def test_print_that_cuts_texels_keeps_its_exact_area() -> None:
     # A tag's outer ring is black; its bits are 6 x 6 modules of an eighth of its size.
     sizes = (0.2, 0.2037, 0.19991)
     ink = [
-        (1 - board_texture(Board(size=(0.5, 0.5), tags=(Tag(id=0, size=s),)), 700)).mean() * 0.25 for s in sizes
+        (1 - render_board_texture(Board(size=(0.5, 0.5), tags=(Tag(id=0, size=s),)), 700)).mean() * 0.25
+        for s in sizes
     ]
     fractions = np.array(ink) / np.square(sizes)
     assert fractions == pytest.approx(fractions[0], rel=1e-9)
@@ -33,7 +34,7 @@ def test_print_that_cuts_texels_keeps_its_exact_area() -> None:
 
 def test_checkerboard_has_the_stated_inner_corners() -> None:
     pattern = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.095, center=(0.03, -0.02))
-    image = to_image(board_texture(Board(size=(1.0, 0.8), pattern=pattern), 1000))
+    image = to_image(render_board_texture(Board(size=(1.0, 0.8), pattern=pattern), 1000))
     found, corners = cv2.findChessboardCorners(image, (7, 5))
     assert found
     refined = cv2.cornerSubPix(image, corners, (9, 9), (-1, -1), (3, 40, 1e-4)).reshape(-1, 2)
@@ -45,7 +46,7 @@ def test_charuco_is_what_opencv_finds() -> None:
     pattern = Charuco(
         kind="charuco", columns=8, rows=6, square=0.1, marker=0.075, dictionary="DICT_5X5_100", center=(0, 0)
     )
-    image = to_image(board_texture(Board(size=(1.0, 0.8), pattern=pattern), 1000))
+    image = to_image(render_board_texture(Board(size=(1.0, 0.8), pattern=pattern), 1000))
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
     charuco = cv2.aruco.CharucoBoard((8, 6), 0.1, 0.075, dictionary)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco).detectBoard(image)
@@ -56,7 +57,7 @@ def test_charuco_is_what_opencv_finds() -> None:
 
 def test_aprilgrid_counts_from_the_bottom_left() -> None:
     pattern = AprilGrid(kind="aprilgrid", columns=4, rows=3, tag_size=0.16, tag_spacing=0.3, first_id=5)
-    image = to_image(board_texture(Board(size=(1.0, 0.8), pattern=pattern), 1000))
+    image = to_image(render_board_texture(Board(size=(1.0, 0.8), pattern=pattern), 1000))
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = 2
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

@@ -5,17 +5,23 @@ from pupil_apriltags import Detector
 
 from calgraph.config import Board, Checkerboard, Tag
 from calgraph.geometry import Array, se3
-from calgraph.simulation import CameraKnobs, RigScenario
-from calgraph.simulation.board_texture import board_texture
-from calgraph.simulation.camera_render import PrintedBoard, darkroom, grain, printed_board, render
-from calgraph.simulation.motion import board_pose, draw_stances
+from calgraph.simulation import CameraOptions, RigScenario
+from calgraph.simulation.board_texture import render_board_texture
+from calgraph.simulation.camera_render import (
+    PrintedBoard,
+    build_render_context,
+    build_texture_pyramid,
+    draw_noise_pool,
+    render_board,
+)
+from calgraph.simulation.motion import draw_placements, pose_from_placement
 from calgraph.simulation.robot import camera_model
 
 T_WORLD_CAMERA = se3.pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.0, 0, 0.9]))
 LENSES = {
-    "pinhole": CameraKnobs(width=960, height=720),
-    "plumb_bob": CameraKnobs(width=960, height=720, distortion=(-0.28, 0.09, 0.001, -0.0005, -0.01)),
-    "fisheye": CameraKnobs(
+    "pinhole": CameraOptions(width=960, height=720),
+    "plumb_bob": CameraOptions(width=960, height=720, distortion=(-0.28, 0.09, 0.001, -0.0005, -0.01)),
+    "fisheye": CameraOptions(
         model="fisheye", width=960, height=720, field_of_view=150.0, distortion=(0.02, -0.01, 0.002, -0.0005)
     ),
 }
@@ -23,7 +29,7 @@ CHECKERBOARD = Board(size=(1.2, 0.9), pattern=Checkerboard(kind="checkerboard", 
 
 
 def printed(board: Board) -> PrintedBoard:
-    return printed_board(board_texture(board, 2000), board.size)
+    return build_texture_pyramid(render_board_texture(board, 2000), board.size)
 
 
 def tag_corners(board: Board) -> Array:
@@ -33,14 +39,16 @@ def tag_corners(board: Board) -> Array:
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_checkerboard_corners_are_where_the_lens_projects_them(lens: str, rng: np.random.Generator) -> None:
+def test_detected_checkerboard_corners_match_their_projection(lens: str, rng: np.random.Generator) -> None:
     camera = camera_model(LENSES[lens])
-    room, board = darkroom(camera, T_WORLD_CAMERA, (), rng), printed(CHECKERBOARD)
+    context, board = build_render_context(camera, T_WORLD_CAMERA, (), rng), printed(CHECKERBOARD)
     grid = np.stack(np.meshgrid((np.arange(9) - 4) * 0.1, (np.arange(6) - 2.5) * 0.1), axis=-1).reshape(-1, 2)
     errors = []
-    for stance in draw_stances(rng, np.radians([-20, -5, 15]).tolist(), [1.5, 2.2], 1, np.radians(25), (0.8, 1.0)):
-        image = cv2.convertScaleAbs(render(room, board_pose(stance), board, (), 0.6))
-        T_camera_board = se3.inverse(T_WORLD_CAMERA) @ board_pose(stance)
+    for placement in draw_placements(
+        rng, np.radians([-20, -5, 15]).tolist(), [1.5, 2.2], 1, np.radians(25), (0.8, 1.0)
+    ):
+        image = cv2.convertScaleAbs(render_board(context, pose_from_placement(placement), board, (), 0.6))
+        T_camera_board = se3.inverse(T_WORLD_CAMERA) @ pose_from_placement(placement)
         pixels = camera.project(se3.apply(T_camera_board, np.pad(grid, ((0, 0), (0, 1)))))
         pixels = pixels[((pixels > 15) & (pixels < [944, 704])).all(axis=1)]
         # The search starts off the truth, so that finding it is the image's merit.
@@ -50,16 +58,22 @@ def test_checkerboard_corners_are_where_the_lens_projects_them(lens: str, rng: n
     assert np.concatenate(errors).mean(axis=0) == pytest.approx([0, 0], abs=0.01)
 
 
-def test_tag_corners_are_where_the_detector_sees_them(rng: np.random.Generator) -> None:
+def test_detected_tag_corners_match_their_projection(rng: np.random.Generator) -> None:
     tags = RigScenario().board
     camera = camera_model(LENSES["pinhole"])
-    room, board, detector = darkroom(camera, T_WORLD_CAMERA, (), rng), printed(tags), Detector("tag36h11")
+    context, board, detector = (
+        build_render_context(camera, T_WORLD_CAMERA, (), rng),
+        printed(tags),
+        Detector("tag36h11"),
+    )
     # When it is collected it frees its families and then uses them, which corrupts the heap. Let it forget them.
     detector.tag_families.clear()
     errors = []
-    for stance in draw_stances(rng, np.radians([-15, 0, 15]).tolist(), [1.6, 2.4], 2, np.radians(25), (0.8, 1.0)):
-        image = cv2.convertScaleAbs(render(room, board_pose(stance), board, (), 0.6))
-        T_camera_board = se3.inverse(T_WORLD_CAMERA) @ board_pose(stance)
+    for placement in draw_placements(
+        rng, np.radians([-15, 0, 15]).tolist(), [1.6, 2.4], 2, np.radians(25), (0.8, 1.0)
+    ):
+        image = cv2.convertScaleAbs(render_board(context, pose_from_placement(placement), board, (), 0.6))
+        T_camera_board = se3.inverse(T_WORLD_CAMERA) @ pose_from_placement(placement)
         truth = camera.project(se3.apply(T_camera_board, tag_corners(tags).reshape(-1, 3)))
         for detection in detector.detect(image):
             # The detector puts the centre of the top-left pixel at (0.5, 0.5).
@@ -72,10 +86,16 @@ def test_tag_corners_are_where_the_detector_sees_them(rng: np.random.Generator) 
 
 def test_tags_are_upright_in_the_image(rng: np.random.Generator) -> None:
     tag = Board(size=(0.8, 0.8), tags=(Tag(id=3, size=0.4),))
-    camera = camera_model(CameraKnobs(width=640, height=480))
-    (stance,) = draw_stances(rng, [0.0], [1.5], 1, 0.0, (0.9, 0.9))
+    camera = camera_model(CameraOptions(width=640, height=480))
+    (placement,) = draw_placements(rng, [0.0], [1.5], 1, 0.0, (0.9, 0.9))
     image = cv2.convertScaleAbs(
-        render(darkroom(camera, T_WORLD_CAMERA, (), rng), board_pose(stance), printed(tag), (), 0.5)
+        render_board(
+            build_render_context(camera, T_WORLD_CAMERA, (), rng),
+            pose_from_placement(placement),
+            printed(tag),
+            (),
+            0.5,
+        )
     )
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     corners, _, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(image)
@@ -84,24 +104,28 @@ def test_tags_are_upright_in_the_image(rng: np.random.Generator) -> None:
     assert np.reshape(corners[0], (4, 2)) == pytest.approx(expected, abs=1.0)
 
 
-def test_back_of_the_sheet_shows_no_tags(rng: np.random.Generator) -> None:
-    camera = camera_model(CameraKnobs(width=640, height=480))
-    (stance,) = draw_stances(rng, [0.0], [1.5], 1, 0.0, (0.9, 0.9))
-    turned = board_pose(stance) @ se3.pose(np.diag([-1.0, 1, -1]), np.zeros(3))
-    image = render(darkroom(camera, T_WORLD_CAMERA, (), rng), turned, printed(RigScenario().board), (), 0.0)
+def test_the_back_of_the_board_shows_no_tags(rng: np.random.Generator) -> None:
+    camera = camera_model(CameraOptions(width=640, height=480))
+    (placement,) = draw_placements(rng, [0.0], [1.5], 1, 0.0, (0.9, 0.9))
+    turned = pose_from_placement(placement) @ se3.pose(np.diag([-1.0, 1, -1]), np.zeros(3))
+    image = render_board(
+        build_render_context(camera, T_WORLD_CAMERA, (), rng), turned, printed(RigScenario().board), (), 0.0
+    )
     assert image[200:280, 250:390] == pytest.approx(image[240, 320], abs=0.01)
 
 
-def test_board_outside_the_view_leaves_the_picture_alone(rng: np.random.Generator) -> None:
-    camera = camera_model(CameraKnobs(width=320, height=240))
-    room = darkroom(camera, T_WORLD_CAMERA, (), rng)
-    (stance,) = draw_stances(rng, [np.pi], [1.5], 1, 0.0, (0.9, 0.9))
-    assert (render(room, board_pose(stance), printed(CHECKERBOARD), (), 0.0) == room.background).all()
+def test_a_board_outside_the_view_leaves_the_image_unchanged(rng: np.random.Generator) -> None:
+    camera = camera_model(CameraOptions(width=320, height=240))
+    context = build_render_context(camera, T_WORLD_CAMERA, (), rng)
+    (placement,) = draw_placements(rng, [np.pi], [1.5], 1, 0.0, (0.9, 0.9))
+    assert (
+        render_board(context, pose_from_placement(placement), printed(CHECKERBOARD), (), 0.0) == context.background
+    ).all()
 
 
-def test_grain_has_the_stated_deviation(rng: np.random.Generator) -> None:
-    camera = camera_model(CameraKnobs(width=320, height=240))
-    noisy = grain(camera, 3.0, rng).add(np.full((240, 320), 100, dtype=np.float32), rng)
+def test_image_noise_has_the_stated_deviation(rng: np.random.Generator) -> None:
+    camera = camera_model(CameraOptions(width=320, height=240))
+    noisy = draw_noise_pool(camera, 3.0, rng).add(np.full((240, 320), 100, dtype=np.float32), rng)
     assert noisy.mean() == pytest.approx(100, abs=0.05)
     # Rounding to whole grey values adds 1/12 to the variance.
     assert noisy.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)

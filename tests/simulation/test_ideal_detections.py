@@ -12,23 +12,23 @@ from calgraph.geometry import Array, plane, se3
 from calgraph.graph import initialize_rig
 from calgraph.pairwise import estimate_pairs, select_successful
 from calgraph.simulation import (
-    CameraKnobs,
-    DetectionKnobs,
-    LaserKnobs,
-    MultibeamKnobs,
+    CameraOptions,
+    GroundTruth,
+    IdealDetectorOptions,
+    LaserOptions,
+    MultibeamOptions,
     RigScenario,
-    SpinningKnobs,
-    Stage,
-    Truth,
-    set_stage,
+    SpinningOptions,
+    World,
+    build_world,
     simulate_detections,
 )
 
-CAMERA = CameraKnobs(width=640, height=480, texels_per_mm=0.5)
-COARSE = SpinningKnobs(resolution=1.0, scans_per_degree=1 / 6)
+CAMERA = CameraOptions(width=640, height=480, texels_per_mm=0.5)
+COARSE = SpinningOptions(resolution=1.0, scans_per_degree=1 / 6)
 SMALL = RigScenario(
     camera=CAMERA,
-    laser=LaserKnobs(count=2),
+    laser=LaserOptions(count=2),
     spinning=COARSE,
     bearings=(-20, -10, 0, 10, 20),
     radii=(1.7,),
@@ -36,15 +36,15 @@ SMALL = RigScenario(
 )
 NOISELESS = SMALL.model_copy(
     update={
-        "laser": LaserKnobs(count=2, range_noise=0.0),
+        "laser": LaserOptions(count=2, range_noise=0.0),
         "spinning": COARSE.model_copy(update={"range_noise": 0.0}),
     }
 )
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
-    return set_stage(SMALL, 0)
+def world() -> World:
+    return build_world(SMALL, 0)
 
 
 def ends(captured: CaptureSet, name: str) -> dict[int, Array]:
@@ -56,18 +56,18 @@ def ends(captured: CaptureSet, name: str) -> dict[int, Array]:
     return found
 
 
-def boards(truth: Truth, name: str) -> Array:
+def planes(truth: GroundTruth, name: str) -> Array:
     """``T_sensor_board`` (C, 4, 4) in all captures."""
     T_root_board = np.array([board.T_root_board for board in truth.boards])
     return np.asarray(se3.inverse(truth.T_root_sensor[name]) @ T_root_board)
 
 
-def whitened_ranges(rig: Rig, captured: CaptureSet, truth: Truth, name: str) -> Array:
+def whitened_ranges(rig: Rig, captured: CaptureSet, truth: GroundTruth, name: str) -> Array:
     """Differences between measured ranges and those to the true board, in stated standard deviations.
 
     For scanners whose beams start in their origin.
     """
-    surfaces, noise = plane.from_pose(boards(truth, name)), rig.sensors[name].noise
+    surfaces, noise = plane.from_pose(planes(truth, name)), rig.sensors[name].noise
     assert isinstance(noise, RangeNoise)
     whitened = []
     for capture, points in ends(captured, name).items():
@@ -77,8 +77,8 @@ def whitened_ranges(rig: Rig, captured: CaptureSet, truth: Truth, name: str) -> 
     return np.concatenate(whitened)
 
 
-def whitened_pixels(captured: CaptureSet, truth: Truth, sigma: float) -> Array:
-    poses, whitened = boards(truth, "camera"), []
+def whitened_pixels(captured: CaptureSet, truth: GroundTruth, sigma: float) -> Array:
+    poses, whitened = planes(truth, "camera"), []
     for capture, (detection,) in captured.detections["camera"].items():
         assert isinstance(detection, BoardCorners)
         seen = captured.cameras["camera"].project(se3.apply(poses[capture], detection.corners_board))
@@ -92,28 +92,28 @@ def within(values: Array, confidence: float = 0.999) -> bool:
     return bool(low < np.sum(values**2) < high)
 
 
-def test_ranges_have_the_stated_noise(stage: Stage) -> None:
-    runs = [simulate_detections(stage, seed) for seed in range(3)]
+def test_ranges_have_the_stated_noise(world: World) -> None:
+    runs = [simulate_detections(world, seed) for seed in range(3)]
     whitened = np.concatenate([whitened_ranges(*run, "laser_front") for run in runs])
     assert len(whitened) > 3000
     assert within(whitened)
 
 
-def test_corners_have_the_stated_noise(stage: Stage) -> None:
-    knobs = DetectionKnobs(pixel=0.2)
-    runs = [simulate_detections(stage, seed, knobs) for seed in range(3)]
+def test_corners_have_the_stated_noise(world: World) -> None:
+    knobs = IdealDetectorOptions(pixel=0.2)
+    runs = [simulate_detections(world, seed, knobs) for seed in range(3)]
     whitened = np.concatenate([whitened_pixels(captured, truth, 0.2) for _, captured, truth in runs])
     assert len(whitened) > 300
     assert within(whitened)
 
 
-def test_angle_noise_spreads_ranges_by_its_share_on_an_inclined_board() -> None:
-    stage = set_stage(NOISELESS, 0)
-    knobs = DetectionKnobs(angle=0.001)
+def test_angle_noise_adds_to_ranges_on_an_inclined_board() -> None:
+    world = build_world(NOISELESS, 0)
+    knobs = IdealDetectorOptions(angle=0.001)
     whitened = []
     for seed in range(3):
-        _, captured, truth = simulate_detections(stage, seed, knobs)
-        surfaces = plane.from_pose(boards(truth, "laser_front"))
+        _, captured, truth = simulate_detections(world, seed, knobs)
+        surfaces = plane.from_pose(planes(truth, "laser_front"))
         for capture, points in ends(captured, "laser_front").items():
             ranges = np.linalg.norm(points, axis=1)
             d = points / ranges[:, None]
@@ -124,39 +124,39 @@ def test_angle_noise_spreads_ranges_by_its_share_on_an_inclined_board() -> None:
 
 
 @pytest.mark.parametrize("name", ["lidar", "laser_front"])
-def test_beams_without_noise_end_on_the_sheet(name: str) -> None:
-    _, captured, truth = simulate_detections(set_stage(NOISELESS, 0), 0)
-    T_board_sensor = se3.inverse(boards(truth, name))
+def test_beams_without_noise_end_on_the_board(name: str) -> None:
+    _, captured, truth = simulate_detections(build_world(NOISELESS, 0), 0)
+    T_board_sensor = se3.inverse(planes(truth, name))
     on_sheet = [se3.apply(T_board_sensor[capture], points) for capture, points in ends(captured, name).items()]
     flat = np.concatenate(on_sheet)
     assert np.abs(flat[:, 2]).max() < 1e-9
     assert (np.abs(flat[:, :2]) < 0.5 * np.array(SMALL.board.size)).all()
 
 
-def test_every_beam_on_the_board_is_measured_in_every_sweep(stage: Stage) -> None:
-    once = simulate_detections(stage, 0, DetectionKnobs(sweeps=1))[1]
-    thrice = simulate_detections(stage, 0, DetectionKnobs(sweeps=3))[1]
+def test_every_beam_on_the_board_is_measured_in_every_sweep(world: World) -> None:
+    once = simulate_detections(world, 0, IdealDetectorOptions(scans_per_hold=1))[1]
+    thrice = simulate_detections(world, 0, IdealDetectorOptions(scans_per_hold=3))[1]
     assert [3 * len(p) for p in ends(once, "lidar").values()] == [len(p) for p in ends(thrice, "lidar").values()]
 
 
-def test_a_run_is_the_same_for_the_same_seed_and_another_for_another(stage: Stage) -> None:
-    first, again, other = (simulate_detections(stage, seed)[1] for seed in (3, 3, 4))
+def test_runs_are_determined_by_their_seed(world: World) -> None:
+    first, again, other = (simulate_detections(world, seed)[1] for seed in (3, 3, 4))
     for name in ("lidar", "laser_front"):
         a, b, c = (np.concatenate(list(ends(run, name).values())) for run in (first, again, other))
         assert np.array_equal(a, b)
         assert not np.isclose(a, c, rtol=0, atol=1e-9).all(axis=1).any()
 
 
-def test_a_wrong_statement_leaves_the_measurements_as_they_are(stage: Stage) -> None:
-    right, right_captured, _ = simulate_detections(stage, 0)
-    wrong, wrong_captured, _ = simulate_detections(stage, 0, DetectionKnobs(stated=2.0))
+def test_the_stated_noise_does_not_change_the_measurements(world: World) -> None:
+    right, right_captured, _ = simulate_detections(world, 0)
+    wrong, wrong_captured, _ = simulate_detections(world, 0, IdealDetectorOptions(stated_noise_factor=2.0))
     assert wrong.cameras()["camera"].noise.pixel == 2 * right.cameras()["camera"].noise.pixel
     assert np.array_equal(ends(right_captured, "lidar")[0], ends(wrong_captured, "lidar")[0])
 
 
 def test_rigs_calibrate_from_detections_alone() -> None:
-    stage = set_stage(RigScenario(camera=CAMERA), 1)
-    rig, captured, truth = simulate_detections(stage, 0)
+    world = build_world(RigScenario(camera=CAMERA), 1)
+    rig, captured, truth = simulate_detections(world, 0)
     rng = np.random.default_rng(0)
     estimates = select_successful(estimate_pairs(captured.detections, rig.board_size, rng))
     joint = solve_hypergraph(initialize_rig(rig.root, estimates, "tree", rng), estimates, captured.detections)
@@ -166,11 +166,11 @@ def test_rigs_calibrate_from_detections_alone() -> None:
     assert np.degrees(np.linalg.norm(errors[:, 3:], axis=1)).max() < 0.3
 
 
-def test_in_disturbed_captures_some_sensors_see_the_board_where_it_slipped_to() -> None:
+def test_in_disturbed_captures_some_sensors_measure_the_slipped_board() -> None:
     scenario = SMALL.model_copy(update={"samples": 8, "disturbed": 0.25})
-    _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
+    _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
     off = {True: 0, False: 0}
-    surfaces = plane.from_pose(boards(truth, "lidar"))
+    surfaces = plane.from_pose(planes(truth, "lidar"))
     for capture, (detection,) in captured.detections["lidar"].items():
         assert isinstance(detection, PlanePatch)
         away = np.abs(plane.distance(surfaces[capture], detection.points).mean())
@@ -180,37 +180,38 @@ def test_in_disturbed_captures_some_sensors_see_the_board_where_it_slipped_to() 
     assert 0 < off[True] < disturbed
 
 
-def test_resting_captures_measure_the_same_whether_others_are_disturbed_or_not() -> None:
+def test_a_slip_does_not_change_other_captures() -> None:
     clean, slipped = (
-        simulate_detections(set_stage(SMALL.model_copy(update={"disturbed": share}), 0), 0) for share in (0.0, 0.4)
+        simulate_detections(build_world(SMALL.model_copy(update={"disturbed": share}), 0), 0)
+        for share in (0.0, 0.4)
     )
     resting = [i for i, board in enumerate(slipped[2].boards) if not board.disturbed]
     for name in ("lidar", "laser_front"):
         assert all(np.array_equal(ends(clean[1], name)[i], ends(slipped[1], name)[i]) for i in resting)
 
 
-def test_a_sensor_that_does_not_see_the_board_says_so() -> None:
-    stage = set_stage(SMALL.model_copy(update={"bearings": (0, 180)}), 0)
-    _, captured, _ = simulate_detections(stage, 0)
+def test_a_board_out_of_view_is_rejected() -> None:
+    world = build_world(SMALL.model_copy(update={"bearings": (0, 180)}), 0)
+    _, captured, _ = simulate_detections(world, 0)
     behind = range(SMALL.samples, 2 * SMALL.samples)
     assert not set(behind) & set(captured.detections["camera"])
     assert "image" in captured.rejections[behind[0], "camera"]
 
 
-def test_a_chessboard_is_seen_whole_or_not_at_all() -> None:
+def test_a_partly_visible_chessboard_is_rejected() -> None:
     pattern = Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1)
     board = Board(size=(1.2, 0.9), pattern=pattern)
     narrow = CAMERA.model_copy(update={"field_of_view": 70.0})
     scenario = SMALL.model_copy(update={"board": board, "camera": narrow, "bearings": (-40, 0, 40)})
-    _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
+    _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
     sizes = {len(found[0].pixels) for found in captured.detections["camera"].values()}  # type: ignore[union-attr]
     assert sizes == {48}
     assert 0 < len(captured.detections["camera"]) < len(truth.boards)
 
 
 def test_two_rings_are_no_plane() -> None:
-    few = MultibeamKnobs(count=1, rings=2, lowest=-1.0, highest=1.0)
-    scenario = SMALL.model_copy(update={"multibeam": few, "spinning": SpinningKnobs(count=0)})
-    _, captured, truth = simulate_detections(set_stage(scenario, 0), 0)
+    few = MultibeamOptions(count=1, rings=2, lowest=-1.0, highest=1.0)
+    scenario = SMALL.model_copy(update={"multibeam": few, "spinning": SpinningOptions(count=0)})
+    _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
     missed = [capture for capture, sensor in captured.rejections if sensor == "lidar"]
     assert (len(captured.detections["lidar"]), len(missed)) == (0, len(truth.boards))

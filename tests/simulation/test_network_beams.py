@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.simulation.network_beams import cast_ellipses, cast_segments, true_ranges
-from calgraph.simulation.network_walks import Walk
+from calgraph.simulation.network_beams import cast_ellipses, cast_segments, simulate_true_ranges
+from calgraph.simulation.network_walks import SimulatedWalk
 
 HERE = np.zeros(2)
 WALL = np.array([[[3.0, -1.0], [3.0, 1.0]]])
@@ -17,15 +17,15 @@ def to_ellipse(angle: float, center: tuple[float, float], heading: float) -> flo
     return float(hit[0])
 
 
-def walk(places: Array, start: float = 0.0) -> Walk:
-    return Walk(AXES, start, places, np.zeros(len(places)))
+def walk(places: Array, start: float = 0.0) -> SimulatedWalk:
+    return SimulatedWalk(AXES, start, places, np.zeros(len(places)))
 
 
 def test_a_wall_straight_ahead_is_at_its_distance() -> None:
     assert cast_segments(HERE, np.array([0.0]), WALL)[0] == pytest.approx(3.0)
 
 
-def test_a_wall_met_at_an_angle_is_farther() -> None:
+def test_the_range_to_an_oblique_wall() -> None:
     assert cast_segments(HERE, np.radians([15.0]), WALL)[0] == pytest.approx(3 / np.cos(np.radians(15)))
 
 
@@ -68,39 +68,41 @@ def test_the_point_that_is_hit_lies_on_the_turned_ellipse() -> None:
     assert (across / 0.25) ** 2 + (along / 0.15) ** 2 == pytest.approx(1.0)
 
 
-def test_every_beam_sees_a_moving_body_where_it_is_at_its_own_time() -> None:
+def test_each_beam_hits_a_moving_body_at_its_time_of_measurement() -> None:
     # Towards the scanner at 1 m/s, looked at by 11 beams in nearly one direction, 10 ms apart.
     places = np.column_stack([5 - 0.01 * np.arange(101), np.zeros(101)])
     angles, times = np.linspace(-1e-4, 1e-4, 11), 0.01 * np.arange(11.0)[None]
-    ranges = true_ranges(HERE, angles, np.full(11, 9.0), times, [walk(places)], 20.0)
+    ranges = simulate_true_ranges(HERE, angles, np.full(11, 9.0), times, [walk(places)], 20.0)
     np.testing.assert_allclose(ranges[0], 5 - 0.15 - times[0], atol=1e-6)
 
 
 def test_a_body_hides_the_wall_behind_it_and_no_other() -> None:
     places = np.tile([5.0, 0.0], (101, 1))
-    ranges = true_ranges(HERE, np.array([0.0, 0.5]), np.array([9.0, 4.0]), np.zeros((1, 2)), [walk(places)], 20.0)
+    ranges = simulate_true_ranges(
+        HERE, np.array([0.0, 0.5]), np.array([9.0, 4.0]), np.zeros((1, 2)), [walk(places)], 20.0
+    )
     np.testing.assert_allclose(ranges[0], [4.85, 4.0])
 
 
 def test_a_wall_hides_the_body_behind_it() -> None:
     places = np.tile([5.0, 0.0], (101, 1))
-    ranges = true_ranges(HERE, np.array([0.0]), np.array([3.0]), np.zeros((1, 1)), [walk(places)], 20.0)
+    ranges = simulate_true_ranges(HERE, np.array([0.0]), np.array([3.0]), np.zeros((1, 1)), [walk(places)], 20.0)
     assert ranges[0, 0] == 3.0
 
 
-def test_nobody_is_seen_before_coming() -> None:
+def test_a_body_is_absent_before_its_walk() -> None:
     places = np.tile([5.0, 0.0], (101, 1))
     times = np.array([[0.5], [1.5]])
-    ranges = true_ranges(HERE, np.array([0.0]), np.array([9.0]), times, [walk(places, start=1.0)], 20.0)
+    ranges = simulate_true_ranges(HERE, np.array([0.0]), np.array([9.0]), times, [walk(places, start=1.0)], 20.0)
     np.testing.assert_allclose(ranges[:, 0], [9.0, 4.85])
 
 
-def test_choosing_beams_near_a_body_loses_none(rng: np.random.Generator) -> None:
+def test_the_preselection_of_beams_is_conservative(rng: np.random.Generator) -> None:
     steps = np.cumsum(rng.normal(0, 0.01, (1000, 2)), axis=0)
     body = walk(np.array([1.0, -0.6]) + steps)
     angles = np.linspace(-np.pi, np.pi, 721)
     times: Array = 0.2 * np.arange(40)[:, None] + 0.1 * np.arange(721) / 721
-    ranges = true_ranges(HERE, angles, np.full(721, np.inf), times, [body], 20.0)
-    centers, headings = body.at(times.ravel())
+    ranges = simulate_true_ranges(HERE, angles, np.full(721, np.inf), times, [body], 20.0)
+    centers, headings = body.pose_at(times.ravel())
     every = cast_ellipses(HERE, np.tile(angles, 40), centers, headings, AXES)
     np.testing.assert_array_equal(ranges.ravel(), every)

@@ -1,22 +1,22 @@
-"""Floors: what is inside, how far walls are, and the ways around them."""
+"""Floors: what is inside, how far walls are, and the free_space around them."""
 
 import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.simulation import LayoutName, NetworkScenario, ScannerKnobs
+from calgraph.simulation import LayoutName, NetworkScenario, ScannerOptions
 from calgraph.simulation.network_floor import (
     Floor,
-    Ways,
+    FreeSpace,
     distance_to_segments,
-    inside,
+    find_free_space,
+    points_inside,
+    polygon_sides,
     rectangle,
-    sides,
-    ways_through,
 )
 from calgraph.simulation.network_layouts import build_layout
 
-NOBODY = np.zeros((0, 2))
+NO_SCANNERS = np.zeros((0, 2))
 ROOM = rectangle((5.0, 2.5), (10.0, 5.0))
 LAYOUTS: tuple[LayoutName, ...] = ("ring", "office", "semicircle", "lab", "halls", "grid")
 
@@ -26,8 +26,8 @@ def divided(gap: float) -> Floor:
     return Floor(ROOM, True, (rectangle((5.0, (5 - gap) / 2), (0.2, 5 - gap)),))
 
 
-def ways(floor: Floor, standing: Array = NOBODY) -> Ways:
-    return ways_through(floor, 0.4, standing, 0.5)
+def free_space(floor: Floor, scanners: Array = NO_SCANNERS) -> FreeSpace:
+    return find_free_space(floor, 0.4, scanners, 0.5)
 
 
 def test_a_rectangle_turned_a_quarter_swaps_its_sides() -> None:
@@ -36,7 +36,7 @@ def test_a_rectangle_turned_a_quarter_swaps_its_sides() -> None:
 
 def test_a_point_in_the_notch_of_a_polygon_is_outside() -> None:
     corner = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], dtype=np.float64)
-    assert inside(corner, np.array([(0.5, 1.5), (1.5, 1.5), (1.5, 0.5)])).tolist() == [True, False, True]
+    assert points_inside(corner, np.array([(0.5, 1.5), (1.5, 1.5), (1.5, 0.5)])).tolist() == [True, False, True]
 
 
 def test_distances_end_at_the_ends_of_a_segment() -> None:
@@ -57,30 +57,30 @@ def test_beams_pass_an_outline_that_is_no_wall() -> None:
     assert len(Floor(ROOM, False, ()).segments) == 0
 
 
-def test_a_way_leads_around_a_wall() -> None:
-    way = ways(divided(1.5)).way(np.array([2.0, 1.0]), np.array([8.0, 1.0]))
+def test_a_path_leads_around_a_wall() -> None:
+    way = free_space(divided(1.5)).plan_path(np.array([2.0, 1.0]), np.array([8.0, 1.0]))
     assert way[:, 1].max() > 3.5 + 0.4
 
 
-def test_a_way_starts_and_ends_where_it_should() -> None:
-    way = ways(divided(1.5)).way(np.array([2.0, 1.0]), np.array([8.0, 1.0]))
+def test_a_path_connects_start_and_goal() -> None:
+    way = free_space(divided(1.5)).plan_path(np.array([2.0, 1.0]), np.array([8.0, 1.0]))
     np.testing.assert_allclose(way[[0, -1]], [(2, 1), (8, 1)], atol=0.2)
 
 
-def test_ways_keep_clear_of_walls() -> None:
+def test_free_space_keeps_clear_of_walls() -> None:
     floor = divided(1.5)
-    way = ways(floor).way(np.array([2.0, 1.0]), np.array([8.0, 1.0]))
+    way = free_space(floor).plan_path(np.array([2.0, 1.0]), np.array([8.0, 1.0]))
     assert floor.clearance(way).min() >= 0.4
 
 
-def test_nobody_gets_through_a_gap_that_is_too_narrow() -> None:
-    free = ways(divided(0.6))
+def test_a_narrow_gap_is_blocked() -> None:
+    free = free_space(divided(0.6))
     assert np.ptp(free.corner[0] + 0.2 * np.argwhere(free.free)[:, 0]) < 5
 
 
-def test_ways_keep_clear_of_scanners() -> None:
-    free = ways(Floor(ROOM, True, ()), np.array([[5.0, 2.5]]))
-    way = free.way(np.array([1.0, 2.5]), np.array([9.0, 2.5]))
+def test_free_space_keeps_clear_of_scanners() -> None:
+    free = free_space(Floor(ROOM, True, ()), np.array([[5.0, 2.5]]))
+    way = free.plan_path(np.array([1.0, 2.5]), np.array([9.0, 2.5]))
     assert np.linalg.norm(way - [5.0, 2.5], axis=1).min() >= 0.5
 
 
@@ -91,8 +91,8 @@ def test_scanners_have_a_free_view(layout: LayoutName) -> None:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_scanners_look_at_people_not_at_walls_behind_them(layout: LayoutName) -> None:
-    still = ScannerKnobs(position_jitter=0, yaw_jitter=0)
+def test_scanners_face_the_room(layout: LayoutName) -> None:
+    still = ScannerOptions(position_jitter=0, yaw_jitter=0)
     plan = build_layout(NetworkScenario(layout=layout, scanner=still, clutter=0), np.random.default_rng(0))
     ahead = plan.mounts[:, :2] + 1.2 * np.column_stack([np.cos(plan.mounts[:, 2]), np.sin(plan.mounts[:, 2])])
     assert plan.floor.clearance(ahead).min() > 0.1
@@ -100,18 +100,18 @@ def test_scanners_look_at_people_not_at_walls_behind_them(layout: LayoutName) ->
 
 @pytest.mark.parametrize("count", [2, 7, 12, 30])
 def test_a_grid_has_a_bay_for_each_scanner(count: int) -> None:
-    scenario = NetworkScenario(layout="grid", scanner=ScannerKnobs(count=count), clutter=0)
+    scenario = NetworkScenario(layout="grid", scanner=ScannerOptions(count=count), clutter=0)
     mounts = build_layout(scenario, np.random.default_rng(0)).mounts[:, :2]
     apart = np.linalg.norm(mounts[:, None] - mounts, axis=-1) + 100 * np.eye(count)
     assert (len(mounts), bool(apart.min() > 2)) == (count, True)
 
 
-def test_as_much_furniture_as_asked_for_stands_in_the_office() -> None:
+def test_the_office_has_the_stated_number_of_pieces_of_furniture() -> None:
     plan = build_layout(NetworkScenario(clutter=9), np.random.default_rng(0))
     assert len(plan.floor.obstacles) == 9
 
 
 def test_furniture_leaves_a_passage_to_walls() -> None:
     floor = build_layout(NetworkScenario(), np.random.default_rng(0)).floor
-    walls = sides(floor.outline)
+    walls = polygon_sides(floor.outline)
     assert min(distance_to_segments(piece, walls).min() for piece in floor.obstacles) >= 0.9

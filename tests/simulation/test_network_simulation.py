@@ -12,11 +12,11 @@ from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
+    GroundTruth,
     LayoutName,
     NetworkScenario,
-    PeopleKnobs,
-    ScannerKnobs,
-    Truth,
+    PeopleOptions,
+    ScannerOptions,
     build_network,
     load_truth,
     network_rig,
@@ -25,31 +25,31 @@ from calgraph.simulation import (
     simulate_network_scans,
 )
 
-SHORT = NetworkScenario(duration=4.0, scanner=ScannerKnobs(resolution=1.0))
-EXACT = ScannerKnobs(range_noise=0, quantisation=0, mixed_pixels=0, dropout=0)
+SHORT = NetworkScenario(duration=4.0, scanner=ScannerOptions(resolution=1.0))
+EXACT = ScannerOptions(range_noise=0, quantisation=0, mixed_pixels=0, dropout=0)
 
 
-def office(duration: float = 4.0, people: PeopleKnobs | None = None, **scanner: float) -> NetworkScenario:
+def office(duration: float = 4.0, people: PeopleOptions | None = None, **scanner: float) -> NetworkScenario:
     return NetworkScenario(
         duration=duration,
         scanner=EXACT.model_copy(update=scanner),
-        people=people if people is not None else PeopleKnobs(),
+        people=people if people is not None else PeopleOptions(),
     )
 
 
-def stacked(scans: list[LaserScan]) -> Array:
+def stack(scans: list[LaserScan]) -> Array:
     """(scans, beams) ranges."""
     return np.stack([scan.ranges for scan in scans])
 
 
-def seen(scan: LaserScan, truth: Truth) -> Array:
+def hits_on_people(scan: LaserScan, truth: GroundTruth) -> Array:
     """(N, 2) the scan's points in the root's plane."""
     return se3.apply(truth.T_root_sensor[scan.frame_id], scan.points)[:, :2]
 
 
 def test_the_same_seed_gives_the_same_scans() -> None:
     (a, _), (b, _) = (simulate_network_scans(SHORT, 4) for _ in range(2))
-    assert all(np.array_equal(stacked(a[name]), stacked(b[name]), equal_nan=True) for name in a)
+    assert all(np.array_equal(stack(a[name]), stack(b[name]), equal_nan=True) for name in a)
 
 
 def test_another_seed_gives_other_poses() -> None:
@@ -57,12 +57,12 @@ def test_another_seed_gives_other_poses() -> None:
     assert np.linalg.norm(a[:2, 3] - b[:2, 3]) > 0.01
 
 
-def test_the_root_is_where_everything_is_expressed_in() -> None:
+def test_the_root_has_the_identity_pose() -> None:
     truth = network_truth(build_network(SHORT.model_copy(update={"root": "scanner_3"}), 0))
     np.testing.assert_allclose(truth.T_root_sensor["scanner_3"], np.eye(4), atol=1e-12)
 
 
-def test_each_scanner_sends_as_many_scans_as_its_rate_says() -> None:
+def test_number_of_scans_matches_the_rate() -> None:
     scans, _ = simulate_network_scans(SHORT, 0)
     assert all(abs(len(s) - 60) <= 1 for s in scans.values())
 
@@ -73,16 +73,16 @@ def test_scanners_are_not_synchronised() -> None:
     assert np.diff(first).min() > 1e-4
 
 
-def test_beams_are_as_far_apart_in_time_as_the_mirror_takes() -> None:
+def test_the_time_increment_matches_the_mirror() -> None:
     scans, _ = simulate_network_scans(SHORT, 0)
     scan = scans["scanner_1"][0]
     # 270 degrees of a turn of 1/15 s.
     assert scan.duration == pytest.approx(0.75 / 15, rel=2e-3)
 
 
-def test_all_scanners_see_one_wall_at_one_place() -> None:
-    scans, truth = simulate_network_scans(office(people=PeopleKnobs(count=0)), 2)
-    points = np.concatenate([seen(s[0], truth) for s in scans.values()])
+def test_all_scanners_measure_the_same_walls() -> None:
+    scans, truth = simulate_network_scans(office(people=PeopleOptions(count=0)), 2)
+    points = np.concatenate([hits_on_people(s[0], truth) for s in scans.values()])
     outline = build_network(office(), 2)
     T_world_root = next(s.T_world_scanner for s in outline.scanners if s.name == truth.root)
     world = points[np.isfinite(points).all(axis=1)] @ T_world_root[:2, :2].T + T_world_root[:2, 2]
@@ -91,9 +91,9 @@ def test_all_scanners_see_one_wall_at_one_place() -> None:
 
 
 def test_points_on_people_lie_on_their_true_ellipses() -> None:
-    scenario = office(people=PeopleKnobs(count=1))
+    scenario = office(people=PeopleOptions(count=1))
     scans, truth = simulate_network_scans(scenario, 3)
-    empty, _ = simulate_network_scans(office(people=PeopleKnobs(count=0)), 3)
+    empty, _ = simulate_network_scans(office(people=PeopleOptions(count=0)), 3)
     [person] = truth.people
     off = []
     for name, own in scans.items():
@@ -103,35 +103,35 @@ def test_points_on_people_lie_on_their_true_ellipses() -> None:
             hit, times = hit[times < person.times[-1]], times[times < person.times[-1]]
             center = np.column_stack([np.interp(times, person.times, person.positions[:, k]) for k in (0, 1)])
             heading = np.interp(times, person.times, np.unwrap(person.headings))
-            x, y = (seen(scan, truth)[hit] - center).T
+            x, y = (hits_on_people(scan, truth)[hit] - center).T
             along, across = np.cos(heading) * x + np.sin(heading) * y, np.cos(heading) * y - np.sin(heading) * x
             off.append(np.hypot(across / person.axes[0], along / person.axes[1]) - 1)
     # The truth is sampled at 20 Hz: what is between its samples is off by about 5 mm of 150 mm at sharp turns.
     assert np.abs(np.concatenate(off)).max() < 0.05
 
 
-def test_ranges_scatter_as_the_noise_says() -> None:
-    quiet = PeopleKnobs(count=0)
+def test_ranges_have_the_stated_noise() -> None:
+    quiet = PeopleOptions(count=0)
     exact, _ = simulate_network_scans(office(people=quiet), 1)
     noisy, _ = simulate_network_scans(office(people=quiet, range_noise=0.03), 1)
-    error = stacked(noisy["scanner_1"]) - stacked(exact["scanner_1"])
+    error = stack(noisy["scanner_1"]) - stack(exact["scanner_1"])
     assert np.nanstd(error) == pytest.approx(0.03, rel=0.02)
 
 
 def test_ranges_are_multiples_of_the_quantisation() -> None:
     scans, _ = simulate_network_scans(office(quantisation=0.01), 1)
-    steps = stacked(scans["scanner_1"]) / 0.01
+    steps = stack(scans["scanner_1"]) / 0.01
     assert np.nanmax(np.abs(steps - np.round(steps))) < 1e-6
 
 
-def test_as_many_beams_drop_out_as_asked_for() -> None:
+def test_dropouts_have_the_stated_probability() -> None:
     scans, _ = simulate_network_scans(office(dropout=0.1, max_range=30.0), 1)
-    assert np.isnan(stacked(scans["scanner_1"])).mean() == pytest.approx(0.1, abs=0.01)
+    assert np.isnan(stack(scans["scanner_1"])).mean() == pytest.approx(0.1, abs=0.01)
 
 
 def test_nothing_is_measured_beyond_the_range() -> None:
     scans, _ = simulate_network_scans(office(max_range=5.0, range_noise=0.01), 1)
-    assert max(np.nanmax(stacked(s)) for s in scans.values()) <= 5.0
+    assert max(np.nanmax(stack(s)) for s in scans.values()) <= 5.0
 
 
 def test_stamps_are_late_by_the_clock_offset() -> None:
@@ -145,35 +145,35 @@ def test_the_roots_clock_is_right() -> None:
     assert truth.clock_offsets["scanner_1"] == 0.0
 
 
-def test_nobody_is_there_during_the_background() -> None:
+def test_the_background_is_without_people() -> None:
     scenario = office().model_copy(update={"background": 2.0})
     scans, _ = simulate_network_scans(scenario, 1)
     spread = [
-        np.ptp(stacked([s for s in own if s.stamp < scenario.start_time + 1.9]), axis=0) for own in scans.values()
+        np.ptp(stack([s for s in own if s.stamp < scenario.start_time + 1.9]), axis=0) for own in scans.values()
     ]
     assert np.nanmax(np.concatenate(spread)) == 0.0
 
 
-def test_rig_yaml_says_when_nobody_is_there() -> None:
+def test_rig_yaml_states_the_background() -> None:
     rig = network_rig(build_network(office().model_copy(update={"background": 2.0}), 0))
     assert rig.capture.background == (0.0, 2.0)
 
 
 @pytest.mark.parametrize(("layout", "kind"), [("office", "people"), ("ring", "cylinder")])
-def test_rig_yaml_names_what_moves(layout: LayoutName, kind: str) -> None:
+def test_rig_yaml_states_the_target(layout: LayoutName, kind: str) -> None:
     rig = network_rig(build_network(NetworkScenario(layout=layout, duration=1.0), 0))
     assert not isinstance(rig.target, tuple)
     assert rig.target.kind == kind
 
 
-def test_the_recording_holds_the_scans_that_memory_does(tmp_path: Path) -> None:
+def test_the_recording_holds_the_simulated_scans(tmp_path: Path) -> None:
     simulate_network(SHORT, tmp_path, 3)
     scans, _ = simulate_network_scans(SHORT, 3)
     with open_recording(tmp_path / "recording") as recording:
         read = [record.decode() for record in recording.records(topics=["/scanner_2/scan"])]
     assert all(isinstance(scan, LaserScan) for scan in read)
-    ranges = stacked([scan for scan in read if isinstance(scan, LaserScan)])
-    np.testing.assert_allclose(ranges, stacked(scans["scanner_2"]), atol=1e-5)
+    ranges = stack([scan for scan in read if isinstance(scan, LaserScan)])
+    np.testing.assert_allclose(ranges, stack(scans["scanner_2"]), atol=1e-5)
 
 
 def test_rig_yaml_can_be_read(tmp_path: Path) -> None:
@@ -203,16 +203,16 @@ def test_an_earlier_recording_is_not_overwritten(tmp_path: Path) -> None:
         simulate_network(SHORT, tmp_path, 3)
 
 
-def test_scanners_that_jitter_into_walls_are_refused() -> None:
-    wild = NetworkScenario(layout="lab", scanner=ScannerKnobs(position_jitter=1e4))
+def test_jitter_into_walls_is_an_error() -> None:
+    wild = NetworkScenario(layout="lab", scanner=ScannerOptions(position_jitter=1e4))
     with pytest.raises(InputError, match=r"scanner\.position_jitter: 10000 m puts the scanner"):
         build_network(wild, 0)
 
 
 def overlaps(layout: LayoutName, seed: int) -> dict[tuple[str, str], float]:
     """By pair of scanners, the fraction of a minute in which both see the same person with three beams."""
-    slow = ScannerKnobs(**EXACT.model_dump(exclude_unset=True), rate=5.0)
-    scenario = NetworkScenario(layout=layout, people=PeopleKnobs(count=1), scanner=slow)
+    slow = ScannerOptions(**EXACT.model_dump(exclude_unset=True), rate=5.0)
+    scenario = NetworkScenario(layout=layout, people=PeopleOptions(count=1), scanner=slow)
     scans, truth = simulate_network_scans(scenario, seed)
     [person] = truth.people
     views = {}
@@ -220,7 +220,7 @@ def overlaps(layout: LayoutName, seed: int) -> dict[tuple[str, str], float]:
         times = np.array([scan.stamp + scan.duration / 2 for scan in own])
         places = np.column_stack([np.interp(times, person.times, person.positions[:, k]) for k in (0, 1)])
         hits = [
-            (np.linalg.norm(seen(scan, truth) - place, axis=1) < 0.45).sum()
+            (np.linalg.norm(hits_on_people(scan, truth) - place, axis=1) < 0.45).sum()
             for scan, place in zip(own, places, strict=True)
         ]
         views[name] = np.interp(person.times, times, np.array(hits, dtype=np.float64)) > 2.5
@@ -237,12 +237,14 @@ def test_in_the_halls_scanners_across_have_nothing_in_common(in_the_halls: dict[
     assert max(in_the_halls["scanner_1", "scanner_4"], in_the_halls["scanner_2", "scanner_3"]) < 0.02
 
 
-def test_in_the_halls_neighbours_see_a_person_together(in_the_halls: dict[tuple[str, str], float]) -> None:
+def test_in_the_halls_neighbours_detect_a_person_simultaneously(
+    in_the_halls: dict[tuple[str, str], float],
+) -> None:
     cycle = [(1, 2), (2, 4), (3, 4), (1, 3)]
     assert min(in_the_halls[f"scanner_{a}", f"scanner_{b}"] for a, b in cycle) > 0.03
 
 
-def test_in_the_ring_only_neighbours_see_the_cylinder_together() -> None:
+def test_in_the_ring_only_neighbours_detect_the_cylinder_simultaneously() -> None:
     names = NetworkScenario(layout="ring").names
     neighbours = {*pairwise(names), (names[0], names[-1])}
     assert {pair for pair, share in overlaps("ring", 0).items() if share > 0.02} == neighbours

@@ -7,27 +7,27 @@ import pytest
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.simulation import LayoutName, Network, NetworkScenario, PeopleKnobs, build_network
-from calgraph.simulation.network_walks import Walk
+from calgraph.simulation import LayoutName, NetworkScenario, PeopleOptions, SimulatedNetwork, build_network
+from calgraph.simulation.network_walks import SimulatedWalk
 
-CROWD = PeopleKnobs(count=4)
+CROWD = PeopleOptions(count=4)
 
 
-def outline(walk: Walk, every: int = 10) -> Array:
+def outline(walk: SimulatedWalk, every: int = 10) -> Array:
     """(N, 2) points around a body at some of its samples."""
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    h, places = walk.headings[::every, None], walk.places[::every, None]
+    h, places = walk.headings[::every, None], walk.positions[::every, None]
     across, along = walk.axes[0] * np.cos(angle), walk.axes[1] * np.sin(angle)
     x, y = along * np.cos(h) - across * np.sin(h), along * np.sin(h) + across * np.cos(h)
     return np.asarray((places + np.stack([x, y], axis=-1)).reshape(-1, 2))
 
 
-def speeds(walk: Walk) -> Array:
-    return np.asarray(np.linalg.norm(np.gradient(walk.places, 0.01, axis=0), axis=1))
+def speeds(walk: SimulatedWalk) -> Array:
+    return np.asarray(np.linalg.norm(np.gradient(walk.positions, 0.01, axis=0), axis=1))
 
 
 @pytest.fixture(scope="module")
-def office() -> Network:
+def office() -> SimulatedNetwork:
     return build_network(NetworkScenario(people=CROWD), 1)
 
 
@@ -41,46 +41,46 @@ def test_no_body_ever_touches_a_wall(layout: LayoutName, seed: int) -> None:
 @pytest.mark.parametrize("layout", ["office", "lab", "halls"])
 def test_no_two_bodies_ever_touch(layout: LayoutName) -> None:
     network = build_network(NetworkScenario(layout=layout, people=CROWD, duration=40.0), 2)
-    apart = [np.linalg.norm(a.places - b.places, axis=1).min() for a, b in combinations(network.walks, 2)]
+    apart = [np.linalg.norm(a.positions - b.positions, axis=1).min() for a, b in combinations(network.walks, 2)]
     assert min(apart) > 2 * CROWD.reach
 
 
-def test_nobody_walks_over_a_scanner(office: Network) -> None:
-    places = np.concatenate([walk.places for walk in office.walks])
+def test_walks_keep_clear_of_scanners(office: SimulatedNetwork) -> None:
+    places = np.concatenate([walk.positions for walk in office.walks])
     near = [np.linalg.norm(places - s.T_world_scanner[:2, 2], axis=1).min() for s in office.scanners]
     assert min(near) > CROWD.reach
 
 
-def test_people_walk_at_their_speed_most_of_the_time(office: Network) -> None:
+def test_people_walk_at_their_speed_most_of_the_time(office: SimulatedNetwork) -> None:
     usual = np.median(np.concatenate([speeds(walk) for walk in office.walks]))
     assert usual == pytest.approx(1.2, abs=0.2)
 
 
-def test_nobody_runs(office: Network) -> None:
+def test_speeds_are_bounded(office: SimulatedNetwork) -> None:
     assert max(speeds(walk).max() for walk in office.walks) < 1.2 * 1.15 + 0.01
 
 
-def test_people_stop_now_and_then(office: Network) -> None:
+def test_people_stop_now_and_then(office: SimulatedNetwork) -> None:
     assert 0.02 < np.mean([speeds(walk) < 0.02 for walk in office.walks]) < 0.4
 
 
-def test_without_stops_a_lonely_person_never_stands() -> None:
-    people = PeopleKnobs(count=1, stop_every=0.0)
+def test_a_single_person_without_stops_never_stands() -> None:
+    people = PeopleOptions(count=1, stop_every=0.0)
     [walk] = build_network(NetworkScenario(people=people, duration=20.0, clutter=0), 0).walks
     assert np.mean(speeds(walk) < 0.02) < 0.02
 
 
-def test_people_face_where_they_go(office: Network) -> None:
+def test_headings_follow_the_velocity(office: SimulatedNetwork) -> None:
     for walk in office.walks:
-        velocity = np.gradient(walk.places, 0.01, axis=0)
+        velocity = np.gradient(walk.positions, 0.01, axis=0)
         moving = np.linalg.norm(velocity, axis=1) > 0.8
         facing = np.column_stack([np.cos(walk.headings), np.sin(walk.headings)])
         along = (velocity * facing).sum(axis=1) / np.maximum(np.linalg.norm(velocity, axis=1), 1e-9)
         assert np.median(along[moving]) > 0.99
 
 
-def test_people_differ_in_size_as_asked_for() -> None:
-    people = PeopleKnobs(count=8, axes_spread=0.2)
+def test_sizes_spread_as_stated() -> None:
+    people = PeopleOptions(count=8, axes_spread=0.2)
     ratios = np.array(
         [w.axes / people.axes for w in build_network(NetworkScenario(people=people, duration=1.0), 0).walks]
     )
@@ -88,36 +88,36 @@ def test_people_differ_in_size_as_asked_for() -> None:
 
 
 def test_a_cylinder_is_round() -> None:
-    people = PeopleKnobs(kind="cylinder", count=1, diameter=0.6)
+    people = PeopleOptions(kind="cylinder", count=1, diameter=0.6)
     [walk] = build_network(NetworkScenario(people=people, duration=1.0), 0).walks
     assert walk.axes.tolist() == [0.3, 0.3]
 
 
 def test_between_its_samples_a_walk_is_straight() -> None:
-    walk = Walk(
+    walk = SimulatedWalk(
         np.array([0.25, 0.15]), 2.0, np.array([[0.0, 0.0], [0.01, 0.0], [0.02, 0.0]]), np.array([0, 0.1, 0.2])
     )
-    places, headings = walk.at(np.array([2.015]))
+    places, headings = walk.pose_at(np.array([2.015]))
     assert [*places[0], headings[0]] == pytest.approx([0.015, 0.0, 0.15])
 
 
-def test_nobody_is_anywhere_before_coming() -> None:
-    walk = Walk(np.array([0.25, 0.15]), 2.0, np.zeros((3, 2)), np.zeros(3))
-    assert np.isnan(walk.at(np.array([1.99]))[0]).all()
+def test_poses_before_the_walk_are_nan() -> None:
+    walk = SimulatedWalk(np.array([0.25, 0.15]), 2.0, np.zeros((3, 2)), np.zeros(3))
+    assert np.isnan(walk.pose_at(np.array([1.99]))[0]).all()
 
 
-def test_twelve_people_on_a_grid_get_around() -> None:
+def test_twelve_people_on_a_grid_keep_moving() -> None:
     network = build_network(NetworkScenario(layout="grid", duration=10.0), 0)
     lengths = [speeds(walk).sum() * 0.01 for walk in network.walks]
     assert np.median(lengths) > 8
 
 
-def test_more_people_than_fit_are_refused() -> None:
-    crowded = NetworkScenario(layout="lab", people=PeopleKnobs(count=60), duration=1.0)
+def test_too_many_people_are_an_error() -> None:
+    crowded = NetworkScenario(layout="lab", people=PeopleOptions(count=60), duration=1.0)
     with pytest.raises(InputError, match=r"people\.count: 60 do not fit on the floor, only \d+ do"):
         build_network(crowded, 0)
 
 
-def test_a_clearance_that_leaves_no_room_is_refused() -> None:
-    with pytest.raises(InputError, match=r"people\.clearance: nobody fits"):
-        build_network(NetworkScenario(layout="lab", people=PeopleKnobs(clearance=3.0)), 0)
+def test_a_clearance_without_free_space_is_an_error() -> None:
+    with pytest.raises(InputError, match=r"people\.clearance: no free space"):
+        build_network(NetworkScenario(layout="lab", people=PeopleOptions(clearance=3.0)), 0)

@@ -10,25 +10,25 @@ from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 from calgraph.simulation import (
-    CameraKnobs,
-    LaserKnobs,
-    MultibeamKnobs,
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
     RigScenario,
     SimulatedCapture,
-    SpinningKnobs,
+    SpinningOptions,
+    build_world,
+    ground_truth,
     load_truth,
-    rig_of,
-    set_stage,
     simulate_background,
     simulate_captures,
     simulate_rig,
-    truth_of,
+    world_rig,
 )
 
 SMALL = RigScenario(
-    camera=CameraKnobs(width=320, height=240, texels_per_mm=0.5),
-    laser=LaserKnobs(count=2, rate=10, resolution=1.0),
-    spinning=SpinningKnobs(resolution=1.0, scans_per_degree=1 / 6),
+    camera=CameraOptions(width=320, height=240, texels_per_mm=0.5),
+    laser=LaserOptions(count=2, rate=10, resolution=1.0),
+    spinning=SpinningOptions(resolution=1.0, scans_per_degree=1 / 6),
     bearings=(-20, 20),
     radii=(2.0,),
     samples=1,
@@ -46,7 +46,7 @@ def values(message: Message) -> np.ndarray:
 
 
 def captures(scenario: RigScenario, seed: int = 0) -> list[SimulatedCapture]:
-    return list(simulate_captures(set_stage(scenario, seed)))
+    return list(simulate_captures(build_world(scenario, seed)))
 
 
 def same(a: Sequence[SimulatedCapture], b: Sequence[SimulatedCapture]) -> list[bool]:
@@ -68,9 +68,9 @@ def test_another_seed_gives_other_messages() -> None:
 
 
 def test_measurements_do_not_depend_on_what_else_is_measured() -> None:
-    stage = set_stage(SMALL, 1)
-    alone = list(simulate_captures(stage, sensors=["laser_left"]))
-    for a, b in zip(alone, simulate_captures(stage), strict=True):
+    world = build_world(SMALL, 1)
+    alone = list(simulate_captures(world, sensors=["laser_left"]))
+    for a, b in zip(alone, simulate_captures(world), strict=True):
         for m, n in zip(a.messages["laser_left"], b.messages["laser_left"], strict=True):
             assert np.array_equal(values(m), values(n), equal_nan=True)
 
@@ -80,18 +80,18 @@ def test_every_sensor_measures_twice_in_every_hold() -> None:
         assert {name: len(m) for name, m in capture.messages.items()} == dict.fromkeys(capture.messages, 2)
 
 
-def test_measurements_lie_in_their_hold_in_full() -> None:
-    for capture in simulate_captures(set_stage(SMALL, 2), measurements=None):
+def test_measurements_lie_fully_in_their_hold() -> None:
+    for capture in simulate_captures(build_world(SMALL, 2), measurements=None):
         for messages in capture.messages.values():
             for m in messages:
                 duration = 0.0 if isinstance(m, Image) else m.duration  # type: ignore[union-attr]
                 assert capture.board.trigger <= m.stamp <= m.stamp + duration <= capture.board.end
 
 
-def test_lidar_sees_the_board_where_the_truth_puts_it() -> None:
-    exact = SpinningKnobs(range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
-    stage = set_stage(SMALL.model_copy(update={"spinning": exact}), 0)
-    for capture in simulate_captures(stage, sensors=["lidar"]):
+def test_lidar_points_lie_on_the_true_board() -> None:
+    exact = SpinningOptions(range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
+    world = build_world(SMALL.model_copy(update={"spinning": exact}), 0)
+    for capture in simulate_captures(world, sensors=["lidar"]):
         (cloud, _) = capture.messages["lidar"]
         assert isinstance(cloud, PointCloud)
         x, y, z = se3.apply(se3.inverse(capture.board.T_root_board), cloud.points).T
@@ -101,11 +101,11 @@ def test_lidar_sees_the_board_where_the_truth_puts_it() -> None:
         assert np.abs(z[on_sheet & (np.abs(x) < 0.45)]).max() < 1e-9
 
 
-def test_lasers_see_the_board_where_the_truth_puts_it() -> None:
-    exact = LaserKnobs(count=3, range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
-    stage = set_stage(SMALL.model_copy(update={"laser": exact}), 0)
-    poses = truth_of(stage).T_root_sensor
-    for capture in simulate_captures(stage, sensors=["laser_front"]):
+def test_laser_points_lie_on_the_true_board() -> None:
+    exact = LaserOptions(count=3, range_noise=0, angle_noise=0, mixed_pixels=0, dropout=0)
+    world = build_world(SMALL.model_copy(update={"laser": exact}), 0)
+    poses = ground_truth(world).T_root_sensor
+    for capture in simulate_captures(world, sensors=["laser_front"]):
         scan = capture.messages["laser_front"][0]
         assert isinstance(scan, LaserScan)
         T_board_laser = se3.inverse(capture.board.T_root_board) @ poses["laser_front"]
@@ -114,9 +114,9 @@ def test_lasers_see_the_board_where_the_truth_puts_it() -> None:
 
 
 def test_multibeam_lidar_reports_the_ring_and_time_of_every_point() -> None:
-    spinning, multibeam = SpinningKnobs(count=0), MultibeamKnobs(count=1, rings=16, resolution=1.0)
-    stage = set_stage(SMALL.model_copy(update={"spinning": spinning, "multibeam": multibeam}), 0)
-    capture = next(simulate_captures(stage, sensors=["lidar"]))
+    spinning, multibeam = SpinningOptions(count=0), MultibeamOptions(count=1, rings=16, resolution=1.0)
+    world = build_world(SMALL.model_copy(update={"spinning": spinning, "multibeam": multibeam}), 0)
+    capture = next(simulate_captures(world, sensors=["lidar"]))
     cloud = capture.messages["lidar"][0]
     assert isinstance(cloud, PointCloud)
     assert cloud.rings is not None
@@ -126,32 +126,32 @@ def test_multibeam_lidar_reports_the_ring_and_time_of_every_point() -> None:
 
 
 def test_background_is_measured_without_the_board() -> None:
-    stage = set_stage(SMALL, 0)
-    for name, messages in simulate_background(stage).items():
+    world = build_world(SMALL, 0)
+    for name, messages in simulate_background(world).items():
         assert messages, name
         assert messages[-1].stamp < SMALL.start_time + SMALL.background
 
 
-def test_disturbed_captures_have_the_stated_share_and_are_marked() -> None:
-    stage = set_stage(SMALL.model_copy(update={"samples": 10, "disturbed": 0.2}), 0)
-    assert sum(b.disturbed for b in truth_of(stage).boards) == 4
+def test_disturbed_captures_have_the_stated_fraction_and_are_marked() -> None:
+    world = build_world(SMALL.model_copy(update={"samples": 10, "disturbed": 0.2}), 0)
+    assert sum(b.disturbed for b in ground_truth(world).boards) == 4
 
 
 def test_mounts_differ_from_seed_to_seed_by_centimetres_and_degrees() -> None:
-    poses = [truth_of(set_stage(SMALL, seed)).T_root_sensor["camera"] for seed in range(2)]
+    poses = [ground_truth(build_world(SMALL, seed)).T_root_sensor["camera"] for seed in range(2)]
     error = se3.difference(poses[0], poses[1])
     assert 0.01 < np.linalg.norm(error[:3]) < 0.8
     assert 0.5 < np.degrees(np.linalg.norm(error[3:])) < 25
 
 
 def test_robot_can_have_any_number_of_sensors() -> None:
-    rig = rig_of(
-        set_stage(
+    rig = world_rig(
+        build_world(
             RigScenario(
-                camera=CameraKnobs(count=2, width=64, height=48, texels_per_mm=0.1),
-                laser=LaserKnobs(count=5),
-                spinning=SpinningKnobs(count=0),
-                multibeam=MultibeamKnobs(count=2),
+                camera=CameraOptions(count=2, width=64, height=48, texels_per_mm=0.1),
+                laser=LaserOptions(count=5),
+                spinning=SpinningOptions(count=0),
+                multibeam=MultibeamOptions(count=2),
             ),
             0,
         )
@@ -164,18 +164,18 @@ def test_robot_can_have_any_number_of_sensors() -> None:
 
 def test_unknown_root_is_named() -> None:
     with pytest.raises(InputError, match="root 'imu' is not a sensor of this robot; it has camera, lidar"):
-        set_stage(SMALL.model_copy(update={"root": "imu"}), 0)
+        build_world(SMALL.model_copy(update={"root": "imu"}), 0)
 
 
 def test_recording_comes_with_rig_and_truth(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     simulate_rig(SMALL, tmp_path, seed=3, progress=lambda done, total: told.append((done, total)))
-    stage = set_stage(SMALL, 3)
-    assert load_rig(tmp_path / "rig.yaml") == rig_of(stage)
+    world = build_world(SMALL, 3)
+    assert load_rig(tmp_path / "rig.yaml") == world_rig(world)
     truth = load_truth(tmp_path / "truth.yaml")
-    for name, T in truth_of(stage).T_root_sensor.items():
+    for name, T in ground_truth(world).T_root_sensor.items():
         assert truth.T_root_sensor[name] == pytest.approx(T, abs=1e-12)
-    assert [b.trigger for b in truth.boards] == [b.trigger for b in truth_of(stage).boards]
+    assert [b.trigger for b in truth.boards] == [b.trigger for b in ground_truth(world).boards]
     assert told[-1] == (len(told), len(told))
 
 
@@ -188,7 +188,7 @@ def test_recording_has_every_topic_and_a_trigger_for_each_capture(tmp_path: Path
     assert counts.keys() >= {"/lidar/points", "/laser_front/scan", "/laser_left/scan"}
 
 
-def test_recording_without_trigger_says_so_in_its_rig(tmp_path: Path) -> None:
+def test_without_trigger_the_rig_has_no_trigger_topic(tmp_path: Path) -> None:
     simulate_rig(SMALL.model_copy(update={"trigger": False}), tmp_path)
     assert load_rig(tmp_path / "rig.yaml").capture.trigger is None
     with Reader(tmp_path / "recording") as reader:

@@ -3,16 +3,16 @@
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.tracking.ellipse_fit import Fits, Groups, Prior, fit_centres
+from calgraph.tracking.ellipse_fit import EllipseFits, OrientationPrior, PointGroups, fit_ellipses
 
 PERSON = (0.25, 0.15)
 STEP = np.radians(0.5)
 
 
-def seen(
+def simulate_groups(
     rng: np.random.Generator, centre: Array, angle: Array, radii: tuple[float, float], noise: float
-) -> Groups:
-    """Objects (C, 2) as a scanner in the origin sees them, with beams at random phases of its raster."""
+) -> PointGroups:
+    """Points of objects (C, 2) measured from the origin, with beams at random phases of the scanner's raster."""
     distance, bearing = np.hypot(*centre.T), np.arctan2(centre[:, 1], centre[:, 0])
     reach = np.arcsin(np.minimum(max(radii) / distance, 1)).max()
     raster = STEP * np.arange(-np.ceil(reach / STEP) - 1, np.ceil(reach / STEP) + 2)
@@ -27,77 +27,84 @@ def seen(
     used = root > 0
     ranges = (-B - np.sqrt(np.maximum(root, 0))) / A + rng.normal(0, noise, beams.shape)
     points = np.where(used[..., None], ranges[..., None] * d, 0.0)
-    return Groups(points, used, np.full(len(centre), STEP), np.zeros(len(centre), dtype=bool))
+    return PointGroups(points, used, np.full(len(centre), STEP), np.zeros(len(centre), dtype=bool))
 
 
-def around(distance: float, count: int) -> Array:
+def place_around(distance: float, count: int) -> Array:
     bearing = np.linspace(0, 2 * np.pi, count, endpoint=False)
     return distance * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
 
 
-def nees(fits: Fits, centre: Array) -> Array:
-    off = fits.centres - centre
+def nees(fits: EllipseFits, centre: Array) -> Array:
+    off = fits.centers - centre
     return np.asarray(np.einsum("ni,nij,nj->n", off, np.linalg.inv(fits.covariances), off))
 
 
 def test_exact_points_of_a_cylinder_give_its_axis(rng: np.random.Generator) -> None:
-    centre = around(5.0, 50)
-    groups = seen(rng, centre, np.zeros(50), (0.25, 0.25), 0.0)
-    fits = fit_centres(groups, (0.25, 0.25), Prior(np.zeros(50), np.full(50, np.inf)), 0.02)
+    centre = place_around(5.0, 50)
+    groups = simulate_groups(rng, centre, np.zeros(50), (0.25, 0.25), 0.0)
+    fits = fit_ellipses(groups, (0.25, 0.25), OrientationPrior(np.zeros(50), np.full(50, np.inf)), 0.02)
     # Beams at the edge say "even to half a beam" only: the outline's middle is not exact.
-    assert np.abs(fits.centres - centre).max() < 0.01
+    assert np.abs(fits.centers - centre).max() < 0.01
 
 
-def test_cylinders_covariance_holds(rng: np.random.Generator) -> None:
-    centre = around(8.0, 1000)
-    groups = seen(rng, centre, np.zeros(1000), (0.25, 0.25), 0.02)
-    fits = fit_centres(groups, (0.25, 0.25), Prior(np.zeros(1000), np.full(1000, np.inf)), 0.02)
+def test_nees_of_cylinders(rng: np.random.Generator) -> None:
+    centre = place_around(8.0, 1000)
+    groups = simulate_groups(rng, centre, np.zeros(1000), (0.25, 0.25), 0.02)
+    fits = fit_ellipses(groups, (0.25, 0.25), OrientationPrior(np.zeros(1000), np.full(1000, np.inf)), 0.02)
     assert 1.2 < nees(fits, centre).mean() < 2.6
 
 
-def test_peoples_covariance_holds(rng: np.random.Generator) -> None:
-    centre, angle = around(5.0, 1000), rng.uniform(-np.pi, np.pi, 1000)
-    groups = seen(rng, centre, angle, PERSON, 0.02)
-    prior = Prior(angle + rng.normal(0, 0.25, 1000), np.full(1000, 0.25))
-    result = nees(fit_centres(groups, PERSON, prior, 0.02), centre)
+def test_nees_of_people(rng: np.random.Generator) -> None:
+    centre, angle = place_around(5.0, 1000), rng.uniform(-np.pi, np.pi, 1000)
+    groups = simulate_groups(rng, centre, angle, PERSON, 0.02)
+    prior = OrientationPrior(angle + rng.normal(0, 0.25, 1000), np.full(1000, 0.25))
+    result = nees(fit_ellipses(groups, PERSON, prior, 0.02), centre)
     assert 1.4 < np.nanmean(result) < 3.0
 
 
 def test_people_are_measured_without_bias(rng: np.random.Generator) -> None:
-    centre, angle = around(5.0, 1000), rng.uniform(-np.pi, np.pi, 1000)
-    fits = fit_centres(seen(rng, centre, angle, PERSON, 0.02), PERSON, Prior(angle, np.full(1000, 0.25)), 0.02)
-    along = ((fits.centres - centre) * centre / 5.0).sum(axis=1)
+    centre, angle = place_around(5.0, 1000), rng.uniform(-np.pi, np.pi, 1000)
+    fits = fit_ellipses(
+        simulate_groups(rng, centre, angle, PERSON, 0.02),
+        PERSON,
+        OrientationPrior(angle, np.full(1000, 0.25)),
+        0.02,
+    )
+    along = ((fits.centers - centre) * centre / 5.0).sum(axis=1)
     assert abs(np.nanmean(along)) < 0.004
 
 
-def test_half_a_turn_of_the_prior_changes_nothing(rng: np.random.Generator) -> None:
-    centre, angle = around(4.0, 20), rng.uniform(-np.pi, np.pi, 20)
-    groups = seen(rng, centre, angle, PERSON, 0.01)
-    fits = [fit_centres(groups, PERSON, Prior(a, np.full(20, 0.2)), 0.01) for a in (angle, angle + np.pi)]
-    np.testing.assert_allclose(fits[0].centres, fits[1].centres, atol=1e-6)
+def test_the_prior_has_a_period_of_half_a_turn(rng: np.random.Generator) -> None:
+    centre, angle = place_around(4.0, 20), rng.uniform(-np.pi, np.pi, 20)
+    groups = simulate_groups(rng, centre, angle, PERSON, 0.01)
+    fits = [
+        fit_ellipses(groups, PERSON, OrientationPrior(a, np.full(20, 0.2)), 0.01) for a in (angle, angle + np.pi)
+    ]
+    np.testing.assert_allclose(fits[0].centers, fits[1].centers, atol=1e-6)
 
 
 def test_two_beams_give_a_centre_with_a_wide_covariance_in_depth(rng: np.random.Generator) -> None:
     centre = np.array([[20.0, 0.0]])
-    groups = seen(rng, centre, np.zeros(1), (0.15, 0.15), 0.02)
-    fits = fit_centres(groups, (0.15, 0.15), Prior(np.zeros(1), np.array([np.inf])), 0.02)
-    assert np.linalg.norm(fits.centres - centre) < 0.15
+    groups = simulate_groups(rng, centre, np.zeros(1), (0.15, 0.15), 0.02)
+    fits = fit_ellipses(groups, (0.15, 0.15), OrientationPrior(np.zeros(1), np.array([np.inf])), 0.02)
+    assert np.linalg.norm(fits.centers - centre) < 0.15
     assert np.sqrt(fits.covariances[0, 1, 1]) > 0.02
 
 
-def test_two_points_of_somebody_partly_hidden_who_stands_say_no_centre() -> None:
+def test_two_points_of_a_clipped_standing_person_give_no_centre() -> None:
     # They come to lie on a diameter. Their equations, singular to the last bit, ended following in an error.
     points = np.array([[[14.123635084288956, 12.27748866852835], [13.852219546898628, 12.47259450252912]]])
-    groups = Groups(points, np.ones((1, 2), dtype=bool), np.full(1, STEP), np.ones(1, dtype=bool))
-    prior = Prior(np.full(1, np.pi / 2), np.full(1, np.inf))
-    fits = fit_centres(groups, (0.25 / 1.3, 0.15 / 1.3), prior, 0.013113730547032371)
-    assert np.isnan(fits.centres).all()
+    groups = PointGroups(points, np.ones((1, 2), dtype=bool), np.full(1, STEP), np.ones(1, dtype=bool))
+    prior = OrientationPrior(np.full(1, np.pi / 2), np.full(1, np.inf))
+    fits = fit_ellipses(groups, (0.25 / 1.3, 0.15 / 1.3), prior, 0.013113730547032371)
+    assert np.isnan(fits.centers).all()
 
 
-def test_a_worse_fit_than_the_noise_allows_widens_the_covariance(rng: np.random.Generator) -> None:
-    groups = seen(rng, np.array([[4.0, 0.0]]), np.zeros(1), PERSON, 0.03)
-    prior = Prior(np.zeros(1), np.full(1, 0.2))
-    fits = fit_centres(groups, PERSON, prior, 0.005)
-    assert fits.excess[0] > 5
-    calm = fit_centres(groups, PERSON, prior, 0.03)
+def test_residuals_above_the_noise_inflate_the_covariance(rng: np.random.Generator) -> None:
+    groups = simulate_groups(rng, np.array([[4.0, 0.0]]), np.zeros(1), PERSON, 0.03)
+    prior = OrientationPrior(np.zeros(1), np.full(1, 0.2))
+    fits = fit_ellipses(groups, PERSON, prior, 0.005)
+    assert fits.reduced_chi2[0] > 5
+    calm = fit_ellipses(groups, PERSON, prior, 0.03)
     assert np.trace(fits.covariances[0]) > 0.2 * np.trace(calm.covariances[0])

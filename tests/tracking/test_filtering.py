@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.tracking.filtering import Gaussian, distance, motion, predict, smooth, start, update
+from calgraph.tracking.filtering import (
+    Gaussian,
+    constant_velocity,
+    initial_state,
+    mahalanobis_distance,
+    predict,
+    smooth_tracks,
+    update,
+)
 
 
 def test_a_prediction_of_one_second_by_hand() -> None:
     state = Gaussian(np.array([1.0, 2.0, 3.0, -1.0]), np.diag([0.1, 0.2, 0.5, 0.5]))
-    ahead = predict(state, motion(np.array(1.0), 0.6))
+    ahead = predict(state, constant_velocity(np.array(1.0), 0.6))
     np.testing.assert_allclose(ahead.mean, [4, 1, 3, -1])
     # P_x + t² P_v + q t³/3; the covariance of x and vx is t P_v + q t²/2; P_v + q t.
     np.testing.assert_allclose(np.diag(ahead.covariance), [0.1 + 0.5 + 0.2, 0.2 + 0.5 + 0.2, 1.1, 1.1])
@@ -24,13 +32,15 @@ def test_an_update_by_hand() -> None:
 
 
 def test_the_distance_counts_prediction_and_measurement() -> None:
-    squared, determinant = distance(start(np.zeros(2), np.eye(2)), np.array([3.0, 0.0]), 2 * np.eye(2))
+    squared, determinant = mahalanobis_distance(
+        initial_state(np.zeros(2), np.eye(2)), np.array([3.0, 0.0]), 2 * np.eye(2)
+    )
     assert squared == pytest.approx(3.0)
     assert determinant == pytest.approx(9.0)
 
 
-def dense(times: Array, z: Array, R: Array, agility: float) -> tuple[Array, Array]:
-    """All states (T, 4) at once by least squares, and their covariances (T, 4, 4)."""
+def solve_densely(times: Array, z: Array, R: Array, acceleration_density: float) -> tuple[Array, Array]:
+    """All states (T, 4) by one dense least squares, and their covariances (T, 4, 4)."""
     count = len(times)
     H, g = np.zeros((4 * count, 4 * count)), np.zeros(4 * count)
     H[2:4, 2:4] += np.eye(2) / 1.5**2
@@ -41,7 +51,7 @@ def dense(times: Array, z: Array, R: Array, agility: float) -> tuple[Array, Arra
             g[4 * k : 4 * k + 2] += W @ z[k]
     for k in range(count - 1):
         dt = times[k + 1] - times[k]
-        block = agility * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        block = acceleration_density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
         W = np.kron(np.linalg.inv(block), np.eye(2))
         J = np.hstack([-np.kron([[1, dt], [0, 1]], np.eye(2)), np.eye(4)])
         H[4 * k : 4 * k + 8, 4 * k : 4 * k + 8] += J.T @ W @ J
@@ -61,19 +71,19 @@ def walk(rng: np.random.Generator) -> tuple[Array, Array, Array]:
 
 
 def test_smoothed_states_are_the_dense_least_squares(walk: tuple[Array, Array, Array]) -> None:
-    smoothed, _ = smooth(*walk, agility=0.5, gate=np.inf)
-    np.testing.assert_allclose(smoothed.mean, dense(*walk, 0.5)[0], atol=1e-8)
+    smoothed, _ = smooth_tracks(*walk, acceleration_density=0.5, gate=np.inf)
+    np.testing.assert_allclose(smoothed.mean, solve_densely(*walk, 0.5)[0], atol=1e-8)
 
 
 def test_smoothed_covariances_are_those_of_the_dense_least_squares(walk: tuple[Array, Array, Array]) -> None:
-    smoothed, _ = smooth(*walk, agility=0.5, gate=np.inf)
-    np.testing.assert_allclose(smoothed.covariance, dense(*walk, 0.5)[1], atol=1e-8)
+    smoothed, _ = smooth_tracks(*walk, acceleration_density=0.5, gate=np.inf)
+    np.testing.assert_allclose(smoothed.covariance, solve_densely(*walk, 0.5)[1], atol=1e-8)
 
 
 def test_padding_changes_nothing(walk: tuple[Array, Array, Array]) -> None:
     times, z, R = walk
-    alone, _ = smooth(times, z, R, 0.5, np.inf)
-    padded, _ = smooth(
+    alone, _ = smooth_tracks(times, z, R, 0.5, np.inf)
+    padded, _ = smooth_tracks(
         np.stack([np.append(times, [times[-1]] * 5)] * 2),
         np.stack([np.concatenate([z, np.full((5, 2), np.nan)])] * 2),
         np.stack([np.concatenate([R, np.full((5, 2, 2), np.nan)])] * 2),
@@ -83,9 +93,9 @@ def test_padding_changes_nothing(walk: tuple[Array, Array, Array]) -> None:
     np.testing.assert_allclose(padded.mean[1, :30], alone.mean, atol=1e-9)
 
 
-def test_a_contradicting_measurement_is_left_out(walk: tuple[Array, Array, Array]) -> None:
+def test_a_measurement_outside_the_gate_is_rejected(walk: tuple[Array, Array, Array]) -> None:
     times, z, R = walk
     z[20] += 5.0
-    smoothed, used = smooth(times, z, R, 0.5, 13.8)
+    smoothed, used = smooth_tracks(times, z, R, 0.5, 13.8)
     assert not used[20]
     assert np.linalg.norm(smoothed.mean[20, :2] - [times[20], np.sin(times[20])]) < 0.1

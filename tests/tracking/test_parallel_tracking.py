@@ -1,4 +1,4 @@
-"""Scanners followed by several processes."""
+"""Tracking of scanners in several processes."""
 
 import multiprocessing
 from collections.abc import Mapping, Sequence
@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.config import People, RangeNoise
 from calgraph.errors import Rejected
-from calgraph.tracking import ScanRun, Tracked, in_runs, parallel_tracking, track_scanners
+from calgraph.tracking import ScannerTracks, ScanRun, parallel_tracking, stack_scans, track_scanners
 from walking_scenes import World, along, circling
 
 PEOPLE = People(kind="people")
@@ -20,22 +20,22 @@ def scans() -> dict[str, Sequence[ScanRun]]:
         "two": World((along([(2, -3), (2, 3), (6, 3)]), circling(1.0, (4.0, 0.0)))),
         "nobody": World(()),
     }
-    return {name: in_runs(world.scans(12.0, 0)) for name, world in worlds.items()}
+    return {name: stack_scans(world.scans(12.0, 0)) for name, world in worlds.items()}
 
 
 @pytest.fixture(autouse=True)
-def _worthwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel_tracking, "_WORTHWHILE", 0)
+def _force_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel_tracking, "_MIN_PARALLEL_BEAMS", 0)
 
 
-def followed(
-    scans: Mapping[str, Sequence[ScanRun]], jobs: int, told: list[float] | None = None
-) -> dict[str, Tracked | Rejected]:
-    progress = (lambda _done: None) if told is None else told.append
+def track_all(
+    scans: Mapping[str, Sequence[ScanRun]], jobs: int, report: list[float] | None = None
+) -> dict[str, ScannerTracks | Rejected]:
+    progress = (lambda _done: None) if report is None else report.append
     return track_scanners(scans, PEOPLE, dict.fromkeys(scans, RangeNoise()), jobs=jobs, progress=progress)
 
 
-def bits(found: Mapping[str, Tracked | Rejected]) -> dict[str, list[bytes] | str]:
+def serialize(found: Mapping[str, ScannerTracks | Rejected]) -> dict[str, list[bytes] | str]:
     return {
         name: own.reason
         if isinstance(own, Rejected)
@@ -49,17 +49,17 @@ def bits(found: Mapping[str, Tracked | Rejected]) -> dict[str, list[bytes] | str
 
 
 def test_the_number_of_processes_does_not_change_a_bit(scans: dict[str, Sequence[ScanRun]]) -> None:
-    alone, together = followed(scans, 1), followed(scans, 2)
+    alone, together = track_all(scans, 1), track_all(scans, 2)
     assert list(together) == ["one", "two", "nobody"]
-    assert bits(together) == bits(alone)
+    assert serialize(together) == serialize(alone)
 
 
-def test_progress_is_told_of_every_scanner(scans: dict[str, Sequence[ScanRun]]) -> None:
-    told: list[float] = []
-    followed(scans, 2, told)
-    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+def test_progress_is_reported_for_every_scanner(scans: dict[str, Sequence[ScanRun]]) -> None:
+    report: list[float] = []
+    track_all(scans, 2, report)
+    assert report == pytest.approx([1 / 3, 2 / 3, 1.0])
 
 
-def test_no_process_is_left_behind(scans: dict[str, Sequence[ScanRun]]) -> None:
-    followed(scans, 2)
+def test_no_process_survives(scans: dict[str, Sequence[ScanRun]]) -> None:
+    track_all(scans, 2)
     assert multiprocessing.active_children() == []

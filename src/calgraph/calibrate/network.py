@@ -21,11 +21,11 @@ from calgraph.graph import initialize_network
 from calgraph.pairwise import ScannerObservations, estimate_scanner_pairs
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.tracking import Feature, Tracked
+from calgraph.tracking import CenterFeature, ScannerTracks
 
 # How far off along the sight the centres may lie that each feature gives, as a standard deviation, m. A centre of
 # mass lies three quarters of the radius before the centre.
-DEPTHS: Mapping[Feature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.03}
+DEPTHS: Mapping[CenterFeature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.03}
 
 
 def calibrate_network(
@@ -43,7 +43,7 @@ def calibrate_network(
 
 def calibrate_tracks(
     rig: Rig,
-    tracks: Mapping[str, Tracked | Rejected],
+    tracks: Mapping[str, ScannerTracks | Rejected],
     options: Options,
     progress: Progress = no_progress,
     *,
@@ -69,7 +69,7 @@ def calibrate_tracks(
     earlier = _calibration_to_extend(rig, options)
     tracks = _complete_tracks(rig, tracks)
     rng = np.random.default_rng(options.seed)
-    tracked = {name: found for name, found in tracks.items() if isinstance(found, Tracked)}
+    tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
     depth = DEPTHS[options.feature]
     pairs = estimate_scanner_pairs(
         tracked,
@@ -110,7 +110,9 @@ def _calibration_to_extend(rig: Rig, options: Options) -> Calibration | None:
     return remove_scanners(options.extend, options.moved)
 
 
-def _complete_tracks(rig: Rig, tracks: Mapping[str, Tracked | Rejected]) -> dict[str, Tracked | Rejected]:
+def _complete_tracks(
+    rig: Rig, tracks: Mapping[str, ScannerTracks | Rejected]
+) -> dict[str, ScannerTracks | Rejected]:
     """The tracks of every scanner of the rig, rejected where none were given."""
     unknown = set(tracks) - set(rig.sensors)
     if unknown:
@@ -120,7 +122,7 @@ def _complete_tracks(rig: Rig, tracks: Mapping[str, Tracked | Rejected]) -> dict
     return {name: tracks.get(name, Rejected("no tracks were given")) for name in rig.sensors}
 
 
-def _first_time(tracked: Mapping[str, Tracked]) -> float:
+def _first_time(tracked: Mapping[str, ScannerTracks]) -> float:
     return min((float(track.times[0]) for scanner in tracked.values() for track in scanner.tracks), default=0.0)
 
 

@@ -11,7 +11,7 @@ from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, Solv
 from calgraph.graph import AveragingMethod, Initialization
 from calgraph.pairwise import MatchFilter
 from calgraph.result import Calibration
-from calgraph.tracking import Feature
+from calgraph.tracking import CenterFeature
 
 NetworkEstimator = Literal["joint", "averaging"]
 Weights = Literal["uniform", "weighted"]
@@ -44,7 +44,7 @@ class Options:
     """Where a rig's joint solution starts: its spanning tree, the identity, or all pairs averaged by a method."""
     tags: Averaging = "pnp"
     """A camera's plane: one PnP over all tags' corners, or the paper's average over tags (mean_plane)."""
-    feature: Feature = "nls"
+    feature: CenterFeature = "nls"
     """What of a person is followed: centre of mass, direct ellipse, or ellipse of fixed radii (nls)."""
     average: AveragingMethod = "consensus"
     """How a network's pairs become poses: consensus over trees, or one of the published rotation averagings."""

@@ -7,7 +7,7 @@ from calgraph.captures import to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
-from calgraph.tracking import ScanGathering, ScanRun, Tracked, track_scanners
+from calgraph.tracking import ScannerTracks, ScanRun, ScanStackBuilder, track_scanners
 
 # Scans held in memory together, exceeded only by those of one scanner: 0.8 GB for scans of 1000 beams.
 _MAX_SCANS_IN_MEMORY = 100_000
@@ -15,11 +15,11 @@ _MAX_SCANS_IN_MEMORY = 100_000
 
 def track_people(
     rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
-) -> tuple[dict[str, Tracked | Rejected], dict[str, str]]:
+) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str]]:
     """The tracks of each scanner, and the frames that their messages state."""
     target = moving_target(rig)
     noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
-    tracks: dict[str, Tracked | Rejected] = {}
+    tracks: dict[str, ScannerTracks | Rejected] = {}
     frames: dict[str, str] = {}
     for names in _memory_batches(rig, recording):
 
@@ -66,7 +66,7 @@ def _read_scans(
     recording: Recording, names: Mapping[str, str], progress: Progress
 ) -> tuple[dict[str, tuple[ScanRun, ...]], dict[str, str]]:
     """The scans of some scanners, given by topic, and the frames they state."""
-    gathered = {name: ScanGathering() for name in names.values()}
+    gathered = {name: ScanStackBuilder() for name in names.values()}
     frames: dict[str, str] = {}
     length = max(recording.end - recording.start, 1e-9)
     for record in recording.records(list(names)):

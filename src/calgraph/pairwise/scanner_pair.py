@@ -32,7 +32,7 @@ from calgraph.pairwise.track_registration import (
 )
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.processes import parallel_map
-from calgraph.tracking import Tracked
+from calgraph.tracking import ScannerTracks
 
 # Combinations of samples on which hypotheses are judged roughly, coarsely and finely, how many hypotheses are
 # refined coarsely and finely, and how many samples of a there must be to judge by.
@@ -118,7 +118,7 @@ class _ScannerData:
     """Of the background's ranges, m."""
 
     @classmethod
-    def of(cls, tracked: Tracked) -> "_ScannerData":
+    def of(cls, tracked: ScannerTracks) -> "_ScannerData":
         return cls(ScannerObservations.from_tracks(tracked), StaticBackground(tracked.background), tracked.sigma)
 
 
@@ -143,7 +143,7 @@ class ScannerPairEstimate:
 
 
 def estimate_scanner_pairs(
-    tracked: Mapping[str, Tracked],
+    tracked: Mapping[str, ScannerTracks],
     rng: np.random.Generator,
     *,
     icp: bool = True,
@@ -184,8 +184,8 @@ def estimate_scanner_pairs(
 def estimate_scanner_pair(
     name_a: str,
     name_b: str,
-    a: Tracked,
-    b: Tracked,
+    a: ScannerTracks,
+    b: ScannerTracks,
     rng: np.random.Generator,
     *,
     icp: bool = True,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calgraph.geometry import Array
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 
 Indices = NDArray[np.intp]
 
@@ -131,7 +131,7 @@ def pair_simultaneous_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousP
     return SimultaneousPairs(a, b, row_a, np.repeat(first, count) + within)
 
 
-def resample_tracks(tracked: Tracked) -> TrackSamples:
+def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
     """Interpolates a scanner's tracks at the ticks of the clock that all scanners share."""
     tracks = [track for track in tracked.tracks if len(track.times)]
     parts = [_interpolate_at_ticks(walk, i) for i, walk in enumerate(_join_tracks(tracks))]

@@ -13,7 +13,7 @@ from scipy.ndimage import convolve
 
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
-from calgraph.tracking import Tracked
+from calgraph.tracking import ScannerTracks
 
 Flags = NDArray[np.bool_]
 
@@ -63,7 +63,7 @@ class ScannerObservations:
     visibility: VisibilityMap
 
     @classmethod
-    def from_tracks(cls, tracked: Tracked) -> "ScannerObservations":
+    def from_tracks(cls, tracked: ScannerTracks) -> "ScannerObservations":
         """What a scanner followed, at the ticks that all scanners share."""
         samples = resample_tracks(tracked)
         return cls(samples, build_visibility_map(tracked, samples))
@@ -73,7 +73,7 @@ class ScannerObservations:
         return replace(self, samples=self.samples.subsample(step))
 
 
-def build_visibility_map(tracked: Tracked, samples: TrackSamples) -> VisibilityMap:
+def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> VisibilityMap:
     """The open view of a scanner: before what stands still, up to where it usually sees people; and where it did.
 
     Args:
@@ -92,7 +92,7 @@ def build_visibility_map(tracked: Tracked, samples: TrackSamples) -> VisibilityM
     detected = convolve(counts, np.ones((3, 3)), mode="constant") >= _MIN_DETECTIONS
     visible = within.reshape(counts.shape) | detected
     visible[[0, -1]] = visible[:, [0, -1]] = False
-    return VisibilityMap(visible, _sampled_interval(samples) if tracked.watched is None else tracked.watched)
+    return VisibilityMap(visible, _sampled_interval(samples) if tracked.coverage is None else tracked.coverage)
 
 
 def _sampled_interval(samples: TrackSamples) -> Array:

@@ -1,41 +1,41 @@
-"""Known truth: simulated recordings of robots with a board, to test and to benchmark calibrations on."""
+"""Simulated recordings with ground truth, of robots with a board and of networks with people."""
 
-from calgraph.simulation.ideal_detections import DetectionKnobs, simulate_detections
-from calgraph.simulation.network_scenario import LayoutName, NetworkScenario, PeopleKnobs, ScannerKnobs
+from calgraph.simulation.ideal_detections import IdealDetectorOptions, simulate_detections
+from calgraph.simulation.network_scenario import LayoutName, NetworkScenario, PeopleOptions, ScannerOptions
 from calgraph.simulation.network_simulation import (
-    Network,
+    SimulatedNetwork,
     StationaryScanner,
     build_network,
     network_rig,
     network_truth,
-    scans_of,
     simulate_network,
     simulate_network_scans,
+    simulate_scans,
 )
 from calgraph.simulation.rig_scenario import (
-    BeamKnobs,
-    CameraKnobs,
-    LaserKnobs,
-    MultibeamKnobs,
+    BeamOptions,
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
     RigScenario,
-    SpinningKnobs,
+    SpinningOptions,
 )
-from calgraph.simulation.rig_simulation import Progress, rig_of, simulate_rig
-from calgraph.simulation.truth import BoardTruth, PersonTruth, Truth, load_truth, save_truth
+from calgraph.simulation.rig_simulation import Progress, simulate_rig, world_rig
+from calgraph.simulation.truth import BoardTruth, GroundTruth, PersonTruth, load_truth, save_truth
 from calgraph.simulation.world import (
     SimulatedCapture,
-    Stage,
-    set_stage,
+    World,
+    build_world,
+    ground_truth,
     simulate_background,
     simulate_captures,
-    truth_of,
 )
 
 __all__ = [
-    "BeamKnobs", "BoardTruth", "CameraKnobs", "DetectionKnobs", "LaserKnobs", "LayoutName", "MultibeamKnobs",
-    "Network", "NetworkScenario", "PeopleKnobs", "PersonTruth", "Progress", "RigScenario", "ScannerKnobs",
-    "SimulatedCapture", "SpinningKnobs", "Stage", "StationaryScanner", "Truth", "build_network", "load_truth",
-    "network_rig", "network_truth", "rig_of", "save_truth", "scans_of", "set_stage", "simulate_background",
-    "simulate_captures", "simulate_detections", "simulate_network", "simulate_network_scans", "simulate_rig",
-    "truth_of",
+    "BeamOptions", "BoardTruth", "CameraOptions", "GroundTruth", "IdealDetectorOptions", "LaserOptions",
+    "LayoutName", "MultibeamOptions", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress",
+    "RigScenario", "ScannerOptions", "SimulatedCapture", "SimulatedNetwork", "SpinningOptions",
+    "StationaryScanner", "World", "build_network", "build_world", "ground_truth", "load_truth", "network_rig",
+    "network_truth", "save_truth", "simulate_background", "simulate_captures", "simulate_detections",
+    "simulate_network", "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
 ]  # fmt: skip

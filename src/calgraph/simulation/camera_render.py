@@ -1,7 +1,7 @@
-"""Camera images of the board, the operator and the room, for every lens a camera model can describe.
+"""Rendering of camera images of the board, the operator and the room, for any camera model.
 
-Rays of pixels are intersected with the board and its printed face is sampled there. This is exact for any
-distortion, where MSG-Cal's homography (section VI-B) needs a pinhole.
+The rays of pixels are intersected with the board and its printed face is sampled there. This is exact for any
+distortion, whereas MSG-Cal's homography (section VI-B) needs a pinhole.
 """
 
 from collections.abc import Sequence
@@ -13,48 +13,48 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel
-from calgraph.simulation.solids import Solid, cast
+from calgraph.simulation.solids import Solid, cast_rays
 
 Gray = NDArray[np.float32]
 
-_COARSE = 4
-"""Step of the pixel grid on which the surroundings are drawn and the board is looked for."""
+_COARSE_STEP = 4
+"""Step of the pixel grid on which the environment is drawn and the board is searched, pixels."""
 _SUBPIXELS = 2
-"""Samples along each side of a pixel."""
-_FAR = 1e3
-"""Positions farther than this from the sheet need not be told apart, m."""
-_INK, _PAPER = 25.0, 225.0
-"""Grey values of the print in full light."""
-_BACK = 110.0
-"""Grey value of the sheet's unprinted back."""
+"""Texture samples along each side of a pixel."""
+_MAX_DISTANCE = 1e3
+"""Positions in the board's plane are clipped at this distance, m."""
+_INK_GRAY, _PAPER_GRAY = 25.0, 225.0
+"""Grey values of the print under full illumination."""
+_BACK_GRAY = 110.0
+"""Grey value of the board's unprinted back."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrintedBoard:
-    """A board's face at resolutions halving from level to level, ready to be sampled."""
+    """A board's face as an image pyramid, each level with half the resolution of the one before."""
 
     size: tuple[float, float]
-    """Width and height of the sheet, m."""
+    """Width and height of the board, m."""
     levels: tuple[NDArray[np.uint8], ...]
     """(rows, columns) each: reflectance, 0 to 255."""
 
 
 @dataclass(frozen=True, eq=False)
-class Darkroom:
-    """What stays the same from image to image of one camera: its rays and the picture of the empty room."""
+class RenderContext:
+    """What is common to all images of one camera: its rays and the image of the empty room."""
 
     T_world_camera: Array
     """(4, 4)."""
     rays: Gray
-    """(3, height, width) unit vectors in the camera frame, NaN where the lens sees nothing."""
-    coarse: Array
-    """(rows, columns, 3) every fourth of them in the world frame; those that see nothing point into the sky."""
+    """(3, height, width) unit vectors in the camera frame, NaN outside of the lens' field of view."""
+    coarse_rays: Array
+    """(rows, columns, 3) every fourth of them in the world frame; those without a ray point upwards."""
     background: Gray
     """(height, width) grey values of the empty room."""
 
 
-def printed_board(face: Array, size: tuple[float, float]) -> PrintedBoard:
-    """Prepares a face from :func:`calgraph.simulation.board_texture.board_texture` for rendering."""
+def build_texture_pyramid(face: Array, size: tuple[float, float]) -> PrintedBoard:
+    """Builds the image pyramid of a face from :func:`calgraph.simulation.board_texture.render_board_texture`."""
     levels = [face]
     while min(levels[-1].shape) >= 32:
         rows, columns = levels[-1].shape
@@ -63,134 +63,140 @@ def printed_board(face: Array, size: tuple[float, float]) -> PrintedBoard:
     return PrintedBoard(size, tuple((255 * level).round().astype(np.uint8) for level in levels))
 
 
-def darkroom(
-    camera: CameraModel, T_world_camera: Array, room: Sequence[Solid], rng: np.random.Generator
-) -> Darkroom:
-    """Casts the rays of all pixels and draws the empty room with a random texture on its surfaces."""
+def build_render_context(
+    camera: CameraModel, T_world_camera: Array, environment: Sequence[Solid], rng: np.random.Generator
+) -> RenderContext:
+    """Casts the rays of all pixels and renders the empty room with a random texture on its surfaces."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.float64)
     rays = camera.rays(pixels).reshape(camera.height, camera.width, 3)
-    coarse = rays[::_COARSE, ::_COARSE] @ T_world_camera[:3, :3].T
+    coarse = rays[::_COARSE_STEP, ::_COARSE_STEP] @ T_world_camera[:3, :3].T
     coarse = np.where(np.isfinite(coarse), coarse, [0.0, 0.0, 1.0])
-    gray, ranges = _shade(coarse, T_world_camera, room)
+    gray, ranges = _shade(coarse, T_world_camera, environment)
     points = T_world_camera[:3, 3] + np.where(np.isfinite(ranges), ranges, 0)[..., None] * coarse
-    background = _enlarged(gray * (1 + 0.25 * _marbling(points, rng)))[: camera.height, : camera.width]
+    background = _upsample(gray * (1 + 0.25 * _random_texture(points, rng)))[: camera.height, : camera.width]
     planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0), dtype=np.float32)
-    return Darkroom(T_world_camera, planes, coarse, np.ascontiguousarray(background))
+    return RenderContext(T_world_camera, planes, coarse, np.ascontiguousarray(background))
 
 
-def render(
-    room: Darkroom, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid], blur: float
+def render_board(
+    context: RenderContext, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid], blur: float
 ) -> Gray:
-    """One image without noise: (height, width) grey values 0 to 255.
+    """Renders one image without noise: (height, width) grey values 0 to 255.
 
     Args:
-        room: the camera with its cached rays and background.
+        context: the camera with its cached rays and background.
         T_world_board: (4, 4).
         board: the printed board.
         operator: the person behind it.
         blur: standard deviation of the lens' point spread, pixels; 0 for none.
 
     """
-    image = room.background.copy()
-    draw(image, room, T_world_board, board, operator)
-    return blurred(image, blur)
+    image = context.background.copy()
+    draw_board_and_operator(image, context, T_world_board, board, operator)
+    return blur_image(image, blur)
 
 
-def draw(
-    image: Gray, room: Darkroom, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid]
+def draw_board_and_operator(
+    image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid]
 ) -> None:
     """Draws a board and the person behind it over a sharp image, in place; arguments as for :func:`render`."""
-    _draw_solids(image, room, operator)
-    _draw_board(image, room, T_world_board, board)
+    _draw_solids(image, context, operator)
+    _draw_board(image, context, T_world_board, board)
 
 
-def blurred(image: Gray, blur: float) -> Gray:
-    """The image seen through a lens with a Gaussian point spread of the given standard deviation, pixels."""
+def blur_image(image: Gray, blur: float) -> Gray:
+    """Convolves the image with a Gaussian point spread of the given standard deviation, pixels."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), blur)) if blur > 0 else image
 
 
 @dataclass(frozen=True, eq=False)
-class Grain:
-    """A sheet of sensor noise larger than the image; every image gets another piece of it.
+class NoisePool:
+    """An array of sensor noise larger than the image; every image takes a random part of it.
 
-    Drawing 1.2 million normals for each image would take longer than rendering it; pieces shifted at random
-    are as good as independent to anything that looks at single corners.
+    Drawing 1.2 million normals for each image would take longer than rendering it; randomly shifted parts are
+    independent for any detector of single corners.
     """
 
-    sheet: NDArray[np.int8]
+    values: NDArray[np.int8]
 
     def add(self, image: Gray, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """The image with noise, as the 8 bits that a camera delivers."""
+        """The image with noise, 8 bits a pixel."""
         height, width = image.shape
-        row, column = rng.integers(0, np.array(self.sheet.shape) - (height, width) + 1)
-        piece = self.sheet[row : row + height, column : column + width]
+        row, column = rng.integers(0, np.array(self.values.shape) - (height, width) + 1)
+        piece = self.values[row : row + height, column : column + width]
         noisy = cv2.add(image, piece, dtype=cv2.CV_8U)
         return np.asarray(noisy, dtype=np.uint8)
 
 
-def grain(camera: CameraModel, sigma: float, rng: np.random.Generator) -> Grain:
-    """Noise of the given standard deviation in grey values."""
+def draw_noise_pool(camera: CameraModel, sigma: float, rng: np.random.Generator) -> NoisePool:
+    """Draws noise of the given standard deviation in grey values."""
     shape = (camera.height + 256, camera.width + 256)
     noise = sigma * rng.standard_normal(shape, dtype=np.float32)
-    return Grain(np.clip(noise.round(), -127, 127).astype(np.int8))
+    return NoisePool(np.clip(noise.round(), -127, 127).astype(np.int8))
 
 
-def _draw_board(image: Gray, room: Darkroom, T_world_board: Array, board: PrintedBoard) -> None:
-    """Draws the sheet over the image, in place."""
-    T_board_camera = se3.inverse(T_world_board) @ room.T_world_camera
-    window = _sheet_window(room, T_board_camera, board.size)
+def _draw_board(image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard) -> None:
+    """Draws the board over the image, in place."""
+    T_board_camera = se3.inverse(T_world_board) @ context.T_world_camera
+    window = _board_window(context, T_board_camera, board.size)
     if window is None:
         return
     part = image[window]
-    x, y = _on_sheet(room.rays[:, window[0], window[1]], T_board_camera)
-    coverage = _coverage(x, board.size[0]) * _coverage(y, board.size[1])
+    x, y = _intersect_board(context.rays[:, window[0], window[1]], T_board_camera)
+    coverage = _pixel_coverage(x, board.size[0]) * _pixel_coverage(y, board.size[1])
     in_front = T_board_camera[2, 3] > 0
-    light = _light(T_world_board[:3, 2] if in_front else -T_world_board[:3, 2])
-    face = _INK + (_PAPER - _INK) * _sample(board, x, y) if in_front else np.float32(_BACK)
+    light = _illumination(T_world_board[:3, 2] if in_front else -T_world_board[:3, 2])
+    face = (
+        _INK_GRAY + (_PAPER_GRAY - _INK_GRAY) * _sample_texture(board, x, y)
+        if in_front
+        else np.float32(_BACK_GRAY)
+    )
     part += coverage * (np.float32(light) * face - part)
 
 
-def _sheet_window(room: Darkroom, T_board_camera: Array, size: tuple[float, float]) -> tuple[slice, slice] | None:
-    """The rows and columns of pixels that the sheet appears in, found on the coarse grid."""
-    x, y = _on_sheet(room.rays[:, ::_COARSE, ::_COARSE], T_board_camera)
-    return _window((np.abs(x) <= size[0] / 2) & (np.abs(y) <= size[1] / 2))
+def _board_window(
+    context: RenderContext, T_board_camera: Array, size: tuple[float, float]
+) -> tuple[slice, slice] | None:
+    """The rows and columns of pixels that show the board, from the coarse grid."""
+    x, y = _intersect_board(context.rays[:, ::_COARSE_STEP, ::_COARSE_STEP], T_board_camera)
+    return _hit_window((np.abs(x) <= size[0] / 2) & (np.abs(y) <= size[1] / 2))
 
 
-def _window(hit: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+def _hit_window(hit: NDArray[np.bool_]) -> tuple[slice, slice] | None:
     """The rows and columns of pixels around the hits (rows, columns) on the coarse grid; None without any."""
     if not hit.any():
         return None
     spans = []
     for axis in (1, 0):
         where = np.flatnonzero(hit.any(axis=axis))
-        # Two steps more on each side, because an outermost corner may lie between grid points.
-        spans.append(slice(_COARSE * max(int(where[0]) - 2, 0), _COARSE * (int(where[-1]) + 3)))
+        # Two more steps on each side, because an outermost corner may lie between grid points.
+        spans.append(slice(_COARSE_STEP * max(int(where[0]) - 2, 0), _COARSE_STEP * (int(where[-1]) + 3)))
     return spans[0], spans[1]
 
 
-def _on_sheet(rays: Gray, T_board_camera: Array) -> tuple[Gray, Gray]:
-    """Where rays (3, rows, columns) in the camera frame meet the board's plane: x and y, m; far off if nowhere."""
+def _intersect_board(rays: Gray, T_board_camera: Array) -> tuple[Gray, Gray]:
+    """Intersections of rays (3, rows, columns) in the camera frame with the board's plane: x and y, m, clipped."""
     t = T_board_camera[:3, 3].astype(np.float32)
     d = np.tensordot(T_board_camera[:3, :3].astype(np.float32), rays, axes=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         s = -t[2] / d[2]
         # Also false for rays that are NaN.
-        met = (s > 0) & (s < _FAR)
-    s = np.where(met, s, np.float32(0))
+        valid = (s > 0) & (s < _MAX_DISTANCE)
+    s = np.where(valid, s, np.float32(0))
     x, y = t[0] + s * d[0], t[1] + s * d[1]
-    return np.where(met, x, np.float32(_FAR)), np.where(met, y, np.float32(_FAR))
+    return np.where(valid, x, np.float32(_MAX_DISTANCE)), np.where(valid, y, np.float32(_MAX_DISTANCE))
 
 
-def _coverage(position: Gray, length: float) -> Gray:
-    """The part of each pixel's width that lies on the sheet, along one of the sheet's axes."""
+def _pixel_coverage(position: Gray, length: float) -> Gray:
+    """The fraction of each pixel's width that lies on the board, along one of the board's axes."""
     pixel = np.abs(np.gradient(position, axis=0)) + np.abs(np.gradient(position, axis=1))
     inside = length / 2 - np.abs(position)
     return np.asarray(np.clip(inside / np.maximum(pixel, 1e-9) + 0.5, 0, 1), dtype=np.float32)
 
 
-def _sample(board: PrintedBoard, x: Gray, y: Gray) -> Gray:
-    """Reflectance 0 to 1 at positions on the sheet (rows, columns), averaged over the area of each pixel."""
+def _sample_texture(board: PrintedBoard, x: Gray, y: Gray) -> Gray:
+    """Reflectance 0 to 1 at positions on the board (rows, columns), averaged over the area of each pixel."""
     width, height = board.size
     pixel = float(np.median(np.abs(np.diff(x, axis=1)) + np.abs(np.diff(y, axis=1))))
     texels = board.levels[0].shape[1] / width * pixel / _SUBPIXELS
@@ -204,40 +210,40 @@ def _sample(board: PrintedBoard, x: Gray, y: Gray) -> Gray:
     return np.asarray(means * np.float32(1 / 255), dtype=np.float32)
 
 
-def _draw_solids(image: Gray, room: Darkroom, solids: Sequence[Solid]) -> None:
+def _draw_solids(image: Gray, context: RenderContext, solids: Sequence[Solid]) -> None:
     """Draws solids over the image, in place, at the coarse resolution."""
-    gray, ranges = _shade(room.coarse, room.T_world_camera, solids)
+    gray, ranges = _shade(context.coarse_rays, context.T_world_camera, solids)
     hit = np.isfinite(ranges)
-    window = _window(hit)
+    window = _hit_window(hit)
     if window is None:
         return
     part = image[window]
-    coarse = tuple(slice(span.start // _COARSE, span.stop // _COARSE) for span in window)
-    mask = _enlarged(hit[coarse].astype(np.float64))[: part.shape[0], : part.shape[1]]
+    coarse = tuple(slice(span.start // _COARSE_STEP, span.stop // _COARSE_STEP) for span in window)
+    mask = _upsample(hit[coarse].astype(np.float64))[: part.shape[0], : part.shape[1]]
     # Outside the mask the grey value is 0, so interpolated values are products already.
-    part += _enlarged(gray[coarse])[: part.shape[0], : part.shape[1]] - mask * part
+    part += _upsample(gray[coarse])[: part.shape[0], : part.shape[1]] - mask * part
 
 
 def _shade(directions: Array, T_world_camera: Array, solids: Sequence[Solid]) -> tuple[Array, Array]:
     """Grey values of the solids that rays (rows, columns, 3) in the world frame hit, 0 for none; their ranges."""
-    hits = cast(solids, T_world_camera[None, :3, 3], directions.reshape(-1, 3))
+    hits = cast_rays(solids, T_world_camera[None, :3, 3], directions.reshape(-1, 3))
     brightness = np.array([*(solid.brightness for solid in solids), 0.0])
     gray = brightness[hits.solid] / (1 + 0.08 * np.where(np.isfinite(hits.ranges), hits.ranges, 0))
     return gray.reshape(directions.shape[:2]), hits.ranges.reshape(directions.shape[:2])
 
 
-def _marbling(points: Array, rng: np.random.Generator) -> Array:
+def _random_texture(points: Array, rng: np.random.Generator) -> Array:
     """A smooth random pattern of about unit amplitude at points (rows, columns, 3)."""
     waves = rng.standard_normal((3, 12)) * np.geomspace(1, 10, 12)
     return np.asarray(np.sin(points @ waves + rng.uniform(0, 2 * np.pi, 12)).sum(axis=-1) / np.sqrt(12))
 
 
-def _light(normal: Array) -> float:
-    """How brightly a surface is lit: lamps hang under the ceiling, the rest is diffuse."""
+def _illumination(normal: Array) -> float:
+    """Relative illumination of a surface: lamps under the ceiling and diffuse light."""
     return float(0.62 + 0.38 * max(normal[2], 0) + 0.2 * (1 - abs(normal[2])))
 
 
-def _enlarged(coarse: Array) -> Gray:
-    """A picture drawn on the coarse grid at full size, up to three rows and columns larger than needed."""
-    shape = (_COARSE * coarse.shape[1], _COARSE * coarse.shape[0])
+def _upsample(coarse: Array) -> Gray:
+    """An image on the coarse grid at full size, up to three rows and columns larger than needed."""
+    shape = (_COARSE_STEP * coarse.shape[1], _COARSE_STEP * coarse.shape[0])
     return np.asarray(cv2.resize(coarse.astype(np.float32), shape, interpolation=cv2.INTER_CUBIC))

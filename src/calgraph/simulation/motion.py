@@ -1,4 +1,4 @@
-"""Where the board is when: poses drawn around the robot, and the timeline of holds and moves between them."""
+"""Trajectory of the board: poses drawn around the robot, and the holds and moves between them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,16 +7,16 @@ import numpy as np
 
 from calgraph.geometry import Array, se3, so3
 
-_DISTURBANCE_TIME = 0.3
-"""How long the board takes to slip in a disturbed hold, s; less in a hold that is over before."""
+_SLIP_TIME = 0.3
+"""Duration of the slip in a disturbed hold, s; less in a short hold."""
 
-_APART = np.radians(50.0)
-"""From one board to the next, seen from the robot, where several are shown at once."""
+_BOARD_SPACING = np.radians(50.0)
+"""Bearing from one board to the next where several are shown simultaneously, rad."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
-    """A place of board and operator, in cylinder coordinates around the robot: z up, bearing from x."""
+class BoardPlacement:
+    """Placement of board and operator in cylindrical coordinates around the robot: z up, bearing from x."""
 
     bearing: float
     """Of the board's centre, rad."""
@@ -25,50 +25,50 @@ class Stance:
     height: float
     """Of the board's centre above the ground, m."""
     R_facing_board: Array
-    """(3, 3) rotation from squarely facing the robot."""
+    """(3, 3) rotation relative to facing the robot."""
     standoff: float = 0.6
-    """How far behind the board the operator stands, m."""
+    """Distance of the operator behind the board, m."""
     side: float = 0.0
-    """How far to the left of the board's centre, seen from the robot, the operator stands, m."""
+    """Lateral offset of the operator from the board's centre, to the left as viewed from the robot, m."""
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
-    """A time in which the board is to rest."""
+class SimulatedHold:
+    """An interval in which the board rests, or slips once if it is disturbed."""
 
     start: float
     """s from the start of the recording."""
     end: float
-    stance: Stance
-    slipped: Stance | None = None
-    """Where the board is in the second part of a disturbed hold."""
+    placement: BoardPlacement
+    placement_after_slip: BoardPlacement | None = None
+    """Placement in the second part of a disturbed hold."""
 
 
 @dataclass(frozen=True, eq=False)
-class Timeline:
-    """The stance of the board over time, as knots that smooth moves connect."""
+class BoardTrajectory:
+    """The placement of the board over time, as knots connected by minimum-jerk moves."""
 
     times: Array
-    """(K,) ascending, s from the start of the recording; nobody is in the room before the first."""
-    stances: tuple[Stance, ...]
-    """K stances; two equal neighbours are a rest."""
-    holds: tuple[Hold, ...]
+    """(K,) ascending, s from the start of the recording; the room is empty before the first."""
+    placements: tuple[BoardPlacement, ...]
+    """K placements; the board rests between two equal neighbours."""
+    holds: tuple[SimulatedHold, ...]
     end: float
     """End of the recording, s."""
 
-    def stance(self, time: float) -> Stance | None:
-        """Where the board is, or None before it comes into the room."""
+    def placement_at(self, time: float) -> BoardPlacement | None:
+        """Placement at a time, s; None while the room is empty."""
         if time < self.times[0]:
             return None
         k = int(np.searchsorted(self.times, time, side="right"))
         if k == len(self.times):
-            return self.stances[-1]
-        a, b = self.stances[k - 1], self.stances[k]
+            return self.placements[-1]
+        a, b = self.placements[k - 1], self.placements[k]
         if a is b:
             return a
-        return _between(a, b, (time - self.times[k - 1]) / (self.times[k] - self.times[k - 1]))
+        return _interpolate(a, b, (time - self.times[k - 1]) / (self.times[k] - self.times[k - 1]))
 
-    def still(self, start: float, end: float) -> bool:
+    def is_static(self, start: float, end: float) -> bool:
         """Whether nothing moves between two times, both included."""
         if end < self.times[0]:
             return True
@@ -76,44 +76,44 @@ class Timeline:
             return False
         first = int(np.searchsorted(self.times, start, side="right")) - 1
         last = min(int(np.searchsorted(self.times, end, side="left")), len(self.times) - 1)
-        return all(self.stances[k] is self.stances[first] for k in range(first, last + 1))
+        return all(self.placements[k] is self.placements[first] for k in range(first, last + 1))
 
 
-def board_pose(stance: Stance) -> Array:
-    """``T_world_board`` (4, 4): z out of the face towards the robot, y up, x right as a reader sees it."""
-    c, s = np.cos(stance.bearing), np.sin(stance.bearing)
+def pose_from_placement(placement: BoardPlacement) -> Array:
+    """``T_world_board`` (4, 4): z out of the printed face towards the robot, y up, x right for a reader."""
+    c, s = np.cos(placement.bearing), np.sin(placement.bearing)
     R_world_facing = np.array([[s, 0, -c], [-c, 0, -s], [0, 1, 0]])
-    position = np.array([stance.radius * c, stance.radius * s, stance.height])
-    return se3.pose(R_world_facing @ stance.R_facing_board, position)
+    position = np.array([placement.radius * c, placement.radius * s, placement.height])
+    return se3.pose(R_world_facing @ placement.R_facing_board, position)
 
 
-def stances_of_all(stance: Stance, count: int) -> tuple[Stance, ...]:
-    """The stance of the first board and those of further ones, which other operators carry along to its left.
+def place_all_boards(placement: BoardPlacement, count: int) -> tuple[BoardPlacement, ...]:
+    """Placements of all boards: the first, and further ones that other operators hold to its left.
 
-    Each is turned the other way than the one before, so that boards are as little parallel as single ones are.
+    Rotations alternate between R and its transpose, so that boards are not parallel.
     """
-    turns = (stance.R_facing_board, stance.R_facing_board.T)
+    turns = (placement.R_facing_board, placement.R_facing_board.T)
     return (
-        stance,
+        placement,
         *(
-            replace(stance, bearing=stance.bearing + i * _APART, R_facing_board=turns[i % 2])
+            replace(placement, bearing=placement.bearing + i * _BOARD_SPACING, R_facing_board=turns[i % 2])
             for i in range(1, count)
         ),
     )
 
 
-def draw_stances(
+def draw_placements(
     rng: np.random.Generator,
     bearings: Sequence[float],
     radii: Sequence[float],
     samples: int,
     max_rotation: float,
     heights: tuple[float, float],
-) -> tuple[Stance, ...]:
-    """Random rotations at every bearing and radius (MSG-Cal, section VI-A), in the order given.
+) -> tuple[BoardPlacement, ...]:
+    """Draws random rotations at every bearing and radius (MSG-Cal, section VI-A), in the order given.
 
     Args:
-        rng: draws rotations, heights, and where the operator stands.
+        rng: draws rotations, heights, and the operator's position.
         bearings: rad.
         radii: m.
         samples: rotations at each bearing and radius.
@@ -122,11 +122,11 @@ def draw_stances(
 
     """
     return tuple(
-        Stance(
+        BoardPlacement(
             bearing=bearing,
             radius=radius,
             height=rng.uniform(*heights),
-            R_facing_board=_from_roll_pitch_yaw(rng.uniform(-max_rotation, max_rotation, 3)),
+            R_facing_board=_rotation_from_rpy(rng.uniform(-max_rotation, max_rotation, 3)),
             standoff=rng.uniform(0.55, 0.7),
             side=rng.uniform(-0.25, 0.25),
         )
@@ -136,62 +136,64 @@ def draw_stances(
     )
 
 
-def schedule(
-    stances: Sequence[Stance],
+def schedule_holds(
+    placements: Sequence[BoardPlacement],
     *,
     background: float,
     move_time: float,
     hold_end: Callable[[float], float],
-    disturbed: Sequence[Stance | None],
-) -> Timeline:
-    """The timeline that visits the stances.
+    placements_after_slip: Sequence[BoardPlacement | None],
+) -> BoardTrajectory:
+    """Builds the trajectory through all placements.
 
     Args:
-        stances: one for each capture.
-        background: how long the room stays empty at the start, s.
-        move_time: from one stance to the next, s.
+        placements: one for each capture.
+        background: duration of the empty room at the start, s.
+        move_time: from one placement to the next, s.
         hold_end: the end of a hold that starts at the given time, s.
-        disturbed: where each capture's board slips to during its hold, None where it rests.
+        placements_after_slip: where each capture's board slips to during its hold, None where it rests.
 
     """
     time = background
     # The operator comes in from farther out, so that the first move does not start in a capture's pose.
-    knots: list[tuple[float, Stance]] = [(time, replace(stances[0], radius=stances[0].radius + 0.8))]
+    knots: list[tuple[float, BoardPlacement]] = [(time, replace(placements[0], radius=placements[0].radius + 0.8))]
     holds = []
-    for stance, slipped in zip(stances, disturbed, strict=True):
+    for placement, placement_after_slip in zip(placements, placements_after_slip, strict=True):
         start = time + move_time
         time = hold_end(start)
-        holds.append(Hold(start, time, stance, slipped))
-        knots.append((start, stance))
-        if slipped is not None:
+        holds.append(SimulatedHold(start, time, placement, placement_after_slip))
+        knots.append((start, placement))
+        if placement_after_slip is not None:
             middle = (start + time) / 2
-            knots += [(middle, stance), (min(middle + _DISTURBANCE_TIME, (middle + time) / 2), slipped)]
-        knots.append((time, slipped or stance))
-    return Timeline(np.array([t for t, _ in knots]), tuple(s for _, s in knots), tuple(holds), time)
+            knots += [(middle, placement), (min(middle + _SLIP_TIME, (middle + time) / 2), placement_after_slip)]
+        knots.append((time, placement_after_slip or placement))
+    return BoardTrajectory(np.array([t for t, _ in knots]), tuple(s for _, s in knots), tuple(holds), time)
 
 
-def slip(stance: Stance, rng: np.random.Generator, distance: float, angle: float) -> Stance:
-    """The stance after the board slipped by a distance (m) and an angle (rad) in random directions."""
-    step = distance * _unit(rng)
+def displace_board(
+    placement: BoardPlacement, rng: np.random.Generator, distance: float, angle: float
+) -> BoardPlacement:
+    """Displaces the board by a distance (m) and an angle (rad) in random directions."""
+    step = distance * _random_direction(rng)
     return replace(
-        stance,
-        bearing=stance.bearing + step[0] / stance.radius,
-        radius=stance.radius + step[1],
-        height=stance.height + step[2],
-        R_facing_board=so3.exp(angle * _unit(rng)) @ stance.R_facing_board,
+        placement,
+        bearing=placement.bearing + step[0] / placement.radius,
+        radius=placement.radius + step[1],
+        height=placement.height + step[2],
+        R_facing_board=so3.exp(angle * _random_direction(rng)) @ placement.R_facing_board,
     )
 
 
-def _unit(rng: np.random.Generator) -> Array:
+def _random_direction(rng: np.random.Generator) -> Array:
     v = rng.standard_normal(3)
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _between(a: Stance, b: Stance, fraction: float) -> Stance:
-    """Minimum-jerk move: velocity and acceleration vanish at both ends, as when a person moves."""
+def _interpolate(a: BoardPlacement, b: BoardPlacement, fraction: float) -> BoardPlacement:
+    """Minimum-jerk interpolation: velocity and acceleration vanish at both ends, as in human motion."""
     s = fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
     turn = so3.log(a.R_facing_board.T @ b.R_facing_board)
-    return Stance(
+    return BoardPlacement(
         bearing=a.bearing + s * (b.bearing - a.bearing),
         radius=a.radius + s * (b.radius - a.radius),
         height=a.height + s * (b.height - a.height),
@@ -201,6 +203,6 @@ def _between(a: Stance, b: Stance, fraction: float) -> Stance:
     )
 
 
-def _from_roll_pitch_yaw(angles: Array) -> Array:
+def _rotation_from_rpy(angles: Array) -> Array:
     roll, pitch, yaw = (so3.exp(angle * axis) for angle, axis in zip(angles, np.eye(3), strict=True))
     return np.asarray(yaw @ pitch @ roll)

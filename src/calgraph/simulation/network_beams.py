@@ -1,4 +1,4 @@
-"""Ranges of beams in the plane: walls are segments, bodies are ellipses that move from beam to beam."""
+"""Ray casting in the plane: walls are segments, bodies are ellipses that move from beam to beam."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.simulation.network_walks import Walk
+from calgraph.simulation.network_walks import SimulatedWalk
 
-_FASTEST = 4.0
-"""No body moves faster than this, m/s."""
+_MAX_BODY_SPEED = 4.0
+"""Upper bound of a body's speed, m/s: the fastest walker of a scenario stays below it."""
 
 
 def cast_segments(origin: Array, angles: Array, segments: Array) -> Array:
@@ -29,7 +29,7 @@ def cast_segments(origin: Array, angles: Array, segments: Array) -> Array:
 
 
 def cast_ellipses(origin: Array, angles: Array, centers: Array, headings: Array, axes: Array) -> Array:
-    """Distances (N,) of beams to an ellipse each, infinite where they miss it.
+    """Distances (N,) along beams to one ellipse each, infinite where they miss it.
 
     Args:
         origin: (2,) outside of the ellipses, m.
@@ -52,42 +52,42 @@ def cast_ellipses(origin: Array, angles: Array, centers: Array, headings: Array,
     return np.where((discriminant >= 0) & (r > 0), r, np.inf)
 
 
-def true_ranges(
-    origin: Array, angles: Array, static: Array, times: Array, walks: Sequence[Walk], max_range: float
+def simulate_true_ranges(
+    origin: Array, angles: Array, static: Array, times: Array, walks: Sequence[SimulatedWalk], max_range: float
 ) -> Array:
-    """Ranges (C, M) of scans without noise, every beam at its own time.
+    """Ranges (C, M) of scans without noise, each beam at its time of measurement.
 
     Args:
         origin: (2,) the scanner's place, m.
         angles: (M,) directions of the beams in the world, rad.
-        static: (M,) their distances to what does not move, m.
-        times: (C, M) when they are measured, s from the start of the recording.
+        static: (M,) their distances to the static environment, m.
+        times: (C, M) of measurement, s from the start of the recording.
         walks: the bodies.
         max_range: bodies farther away are left out, m.
 
     """
     ranges = np.broadcast_to(static, times.shape).copy()
     for walk in walks:
-        scan, beam = _near(origin, angles, times, walk, max_range)
+        scan, beam = _beams_near(origin, angles, times, walk, max_range)
         at = times[scan, beam]
-        centers, headings = walk.at(at)
+        centers, headings = walk.pose_at(at)
         hit = cast_ellipses(origin, angles[beam], centers, headings, walk.axes)
         ranges[scan, beam] = np.minimum(ranges[scan, beam], hit)
     return ranges
 
 
-def _near(
-    origin: Array, angles: Array, times: Array, walk: Walk, max_range: float
+def _beams_near(
+    origin: Array, angles: Array, times: Array, walk: SimulatedWalk, max_range: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Scans and beams that can hit a body, by where it is in the middle of each scan."""
+    """Scans and beams that can hit a body, from its position in the middle of each scan."""
     first, last = times[:, 0], times[:, -1]
-    # A body that comes during a scan counts as where it comes in.
-    centers, _ = walk.at(np.clip((first + last) / 2, walk.start, None))
+    # A body that enters during a scan counts with its first position.
+    centers, _ = walk.pose_at(np.clip((first + last) / 2, walk.start, None))
     x, y = (centers - origin).T
     distance = np.hypot(x, y)
-    reach = float(walk.axes.max()) + _FASTEST * (last - first) / 2
+    reach = float(walk.axes.max()) + _MAX_BODY_SPEED * (last - first) / 2
     near = np.flatnonzero((last >= walk.start) & (distance < max_range + reach))
-    # The tangents to the circle that holds the body all along; anywhere if the scanner is in that circle.
+    # The tangents to the circle that holds the body during the scan; all beams if the scanner is inside it.
     half = np.arcsin(np.minimum(reach[near] / np.maximum(distance[near], 1e-9), 1)) + 1e-6
     half[distance[near] <= reach[near]] = np.pi
     off = np.remainder(angles - np.arctan2(y[near], x[near])[:, None] + np.pi, 2 * np.pi) - np.pi

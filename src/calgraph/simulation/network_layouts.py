@@ -1,4 +1,4 @@
-"""The buildings of simulated networks: floors with furniture, and where scanners and stations are in them."""
+"""The buildings of simulated networks: floors with furniture, scanners and stations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,20 +7,20 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.simulation.network_floor import Floor, rectangle, sides
+from calgraph.simulation.network_floor import Floor, polygon_sides, rectangle
 from calgraph.simulation.network_scenario import NetworkScenario
 
-_OFF_WALL = 0.5
-"""From a wall to the scanner on it, m."""
-_CUBOID = 10.0
+_WALL_OFFSET = 0.5
+"""Distance of a scanner from the wall that it is mounted on, m."""
+_CUBOID_EDGE = 10.0
 """Edge of the cuboid in the middle of the ring, m (section VI)."""
-_FREE_OF_WALLS = 0.15
-"""From a scanner to any wall, at least, m."""
-_FREE_VIEW = 0.8
-"""From a scanner to furniture, at least, m."""
-_PASSAGE = 0.9
-"""Between furniture, and from it to walls, at least, m: wide enough for one."""
-_THIN = 0.3
+_MIN_WALL_DISTANCE = 0.15
+"""Minimum distance of a scanner from any wall, m."""
+_MIN_VIEW_DISTANCE = 0.8
+"""Minimum distance of a scanner from furniture, m."""
+_MIN_PASSAGE = 0.9
+"""Minimum width between furniture, and from it to walls, m: wide enough for one person."""
+_THIN_FRACTION = 0.3
 """Fraction of the furniture that is thin."""
 
 
@@ -32,63 +32,63 @@ class Layout:
     mounts: Array
     """(N, 3) x, y, m, and yaw, rad, of the scanners."""
     stations: Array
-    """(K, 2) places that people visit one after the other, m; without any they walk wherever they like."""
-    furnished: Array
-    """(A, 4) rectangles for furniture: x and y of the lower left, then of the upper right, m."""
+    """(K, 2) goals that people walk to one after the other, m; without any, goals are random."""
+    furniture_areas: Array
+    """(A, 4) rectangles for furniture: x and y of the lower left, then of the upper right corner, m."""
     keep_clear: Array
     """(C, 3) circles without furniture, such as doorways: x, y, radius, m."""
 
 
 def build_layout(scenario: NetworkScenario, rng: np.random.Generator) -> Layout:
-    """The layout of a scenario, its scanners put up and its furniture placed at random.
+    """Builds the layout of a scenario, with scanners mounted and furniture placed at random.
 
     Raises:
         InputError: the scanners' jitter puts them into walls.
 
     """
-    plan = _PLANS[scenario.layout](scenario)
-    plan = replace(plan, mounts=_jittered(plan, scenario, rng))
-    furniture = _furniture(plan, scenario.clutter, rng)
+    plan = _LAYOUT_BUILDERS[scenario.layout](scenario)
+    plan = replace(plan, mounts=_jitter_mounts(plan, scenario, rng))
+    furniture = _place_furniture(plan, scenario.clutter, rng)
     return replace(plan, floor=replace(plan.floor, obstacles=(*plan.floor.obstacles, *furniture)))
 
 
 def _ring(scenario: NetworkScenario) -> Layout:
     radius = scenario.ring_diameter / 2
     outline = _circle(radius - 1, 48)
-    # On the way around, in and out, so that the tracks are not one circle; halfway to the next scanner both see.
+    # Radii alternate, so that tracks are not one circle; halfway between two scanners both detect the person.
     turns = np.arange(4 * scenario.scanner.count) / (4 * scenario.scanner.count)
     wobble = np.tile([0.0, 1.0, 0.0, -1.0], scenario.scanner.count) * 0.1 * radius
-    middle = (radius - 1 + _CUBOID / np.sqrt(2)) / 2 + 0.1 * radius
-    stations = (middle + wobble)[:, None] * _unit(2 * np.pi * turns)
+    middle = (radius - 1 + _CUBOID_EDGE / np.sqrt(2)) / 2 + 0.1 * radius
+    stations = (middle + wobble)[:, None] * _unit_vectors(2 * np.pi * turns)
     return Layout(
-        Floor(outline, False, (rectangle((0, 0), (_CUBOID, _CUBOID)),)),
-        _on_arc(radius, np.arange(scenario.scanner.count) * 2 * np.pi / scenario.scanner.count),
+        Floor(outline, False, (rectangle((0, 0), (_CUBOID_EDGE, _CUBOID_EDGE)),)),
+        _mounts_on_arc(radius, np.arange(scenario.scanner.count) * 2 * np.pi / scenario.scanner.count),
         stations,
-        furnished=np.zeros((0, 4)),
+        furniture_areas=np.zeros((0, 4)),
         keep_clear=np.zeros((0, 3)),
     )
 
 
 def _office(scenario: NetworkScenario) -> Layout:
     outline = rectangle((8.0, 5.5), (16.0, 11.0))
-    return _furnished(Floor(outline, True, ()), _along_walls(outline, scenario.scanner.count))
+    return _fully_furnished(Floor(outline, True, ()), _mounts_along_walls(outline, scenario.scanner.count))
 
 
 def _semicircle(scenario: NetworkScenario) -> Layout:
     outline = rectangle((0.0, 3.5), (16.0, 11.0))
-    mounts = _on_arc(6.5, np.linspace(0, np.pi, scenario.scanner.count))
-    return _furnished(Floor(outline, True, ()), mounts)
+    mounts = _mounts_on_arc(6.5, np.linspace(0, np.pi, scenario.scanner.count))
+    return _fully_furnished(Floor(outline, True, ()), mounts)
 
 
 def _lab(scenario: NetworkScenario) -> Layout:
     outline = np.array([(0, 0), (8, 0), (8, 3.5), (4, 3.5), (4, 7), (0, 7)], dtype=np.float64)
-    return _furnished(Floor(outline, True, ()), _along_walls(outline, scenario.scanner.count))
+    return _fully_furnished(Floor(outline, True, ()), _mounts_along_walls(outline, scenario.scanner.count))
 
 
 def _halls(scenario: NetworkScenario) -> Layout:
     """Two halls side by side with a gate between them and a door each to the corridor along both.
 
-    Each scanner overlaps with two others only, and the four of them form a cycle.
+    Each scanner's field of view overlaps with two others only, and the four form a cycle.
     """
     outline = rectangle((13.0, 13.0), (26.0, 26.0))
     walls = (
@@ -110,7 +110,7 @@ def _halls(scenario: NetworkScenario) -> Layout:
             (13, 1.8),
         ]
     )
-    # Doors, and the view from each hall's scanner through the gate.
+    # Doors, and the line of sight from each hall's scanner through the gate.
     doors = [(3, 3.4, 3.5), (23, 3.4, 3.5), (15, 21, 3.5), (8.5, 20.5, 2.8), (18.5, 20.3, 2.5)]
     return Layout(
         Floor(outline, True, walls),
@@ -122,16 +122,16 @@ def _halls(scenario: NetworkScenario) -> Layout:
 
 
 def _grid(scenario: NetworkScenario) -> Layout:
-    """A floor of equal bays, a scanner in each, walls with openings between some and columns at the corners."""
+    """A floor of equal bays with a scanner in each, walls with openings between some, columns at the corners."""
     count, pitch = scenario.scanner.count, scenario.grid_spacing
     columns = int(np.ceil(np.sqrt(1.2 * count)))
     rows = int(np.ceil(count / columns))
     size = np.array([columns, rows]) * pitch
     bays = np.array([(column, row) for row in range(rows) for column in range(columns)])[:count]
     centers = (bays + 0.5) * pitch
-    # Off the middle of its bay and looking across it, as on a column.
+    # Off the middle of its bay and facing across it, as on a column.
     yaws = np.arctan2(*(size / 2 - centers + 1e-9).T[::-1])
-    mounts = np.column_stack([centers - 0.25 * pitch * _unit(yaws), yaws])
+    mounts = np.column_stack([centers - 0.25 * pitch * _unit_vectors(yaws), yaws])
     corners = [(x * pitch, y * pitch) for x in range(1, columns) for y in range(1, rows)]
     posts = [rectangle(corner, (0.5, 0.5)) for corner in corners]
     # Every second bay has a wall to its right neighbour over half of the side.
@@ -141,45 +141,45 @@ def _grid(scenario: NetworkScenario) -> Layout:
         for y in range(rows)
         if (x + y) % 2
     ]
-    return _furnished(Floor(rectangle(size / 2, size), True, (*posts, *walls)), mounts)
+    return _fully_furnished(Floor(rectangle(size / 2, size), True, (*posts, *walls)), mounts)
 
 
-_PLANS = {
+_LAYOUT_BUILDERS = {
     "ring": _ring, "office": _office, "semicircle": _semicircle, "lab": _lab, "halls": _halls, "grid": _grid,
 }  # fmt: skip
 
 
-def _furnished(floor: Floor, mounts: Array) -> Layout:
+def _fully_furnished(floor: Floor, mounts: Array) -> Layout:
     """A layout with furniture anywhere and no stations."""
     everywhere = np.concatenate([floor.outline.min(axis=0), floor.outline.max(axis=0)])[None]
     return Layout(floor, mounts, np.zeros((0, 2)), everywhere, np.zeros((0, 3)))
 
 
-def _unit(angles: Array) -> Array:
+def _unit_vectors(angles: Array) -> Array:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 def _circle(radius: float, corners: int) -> Array:
-    return radius * _unit(2 * np.pi * np.arange(corners) / corners)
+    return radius * _unit_vectors(2 * np.pi * np.arange(corners) / corners)
 
 
-def _on_arc(radius: float, angles: Array) -> Array:
-    """Mounts (N, 3) on an arc around the origin, looking at it."""
-    return np.column_stack([radius * _unit(angles), angles + np.pi])
+def _mounts_on_arc(radius: float, angles: Array) -> Array:
+    """Mounts (N, 3) on an arc around the origin, facing it."""
+    return np.column_stack([radius * _unit_vectors(angles), angles + np.pi])
 
 
-def _along_walls(outline: Array, count: int) -> Array:
-    """Mounts (N, 3) evenly spaced along a counter-clockwise polygon, looking into it."""
-    edges = sides(outline)
+def _mounts_along_walls(outline: Array, count: int) -> Array:
+    """Mounts (N, 3) evenly spaced along a counter-clockwise polygon, facing its interior."""
+    edges = polygon_sides(outline)
     lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
     starts = np.concatenate([[0], np.cumsum(lengths)])
     at = (np.arange(count) + 0.5) / count * starts[-1]
     side = np.searchsorted(starts, at, side="right") - 1
     along = (edges[side, 1] - edges[side, 0]) / lengths[side, None]
     inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    # Not into a corner, where two walls would be too near.
-    into = np.clip(at - starts[side], 1.5 * _OFF_WALL, lengths[side] - 1.5 * _OFF_WALL)
-    places = edges[side, 0] + into[:, None] * along + _OFF_WALL * inwards
+    # Away from corners, where two walls would be too near.
+    into = np.clip(at - starts[side], 1.5 * _WALL_OFFSET, lengths[side] - 1.5 * _WALL_OFFSET)
+    places = edges[side, 0] + into[:, None] * along + _WALL_OFFSET * inwards
     return np.column_stack([places, np.arctan2(inwards[:, 1], inwards[:, 0])])
 
 
@@ -189,13 +189,15 @@ def _wall(a: Sequence[float], b: Sequence[float], thickness: float = 0.15) -> Ar
     return rectangle(np.add(a, b) / 2, (float(np.hypot(*along)), thickness), float(np.arctan2(along[1], along[0])))
 
 
-def _jittered(plan: Layout, scenario: NetworkScenario, rng: np.random.Generator) -> Array:
-    """The mounts as a fitter puts them up: off their nominal places, but not in a wall."""
+def _jitter_mounts(plan: Layout, scenario: NetworkScenario, rng: np.random.Generator) -> Array:
+    """Mounts (N, 3) with random offsets from their nominal poses, but not in a wall."""
     most = np.array([scenario.scanner.position_jitter] * 2 + [np.radians(scenario.scanner.yaw_jitter)])
     mounts = []
     for nominal in plan.mounts:
         tries = nominal + rng.uniform(-1, 1, (100, 3)) * most
-        fits = plan.floor.clearance(tries[:, :2]) >= _FREE_OF_WALLS if plan.floor.walled else np.full(100, True)
+        fits = (
+            plan.floor.clearance(tries[:, :2]) >= _MIN_WALL_DISTANCE if plan.floor.walled else np.full(100, True)
+        )
         if not fits.any():
             raise InputError(
                 f"scanner.position_jitter: {scenario.scanner.position_jitter:g} m puts the scanner at "
@@ -205,23 +207,23 @@ def _jittered(plan: Layout, scenario: NetworkScenario, rng: np.random.Generator)
     return np.array(mounts)
 
 
-def _furniture(plan: Layout, count: int, rng: np.random.Generator) -> list[Array]:
-    """Cupboards, desks and thin things such as plants at random places, none in front of a scanner or a door.
+def _place_furniture(plan: Layout, count: int, rng: np.random.Generator) -> list[Array]:
+    """Places rectangles at random, clear of scanners and doors: desks, cupboards, thin objects such as plants.
 
-    Less than ``count`` where the floor is full.
+    Fewer than ``count`` where the floor is full.
     """
-    scanners = np.column_stack([plan.mounts[:, :2], np.full(len(plan.mounts), _FREE_VIEW)])
+    scanners = np.column_stack([plan.mounts[:, :2], np.full(len(plan.mounts), _MIN_VIEW_DISTANCE)])
     clear = np.concatenate([scanners, plan.keep_clear])
     floor, pieces = plan.floor, list[Array]()
-    for _ in range(20 * count if len(plan.furnished) else 0):
+    for _ in range(20 * count if len(plan.furniture_areas) else 0):
         if len(pieces) == count:
             break
-        low_x, low_y, high_x, high_y = plan.furnished[rng.integers(len(plan.furnished))]
+        low_x, low_y, high_x, high_y = plan.furniture_areas[rng.integers(len(plan.furniture_areas))]
         center = rng.uniform((low_x, low_y), (high_x, high_y))
-        size = rng.uniform(0.08, 0.25, 2) if rng.random() < _THIN else rng.uniform(0.4, 1.4, 2)
+        size = rng.uniform(0.08, 0.25, 2) if rng.random() < _THIN_FRACTION else rng.uniform(0.4, 1.4, 2)
         gap = replace(floor, obstacles=(*floor.obstacles, *pieces)).clearance(center[None])[0]
         reach = 0.5 * float(np.hypot(*size))
         away = np.linalg.norm(clear[:, :2] - center, axis=1) - clear[:, 2]
-        if gap > reach + _PASSAGE and away.min() > reach:
+        if gap > reach + _MIN_PASSAGE and away.min() > reach:
             pieces.append(rectangle(center, size, rng.uniform(0, np.pi)))
     return pieces

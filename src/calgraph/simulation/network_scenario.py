@@ -1,4 +1,4 @@
-"""Every knob of a simulated network recording. Angles are in degrees here, and only here, for the command line."""
+"""The options of a simulated network recording. Angles are in degrees, as on the command line."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -11,10 +11,10 @@ from calgraph.simulation.rig_scenario import NotNegative, Positive, Probability
 LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]
 AtLeastOne = Annotated[int, Field(ge=1)]
 
-_HALLS_PLACES = 4
+_MAX_HALLS_SCANNERS = 4
 
 
-class ScannerKnobs(StrictModel):
+class ScannerOptions(StrictModel):
     """The stationary 2-D scanners; defaults are the office's, and differ from layout to layout."""
 
     count: Annotated[int, Field(ge=2)] = 6
@@ -22,7 +22,7 @@ class ScannerKnobs(StrictModel):
     rate: Positive = 15.0
     """Scans per second."""
     rate_tolerance: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
-    """Fraction by which each scanner's own rate is off, at most."""
+    """Largest relative error of each scanner's rate."""
     field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
     """Degrees."""
     resolution: Positive = 1 / 3
@@ -34,20 +34,20 @@ class ScannerKnobs(StrictModel):
     range_noise: NotNegative = 0.01
     """Standard deviation along the beam, m."""
     quantisation: NotNegative = 0.001
-    """Step of the ranges that are sent, m; 0 for none."""
+    """Quantisation step of the published ranges, m; 0 for none."""
     mixed_pixels: Probability = 0.2
     """Probability that one of the two beams at a depth edge falls between the two depths."""
     dropout: Probability = 0.005
     """Probability that a beam returns nothing."""
     position_jitter: NotNegative = 0.25
-    """Each scanner is up to this far from its nominal place along each axis, m."""
+    """Largest offset of each scanner from its nominal position along each axis, m."""
     yaw_jitter: Annotated[float, Field(ge=0, le=180)] = 15.0
-    """Each scanner is turned by up to this from its nominal direction, degrees."""
+    """Largest offset of each scanner from its nominal yaw, degrees."""
     clock_offset: NotNegative = 0.0
-    """Stamps of each scanner but the root are late or early by up to this, s."""
+    """Largest clock offset of each scanner from the root's clock, s."""
 
     @model_validator(mode="after")
-    def _has_beams(self) -> "ScannerKnobs":
+    def _has_beams(self) -> "ScannerOptions":
         if self.resolution > self.field_of_view:
             raise invalid("resolution", f"must be at most field_of_view, {self.field_of_view:g}")
         if self.min_range >= self.max_range:
@@ -55,23 +55,23 @@ class ScannerKnobs(StrictModel):
         return self
 
 
-class PeopleKnobs(StrictModel):
-    """Who or what moves; defaults are the office's, and differ from layout to layout."""
+class PeopleOptions(StrictModel):
+    """The moving bodies; defaults are the office's, and differ from layout to layout."""
 
     kind: Literal["people", "cylinder"] = "people"
     """People are ellipses that turn with their walk."""
     count: Annotated[int, Field(ge=0)] = 2
-    """How many at once."""
+    """Number of simultaneous bodies."""
     axes: tuple[Positive, Positive] = (0.25, 0.15)
     """Radii across and along a person's direction of walk, m."""
     axes_spread: Annotated[float, Field(ge=0, lt=1)] = 0.05
-    """Fraction by which the radii of each person differ from these, at most."""
+    """Largest relative difference of a person's radii from these."""
     diameter: Positive = 0.5
     """Of a cylinder, m."""
     speed: Positive = 1.2
     """m/s."""
     speed_spread: Annotated[float, Field(ge=0, lt=1)] = 0.15
-    """Fraction by which the speed of each differs from it, at most."""
+    """Largest relative difference of a body's speed from it."""
     stop_every: NotNegative = 15.0
     """Mean time from one stop to the next, s; 0 for never."""
     stop_time: NotNegative = 2.0
@@ -79,11 +79,10 @@ class PeopleKnobs(StrictModel):
     clearance: NotNegative = 0.15
     """Of a body from walls, scanners and other bodies, m; smoothing a walk may take up to 3 cm of it."""
     swing: Annotated[float, Field(ge=0, le=0.3)] = 0.0
-    """How far people's arms swing forth and back while they walk, m; 0 for people without arms. The clearance is
-    the torso's."""
+    """Amplitude of the swing of people's arms, m; 0 for people without arms. The clearance is the torso's."""
 
     @model_validator(mode="after")
-    def _has_arms_to_swing(self) -> "PeopleKnobs":
+    def _has_arms_to_swing(self) -> "PeopleOptions":
         if self.swing > 0 and self.kind != "people":
             raise invalid("swing", f"a {self.kind} has no arms")
         return self
@@ -99,7 +98,7 @@ class PeopleKnobs(StrictModel):
 class NetworkScenario(StrictModel):
     """Scanners fixed in a building, and people who walk through it.
 
-    What is not given takes the value that goes with the layout.
+    Values that are not given take the default of the layout.
     """
 
     layout: LayoutName = "office"
@@ -107,15 +106,15 @@ class NetworkScenario(StrictModel):
     ring_diameter: Positive = 60.0
     """Of the circle of the ring's scanners, m; at 60 the cuboid in its middle is out of a range of 20 m."""
     grid_spacing: Annotated[float, Field(ge=3)] = 7.0
-    """From scanner to scanner of the grid, m."""
+    """Spacing of the scanners of the grid, m."""
     clutter: Annotated[int, Field(ge=0)] = 14
     """Pieces of furniture in all."""
-    scanner: ScannerKnobs = ScannerKnobs()
-    people: PeopleKnobs = PeopleKnobs()
+    scanner: ScannerOptions = ScannerOptions()
+    people: PeopleOptions = PeopleOptions()
     root: str | None = None
     """The scanner that everything is expressed in, scanner_1 if left out."""
     background: NotNegative = 0.0
-    """How long nobody is there at the start, s."""
+    """Duration without people at the start, s."""
     duration: Positive = 60.0
     """s, the background included."""
     start_time: NotNegative = 1_700_000_000.0
@@ -128,12 +127,14 @@ class NetworkScenario(StrictModel):
             return content
         layout = content.get("layout", "office")
         usual = _LAYOUTS.get(layout, {}) if isinstance(layout, str) else {}
-        return _over(content, usual)
+        return _merge_defaults(content, usual)
 
     @model_validator(mode="after")
     def _consistent(self) -> "NetworkScenario":
-        if self.layout == "halls" and self.scanner.count > _HALLS_PLACES:
-            raise invalid("scanner.count", f"halls have places for {_HALLS_PLACES}, got {self.scanner.count}")
+        if self.layout == "halls" and self.scanner.count > _MAX_HALLS_SCANNERS:
+            raise invalid(
+                "scanner.count", f"halls have places for {_MAX_HALLS_SCANNERS}, got {self.scanner.count}"
+            )
         if self.layout == "ring" and self.ring_diameter < 20:
             raise invalid("ring_diameter", f"must be at least 20, got {self.ring_diameter:g}")
         if self.background >= self.duration:
@@ -152,7 +153,7 @@ _LAYOUTS: dict[str, dict[str, Any]] = {
     "ring": {
         "clutter": 0,
         "scanner": {"rate": 25.0, "resolution": 0.25, "max_range": 20.0},
-        # As fast as it takes to pass all six scanners in a minute.
+        # Fast enough to pass all six scanners in a minute.
         "people": {"kind": "cylinder", "count": 1, "speed": 2.5, "speed_spread": 0.0, "stop_every": 0.0},
     },
     "lab": {
@@ -171,16 +172,16 @@ _LAYOUTS: dict[str, dict[str, Any]] = {
         "people": {"count": 12},
     },
 }
-"""How layouts differ from the office."""
+"""Defaults of each layout where they differ from the office's."""
 
 
-def _over(given: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
-    """``given`` with what it lacks from ``usual``, nested mappings likewise."""
+def _merge_defaults(given: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+    """``given`` completed by ``usual``, nested mappings likewise."""
     merged = {**usual, **given}
     for key, value in usual.items():
         above = given.get(key)
         if isinstance(above, BaseModel):
             above = above.model_dump(exclude_unset=True)
         if isinstance(value, Mapping) and isinstance(above, Mapping):
-            merged[key] = _over(above, value)
+            merged[key] = _merge_defaults(above, value)
     return merged

@@ -1,7 +1,7 @@
-"""A network scenario brought to life: its building, scanners and people, and the scans that come of it.
+"""Simulation of a network scenario: building, scanners and people, and the scans of every scanner.
 
-Scanners are not synchronised: each has its own phase, a rate that is slightly off, and optionally a clock offset.
-Every scanner draws its noise from its own generator, so that its scans do not depend on what else is simulated.
+Scanners are not synchronised: phases, rate errors and optional clock offsets are random. Each scanner has a
+separate random generator, so that its scans do not depend on what else is simulated.
 """
 
 import heapq
@@ -16,21 +16,21 @@ from calgraph.geometry import Array, se2
 from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import LaserScan
-from calgraph.simulation.network_arms import with_arms
-from calgraph.simulation.network_beams import cast_segments, true_ranges
-from calgraph.simulation.network_floor import Floor, ways_through
+from calgraph.simulation.network_arms import add_arms
+from calgraph.simulation.network_beams import cast_segments, simulate_true_ranges
+from calgraph.simulation.network_floor import Floor, find_free_space
 from calgraph.simulation.network_layouts import build_layout
-from calgraph.simulation.network_scenario import NetworkScenario, ScannerKnobs
-from calgraph.simulation.network_walks import Walk, body_clearance, draw_walks
-from calgraph.simulation.scanners import mixed
-from calgraph.simulation.truth import PersonTruth, Truth, save_truth
+from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
+from calgraph.simulation.network_walks import SimulatedWalk, body_clearance, draw_walks
+from calgraph.simulation.scanners import add_mixed_pixels
+from calgraph.simulation.truth import GroundTruth, PersonTruth, save_truth
 
-_LATENCY = 0.002, 0.02
-"""Least and most time from the end of a scan to its arrival at the recorder, s."""
-_AT_ONCE = 500
-"""Scans that are simulated together."""
+_LATENCY_RANGE = 0.002, 0.02
+"""Bounds of the time from the end of a scan to its arrival at the recorder, s."""
+_BATCH = 500
+"""Scans per batch, which bounds memory."""
 _TRUTH_RATE = 20.0
-"""Samples of the people's true places, per second."""
+"""Samples of the people's true positions, per second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +47,17 @@ class StationaryScanner:
     period: float
     """From one scan to the next, s."""
     clock_offset: float
-    """Its clock minus the root's, s."""
+    """The scanner's clock minus the root's, s."""
 
     @property
     def time_increment(self) -> float:
-        """From one beam to the next, s: its mirror turns once a scan."""
+        """From one beam to the next, s: the mirror turns once a scan."""
         step = float(self.angles[1] - self.angles[0])
         return self.period * step / (2 * np.pi)
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
+class SimulatedNetwork:
     """A simulated building in which scans can be taken."""
 
     scenario: NetworkScenario
@@ -65,35 +65,37 @@ class Network:
     root: str
     floor: Floor
     scanners: tuple[StationaryScanner, ...]
-    walks: tuple[Walk, ...]
+    walks: tuple[SimulatedWalk, ...]
 
 
-def build_network(scenario: NetworkScenario, seed: int) -> Network:
+def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
     """Draws building, scanners and walks.
 
     Raises:
-        InputError: the scanners' jitter puts them into walls, or there is no place for so many people.
+        InputError: the scanners' jitter puts them into walls, or the floor is too small for all people.
 
     """
     rng = np.random.default_rng((seed, 0))
     layout = build_layout(scenario, rng)
     root = scenario.root or scenario.names[0]
-    scanners = _scanners(scenario, layout.mounts, root, rng)
+    scanners = _build_scanners(scenario, layout.mounts, root, rng)
     kept_clear = body_clearance(scenario.people)
-    ways = ways_through(layout.floor, kept_clear, layout.mounts[:, :2], kept_clear + 0.1)
-    walks = draw_walks(ways, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
-    return Network(scenario, seed, root, layout.floor, scanners, walks)
+    free_space = find_free_space(layout.floor, kept_clear, layout.mounts[:, :2], kept_clear + 0.1)
+    walks = draw_walks(free_space, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
+    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks)
 
 
-def simulate_network_scans(scenario: NetworkScenario, seed: int = 0) -> tuple[dict[str, list[LaserScan]], Truth]:
-    """The scans by scanner, in order, and the truth, without a recording in between.
+def simulate_network_scans(
+    scenario: NetworkScenario, seed: int = 0
+) -> tuple[dict[str, list[LaserScan]], GroundTruth]:
+    """Simulates the scans by scanner, in order, and the ground truth, without writing a recording.
 
     Raises:
-        InputError: the scanners' jitter puts them into walls, or there is no place for so many people.
+        InputError: the scanners' jitter puts them into walls, or the floor is too small for all people.
 
     """
     network = build_network(scenario, seed)
-    scans = {scanner.name: list(scans_of(network, scanner)) for scanner in network.scanners}
+    scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
     return scans, network_truth(network)
 
 
@@ -106,16 +108,16 @@ def simulate_network(
         scenario: building, scanners and people.
         out: folder, created if missing; it must not hold a recording yet.
         seed: the same seed and scenario give the same files.
-        progress: is told how many scans are written, of how many.
+        progress: called with the number of scans written and in total.
 
     Raises:
-        InputError: the scanners' jitter puts them into walls, there is no place for so many people, or there is a
+        InputError: the scanners' jitter puts them into walls, the floor is too small for all people, or there is a
             recording in ``out`` already.
 
     """
     network = build_network(scenario, seed)
     total = sum(_scan_count(scenario, scanner) for scanner in network.scanners)
-    streams = [_arrivals(network, scanner) for scanner in network.scanners]
+    streams = [_simulate_arrivals(network, scanner) for scanner in network.scanners]
     with RecordingWriter(out / "recording") as writer:
         for done, (arrival, name, scan) in enumerate(heapq.merge(*streams, key=lambda item: item[0])):
             writer.write(_topic(name), scan, arrival)
@@ -125,10 +127,10 @@ def simulate_network(
     save_truth(out / "truth.yaml", network_truth(network))
 
 
-def network_rig(network: Network) -> Rig:
-    """The rig.yaml of a simulated network: what its engineer knows, without any pose."""
+def network_rig(network: SimulatedNetwork) -> Rig:
+    """The rig.yaml of a simulated network: what its user would write, without any pose."""
     scenario, people = network.scenario, network.scenario.people
-    # Noise-free ranges still need a noise that a solver can weigh with.
+    # Noise-free ranges still need a positive noise as weight.
     noise = RangeNoise(range=max(scenario.scanner.range_noise, 1e-4), angle=1e-5)
     return Rig(
         root=network.root,
@@ -143,63 +145,63 @@ def network_rig(network: Network) -> Rig:
     )
 
 
-def network_truth(network: Network) -> Truth:
-    """The true poses, clocks and walks, everything in the root's frame and clock."""
+def network_truth(network: SimulatedNetwork) -> GroundTruth:
+    """The true poses, clocks and walks, in the root's frame and clock."""
     T_world_root = next(s.T_world_scanner for s in network.scanners if s.name == network.root)
     T_root_world = se2.inverse(T_world_root)
-    return Truth(
+    return GroundTruth(
         root=network.root,
         T_root_sensor={s.name: se2.to_se3(T_root_world @ s.T_world_scanner) for s in network.scanners},
         boards=(),
         clock_offsets={s.name: s.clock_offset for s in network.scanners},
-        people=tuple(_person(network.scenario, walk, T_root_world) for walk in network.walks),
+        people=tuple(_person_truth(network.scenario, walk, T_root_world) for walk in network.walks),
     )
 
 
-def scans_of(network: Network, scanner: StationaryScanner) -> Iterator[LaserScan]:
-    """All scans of one scanner, in order; stamps are of its own clock."""
-    scenario, knobs = network.scenario, network.scenario.scanner
+def simulate_scans(network: SimulatedNetwork, scanner: StationaryScanner) -> Iterator[LaserScan]:
+    """All scans of one scanner, in order; stamps are of the scanner's clock."""
+    scenario, options = network.scenario, network.scenario.scanner
     rng = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner)))
     origin, yaw = scanner.T_world_scanner[:2, 2], float(se2.angle(scanner.T_world_scanner))
     static = cast_segments(origin, yaw + scanner.angles, network.floor.segments)
     within = scanner.time_increment * np.arange(len(scanner.angles))
-    bodies = [part for walk in network.walks for part in with_arms(walk, scenario.people.swing)]
+    bodies = [part for walk in network.walks for part in add_arms(walk, scenario.people.swing)]
     count = _scan_count(scenario, scanner)
-    for first in range(0, count, _AT_ONCE):
-        starts = scanner.phase + scanner.period * np.arange(first, min(first + _AT_ONCE, count))
+    for first in range(0, count, _BATCH):
+        starts = scanner.phase + scanner.period * np.arange(first, min(first + _BATCH, count))
         times = starts[:, None] + within
-        true = true_ranges(origin, yaw + scanner.angles, static, times, bodies, knobs.max_range)
+        true = simulate_true_ranges(origin, yaw + scanner.angles, static, times, bodies, options.max_range)
         stamps = scenario.start_time + starts + scanner.clock_offset
-        for stamp, ranges in zip(stamps, _measured(true, knobs, rng), strict=True):
+        for stamp, ranges in zip(stamps, _simulate_measured_ranges(true, options, rng), strict=True):
             yield LaserScan(float(stamp), scanner.name, scanner.angles, ranges, scanner.time_increment)
 
 
-def _measured(true: Array, knobs: ScannerKnobs, rng: np.random.Generator) -> Array:
-    """Ranges (C, M) as scanners send them; NaN where nothing came back."""
+def _simulate_measured_ranges(true: Array, options: ScannerOptions, rng: np.random.Generator) -> Array:
+    """Ranges (C, M) with noise, mixed pixels, quantisation and dropouts; NaN without a return."""
     index = np.arange(true.size).reshape(true.shape)
     # A scan's last beam has no neighbour but itself.
     neighbours = np.minimum(index + 1, index[:, -1:]).ravel()
-    ranges = mixed(true.ravel(), neighbours, knobs.mixed_pixels, rng).reshape(true.shape)
-    ranges += rng.normal(0.0, knobs.range_noise, true.shape)
-    if knobs.quantisation:
-        ranges = knobs.quantisation * np.round(ranges / knobs.quantisation)
-    lost = rng.random(true.shape) < knobs.dropout
+    ranges = add_mixed_pixels(true.ravel(), neighbours, options.mixed_pixels, rng).reshape(true.shape)
+    ranges += rng.normal(0.0, options.range_noise, true.shape)
+    if options.quantisation:
+        ranges = options.quantisation * np.round(ranges / options.quantisation)
+    lost = rng.random(true.shape) < options.dropout
     return np.where(
-        (ranges > 0) & (ranges >= knobs.min_range) & (ranges <= knobs.max_range) & ~lost, ranges, np.nan
+        (ranges > 0) & (ranges >= options.min_range) & (ranges <= options.max_range) & ~lost, ranges, np.nan
     )
 
 
-def _scanners(
+def _build_scanners(
     scenario: NetworkScenario, mounts: Array, root: str, rng: np.random.Generator
 ) -> tuple[StationaryScanner, ...]:
-    knobs = scenario.scanner
-    resolution, view = np.radians(knobs.resolution), np.radians(knobs.field_of_view)
+    options = scenario.scanner
+    resolution, view = np.radians(options.resolution), np.radians(options.field_of_view)
     angles = resolution * np.arange(int(view / resolution + 1e-9) + 1) - view / 2
-    # A full turn ends before it comes to the first beam again.
+    # A full turn does not repeat the first beam.
     angles = angles[angles < angles[0] + 2 * np.pi - 1e-9]
-    offsets = rng.uniform(-knobs.clock_offset, knobs.clock_offset, len(mounts))
+    offsets = rng.uniform(-options.clock_offset, options.clock_offset, len(mounts))
     offsets[scenario.names.index(root)] = 0.0
-    periods = (1 + rng.uniform(-knobs.rate_tolerance, knobs.rate_tolerance, len(mounts))) / knobs.rate
+    periods = (1 + rng.uniform(-options.rate_tolerance, options.rate_tolerance, len(mounts))) / options.rate
     phases = rng.uniform(0, periods)
     return tuple(
         StationaryScanner(
@@ -210,24 +212,26 @@ def _scanners(
 
 
 def _scan_count(scenario: NetworkScenario, scanner: StationaryScanner) -> int:
-    """How many scans begin and end within the recording."""
+    """Number of scans that begin and end within the recording."""
     last = scanner.time_increment * (len(scanner.angles) - 1)
     return max(0, int((scenario.duration - last - scanner.phase) / scanner.period) + 1)
 
 
-def _arrivals(network: Network, scanner: StationaryScanner) -> Iterator[tuple[float, str, LaserScan]]:
-    """Scans with when they reach the recorder, whose clock is the root's."""
+def _simulate_arrivals(
+    network: SimulatedNetwork, scanner: StationaryScanner
+) -> Iterator[tuple[float, str, LaserScan]]:
+    """Scans with their arrival times at the recorder, whose clock is the root's."""
     delays = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner), 1))
     latest = 0.0
-    for scan in scans_of(network, scanner):
+    for scan in simulate_scans(network, scanner):
         done = scan.stamp - scanner.clock_offset + scan.duration
-        latest = max(latest, done + delays.uniform(*_LATENCY))
+        latest = max(latest, done + delays.uniform(*_LATENCY_RANGE))
         yield latest, scanner.name, scan
 
 
-def _person(scenario: NetworkScenario, walk: Walk, T_root_world: Array) -> PersonTruth:
+def _person_truth(scenario: NetworkScenario, walk: SimulatedWalk, T_root_world: Array) -> PersonTruth:
     times = np.arange(walk.start, scenario.duration, 1 / _TRUTH_RATE)
-    places, headings = walk.at(times)
+    places, headings = walk.pose_at(times)
     turned = headings + se2.angle(T_root_world)
     return PersonTruth(
         axes=walk.axes,

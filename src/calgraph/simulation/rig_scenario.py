@@ -1,4 +1,4 @@
-"""Every knob of a simulated rig recording. Angles are in degrees here, and only here, for the command line."""
+"""The options of a simulated rig recording. Angles are in degrees, as on the command line."""
 
 from typing import Annotated, Literal
 
@@ -14,14 +14,15 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=0)]
 
-MEASURING_TWICE = 2
+MEASUREMENTS_PER_HOLD = 2
+"""Complete measurements of every sensor in a hold without a given duration."""
 
 
-class CameraKnobs(StrictModel):
+class CameraOptions(StrictModel):
     """The cameras of the simulated robot."""
 
     count: Count = 1
-    """How many cameras, side by side 60 degrees apart, the middle one looking ahead."""
+    """Number of cameras, 60 degrees apart, the middle one facing ahead."""
     rate: Positive = 3.0
     """Images per second."""
     width: Annotated[int, Field(ge=32)] = 1280
@@ -39,19 +40,19 @@ class CameraKnobs(StrictModel):
     blur: NotNegative = 0.6
     """Standard deviation of the lens' point spread, pixels."""
     encoding: Literal["jpeg", "png", "raw"] = "jpeg"
-    """How images are stored."""
+    """Encoding of the recorded images."""
     texels_per_mm: Positive = 2.0
     """Resolution at which the board's face is drawn."""
 
     @model_validator(mode="after")
-    def _possible_lens(self) -> "CameraKnobs":
+    def _possible_lens(self) -> "CameraOptions":
         if self.model == "pinhole" and self.field_of_view >= 175:
             raise ValueError("a pinhole's field_of_view must be below 175 degrees; take model fisheye")
         return self
 
 
-class BeamKnobs(StrictModel):
-    """How the beams of a scanner measure."""
+class BeamOptions(StrictModel):
+    """Noise and range of a scanner's beams."""
 
     range_noise: NotNegative = 0.012
     """Standard deviation along the beam, m."""
@@ -67,13 +68,13 @@ class BeamKnobs(StrictModel):
     """m."""
 
 
-class LaserKnobs(BeamKnobs):
+class LaserOptions(BeamOptions):
     """The 2-D scanners of the simulated robot."""
 
     count: Count = 3
-    """How many: front, left, right, then behind."""
+    """Number of scanners: front, left, right, then behind."""
     rate: Positive = 20.0
-    """Scans per second that are sent; a driver may skip some that the mirror makes."""
+    """Published scans per second; a driver may skip some turns of the mirror."""
     mirror_rate: Positive = 40.0
     """Turns of the mirror per second."""
     field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
@@ -81,22 +82,22 @@ class LaserKnobs(BeamKnobs):
     resolution: Positive = 0.25
     """Degrees between beams."""
     tilt: Finite = 6.0
-    """By how much the scan planes are tilted, each in another direction, degrees."""
+    """Tilt of the scan planes, each in a different direction, degrees."""
 
     @model_validator(mode="after")
-    def _mirror_keeps_up(self) -> "LaserKnobs":
+    def _mirror_keeps_up(self) -> "LaserOptions":
         if self.mirror_rate < self.rate:
             raise ValueError(f"mirror_rate must be at least the rate, {self.rate}")
         return self
 
 
-class SpinningKnobs(BeamKnobs):
+class SpinningOptions(BeamOptions):
     """The 3-D scanners made of a slowly spinning 2-D scanner (MSG-Cal, Fig. 4)."""
 
     range_noise: NotNegative = 0.015
     """Standard deviation along the beam, m."""
     count: Count = 1
-    """How many."""
+    """Number of scanners."""
     scan_rate: Positive = 50.0
     """Scans per second of the 2-D scanner."""
     field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
@@ -108,16 +109,16 @@ class SpinningKnobs(BeamKnobs):
     offset: Finite = 0.05
     """Of the 2-D scanner from the axis of rotation, m."""
     scans_per_degree: Positive = 1 / 3
-    """Scans made while it turns by a degree; with scan_rate and scan_angle this decides how long a sweep takes."""
+    """Scans per degree of rotation; with scan_rate and scan_angle this gives the duration of a sweep."""
     scan_angle: Annotated[float, Field(gt=0, le=360)] = 180.0
-    """That a sweep turns, degrees; 180 see all around because the scanner looks to both sides."""
+    """Rotation of a sweep, degrees; 180 cover all azimuths because the scanner measures to both sides."""
 
 
-class MultibeamKnobs(BeamKnobs):
+class MultibeamOptions(BeamOptions):
     """The 3-D LiDARs with several beams at fixed elevations."""
 
     count: Count = 0
-    """How many."""
+    """Number of scanners."""
     rate: Positive = 10.0
     """Sweeps per second."""
     rings: Annotated[int, Field(ge=2)] = 16
@@ -133,16 +134,16 @@ class MultibeamKnobs(BeamKnobs):
 class RigScenario(StrictModel):
     """A robot, a board, and an operator who carries it around."""
 
-    camera: CameraKnobs = CameraKnobs()
-    laser: LaserKnobs = LaserKnobs()
-    spinning: SpinningKnobs = SpinningKnobs()
-    multibeam: MultibeamKnobs = MultibeamKnobs()
+    camera: CameraOptions = CameraOptions()
+    laser: LaserOptions = LaserOptions()
+    spinning: SpinningOptions = SpinningOptions()
+    multibeam: MultibeamOptions = MultibeamOptions()
     root: str | None = None
     """The sensor that everything is expressed in; the first LiDAR, or else the first sensor, if left out."""
     mount_position: NotNegative = 0.15
-    """Each sensor is up to this far from its nominal place along each axis, m."""
+    """Largest offset of each sensor from its nominal position along each axis, m."""
     mount_rotation: NotNegative = 4.0
-    """Each sensor is turned by up to this about each axis, degrees."""
+    """Largest rotation of each sensor about each axis, degrees."""
 
     board: Board = Board(
         size=(1.2, 0.9),
@@ -152,9 +153,9 @@ class RigScenario(StrictModel):
             Tag(id=2, size=0.32, center=(0.0, -0.2)),
         ),
     )
-    """The sheet and what is printed on it."""
+    """The board and its print."""
     companions: tuple[Board, ...] = ()
-    """Further boards that are shown at the same time, each by another operator, to the left of the one before."""
+    """Further boards, shown simultaneously, each by another operator to the left of the previous one."""
 
     bearings: Annotated[tuple[Finite, ...], Field(min_length=1)] = (
         -130, -80, -45, -30, -20, -10, 10, 20, 30, 45, 80, 130,
@@ -165,26 +166,26 @@ class RigScenario(StrictModel):
     samples: Annotated[int, Field(ge=1)] = 2
     """Random rotations of the board at each bearing and radius."""
     max_rotation: Annotated[float, Field(ge=0, le=80)] = 30.0
-    """Roll, pitch and yaw away from facing the robot are each up to this, degrees."""
+    """Largest roll, pitch and yaw relative to facing the robot, degrees."""
     heights: tuple[Finite, Finite] = (0.75, 1.1)
     """Lowest and highest centre of the board, m above the ground."""
 
     background: Positive = 5.0
-    """How long the room is empty at the start, s."""
+    """Duration of the empty room at the start, s."""
     move_time: Positive = 0.8
-    """How long the operator takes from one pose to the next, s."""
+    """Duration of a move from one pose to the next, s."""
     hold_time: Positive | None = None
-    """How long the board rests, s; until every sensor has measured twice in full if left out."""
+    """Duration of a hold, s; if left out, until every sensor has completed two measurements."""
     trigger: bool = True
     """Whether a message marks the start of every hold."""
     disturbed: Probability = 0.0
     """Fraction of the captures in which the board slips during the hold."""
     slip_distance: NotNegative = 0.06
-    """How far it slips, m."""
+    """Distance of the slip, m."""
     slip_rotation: NotNegative = 4.0
-    """How far it turns while slipping, degrees."""
+    """Rotation of the slip, degrees."""
     clutter: Count = 8
-    """Boxes and columns that stand in the room."""
+    """Number of boxes and columns in the room."""
     start_time: NotNegative = 1_700_000_000.0
     """Stamp at the start of the recording, s."""
 
@@ -204,5 +205,5 @@ class RigScenario(StrictModel):
 
     @property
     def captures(self) -> int:
-        """How often the board is shown."""
+        """Number of captures."""
         return len(self.bearings) * len(self.radii) * self.samples

@@ -1,4 +1,4 @@
-"""Simulates a rig recording with everything that a calibration of it needs, and the truth to judge it by."""
+"""Simulation of a rig recording: messages, rig.yaml and ground truth."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,15 +22,15 @@ from calgraph.sensors import CameraInfo, Message, Trigger
 from calgraph.simulation.rig_scenario import RigScenario
 from calgraph.simulation.robot import MountedCamera, RobotSensor
 from calgraph.simulation.truth import save_truth
-from calgraph.simulation.world import Stage, measurement, set_stage, truth_of
+from calgraph.simulation.world import World, build_world, ground_truth, simulate_measurement
 
 Progress = Callable[[int, int], None]
-"""Called with the number of messages written and of messages to come in all."""
+"""Called with the number of messages written and in total."""
 
 TRIGGER_TOPIC = "/trigger"
 
-_LATENCY = 0.002, 0.02
-"""Least and most time from the end of a measurement to its arrival at the recorder, s."""
+_LATENCY_RANGE = 0.002, 0.02
+"""Bounds of the time from the end of a measurement to its arrival at the recorder, s."""
 
 
 def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Progress | None = None) -> None:
@@ -40,34 +40,34 @@ def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Prog
         scenario: robot, board and walk.
         out: folder, created if missing; it must not hold a recording yet.
         seed: the same seed and scenario give the same files.
-        progress: is told how far it is.
+        progress: called with the number of messages written and in total.
 
     Raises:
         InputError: the scenario contradicts itself, or there is a recording in ``out`` already.
 
     """
-    stage = set_stage(scenario, seed)
-    arrivals = _arrivals(stage)
+    world = build_world(scenario, seed)
+    arrivals = _schedule_messages(world)
     with RecordingWriter(out / "recording") as writer:
         for done, (arrival, sensor, index) in enumerate(arrivals):
-            for topic, message in _published(stage, sensor, index):
+            for topic, message in _messages_of_event(world, sensor, index):
                 writer.write(topic, message, arrival, encoding=scenario.camera.encoding)
             if progress is not None:
                 progress(done + 1, len(arrivals))
-    save_yaml(out / "rig.yaml", rig_of(stage).model_dump(mode="json", exclude_none=True))
-    save_truth(out / "truth.yaml", truth_of(stage))
+    save_yaml(out / "rig.yaml", world_rig(world).model_dump(mode="json", exclude_none=True))
+    save_truth(out / "truth.yaml", ground_truth(world))
 
 
-def rig_of(stage: Stage) -> Rig:
-    """The rig.yaml of a simulated robot: what its engineer knows, without any pose."""
-    scenario = stage.scenario
+def world_rig(world: World) -> Rig:
+    """The rig.yaml of a simulated robot: what its user would write, without any pose."""
+    scenario = world.scenario
     return Rig(
-        root=stage.root,
+        root=world.root,
         target=scenario.boards if scenario.companions else scenario.board,
         capture=Capture(
             background=(0.0, scenario.background), trigger=TRIGGER_TOPIC if scenario.trigger else None
         ),
-        sensors={sensor.name: _spec(sensor, scenario) for sensor in stage.robot},
+        sensors={sensor.name: _sensor_spec(sensor, scenario) for sensor in world.robot},
     )
 
 
@@ -79,7 +79,7 @@ def topic_of(sensor: RobotSensor, scenario: RigScenario) -> str:
     return f"/{sensor.name}/{'scan' if sensor.kind == 'lidar2d' else 'points'}"
 
 
-def _spec(sensor: RobotSensor, scenario: RigScenario) -> SensorSpec:
+def _sensor_spec(sensor: RobotSensor, scenario: RigScenario) -> SensorSpec:
     topic = topic_of(sensor, scenario)
     if isinstance(sensor, MountedCamera):
         return CameraSpec(
@@ -89,7 +89,7 @@ def _spec(sensor: RobotSensor, scenario: RigScenario) -> SensorSpec:
             frame_id=sensor.frame_id,
             noise=PixelNoise(),
         )
-    # A noise-free simulation still needs a noise that a solver can weigh with.
+    # A noise-free simulation still needs a positive noise as weight.
     noise = RangeNoise(range=max(sensor.noise.range, 1e-4), angle=max(sensor.noise.angle, 1e-5))
     if sensor.kind == "lidar2d":
         return Lidar2dSpec(kind="lidar2d", topic=topic, frame_id=sensor.frame_id, noise=noise)
@@ -100,27 +100,27 @@ def _info_topic(sensor: RobotSensor) -> str:
     return f"/{sensor.name}/camera_info"
 
 
-def _arrivals(stage: Stage) -> list[tuple[float, RobotSensor | None, int]]:
-    """All that is recorded, in order of arrival (stamp): (arrival, sensor or None for the trigger, number)."""
-    t0 = stage.scenario.start_time
+def _schedule_messages(world: World) -> list[tuple[float, RobotSensor | None, int]]:
+    """All recorded events in order of arrival: (arrival stamp, sensor or None for the trigger, number)."""
+    t0 = world.scenario.start_time
     events: list[tuple[float, RobotSensor | None, int]] = []
-    for k, sensor in enumerate(stage.robot):
-        indices = sensor.clock.within(0, stage.timeline.end)
-        delays = np.random.default_rng((stage.seed, 1 + k)).uniform(*_LATENCY, len(indices))
+    for k, sensor in enumerate(world.robot):
+        indices = sensor.clock.within(0, world.trajectory.end)
+        delays = np.random.default_rng((world.seed, 1 + k)).uniform(*_LATENCY_RANGE, len(indices))
         ends: Array = sensor.clock.start(0) + sensor.clock.period * np.array(indices) + sensor.clock.duration
         events += [(float(t0 + t), sensor, i) for t, i in zip(ends + delays, indices, strict=True)]
-    if stage.scenario.trigger:
-        events += [(t0 + hold.start, None, i) for i, hold in enumerate(stage.timeline.holds)]
+    if world.scenario.trigger:
+        events += [(t0 + hold.start, None, i) for i, hold in enumerate(world.trajectory.holds)]
     return sorted(events, key=lambda event: event[0])
 
 
-def _published(stage: Stage, sensor: RobotSensor | None, index: int) -> Iterator[tuple[str, Message]]:
+def _messages_of_event(world: World, sensor: RobotSensor | None, index: int) -> Iterator[tuple[str, Message]]:
     """The topics and messages of one event."""
     if sensor is None:
-        hold = stage.timeline.holds[index]
-        yield TRIGGER_TOPIC, Trigger(stage.scenario.start_time + hold.start)
+        hold = world.trajectory.holds[index]
+        yield TRIGGER_TOPIC, Trigger(world.scenario.start_time + hold.start)
         return
-    message = measurement(stage, sensor, index)
-    yield topic_of(sensor, stage.scenario), message
+    message = simulate_measurement(world, sensor, index)
+    yield topic_of(sensor, world.scenario), message
     if isinstance(sensor, MountedCamera):
         yield _info_topic(sensor), CameraInfo(message.stamp, sensor.frame_id, sensor.camera)

@@ -1,4 +1,4 @@
-"""The simulated robot: its sensors, where they are, and when they measure."""
+"""The simulated robot: its sensors, their poses, and their times of measurement."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,10 +9,10 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
-from calgraph.simulation.rig_scenario import BeamKnobs, CameraKnobs, RigScenario
+from calgraph.simulation.rig_scenario import BeamOptions, CameraOptions, RigScenario
 from calgraph.simulation.scanners import (
-    BeamNoise,
     BeamPattern,
+    SimulatedBeamNoise,
     laser_pattern,
     multibeam_pattern,
     spinning_pattern,
@@ -21,13 +21,13 @@ from calgraph.simulation.scanners import (
 _R_BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 _LASER_NAMES = ("laser_front", "laser_left", "laser_right", "laser_back")
 _LASER_YAWS = (0.0, 60.0, -60.0, 180.0)
-# Directions (roll, pitch) of the tilts of neighbouring 2-D scanners; no two scan planes are to be parallel.
+# Directions (roll, pitch) of the tilts of neighbouring 2-D scanners, so that no two scan planes are parallel.
 _LASER_TILTS = ((0.0, 1.0), (1.0, -0.4), (-1.0, -0.4), (0.3, 1.0))
 
 
 @dataclass(frozen=True)
-class Clock:
-    """When a free-running sensor measures; measurement i starts at ``phase + i * period``."""
+class SensorClock:
+    """Times of a free-running sensor; measurement i starts at ``phase + i * period``."""
 
     phase: float
     """s from the start of the recording."""
@@ -45,20 +45,20 @@ class Clock:
         return max(0, int(np.ceil((time - self.phase) / self.period)))
 
     def within(self, start: float, end: float) -> range:
-        """Indices of the measurements that lie between two times in full."""
+        """Indices of the measurements that lie fully between two times."""
         first = self.first_after(start)
         return range(first, max(first, int(np.floor((end - self.duration - self.phase) / self.period)) + 1))
 
 
 @dataclass(frozen=True, eq=False)
-class Mounted:
-    """What all sensors of the robot have."""
+class MountedSensor:
+    """A sensor of the robot."""
 
     name: str
     kind: Literal["camera", "lidar2d", "lidar3d"]
     T_world_sensor: Array
     """(4, 4)."""
-    clock: Clock
+    clock: SensorClock
 
     @property
     def frame_id(self) -> str:
@@ -67,28 +67,31 @@ class Mounted:
 
 
 @dataclass(frozen=True, eq=False)
-class MountedCamera(Mounted):
+class MountedCamera(MountedSensor):
     """A camera on the robot."""
 
     camera: CameraModel
 
 
 @dataclass(frozen=True, eq=False)
-class MountedScanner(Mounted):
+class MountedScanner(MountedSensor):
     """A 2-D or 3-D scanner on the robot."""
 
     pattern: BeamPattern
-    noise: BeamNoise
+    noise: SimulatedBeamNoise
 
 
 RobotSensor = MountedCamera | MountedScanner
 
 
 def build_robot(scenario: RigScenario, rng: np.random.Generator) -> tuple[RobotSensor, ...]:
-    """All sensors, near their nominal places and with random phases; cameras first."""
+    """Draws all sensors, near their nominal poses and with random phases; cameras first."""
     return (
-        *_cameras(scenario, rng), *_spinning(scenario, rng), *_multibeams(scenario, rng), *_lasers(scenario, rng),
-    )  # fmt: skip
+        *_build_cameras(scenario, rng),
+        *_build_spinning(scenario, rng),
+        *_build_multibeams(scenario, rng),
+        *_build_lasers(scenario, rng),
+    )
 
 
 def root_name(scenario: RigScenario, robot: tuple[RobotSensor, ...]) -> str:
@@ -107,94 +110,98 @@ def root_name(scenario: RigScenario, robot: tuple[RobotSensor, ...]) -> str:
 
 
 def hold_end(robot: tuple[RobotSensor, ...], start: float, measurements: int) -> float:
-    """When every sensor has measured so many times in full since a time, and a little later."""
+    """The end of a hold: every sensor has completed ``measurements`` measurements since its start, plus 0.1 s."""
     ends = [s.clock.start(s.clock.first_after(start) + measurements - 1) + s.clock.duration for s in robot]
     return max(ends) + 0.1
 
 
-def camera_model(knobs: CameraKnobs) -> CameraModel:
+def camera_model(options: CameraOptions) -> CameraModel:
     """The camera with the stated field of view and its principal point at the middle of the image."""
-    half = np.radians(knobs.field_of_view) / 2
-    f = knobs.width / 2 / (half if knobs.model == "fisheye" else np.tan(half))
-    K = np.array([[f, 0, (knobs.width - 1) / 2], [0, f, (knobs.height - 1) / 2], [0, 0, 1]])
-    return CameraModel(knobs.model, knobs.width, knobs.height, K, np.array(knobs.distortion))
+    half = np.radians(options.field_of_view) / 2
+    f = options.width / 2 / (half if options.model == "fisheye" else np.tan(half))
+    K = np.array([[f, 0, (options.width - 1) / 2], [0, f, (options.height - 1) / 2], [0, 0, 1]])
+    return CameraModel(options.model, options.width, options.height, K, np.array(options.distortion))
 
 
-def _cameras(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedCamera]:
-    knobs = scenario.camera
-    for i in range(knobs.count):
-        yaw = np.radians(60.0) * ((knobs.count - 1) / 2 - i)
-        place = _mount(scenario, rng, 0.2, 0.9, yaw)
-        place[:3, :3] = place[:3, :3] @ _R_BODY_OPTICAL
-        clock = _clock(rng, 1 / knobs.rate, 0.0)
-        yield MountedCamera(_numbered("camera", i), "camera", place, clock, camera_model(knobs))
+def _build_cameras(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedCamera]:
+    options = scenario.camera
+    for i in range(options.count):
+        yaw = np.radians(60.0) * ((options.count - 1) / 2 - i)
+        T_world_sensor = _draw_mount(scenario, rng, 0.2, 0.9, yaw)
+        T_world_sensor[:3, :3] = T_world_sensor[:3, :3] @ _R_BODY_OPTICAL
+        clock = _draw_clock(rng, 1 / options.rate, 0.0)
+        yield MountedCamera(_number_name("camera", i), "camera", T_world_sensor, clock, camera_model(options))
 
 
-def _spinning(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
-    knobs = scenario.spinning
-    laser = laser_pattern(np.radians(knobs.field_of_view), np.radians(knobs.resolution), 1 / knobs.scan_rate)
+def _build_spinning(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
+    options = scenario.spinning
+    laser = laser_pattern(np.radians(options.field_of_view), np.radians(options.resolution), 1 / options.scan_rate)
     pattern = spinning_pattern(
         laser,
-        1 / knobs.scan_rate,
-        np.radians(knobs.tilt),
-        knobs.offset,
-        knobs.scans_per_degree,
-        np.radians(knobs.scan_angle),
+        1 / options.scan_rate,
+        np.radians(options.tilt),
+        options.offset,
+        options.scans_per_degree,
+        np.radians(options.scan_angle),
     )
-    period = knobs.scan_angle * knobs.scans_per_degree / knobs.scan_rate
-    for i in range(knobs.count):
-        place = _mount(scenario, rng, -0.5 * i, 1.1, 0.0)
-        clock = _clock(rng, period, float(pattern.times[-1]))
-        yield MountedScanner(_numbered("lidar", i), "lidar3d", place, clock, pattern, _noise(knobs))
+    period = options.scan_angle * options.scans_per_degree / options.scan_rate
+    for i in range(options.count):
+        T_world_sensor = _draw_mount(scenario, rng, -0.5 * i, 1.1, 0.0)
+        clock = _draw_clock(rng, period, float(pattern.times[-1]))
+        yield MountedScanner(
+            _number_name("lidar", i), "lidar3d", T_world_sensor, clock, pattern, _beam_noise(options)
+        )
 
 
-def _multibeams(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
-    knobs = scenario.multibeam
-    elevations = np.radians(np.linspace(knobs.lowest, knobs.highest, knobs.rings))
-    pattern = multibeam_pattern(elevations, np.radians(knobs.resolution), 1 / knobs.rate)
-    for i in range(knobs.count):
-        place = _mount(scenario, rng, -0.3 - 0.5 * i, 1.0, 0.0)
-        clock = _clock(rng, 1 / knobs.rate, float(pattern.times[-1]))
-        name = _numbered("lidar", scenario.spinning.count + i)
-        yield MountedScanner(name, "lidar3d", place, clock, pattern, _noise(knobs))
+def _build_multibeams(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
+    options = scenario.multibeam
+    elevations = np.radians(np.linspace(options.lowest, options.highest, options.rings))
+    pattern = multibeam_pattern(elevations, np.radians(options.resolution), 1 / options.rate)
+    for i in range(options.count):
+        T_world_sensor = _draw_mount(scenario, rng, -0.3 - 0.5 * i, 1.0, 0.0)
+        clock = _draw_clock(rng, 1 / options.rate, float(pattern.times[-1]))
+        name = _number_name("lidar", scenario.spinning.count + i)
+        yield MountedScanner(name, "lidar3d", T_world_sensor, clock, pattern, _beam_noise(options))
 
 
-def _lasers(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
-    knobs = scenario.laser
-    pattern = laser_pattern(np.radians(knobs.field_of_view), np.radians(knobs.resolution), 1 / knobs.mirror_rate)
-    for i in range(knobs.count):
+def _build_lasers(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
+    options = scenario.laser
+    pattern = laser_pattern(
+        np.radians(options.field_of_view), np.radians(options.resolution), 1 / options.mirror_rate
+    )
+    for i in range(options.count):
         yaw = np.radians(_LASER_YAWS[i % len(_LASER_YAWS)])
-        roll, pitch = np.radians(knobs.tilt) * np.array(_LASER_TILTS[i % len(_LASER_TILTS)])
-        place = _mount(scenario, rng, 0.35, 0.85, yaw)
+        roll, pitch = np.radians(options.tilt) * np.array(_LASER_TILTS[i % len(_LASER_TILTS)])
+        T_world_sensor = _draw_mount(scenario, rng, 0.35, 0.85, yaw)
         tilt = so3.exp(np.array([roll, pitch, 0.0]))
-        place[:3, :3] = place[:3, :3] @ tilt
+        T_world_sensor[:3, :3] = T_world_sensor[:3, :3] @ tilt
         name = _LASER_NAMES[i] if i < len(_LASER_NAMES) else f"laser_{i + 1}"
-        clock = _clock(rng, 1 / knobs.rate, float(pattern.times[-1]))
-        yield MountedScanner(name, "lidar2d", place, clock, pattern, _noise(knobs))
+        clock = _draw_clock(rng, 1 / options.rate, float(pattern.times[-1]))
+        yield MountedScanner(name, "lidar2d", T_world_sensor, clock, pattern, _beam_noise(options))
 
 
-def _mount(scenario: RigScenario, rng: np.random.Generator, ahead: float, height: float, yaw: float) -> Array:
-    """A pose near the nominal one: at a distance from the robot's axis, looking outwards."""
+def _draw_mount(scenario: RigScenario, rng: np.random.Generator, ahead: float, height: float, yaw: float) -> Array:
+    """Draws a pose near the nominal one: at a distance from the robot's axis, facing outwards."""
     nominal = np.array([ahead * np.cos(yaw), ahead * np.sin(yaw), height])
     shift = rng.uniform(-1, 1, 3) * scenario.mount_position
     turn = rng.uniform(-1, 1, 3) * np.radians(scenario.mount_rotation)
     return se3.pose(so3.exp(np.array([0.0, 0.0, yaw])) @ so3.exp(turn), nominal + shift)
 
 
-def _clock(rng: np.random.Generator, period: float, duration: float) -> Clock:
-    return Clock(float(rng.uniform(0, period)), period, duration)
+def _draw_clock(rng: np.random.Generator, period: float, duration: float) -> SensorClock:
+    return SensorClock(float(rng.uniform(0, period)), period, duration)
 
 
-def _noise(knobs: BeamKnobs) -> BeamNoise:
-    return BeamNoise(
-        range=knobs.range_noise,
-        angle=knobs.angle_noise,
-        mixed=knobs.mixed_pixels,
-        dropout=knobs.dropout,
-        min_range=knobs.min_range,
-        max_range=knobs.max_range,
+def _beam_noise(options: BeamOptions) -> SimulatedBeamNoise:
+    return SimulatedBeamNoise(
+        range=options.range_noise,
+        angle=options.angle_noise,
+        mixed_pixels=options.mixed_pixels,
+        dropout=options.dropout,
+        min_range=options.min_range,
+        max_range=options.max_range,
     )
 
 
-def _numbered(name: str, index: int) -> str:
+def _number_name(name: str, index: int) -> str:
     return name if index == 0 else f"{name}_{index + 1}"

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import LaserScan, PointCloud
-from calgraph.simulation.solids import Solid, cast
+from calgraph.simulation.solids import Solid, cast_rays
 
 SceneAt = Callable[[float, float], Sequence[tuple[float, Sequence[Solid]]]]
-"""The scene between two times: its states as (end of validity, solids), in order; the last reaches the end."""
+"""The scene between two times: its states as (end of validity, solids), in order; the last covers the end."""
 
-_EDGE = 0.1
-"""Neighbouring beams that differ by more than this see two surfaces, m."""
+_MIN_DEPTH_STEP = 0.1
+"""Neighbouring beams whose ranges differ by more than this hit two surfaces, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class BeamPattern:
     """The beams of one scan or sweep, in the order in which they are measured."""
 
     origins: Array
-    """(N, 3) where beams start, or (1, 3) where all start at one place, sensor frame, m."""
+    """(N, 3) origins of the beams, or (1, 3) where all share one, sensor frame, m."""
     directions: Array
     """(N, 3) unit vectors, sensor frame."""
     sideways: Array
@@ -38,14 +38,14 @@ class BeamPattern:
 
 
 @dataclass(frozen=True)
-class BeamNoise:
-    """How measured ranges differ from true ones (MSG-Cal, eqs. 7–9)."""
+class SimulatedBeamNoise:
+    """Errors of measured ranges (MSG-Cal, eqs. 7–9)."""
 
     range: float
     """Standard deviation along the beam, m."""
     angle: float
     """Standard deviation of the beam's direction, rad."""
-    mixed: float
+    mixed_pixels: float
     """Probability that one of the two beams at a depth edge falls between the two depths."""
     dropout: float
     """Probability that a beam returns nothing."""
@@ -66,7 +66,7 @@ def laser_pattern(field_of_view: float, resolution: float, scan_time: float) -> 
     """
     count = round(field_of_view / resolution) + 1
     angles: Array = resolution * np.arange(count, dtype=np.float64) - field_of_view / 2
-    directions, sideways = _in_plane(angles)
+    directions, sideways = _planar_directions(angles)
     return BeamPattern(
         origins=np.zeros((1, 3)),
         directions=directions,
@@ -83,7 +83,7 @@ def spinning_pattern(
     """A 2-D scanner that spins about the vertical axis (MSG-Cal, section VI-D and Fig. 4).
 
     With no tilt and offset the scanner's forward axis points up the axis of rotation and its scan plane is
-    vertical. It keeps turning while it scans, so each beam has its own azimuth. Every sweep starts at azimuth 0.
+    vertical. It turns continuously while it scans, so each beam has a different azimuth. A sweep starts at 0.
 
     Args:
         laser: the beams of the 2-D scanner.
@@ -94,11 +94,11 @@ def spinning_pattern(
         scan_angle: that a whole sweep turns, rad.
 
     """
-    # Whole scans that fit into the sweep; the small number makes up for rounding of the angle.
+    # Whole scans that fit into the sweep; the small number absorbs rounding of the angle.
     scans = max(1, int(np.degrees(scan_angle) * scans_per_degree + 1e-9))
     speed = np.radians(1 / scans_per_degree) / scan_period
     times = (np.arange(scans)[:, None] * scan_period + laser.times).ravel()
-    # At azimuth 0 the scanner's x is up and its y is the spin frame's y: its normal z then points backwards.
+    # At azimuth 0 the scanner's x is up and its y is the spin frame's y: the normal z points backwards.
     R_spin_upright = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
     R_spin_laser = so3.exp(np.array([0.0, tilt, 0.0])) @ R_spin_upright
     R_sensor_spin = so3.exp(np.outer(speed * times, [0.0, 0.0, 1.0]))
@@ -128,7 +128,7 @@ def multibeam_pattern(elevations: Array, azimuth_resolution: float, period: floa
     """
     columns, rings = round(2 * np.pi / azimuth_resolution), len(elevations)
     azimuths = np.repeat(azimuth_resolution * np.arange(columns), rings)
-    flat, sideways = _in_plane(azimuths)
+    flat, sideways = _planar_directions(azimuths)
     up = np.tile(elevations, columns)[:, None]
     count = columns * rings
     return BeamPattern(
@@ -142,17 +142,17 @@ def multibeam_pattern(elevations: Array, azimuth_resolution: float, period: floa
     )
 
 
-def measure(
+def simulate_ranges(
     pattern: BeamPattern,
     T_world_sensor: Array,
     start: float,
     scene_at: SceneAt,
-    noise: BeamNoise,
+    noise: SimulatedBeamNoise,
     rng: np.random.Generator,
 ) -> Array:
-    """Measured ranges (N,) of one scan or sweep that starts at a time, m; NaN where nothing came back.
+    """Simulates the ranges (N,) of one scan or sweep that starts at a time, m; NaN without a return.
 
-    Beams are cast where they really point, which is off their nominal direction by the angle noise.
+    Beams are cast along their true direction, which deviates from the nominal one by the angle noise.
     """
     error = rng.normal(0.0, noise.angle, len(pattern.times))[:, None]
     R = T_world_sensor[:3, :3]
@@ -164,9 +164,11 @@ def measure(
         last = int(np.searchsorted(pattern.times, until - start, side="right"))
         part = slice(first, last)
         starts = origins if len(origins) == 1 else origins[part]
-        true[part] = cast(solids, starts, directions[part]).ranges
+        true[part] = cast_rays(solids, starts, directions[part]).ranges
         first = last
-    ranges = mixed(true, pattern.neighbours, noise.mixed, rng) + rng.normal(0.0, noise.range, len(true))
+    ranges = add_mixed_pixels(true, pattern.neighbours, noise.mixed_pixels, rng) + rng.normal(
+        0.0, noise.range, len(true)
+    )
     lost = rng.random(len(true)) < noise.dropout
     within = (ranges > 0) & (ranges >= noise.min_range) & (ranges <= noise.max_range) & np.isfinite(ranges)
     return np.where(within & ~lost, ranges, np.nan)
@@ -179,7 +181,7 @@ def laser_scan(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str)
 
 
 def point_cloud(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str) -> PointCloud:
-    """The message of a 3-D scanner: the beams that measured something, at their nominal directions."""
+    """The message of a 3-D scanner: the beams with a return, at their nominal directions."""
     kept = np.isfinite(ranges)
     origins = pattern.origins if len(pattern.origins) == 1 else pattern.origins[kept]
     points = origins + ranges[kept, None] * pattern.directions[kept]
@@ -187,20 +189,22 @@ def point_cloud(pattern: BeamPattern, ranges: Array, stamp: float, frame_id: str
     return PointCloud(stamp, frame_id, points, rings, pattern.times[kept])
 
 
-def mixed(true: Array, neighbours: NDArray[np.intp], probability: float, rng: np.random.Generator) -> Array:
-    """Ranges as beams with a footprint see them: at depth edges some lie anywhere between the two depths."""
+def add_mixed_pixels(
+    true: Array, neighbours: NDArray[np.intp], probability: float, rng: np.random.Generator
+) -> Array:
+    """Adds the effect of the beams' footprint: at depth edges some ranges lie between the two depths."""
     with np.errstate(invalid="ignore"):
         step = true[neighbours] - true
-    edge = np.isfinite(step) & (np.abs(step) > _EDGE)
+    edge = np.isfinite(step) & (np.abs(step) > _MIN_DEPTH_STEP)
     pairs = np.flatnonzero(edge & (rng.random(len(true)) < probability))
-    # Either beam of the pair may be the one whose footprint lies across the edge.
+    # The footprint of either beam of the pair may lie across the edge.
     straddling = np.where(rng.random(len(pairs)) < 0.5, pairs, neighbours[pairs])
     ranges = true.copy()
     ranges[straddling] = true[pairs] + rng.random(len(pairs)) * step[pairs]
     return ranges
 
 
-def _in_plane(angles: Array) -> tuple[Array, Array]:
+def _planar_directions(angles: Array) -> tuple[Array, Array]:
     """Unit vectors (N, 3) at angles in the plane z = 0, and their derivatives by the angle."""
     c, s, zero = np.cos(angles), np.sin(angles), np.zeros_like(angles)
     return np.stack([c, s, zero], axis=-1), np.stack([-s, c, zero], axis=-1)

@@ -1,6 +1,6 @@
-"""A world of solids that beams and camera rays can be cast against.
+"""Ray casting against solids, for beams and camera rays.
 
-Inside, rays are (3, N) arrays: NumPy is several times faster on long rows than on rows of three.
+Internally rays are (3, N) arrays: NumPy is several times faster on long rows than on rows of three.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array
 
 # A direction component this small counts as parallel to a face; it keeps divisions finite.
-_PARALLEL = 1e-12
+_MIN_COMPONENT = 1e-12
 
 
 @dataclass(frozen=True)
-class Sheet:
+class RectangleShape:
     """A thin rectangle in its plane z = 0, hit from both sides."""
 
     width: float
@@ -31,15 +31,15 @@ class Sheet:
 
     def distance(self, origins: Array, directions: Array) -> Array:
         """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss (eqs. 12–14)."""
-        t = -origins[2] / _away_from_zero(directions[2])
+        t = -origins[2] / _avoid_zero(directions[2])
         x, y = (origins[i] + t * directions[i] for i in (0, 1))
         hit = (t > 0) & (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2)
         return np.where(hit, t, np.inf)
 
 
 @dataclass(frozen=True)
-class Box:
-    """A cuboid centred on its origin; from inside, its walls are seen, so that it also serves as a room."""
+class BoxShape:
+    """A cuboid centred on its origin; rays from inside hit its walls, so that it also serves as a room."""
 
     length: float
     """Along x, m."""
@@ -56,7 +56,7 @@ class Box:
     def distance(self, origins: Array, directions: Array) -> Array:
         """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss (slab method)."""
         half = 0.5 * np.array([[self.length], [self.width], [self.height]])
-        inverse = 1 / _away_from_zero(directions)
+        inverse = 1 / _avoid_zero(directions)
         middle = -origins * inverse
         reach = half * np.abs(inverse)
         enter, leave = (middle - reach).max(axis=0), (middle + reach).min(axis=0)
@@ -65,7 +65,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class CylinderShape:
     """A closed cylinder centred on its origin, with its axis along z."""
 
     radius: float
@@ -81,19 +81,19 @@ class Cylinder:
     def distance(self, origins: Array, directions: Array) -> Array:
         """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss."""
         o, d = origins[:2], directions[:2]
-        a = np.maximum(np.sum(d * d, axis=0), _PARALLEL)
+        a = np.maximum(np.sum(d * d, axis=0), _MIN_COMPONENT)
         b = np.sum(o * d, axis=0) / a
         discriminant = b * b - (np.sum(o * o, axis=0) - self.radius**2) / a
         root = np.sqrt(np.maximum(discriminant, 0))
         # The solid is the overlap of the endless cylinder and the slab between its caps.
-        inverse = 1 / _away_from_zero(directions[2])
+        inverse = 1 / _avoid_zero(directions[2])
         middle, reach = -origins[2] * inverse, self.height / 2 * np.abs(inverse)
         enter, leave = np.maximum(-b - root, middle - reach), np.minimum(-b + root, middle + reach)
         t = np.where(enter > 0, enter, leave)
         return np.where((discriminant >= 0) & (enter <= leave) & (t > 0), t, np.inf)
 
 
-Shape = Sheet | Box | Cylinder
+Shape = RectangleShape | BoxShape | CylinderShape
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +108,8 @@ class Solid:
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
-    """Where rays ended."""
+class RayHits:
+    """The nearest hit of each ray."""
 
     ranges: Array
     """(N,) distance along each unit ray, m; infinite where it hit nothing."""
@@ -117,12 +117,12 @@ class Hits:
     """(N,) index of the solid hit, -1 for none."""
 
 
-def cast(solids: Sequence[Solid], origins: Array, directions: Array) -> Hits:
-    """The nearest hit of each ray.
+def cast_rays(solids: Sequence[Solid], origins: Array, directions: Array) -> RayHits:
+    """Casts rays and returns the nearest hit of each.
 
     Args:
         solids: what may be hit.
-        origins: (N, 3), or (1, 3) where all rays start at one place, world frame, m.
+        origins: (N, 3), or (1, 3) where all rays start at one point, world frame, m.
         directions: (N, 3) unit vectors, world frame.
 
     """
@@ -130,32 +130,32 @@ def cast(solids: Sequence[Solid], origins: Array, directions: Array) -> Hits:
     ranges = np.full(count, np.inf)
     which = np.full(count, -1, dtype=np.int32)
     if not solids:
-        return Hits(ranges, which)
+        return RayHits(ranges, which)
     o, d = np.ascontiguousarray(origins.T), np.ascontiguousarray(directions.T)
-    for index, (solid, near) in enumerate(zip(solids, _near(solids, o, d), strict=True)):
+    for index, (solid, near) in enumerate(zip(solids, _rays_near(solids, o, d), strict=True)):
         rays = np.flatnonzero(near)
         if not len(rays):
             continue
         R, t = solid.T_world_shape[:3, :3], solid.T_world_shape[:3, 3:]
         starts = o if o.shape[1] == 1 else o[:, rays]
-        # The room is near to all rays; picking them all would be a copy for nothing.
-        ways = d if len(rays) == count else d[:, rays]
-        distance = solid.shape.distance(R.T @ (starts - t), R.T @ ways)
+        # The room is near to all rays; indexing all would only copy them.
+        rays_of = d if len(rays) == count else d[:, rays]
+        distance = solid.shape.distance(R.T @ (starts - t), R.T @ rays_of)
         closer = distance < ranges[rays]
         ranges[rays[closer]] = distance[closer]
         which[rays[closer]] = index
-    return Hits(ranges, which)
+    return RayHits(ranges, which)
 
 
-def _near(solids: Sequence[Solid], origins: Array, directions: Array) -> NDArray[np.bool_]:
-    """(S, N) which rays meet the bounding spheres of which solids: most solids are met by few rays."""
+def _rays_near(solids: Sequence[Solid], origins: Array, directions: Array) -> NDArray[np.bool_]:
+    """(S, N) whether rays hit the bounding spheres of solids: most solids are hit by few rays."""
     centres = np.stack([solid.T_world_shape[:3, 3] for solid in solids])
     radii = np.array([[solid.shape.bounding_radius] for solid in solids])
-    # The ray's way to the point nearest to a centre c is (c - o) · d, its distance there |c - o|² - way².
-    way = centres @ directions - np.sum(origins * directions, axis=0)
+    # The ray's length to the point nearest to a centre c is (c - o) · d, its distance there² |c - o|² - length².
+    length = centres @ directions - np.sum(origins * directions, axis=0)
     square = np.sum(centres**2, axis=1)[:, None] - 2 * centres @ origins + np.sum(origins**2, axis=0)
-    return np.asarray((square - way**2 <= radii**2) & (way > -radii))
+    return np.asarray((square - length**2 <= radii**2) & (length > -radii))
 
 
-def _away_from_zero(values: Array) -> Array:
-    return np.where(np.abs(values) < _PARALLEL, _PARALLEL, values)
+def _avoid_zero(values: Array) -> Array:
+    return np.where(np.abs(values) < _MIN_COMPONENT, _MIN_COMPONENT, values)

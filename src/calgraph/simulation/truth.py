@@ -1,4 +1,4 @@
-"""truth.yaml: where the sensors of a simulated robot or network, and its board or people, really were."""
+"""truth.yaml: true poses of the sensors of a simulated robot or network, and of its board or people."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,21 +32,21 @@ class BoardTruth:
 
 @dataclass(frozen=True, eq=False)
 class PersonTruth:
-    """One person, or cylinder, that walked through a network of scanners."""
+    """True trajectory of one person, or cylinder, in a network of scanners."""
 
     axes: Array
     """(2,) radii across and along its heading, m."""
     times: Array
     """(K,) evenly spaced, s, root's clock."""
     positions: Array
-    """(K, 2) of its centre in the root's plane, m."""
+    """(K, 2) of the centre in the root's plane, m."""
     headings: Array
-    """(K,) direction of its walk, counter-clockwise from the root's x, rad."""
+    """(K,) direction of the walk, counter-clockwise from the root's x, rad."""
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """What a calibration of a simulated recording ought to find."""
+class GroundTruth:
+    """The ground truth of a simulated recording."""
 
     root: str
     T_root_sensor: Mapping[str, Array]
@@ -54,29 +54,29 @@ class Truth:
     boards: tuple[BoardTruth, ...]
     """One for each capture, in order."""
     clock_offsets: Mapping[str, float] = field(default_factory=dict)
-    """By sensor, its clock minus the root's, s; empty for a robot."""
+    """By sensor, the sensor's clock minus the root's, s; empty for a robot."""
     people: tuple[PersonTruth, ...] = ()
-    """Those who walked through a network."""
+    """The moving bodies of a network."""
 
 
-def save_truth(path: Path, truth: Truth) -> None:
+def save_truth(path: Path, truth: GroundTruth) -> None:
     """Writes a truth.yaml; its ``sensors`` have the layout of calibration.yaml."""
     sensors: dict[str, Any] = {}
     for name, T_root_sensor in truth.T_root_sensor.items():
         parent = {} if name == truth.root else {"parent": truth.root}
         offset = {"clock_offset": truth.clock_offsets[name]} if name in truth.clock_offsets else {}
-        sensors[name] = {**parent, **_plain(T_root_sensor), **offset}
+        sensors[name] = {**parent, **_pose_entry(T_root_sensor), **offset}
     captures = [
-        {"trigger": b.trigger, "end": b.end, "disturbed": b.disturbed, **_plain(b.T_root_board)}
+        {"trigger": b.trigger, "end": b.end, "disturbed": b.disturbed, **_pose_entry(b.T_root_board)}
         for b in truth.boards
     ]
     content = {"format": _FORMAT, "root": truth.root, "sensors": sensors, "captures": captures}
     if truth.people:
-        content["people"] = [_plain_person(person) for person in truth.people]
+        content["people"] = [_person_entry(person) for person in truth.people]
     save_yaml(path, content)
 
 
-def load_truth(path: Path) -> Truth:
+def load_truth(path: Path) -> GroundTruth:
     """Reads a truth.yaml.
 
     Raises:
@@ -87,15 +87,15 @@ def load_truth(path: Path) -> Truth:
         content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
             raise InputError(f"{path}: is not a truth.yaml; its format must be {_FORMAT}")
-        return Truth(
+        return GroundTruth(
             content["root"],
-            {name: _pose(entry) for name, entry in content["sensors"].items()},
+            {name: _read_pose(entry) for name, entry in content["sensors"].items()},
             tuple(
-                BoardTruth(entry["trigger"], entry["end"], _pose(entry), entry["disturbed"])
+                BoardTruth(entry["trigger"], entry["end"], _read_pose(entry), entry["disturbed"])
                 for entry in content["captures"]
             ),
             {name: entry["clock_offset"] for name, entry in content["sensors"].items() if "clock_offset" in entry},
-            tuple(_person(entry) for entry in content.get("people", ())),
+            tuple(_read_person(entry) for entry in content.get("people", ())),
         )
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -105,23 +105,23 @@ def load_truth(path: Path) -> Truth:
         raise InputError(f"{path}: the key {error.args[0]!r} is missing") from error
 
 
-def _plain(T: Array) -> dict[str, list[float]]:
+def _pose_entry(T: Array) -> dict[str, list[float]]:
     return {"translation": T[:3, 3].tolist(), "rotation": so3.quaternion(T[:3, :3]).tolist()}
 
 
-def _pose(entry: Mapping[str, Any]) -> Array:
+def _read_pose(entry: Mapping[str, Any]) -> Array:
     return se3.from_xyz_quaternion(entry["translation"], entry["rotation"])
 
 
-def _plain_person(person: PersonTruth) -> dict[str, Any]:
-    """Its samples as a start, an interval, and x, y, heading to a hundredth of a millimetre."""
+def _person_entry(person: PersonTruth) -> dict[str, Any]:
+    """Samples as a start, an interval, and x, y, heading to a hundredth of a millimetre."""
     path = np.column_stack([person.positions, person.headings]).round(5)
     interval = float(np.diff(person.times[:2]).sum().round(6))
     start = float(person.times[0]) if len(person.times) else 0.0
     return {"axes": person.axes.tolist(), "start": start, "interval": interval, "path": path.tolist()}
 
 
-def _person(entry: Mapping[str, Any]) -> PersonTruth:
+def _read_person(entry: Mapping[str, Any]) -> PersonTruth:
     path = np.array(entry["path"], dtype=np.float64).reshape(-1, 3)
     times = entry["start"] + entry["interval"] * np.arange(len(path))
     return PersonTruth(np.array(entry["axes"], dtype=np.float64), times, path[:, :2], path[:, 2])

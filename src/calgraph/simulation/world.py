@@ -1,7 +1,7 @@
-"""A scenario brought to life: robot, room and timeline, and any measurement of any sensor at any time.
+"""The simulated world of a rig scenario: robot, room and board trajectory, and any measurement of any sensor.
 
-Every measurement draws its noise from its own generator, seeded by sensor and number. So a measurement is the
-same whether the whole recording is simulated or only a capture, and in whatever order.
+Each measurement draws its noise from a separate generator, seeded by sensor and number. A measurement is therefore
+the same whether the whole recording is simulated or only a capture, and independent of the order.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,174 +13,183 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 from calgraph.sensors import Image, Message
-from calgraph.simulation.board_texture import board_texture
+from calgraph.simulation.board_texture import render_board_texture
 from calgraph.simulation.camera_render import (
-    Darkroom,
-    Grain,
     Gray,
+    NoisePool,
     PrintedBoard,
-    blurred,
-    darkroom,
-    draw,
-    grain,
-    printed_board,
+    RenderContext,
+    blur_image,
+    build_render_context,
+    build_texture_pyramid,
+    draw_board_and_operator,
+    draw_noise_pool,
 )
-from calgraph.simulation.environment import board, operator, room
+from calgraph.simulation.environment import board_solid, build_room, operator_solids
 from calgraph.simulation.motion import (
-    Stance,
-    Timeline,
-    board_pose,
-    draw_stances,
-    schedule,
-    slip,
-    stances_of_all,
+    BoardPlacement,
+    BoardTrajectory,
+    displace_board,
+    draw_placements,
+    place_all_boards,
+    pose_from_placement,
+    schedule_holds,
 )
-from calgraph.simulation.rig_scenario import MEASURING_TWICE, RigScenario
+from calgraph.simulation.rig_scenario import MEASUREMENTS_PER_HOLD, RigScenario
 from calgraph.simulation.robot import MountedCamera, RobotSensor, build_robot, hold_end, root_name
-from calgraph.simulation.scanners import laser_scan, measure, point_cloud
+from calgraph.simulation.scanners import laser_scan, point_cloud, simulate_ranges
 from calgraph.simulation.solids import Solid
-from calgraph.simulation.truth import BoardTruth, Truth
+from calgraph.simulation.truth import BoardTruth, GroundTruth
 
-_SLICE = 0.02
-"""Beams that are measured within this time see the moving board at one place, s."""
+_MOTION_STEP = 0.02
+"""Interval of constant board pose for the beams of a moving board, s."""
 _CLEARANCE = 1.3
-"""From the farthest board to the nearest clutter: room for the operator, m."""
+"""Distance from the farthest board to the nearest clutter, m: space for the operator."""
 
 
 @dataclass(frozen=True, eq=False)
-class Photographer:
-    """One camera's pictures of the board at stances (None: the empty room), before noise."""
+class CameraRenderer:
+    """Renders one camera's images of the board at a placement (None: the empty room), before noise."""
 
-    picture: Callable[[Stance | None], Gray]
-    grain: Grain
+    render: Callable[[BoardPlacement | None], Gray]
+    noise_pool: NoisePool
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """A simulated world that measurements can be taken in."""
+class World:
+    """A simulated world in which measurements are taken."""
 
     scenario: RigScenario
     seed: int
     root: str
     robot: tuple[RobotSensor, ...]
-    timeline: Timeline
-    photographers: Mapping[str, Photographer]
+    trajectory: BoardTrajectory
+    renderers: Mapping[str, CameraRenderer]
     """By camera."""
-    solids: Callable[[Stance | None], tuple[Solid, ...]]
-    """Everything a beam can hit while the board is at a stance."""
+    solids_at: Callable[[BoardPlacement | None], tuple[Solid, ...]]
+    """Everything a beam can hit while the board is at a placement."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCapture:
-    """What the sensors measured in one hold."""
+    """The measurements of one hold."""
 
     board: BoardTruth
     messages: Mapping[str, tuple[Message, ...]]
-    """By sensor, only measurements that lie in the hold in full."""
+    """By sensor, the measurements that lie fully in the hold."""
 
 
-def set_stage(scenario: RigScenario, seed: int) -> Stage:
+def build_world(scenario: RigScenario, seed: int) -> World:
     """Draws robot, room, board poses and disturbances.
 
     Raises:
         InputError: the scenario names a root that the robot does not have, or a print that cannot be drawn.
 
     """
-    world = np.random.default_rng((seed, 0))
-    robot = build_robot(scenario, world)
-    walls = room(world, scenario.clutter, max(scenario.radii) + _CLEARANCE)
-    timeline = _timeline(scenario, robot, world)
+    rng = np.random.default_rng((seed, 0))
+    robot = build_robot(scenario, rng)
+    environment = build_room(rng, scenario.clutter, max(scenario.radii) + _CLEARANCE)
+    trajectory = _draw_trajectory(scenario, robot, rng)
 
-    def solids(stance: Stance | None) -> tuple[Solid, ...]:
-        if stance is None:
-            return walls
-        held = zip(stances_of_all(stance, len(scenario.boards)), scenario.boards, strict=True)
-        carried = [(board(own, one.size), *operator(own, one.size)) for own, one in held]
-        return (*walls, *chain.from_iterable(carried))
+    def solids(placement: BoardPlacement | None) -> tuple[Solid, ...]:
+        if placement is None:
+            return environment
+        placed = zip(place_all_boards(placement, len(scenario.boards)), scenario.boards, strict=True)
+        carried = [(board_solid(at, board.size), *operator_solids(at, board.size)) for at, board in placed]
+        return (*environment, *chain.from_iterable(carried))
 
     cameras = [sensor for sensor in robot if isinstance(sensor, MountedCamera)]
-    photographers = _photographers(scenario, cameras, walls, world)
-    return Stage(
+    renderers = _build_renderers(scenario, cameras, environment, rng)
+    return World(
         scenario,
         seed,
         root_name(scenario, robot),
         robot,
-        timeline,
-        photographers,
+        trajectory,
+        renderers,
         lru_cache(maxsize=2)(solids),
     )
 
 
-def measurement(stage: Stage, sensor: RobotSensor, index: int) -> Message:
-    """The message of a sensor's measurement with this number."""
-    rng = np.random.default_rng((stage.seed, 1 + stage.robot.index(sensor), index))
+def simulate_measurement(world: World, sensor: RobotSensor, index: int) -> Message:
+    """Simulates the message of a sensor's measurement with this number."""
+    rng = np.random.default_rng((world.seed, 1 + world.robot.index(sensor), index))
     start = sensor.clock.start(index)
-    stamp = stage.scenario.start_time + start
+    stamp = world.scenario.start_time + start
     if isinstance(sensor, MountedCamera):
-        photographer = stage.photographers[sensor.name]
-        pixels = photographer.grain.add(photographer.picture(stage.timeline.stance(start)), rng)
+        renderer = world.renderers[sensor.name]
+        pixels = renderer.noise_pool.add(renderer.render(world.trajectory.placement_at(start)), rng)
         return Image(stamp, sensor.frame_id, pixels)
-    scene_at = partial(_scene_between, stage)
-    ranges = measure(sensor.pattern, sensor.T_world_sensor, start, scene_at, sensor.noise, rng)
+    scene_at = partial(_scene_between, world)
+    ranges = simulate_ranges(sensor.pattern, sensor.T_world_sensor, start, scene_at, sensor.noise, rng)
     message = laser_scan if sensor.kind == "lidar2d" else point_cloud
     return message(sensor.pattern, ranges, stamp, sensor.frame_id)
 
 
-def truth_of(stage: Stage) -> Truth:
+def ground_truth(world: World) -> GroundTruth:
     """The true poses of sensors and boards."""
-    T_root_world = _T_root_world(stage)
-    sensors = {s.name: T_root_world @ s.T_world_sensor for s in stage.robot}
-    sensors[stage.root] = np.eye(4)
-    t0 = stage.scenario.start_time
+    T_root_world = _T_root_world(world)
+    sensors = {s.name: T_root_world @ s.T_world_sensor for s in world.robot}
+    sensors[world.root] = np.eye(4)
+    t0 = world.scenario.start_time
     boards = tuple(
-        BoardTruth(t0 + h.start, t0 + h.end, T_root_world @ board_pose(h.stance), h.slipped is not None)
-        for h in stage.timeline.holds
+        BoardTruth(
+            t0 + h.start,
+            t0 + h.end,
+            T_root_world @ pose_from_placement(h.placement),
+            h.placement_after_slip is not None,
+        )
+        for h in world.trajectory.holds
     )
-    return Truth(stage.root, sensors, boards)
+    return GroundTruth(world.root, sensors, boards)
 
 
-def simulate_background(stage: Stage) -> Mapping[str, tuple[Message, ...]]:
-    """By sensor, what it measured of the empty room."""
-    return {s.name: _messages(stage, s, s.clock.within(0, stage.scenario.background)) for s in stage.robot}
+def simulate_background(world: World) -> Mapping[str, tuple[Message, ...]]:
+    """By sensor, the measurements of the empty room."""
+    return {
+        s.name: _simulate_messages(world, s, s.clock.within(0, world.scenario.background)) for s in world.robot
+    }
 
 
 def simulate_captures(
-    stage: Stage, measurements: int | None = MEASURING_TWICE, sensors: Sequence[str] | None = None
+    world: World, measurements: int | None = MEASUREMENTS_PER_HOLD, sensors: Sequence[str] | None = None
 ) -> Iterator[SimulatedCapture]:
-    """Capture by capture, the measurements that lie in its hold, without a recording in between.
+    """Simulates capture by capture the measurements that lie in its hold, without writing a recording.
 
     Args:
-        stage: the world.
-        measurements: at most so many of each sensor, the first; all if None.
+        world: to measure in.
+        measurements: number of the first measurements of each sensor to simulate; all if None.
         sensors: the names of those that measure; all if None.
 
     """
-    chosen = [s for s in stage.robot if sensors is None or s.name in sensors]
-    for truth, hold in zip(truth_of(stage).boards, stage.timeline.holds, strict=True):
+    chosen = [s for s in world.robot if sensors is None or s.name in sensors]
+    for truth, hold in zip(ground_truth(world).boards, world.trajectory.holds, strict=True):
         indices = {s.name: s.clock.within(hold.start, hold.end)[:measurements] for s in chosen}
-        yield SimulatedCapture(truth, {s.name: _messages(stage, s, indices[s.name]) for s in chosen})
+        yield SimulatedCapture(truth, {s.name: _simulate_messages(world, s, indices[s.name]) for s in chosen})
 
 
-def _messages(stage: Stage, sensor: RobotSensor, indices: range) -> tuple[Message, ...]:
-    return tuple(measurement(stage, sensor, index) for index in indices)
+def _simulate_messages(world: World, sensor: RobotSensor, indices: range) -> tuple[Message, ...]:
+    return tuple(simulate_measurement(world, sensor, index) for index in indices)
 
 
-def _T_root_world(stage: Stage) -> Array:
-    return se3.inverse(next(s.T_world_sensor for s in stage.robot if s.name == stage.root))
+def _T_root_world(world: World) -> Array:
+    return se3.inverse(next(s.T_world_sensor for s in world.robot if s.name == world.root))
 
 
-def _scene_between(stage: Stage, start: float, end: float) -> list[tuple[float, tuple[Solid, ...]]]:
-    """The scene as a scanner needs it: one state while nothing moves, slices while something does."""
-    if stage.timeline.still(start, end):
-        return [(np.inf, stage.solids(stage.timeline.stance(start)))]
-    edges = np.linspace(start, end, max(2, int(np.ceil((end - start) / _SLICE)) + 1))
+def _scene_between(world: World, start: float, end: float) -> list[tuple[float, tuple[Solid, ...]]]:
+    """States of the scene between two times: one while nothing moves, one for each motion step otherwise."""
+    if world.trajectory.is_static(start, end):
+        return [(np.inf, world.solids_at(world.trajectory.placement_at(start)))]
+    edges = np.linspace(start, end, max(2, int(np.ceil((end - start) / _MOTION_STEP)) + 1))
     middles = (edges[:-1] + edges[1:]) / 2
-    states = [stage.solids(stage.timeline.stance(float(middle))) for middle in middles]
+    states = [world.solids_at(world.trajectory.placement_at(float(middle))) for middle in middles]
     return list(zip([*edges[1:-1].tolist(), np.inf], states, strict=True))
 
 
-def _timeline(scenario: RigScenario, robot: tuple[RobotSensor, ...], rng: np.random.Generator) -> Timeline:
-    stances = draw_stances(
+def _draw_trajectory(
+    scenario: RigScenario, robot: tuple[RobotSensor, ...], rng: np.random.Generator
+) -> BoardTrajectory:
+    placements = draw_placements(
         rng,
         np.radians(scenario.bearings).tolist(),
         scenario.radii,
@@ -188,49 +197,56 @@ def _timeline(scenario: RigScenario, robot: tuple[RobotSensor, ...], rng: np.ran
         np.radians(scenario.max_rotation),
         scenario.heights,
     )
-    slips = rng.permutation(len(stances)) < round(scenario.disturbed * len(stances))
-    slipped = [
-        slip(stance, rng, scenario.slip_distance, np.radians(scenario.slip_rotation)) if slips_here else None
-        for stance, slips_here in zip(stances, slips, strict=True)
+    disturbed = rng.permutation(len(placements)) < round(scenario.disturbed * len(placements))
+    after_slip = [
+        displace_board(placement, rng, scenario.slip_distance, np.radians(scenario.slip_rotation))
+        if slips
+        else None
+        for placement, slips in zip(placements, disturbed, strict=True)
     ]
 
     def end_of_hold(start: float) -> float:
         if scenario.hold_time is not None:
             return start + scenario.hold_time
-        return hold_end(robot, start, MEASURING_TWICE)
+        return hold_end(robot, start, MEASUREMENTS_PER_HOLD)
 
-    return schedule(
-        stances,
+    return schedule_holds(
+        placements,
         background=scenario.background,
         move_time=scenario.move_time,
         hold_end=end_of_hold,
-        disturbed=slipped,
+        placements_after_slip=after_slip,
     )
 
 
-def _photographers(
-    scenario: RigScenario, cameras: Sequence[MountedCamera], walls: Sequence[Solid], rng: np.random.Generator
-) -> dict[str, Photographer]:
+def _build_renderers(
+    scenario: RigScenario, cameras: Sequence[MountedCamera], environment: Sequence[Solid], rng: np.random.Generator
+) -> dict[str, CameraRenderer]:
     if not cameras:
         return {}
     density = 1000 * scenario.camera.texels_per_mm
-    printed = [printed_board(board_texture(one, density), one.size) for one in scenario.boards]
-    photographers = {}
+    printed = [build_texture_pyramid(render_board_texture(one, density), one.size) for one in scenario.boards]
+    renderers = {}
     for sensor in cameras:
-        dark = darkroom(sensor.camera, sensor.T_world_sensor, walls, rng)
+        context = build_render_context(sensor.camera, sensor.T_world_sensor, environment, rng)
         # Images taken during one hold differ in their noise only.
-        picture = lru_cache(maxsize=2)(partial(_picture, scenario, dark, printed))
-        photographers[sensor.name] = Photographer(picture, grain(sensor.camera, scenario.camera.noise, rng))
-    return photographers
+        picture = lru_cache(maxsize=2)(partial(_render_boards, scenario, context, printed))
+        renderers[sensor.name] = CameraRenderer(
+            picture, draw_noise_pool(sensor.camera, scenario.camera.noise, rng)
+        )
+    return renderers
 
 
-def _picture(
-    scenario: RigScenario, dark: Darkroom, printed: Sequence[PrintedBoard], stance: Stance | None
+def _render_boards(
+    scenario: RigScenario,
+    context: RenderContext,
+    printed: Sequence[PrintedBoard],
+    placement: BoardPlacement | None,
 ) -> Gray:
-    image = dark.background.copy()
-    held = zip(stances_of_all(stance, len(printed)), printed, strict=True) if stance else ()
-    shown = [(board_pose(own), one, operator(own, one.size)) for own, one in held]
-    eye = dark.T_world_camera[:3, 3]
-    for T_world_board, one, holder in sorted(shown, key=lambda s: -float(np.linalg.norm(s[0][:3, 3] - eye))):
-        draw(image, dark, T_world_board, one, holder)
-    return blurred(image, scenario.camera.blur)
+    image = context.background.copy()
+    placed = zip(place_all_boards(placement, len(printed)), printed, strict=True) if placement else ()
+    shown = [(pose_from_placement(at), board, operator_solids(at, board.size)) for at, board in placed]
+    eye = context.T_world_camera[:3, 3]
+    for T_world_board, board, person in sorted(shown, key=lambda s: -float(np.linalg.norm(s[0][:3, 3] - eye))):
+        draw_board_and_operator(image, context, T_world_board, board, person)
+    return blur_image(image, scenario.camera.blur)

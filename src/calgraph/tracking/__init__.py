@@ -1,19 +1,19 @@
-"""Following moving objects through the scans of one stationary 2-D scanner."""
+"""Tracking of moving objects in the scans of one stationary 2-D scanner."""
 
-from calgraph.tracking.features import Feature
+from calgraph.tracking.features import CenterFeature
 from calgraph.tracking.parallel_tracking import track_scanners
-from calgraph.tracking.scan_stack import ScanGathering, ScanRun, in_runs
-from calgraph.tracking.track import Hits, Track, Tracked
+from calgraph.tracking.scan_stack import ScanRun, ScanStackBuilder, stack_scans
+from calgraph.tracking.track import Hits, ScannerTracks, Track
 from calgraph.tracking.track_scanner import track_scanner
 
 __all__ = [
-    "Feature",
+    "CenterFeature",
     "Hits",
-    "ScanGathering",
     "ScanRun",
+    "ScanStackBuilder",
+    "ScannerTracks",
     "Track",
-    "Tracked",
-    "in_runs",
+    "stack_scans",
     "track_scanner",
     "track_scanners",
 ]

@@ -1,4 +1,4 @@
-"""Which object of one scan is which of the next: assignment, birth and death of identities."""
+"""Data association: which object of one scan is which of the next; birth and death of identities."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -9,108 +9,117 @@ from scipy.optimize import linear_sum_assignment
 
 from calgraph.geometry import Array
 from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.filtering import Gaussian, distance, motion, predict, start, update
+from calgraph.tracking.filtering import (
+    Gaussian,
+    constant_velocity,
+    initial_state,
+    mahalanobis_distance,
+    predict,
+    update,
+)
 
-# Squared Mahalanobis distance that a true match exceeds once in 1000 (χ², two degrees of freedom).
+# Squared Mahalanobis distance that a true match exceeds with probability 1e-3 (χ², two degrees of freedom).
 GATE = 13.8
-# A candidate becomes an identity with this many matches, and is dropped after missing so many scans in between.
-_CONFIRMED = 5
-_FORGIVEN = 2
-# An identity out of sight is looked for this long, s: longer than walking behind another person takes.
-_REMEMBERED = 1.0
-_TOO_FAR = 1e6
+# A candidate becomes an identity with this many matches, and is dropped after more missed scans than these.
+_MIN_MATCHES = 5
+_MAX_MISSED_SCANS = 2
+# An identity without a match is predicted for this long, s: longer than an occlusion by another person lasts.
+_MAX_COAST_TIME = 1.0
+# Cost of a pair outside the gate: above any true cost.
+_GATED_COST = 1e6
 
 
 @dataclass(eq=False)
-class _Live:
-    """Identities being followed; the arrays are replaced at every scan."""
+class _ActiveTracks:
+    """Identities that are being tracked; the arrays are replaced at every scan."""
 
     state: Gaussian
-    seen: Array
+    last_match: Array
     """(K,) time of the last match, s."""
     members: list[list[int]] = field(default_factory=list)
-    """Clusters matched so far."""
-    missed: list[int] = field(default_factory=list)
+    """Clusters assigned so far."""
+    missed_scans: list[int] = field(default_factory=list)
     """Scans since the last match."""
 
 
-def follow(found: Clusters, spread: float, agility: float) -> list[NDArray[np.intp]]:
-    """Follows the centres of mass through all scans.
+def associate(objects: Clusters, centre_sigma: float, acceleration_density: float) -> list[NDArray[np.intp]]:
+    """Associates objects over all scans by their centroids (global nearest neighbour).
 
-    In every scan the predicted identities and the objects found are matched one to one, at the least total
-    distance. An identity without a match coasts on its velocity, so that it takes up its own object again after
-    a crossing; an object without a match may be a new one.
+    In every scan the predicted identities and the objects are matched one to one, at the least total cost. An
+    identity without a match coasts on its velocity, so that it finds the same object again after a crossing; an
+    object without a match starts a new identity.
 
     Args:
-        found: the objects of all scans.
-        spread: how far a centre of mass strays from the object's centre, standard deviation, m.
-        agility: spectral density of the acceleration, m²/s³.
+        objects: of all scans.
+        centre_sigma: standard deviation of a centroid about the object's centre, m.
+        acceleration_density: spectral density of the acceleration, m²/s³.
 
     Returns:
         For every identity its clusters, in order of time.
     """
-    centres = found.means
-    R = spread**2 * np.eye(2)
-    live = _Live(start(np.empty((0, 2)), np.empty((0, 2, 2))), np.empty(0))
+    centroids = objects.centroids
+    R = centre_sigma**2 * np.eye(2)
+    active = _ActiveTracks(initial_state(np.empty((0, 2)), np.empty((0, 2, 2))), np.empty(0))
     finished: list[list[int]] = []
-    bounds = np.flatnonzero(np.diff(found.scan, prepend=-1, append=-1))
-    moments = np.array([found.times[low:high].mean() for low, high in pairwise(bounds)])
-    ahead = motion(np.diff(moments, prepend=moments[:1]), agility)
-    # Scans without any object need no step of their own: the prediction over the whole gap is the same.
+    bounds = np.flatnonzero(np.diff(objects.scan, prepend=-1, append=-1))
+    scan_times = np.array([objects.times[low:high].mean() for low, high in pairwise(bounds)])
+    transitions = constant_velocity(np.diff(scan_times, prepend=scan_times[:1]), acceleration_density)
+    # Scans without any object need no prediction step: one over the whole gap is the same.
     for k, (low, high) in enumerate(pairwise(bounds)):
-        live.state = predict(live.state, ahead.at(k))
-        _prune(live, moments[k], finished)
-        _match(live, np.arange(low, high), centres[low:high], R, moments[k])
-    finished.extend(members for members in live.members if len(members) >= _CONFIRMED)
+        active.state = predict(active.state, transitions.at(k))
+        _prune(active, scan_times[k], finished)
+        _match(active, np.arange(low, high), centroids[low:high], R, scan_times[k])
+    finished.extend(members for members in active.members if len(members) >= _MIN_MATCHES)
     return [np.array(members, dtype=np.intp) for members in sorted(finished)]
 
 
-def _match(live: _Live, index: NDArray[np.intp], centres: Array, R: Array, now: float) -> None:
-    """Updates the identities with their objects of this scan, and begins new ones with the rest."""
-    squared, determinant = distance(
-        Gaussian(live.state.mean[:, None], live.state.covariance[:, None]), centres[None], R
+def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: Array, now: float) -> None:
+    """Updates the identities with their objects of this scan, and starts new ones with the rest."""
+    squared, determinant = mahalanobis_distance(
+        Gaussian(active.state.mean[:, None], active.state.covariance[:, None]), centroids[None], R
     )
     # The likelihood's determinant keeps a vague prediction from taking the object of a sharp one.
-    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), _TOO_FAR)
+    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), _GATED_COST)
     rows, columns = linear_sum_assignment(cost)
-    matched = cost[rows, columns] < _TOO_FAR
+    matched = cost[rows, columns] < _GATED_COST
     rows, columns = rows[matched], columns[matched]
     if len(rows):
-        better = update(
-            Gaussian(live.state.mean[rows], live.state.covariance[rows]),
-            centres[columns],
+        updated = update(
+            Gaussian(active.state.mean[rows], active.state.covariance[rows]),
+            centroids[columns],
             np.broadcast_to(R, (len(rows), 2, 2)),
         )
-        live.state.mean[rows], live.state.covariance[rows] = better.mean, better.covariance
-        live.seen[rows] = now
-    live.missed = [count + 1 for count in live.missed]
+        active.state.mean[rows], active.state.covariance[rows] = updated.mean, updated.covariance
+        active.last_match[rows] = now
+    active.missed_scans = [count + 1 for count in active.missed_scans]
     for row, column in zip(rows, columns, strict=True):
-        live.missed[row] = 0
-        live.members[row].append(int(index[column]))
-    fresh = np.ones(len(centres), dtype=bool)
-    fresh[columns] = False
-    if fresh.any():
-        new = np.flatnonzero(fresh)
-        born = start(centres[new], np.broadcast_to(R, (len(new), 2, 2)))
-        live.state = Gaussian(
-            np.concatenate([live.state.mean, born.mean]), np.concatenate([live.state.covariance, born.covariance])
+        active.missed_scans[row] = 0
+        active.members[row].append(int(index[column]))
+    unmatched = np.ones(len(centroids), dtype=bool)
+    unmatched[columns] = False
+    if unmatched.any():
+        new = np.flatnonzero(unmatched)
+        initial = initial_state(centroids[new], np.broadcast_to(R, (len(new), 2, 2)))
+        active.state = Gaussian(
+            np.concatenate([active.state.mean, initial.mean]),
+            np.concatenate([active.state.covariance, initial.covariance]),
         )
-        live.seen = np.append(live.seen, np.full(len(new), now))
-        live.members.extend([int(index[column])] for column in new)
-        live.missed.extend([0] * len(new))
+        active.last_match = np.append(active.last_match, np.full(len(new), now))
+        active.members.extend([int(index[column])] for column in new)
+        active.missed_scans.extend([0] * len(new))
 
 
-def _prune(live: _Live, now: float, finished: list[list[int]]) -> None:
-    """Ends identities that were out of sight too long, and candidates that were not confirmed."""
+def _prune(active: _ActiveTracks, now: float, finished: list[list[int]]) -> None:
+    """Ends identities that were missed for too long, and candidates that were not confirmed."""
     keep = []
-    for row, (members, missed) in enumerate(zip(live.members, live.missed, strict=True)):
-        confirmed = len(members) >= _CONFIRMED
-        if now - live.seen[row] <= _REMEMBERED and (confirmed or missed <= _FORGIVEN):
+    for row, (members, missed_scans) in enumerate(zip(active.members, active.missed_scans, strict=True)):
+        confirmed = len(members) >= _MIN_MATCHES
+        if now - active.last_match[row] <= _MAX_COAST_TIME and (confirmed or missed_scans <= _MAX_MISSED_SCANS):
             keep.append(row)
         elif confirmed:
             finished.append(members)
-    if len(keep) < len(live.members):
-        live.state = Gaussian(live.state.mean[keep], live.state.covariance[keep])
-        live.seen = live.seen[keep]
-        live.members = [live.members[row] for row in keep]
-        live.missed = [live.missed[row] for row in keep]
+    if len(keep) < len(active.members):
+        active.state = Gaussian(active.state.mean[keep], active.state.covariance[keep])
+        active.last_match = active.last_match[keep]
+        active.members = [active.members[row] for row in keep]
+        active.missed_scans = [active.missed_scans[row] for row in keep]

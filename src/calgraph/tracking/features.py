@@ -1,4 +1,4 @@
-"""Where the centre of an object is, by its points in one scan: three ways, of rising effort and accuracy."""
+"""Centre of an object from its points in one scan: three estimators, of rising effort and accuracy."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,155 +10,179 @@ from numpy.typing import NDArray
 from calgraph.config import Cylinder, People
 from calgraph.geometry import Array, ellipse
 from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.ellipse_fit import Groups, Prior, fit_centres
+from calgraph.tracking.ellipse_fit import OrientationPrior, PointGroups, fit_ellipses
 
-Feature = Literal["com", "ellipse", "nls"]
+CenterFeature = Literal["com", "ellipse", "nls"]
 
 # The mean of the beams on an ellipse lies this part of its radius before its centre (π/4 for a far scanner).
-_BEFORE = 0.75
-# How far it strays sideways where a part of the object is hidden, as a part of the radius; and otherwise.
-_CLIPPED, _WHOLE = 0.5, 0.1
-# How well people's shoulders are across their walk, rad, and how well their centres of mass tell the walk, m/s;
-# slower ones than this, m/s, tell nothing.
-_SHOULDERS = 0.15
-_DRIFT = 0.2
-_STROLLING = 0.2
-# How far people's radii are off, as a part of themselves: a fit to many beams is biased by as much.
-_BODIES = 0.06
-# What a hidden side adds to the noise of a fit, as a part of the radius: which part is seen is guessed.
-_GUESSED = 0.15
-# A free ellipse is believed if its radii are within this factor of the target's.
-_CREDIBLE = (0.3, 2.0)
-# Objects are fitted in portions of like size, so that padding stays small.
-_PORTION = 2048
-# So many of the best seen objects, of so many beams at least, tell how well an ellipse fits at all.
-_SAMPLE = 200
-_TELLING = 8
+_CENTROID_DEPTH = 0.75
+# Its lateral standard deviation, relative to the radius: where a part of the object is hidden, and otherwise.
+_CLIPPED_LATERAL, _LATERAL = 0.5, 0.1
+# Standard deviations of people's shoulders about the normal of their walk, rad, and of the velocity of their
+# centroids, m/s; objects slower than the minimum, m/s, have no heading.
+_SHOULDER_SIGMA = 0.15
+_CENTROID_VELOCITY_SIGMA = 0.2
+_MIN_HEADING_SPEED = 0.2
+# Relative error of people's radii: a fit to many beams is biased by as much.
+_RADIUS_ERROR = 0.06
+# Standard deviation that a hidden side adds to a fit, relative to the radius: which part is visible is unknown.
+_CLIPPED_SIGMA = 0.15
+# Radii of a free ellipse are plausible within these multiples of the target's.
+_RADIUS_BOUNDS = (0.3, 2.0)
+# Objects are fitted in batches of similar size, so that padding stays small.
+_BATCH = 2048
+# The misfit of the ellipse model is measured on this many objects with the most beams, of at least as many beams.
+_MISFIT_SAMPLE = 200
+_MISFIT_MIN_BEAMS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Centres:
+class MeasuredCenters:
     """Measured centres of objects."""
 
     positions: Array
     """(C, 2) sensor frame, m; NaN where there is none."""
     noise: Array
-    """(C, 2, 2) covariance of what differs from scan to scan, m²."""
+    """(C, 2, 2) covariance of the error that is independent from scan to scan, m²."""
     bias: Array
-    """(C, 2, 2) scale, squared, of an error that stays from scan to scan, which no smoothing removes, m²."""
+    """(C, 2, 2) covariance of the error common to successive scans, which smoothing does not reduce, m²."""
 
 
 @dataclass(frozen=True, eq=False)
-class Walks:
-    """How the objects move, as a first pass over the recording saw them."""
+class ObjectVelocities:
+    """Velocities of the objects, estimated in a first pass over the recording."""
 
-    velocities: Array
+    values: Array
     """(C, 2) m/s."""
     variances: Array
     """(C,) of a velocity's component, m²/s²."""
 
 
-def radii_of(target: People | Cylinder) -> tuple[float, float]:
-    """Radii of the target's outline: across its walk and along it, m."""
+def target_radii(target: People | Cylinder) -> tuple[float, float]:
+    """Radii of the target's outline: across and along the direction of walk, m."""
     if isinstance(target, Cylinder):
         return target.diameter / 2, target.diameter / 2
     return target.axes
 
 
-def width_of(target: People | Cylinder) -> float:
+def target_width(target: People | Cylinder) -> float:
     """The largest width of the target, m."""
-    return 2 * max(radii_of(target))
+    return 2 * max(target_radii(target))
 
 
-def centres(feature: Feature, found: Clusters, target: People | Cylinder, walks: Walks, sigma: float) -> Centres:
+def measure_centers(
+    feature: CenterFeature,
+    objects: Clusters,
+    target: People | Cylinder,
+    velocities: ObjectVelocities,
+    sigma: float,
+) -> MeasuredCenters:
     """Measures the centres of objects.
 
     Args:
         feature: ``com``, the centre of mass of the points; ``ellipse``, the centre of Fitzgibbon's ellipse, or the
-            centre of mass put back by the target's radius where that is not credible; ``nls``, the centre of an
+            centre of mass moved back by the target's radius where that is not plausible; ``nls``, the centre of an
             ellipse with the target's radii.
-        found: the objects.
+        objects: whose centres are measured.
         target: what they are.
-        walks: how they move; tells which way people turn their shoulders.
+        velocities: of the objects; people's shoulders are across their walk.
         sigma: noise of a point, m.
     """
     if feature == "com":
-        return _center_of_mass(found, radii_of(target), sigma)
+        return _measure_centroids(objects, target_radii(target), sigma)
     if feature == "ellipse":
-        return _direct(found, radii_of(target), sigma)
-    return _fixed(found, radii_of(target), walks, sigma, 0.0 if isinstance(target, Cylinder) else _BODIES)
-
-
-def _center_of_mass(found: Clusters, radii: tuple[float, float], sigma: float) -> Centres:
-    radius = float(np.mean(radii))
-    bias = _oriented(found.means, np.full(len(found), (_BEFORE * radius) ** 2), _sideways(found, radius) ** 2)
-    # Which beams just hit an object differs from scan to scan: the variance of uniform edges.
-    edge = np.linalg.norm(found.means, axis=-1) * found.spacing / np.sqrt(24)
-    noise = _oriented(
-        found.means, sigma**2 / found.count + (_WHOLE * radius) ** 2, sigma**2 / found.count + edge**2
+        return _measure_direct_ellipses(objects, target_radii(target), sigma)
+    return _measure_fixed_ellipses(
+        objects, target_radii(target), velocities, sigma, 0.0 if isinstance(target, Cylinder) else _RADIUS_ERROR
     )
-    return Centres(found.means, noise, bias)
 
 
-def _direct(found: Clusters, radii: tuple[float, float], sigma: float) -> Centres:
-    shapes = _in_portions(found, 5, lambda groups, _: ellipse.fit_direct(groups.points, groups.used))
-    with np.errstate(invalid="ignore"):
-        credible = (shapes[:, 4] > _CREDIBLE[0] * min(radii)) & (shapes[:, 3] < _CREDIBLE[1] * max(radii))
-        credible &= np.linalg.norm(shapes[:, :2] - found.means, axis=-1) < _CREDIBLE[1] * max(radii)
-    plain = _center_of_mass(found, radii, sigma)
+def _measure_centroids(objects: Clusters, radii: tuple[float, float], sigma: float) -> MeasuredCenters:
     radius = float(np.mean(radii))
-    sight = found.means / np.maximum(np.linalg.norm(found.means, axis=-1, keepdims=True), 1e-9)
-    positions = np.where(credible[:, None], shapes[:, :2], found.means + _BEFORE * radius * sight)
-    # The free radii trade against the centre along the line of sight; how much, residuals do not tell.
-    across = sigma**2 / found.count + _sideways(found, radius) ** 2
-    free = _oriented(found.means, np.full(len(found), (0.5 * radius) ** 2), across)
-    put_back = _oriented(found.means, np.full(len(found), (0.25 * radius) ** 2), _sideways(found, radius) ** 2)
-    noise = np.where(credible[:, None, None], free, plain.noise)
-    return Centres(positions, noise, np.where(credible[:, None, None], 0.0, put_back))
+    bias = _radial_covariances(
+        objects.centroids,
+        np.full(len(objects), (_CENTROID_DEPTH * radius) ** 2),
+        _lateral_bias(objects, radius) ** 2,
+    )
+    # The outermost beams on an object differ from scan to scan: variance of two uniform edges.
+    edge = np.linalg.norm(objects.centroids, axis=-1) * objects.spacing / np.sqrt(24)
+    noise = _radial_covariances(
+        objects.centroids, sigma**2 / objects.count + (_LATERAL * radius) ** 2, sigma**2 / objects.count + edge**2
+    )
+    return MeasuredCenters(objects.centroids, noise, bias)
 
 
-def _fixed(found: Clusters, radii: tuple[float, float], walks: Walks, sigma: float, unlike: float) -> Centres:
-    speed = np.linalg.norm(walks.velocities, axis=-1)
-    heading = np.arctan2(walks.velocities[:, 1], walks.velocities[:, 0])
+def _measure_direct_ellipses(objects: Clusters, radii: tuple[float, float], sigma: float) -> MeasuredCenters:
+    shapes = _map_batches(objects, 5, lambda groups, _: ellipse.fit_direct(groups.points, groups.used))
+    with np.errstate(invalid="ignore"):
+        plausible = (shapes[:, 4] > _RADIUS_BOUNDS[0] * min(radii)) & (
+            shapes[:, 3] < _RADIUS_BOUNDS[1] * max(radii)
+        )
+        plausible &= np.linalg.norm(shapes[:, :2] - objects.centroids, axis=-1) < _RADIUS_BOUNDS[1] * max(radii)
+    centroids = _measure_centroids(objects, radii, sigma)
+    radius = float(np.mean(radii))
+    sight = objects.centroids / np.maximum(np.linalg.norm(objects.centroids, axis=-1, keepdims=True), 1e-9)
+    positions = np.where(plausible[:, None], shapes[:, :2], objects.centroids + _CENTROID_DEPTH * radius * sight)
+    # Free radii and the centre are correlated along the line of sight; residuals do not measure by how much.
+    across = sigma**2 / objects.count + _lateral_bias(objects, radius) ** 2
+    free = _radial_covariances(objects.centroids, np.full(len(objects), (0.5 * radius) ** 2), across)
+    moved_back = _radial_covariances(
+        objects.centroids, np.full(len(objects), (0.25 * radius) ** 2), _lateral_bias(objects, radius) ** 2
+    )
+    noise = np.where(plausible[:, None, None], free, centroids.noise)
+    return MeasuredCenters(positions, noise, np.where(plausible[:, None, None], 0.0, moved_back))
+
+
+def _measure_fixed_ellipses(
+    objects: Clusters, radii: tuple[float, float], velocities: ObjectVelocities, sigma: float, radius_error: float
+) -> MeasuredCenters:
+    speed = np.linalg.norm(velocities.values, axis=-1)
+    heading = np.arctan2(velocities.values[:, 1], velocities.values[:, 0])
     with np.errstate(divide="ignore"):
-        known = np.where(
-            speed > _STROLLING, np.hypot(_SHOULDERS, np.sqrt(walks.variances + _DRIFT**2) / speed), np.inf
+        heading_sigma = np.where(
+            speed > _MIN_HEADING_SPEED,
+            np.hypot(_SHOULDER_SIGMA, np.sqrt(velocities.variances + _CENTROID_VELOCITY_SIGMA**2) / speed),
+            np.inf,
         )
     # The first radius of people is that of their shoulders, across the walk.
-    prior = Prior(heading + np.pi / 2, known)
-    sigma = _sigma_on_target(found, radii, prior, sigma)
+    prior = OrientationPrior(heading + np.pi / 2, heading_sigma)
+    sigma = _estimate_point_sigma(objects, radii, prior, sigma)
 
-    def fitted(groups: Groups, chosen: NDArray[np.intp]) -> Array:
-        fits = fit_centres(groups, radii, Prior(prior.angle[chosen], prior.sigma[chosen]), sigma)
-        return np.concatenate([fits.centres, fits.covariances.reshape(-1, 4)], axis=-1)
+    def fit_batch(groups: PointGroups, chosen: NDArray[np.intp]) -> Array:
+        fits = fit_ellipses(groups, radii, OrientationPrior(prior.angle[chosen], prior.sigma[chosen]), sigma)
+        return np.concatenate([fits.centers, fits.covariances.reshape(-1, 4)], axis=-1)
 
-    result = _in_portions(found, 6, fitted)
+    result = _map_batches(objects, 6, fit_batch)
     radius = float(np.mean(radii))
-    guessed = np.where(found.clipped, (_GUESSED * radius) ** 2, 0.0)
-    noise = result[:, 2:].reshape(-1, 2, 2) + guessed[:, None, None] * np.eye(2)
-    # Wrong radii shift the centre along the line of sight; sideways the outline's edges hold it.
-    along = np.full(len(found), (unlike * radius) ** 2)
-    return Centres(result[:, :2], noise, _oriented(found.means, along, along / 4))
+    occlusion_variance = np.where(objects.clipped, (_CLIPPED_SIGMA * radius) ** 2, 0.0)
+    noise = result[:, 2:].reshape(-1, 2, 2) + occlusion_variance[:, None, None] * np.eye(2)
+    # Wrong radii shift the centre along the line of sight; laterally the outline's edges constrain it.
+    along = np.full(len(objects), (radius_error * radius) ** 2)
+    return MeasuredCenters(result[:, :2], noise, _radial_covariances(objects.centroids, along, along / 4))
 
 
-def _sigma_on_target(found: Clusters, radii: tuple[float, float], prior: Prior, sigma: float) -> float:
-    """Noise of a point on the target: of the range, and of the target's not being quite an ellipse, m.
+def _estimate_point_sigma(
+    objects: Clusters, radii: tuple[float, float], prior: OrientationPrior, sigma: float
+) -> float:
+    """Standard deviation of a point on the target: range noise and misfit of the ellipse model, m.
 
-    Single objects of few beams cannot tell it; the best seen ones together do.
+    A single object of few beams does not determine it; those with the most beams do jointly.
     """
-    best = np.argsort(found.count, kind="stable")[-_SAMPLE:]
-    best = best[found.count[best] >= _TELLING]
+    best = np.argsort(objects.count, kind="stable")[-_MISFIT_SAMPLE:]
+    best = best[objects.count[best] >= _MISFIT_MIN_BEAMS]
     if not len(best):
         return sigma
-    fits = fit_centres(_padded(found, best), radii, Prior(prior.angle[best], prior.sigma[best]), sigma)
-    return float(sigma * np.sqrt(max(1.0, np.median(fits.excess))))
+    fits = fit_ellipses(
+        _pad_groups(objects, best), radii, OrientationPrior(prior.angle[best], prior.sigma[best]), sigma
+    )
+    return float(sigma * np.sqrt(max(1.0, np.median(fits.reduced_chi2))))
 
 
-def _sideways(found: Clusters, radius: float) -> Array:
-    return np.where(found.clipped, _CLIPPED * radius, _WHOLE * radius)
+def _lateral_bias(objects: Clusters, radius: float) -> Array:
+    return np.where(objects.clipped, _CLIPPED_LATERAL * radius, _LATERAL * radius)
 
 
-def _oriented(points: Array, along: Array, across: Array) -> Array:
+def _radial_covariances(points: Array, along: Array, across: Array) -> Array:
     """Covariances (C, 2, 2) with the given variances along and across the lines of sight to points (C, 2)."""
     sight = points / np.maximum(np.linalg.norm(points, axis=-1, keepdims=True), 1e-9)
     side = np.stack([-sight[:, 1], sight[:, 0]], axis=-1)
@@ -168,19 +192,21 @@ def _oriented(points: Array, along: Array, across: Array) -> Array:
     )
 
 
-def _in_portions(found: Clusters, columns: int, measure: Callable[[Groups, NDArray[np.intp]], Array]) -> Array:
-    """Calls ``measure`` with portions of the objects and their indices; its rows (., columns), in order."""
-    result = np.full((len(found), columns), np.nan)
-    by_size = np.argsort(found.count, kind="stable")
-    for low in range(0, len(found), _PORTION):
-        chosen = by_size[low : low + _PORTION]
-        result[chosen] = measure(_padded(found, chosen), chosen)
+def _map_batches(
+    objects: Clusters, columns: int, measure: Callable[[PointGroups, NDArray[np.intp]], Array]
+) -> Array:
+    """Calls ``measure`` with batches of the objects and their indices; its rows (., columns), in order."""
+    result = np.full((len(objects), columns), np.nan)
+    by_size = np.argsort(objects.count, kind="stable")
+    for low in range(0, len(objects), _BATCH):
+        chosen = by_size[low : low + _BATCH]
+        result[chosen] = measure(_pad_groups(objects, chosen), chosen)
     return result
 
 
-def _padded(found: Clusters, chosen: NDArray[np.intp]) -> Groups:
-    column = np.arange(found.count[chosen].max())
-    used = column < found.count[chosen, None]
-    index = np.where(used, found.first[chosen, None] + column, 0)
-    points = np.where(used[..., None], found.points[index], 0.0)
-    return Groups(points, used, found.spacing[chosen], found.clipped[chosen])
+def _pad_groups(objects: Clusters, chosen: NDArray[np.intp]) -> PointGroups:
+    column = np.arange(objects.count[chosen].max())
+    used = column < objects.count[chosen, None]
+    index = np.where(used, objects.first[chosen, None] + column, 0)
+    points = np.where(used[..., None], objects.points[index], 0.0)
+    return PointGroups(points, used, objects.spacing[chosen], objects.clipped[chosen])

@@ -1,8 +1,7 @@
-"""Kalman filter and Rauch–Tung–Striebel smoother for objects that keep their velocity more or less.
+"""Kalman filter and Rauch–Tung–Striebel smoother of a constant-velocity model with white acceleration.
 
-The state is (x, y, vx, vy). The measurement is a centre with its own covariance, so the extended filter's
-linearisation is done by whoever measures the centre, and what remains is linear. All functions broadcast over
-leading axes: many tracks are filtered side by side.
+The state is (x, y, vx, vy). The measurement is a centre with its covariance, so the model is linear. All functions
+broadcast over leading axes: many tracks are filtered in one batch.
 
 Source: Särkkä, "Bayesian filtering and smoothing", 2013, sections 4.3 and 8.2.
 """
@@ -14,8 +13,8 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 
-# Velocity of an object of which nothing is known, standard deviation per axis, m/s.
-_START_SPEED = 1.5
+# Prior standard deviation of a new object's velocity per axis, m/s.
+_INITIAL_SPEED_SIGMA = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,35 +27,35 @@ class Gaussian:
     """(..., 4, 4)."""
 
 
-def start(z: Array, R: Array) -> Gaussian:
+def initial_state(z: Array, R: Array) -> Gaussian:
     """The state after one measured centre (..., 2) with covariance (..., 2, 2)."""
     mean = np.concatenate([z, np.zeros_like(z)], axis=-1)
     covariance = np.zeros((*z.shape[:-1], 4, 4))
     covariance[..., :2, :2] = R
-    covariance[..., [2, 3], [2, 3]] = _START_SPEED**2
+    covariance[..., [2, 3], [2, 3]] = _INITIAL_SPEED_SIGMA**2
     return Gaussian(mean, covariance)
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """How states change within stretches of time."""
+class Transition:
+    """Transition of states over intervals of time."""
 
     F: Array
-    """(..., 4, 4) transition."""
+    """(..., 4, 4) transition matrix."""
     Q: Array
-    """(..., 4, 4) covariance that is added."""
+    """(..., 4, 4) process noise."""
 
-    def at(self, index: int) -> "Motion":
-        """The stretch with this index along the last of the leading axes."""
-        return Motion(self.F[..., index, :, :], self.Q[..., index, :, :])
+    def at(self, index: int) -> "Transition":
+        """The interval with this index along the last of the leading axes."""
+        return Transition(self.F[..., index, :, :], self.Q[..., index, :, :])
 
 
-def motion(dt: Array, agility: float) -> Motion:
-    """Constant velocity but for white acceleration.
+def constant_velocity(dt: Array, acceleration_density: float) -> Transition:
+    """Transition at constant velocity with white acceleration.
 
     Args:
         dt: (...,) time passed, s.
-        agility: spectral density of the acceleration, m²/s³.
+        acceleration_density: spectral density of the acceleration, m²/s³.
 
     """
     F = np.zeros((*dt.shape, 4, 4))
@@ -66,11 +65,11 @@ def motion(dt: Array, agility: float) -> Motion:
     Q[..., [0, 1], [0, 1]] = (dt**3 / 3)[..., None]
     Q[..., [0, 1, 2, 3], [2, 3, 0, 1]] = (dt**2 / 2)[..., None]
     Q[..., [2, 3], [2, 3]] = dt[..., None]
-    return Motion(F, agility * Q)
+    return Transition(F, acceleration_density * Q)
 
 
-def predict(state: Gaussian, step: Motion) -> Gaussian:
-    """The state after a stretch of time."""
+def predict(state: Gaussian, step: Transition) -> Gaussian:
+    """The state after an interval of time."""
     mean = (step.F @ state.mean[..., None])[..., 0]
     return Gaussian(mean, step.F @ state.covariance @ np.swapaxes(step.F, -1, -2) + step.Q)
 
@@ -83,7 +82,7 @@ def update(state: Gaussian, z: Array, R: Array) -> Gaussian:
     return Gaussian(mean, P - gain @ P[..., :2, :])
 
 
-def distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Array]:
+def mahalanobis_distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Array]:
     """Squared Mahalanobis distances (...,) of centres from predictions, and determinants (...,) of their S."""
     S = state.covariance[..., :2, :2] + R
     off = z - state.mean[..., :2]
@@ -91,42 +90,44 @@ def distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Array]:
     return squared, np.asarray(S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0])
 
 
-def smooth(times: Array, z: Array, R: Array, agility: float, gate: float) -> tuple[Gaussian, NDArray[np.bool_]]:
+def smooth_tracks(
+    times: Array, z: Array, R: Array, acceleration_density: float, gate: float
+) -> tuple[Gaussian, NDArray[np.bool_]]:
     """Filters forward and smooths backward many tracks of equal length.
 
     Args:
-        times: (..., T) of the measurements, ascending, s; a repeated time adds nothing but its measurement.
+        times: (..., T) of the measurements, ascending, s; times may repeat.
         z: (..., T, 2) measured centres, m; NaN where there is none.
         R: (..., T, 2, 2) their covariances, m².
-        agility: spectral density of the acceleration, m²/s³.
-        gate: a measurement is left out whose squared Mahalanobis distance from its prediction is larger.
+        acceleration_density: spectral density of the acceleration, m²/s³.
+        gate: measurements with a larger squared Mahalanobis distance from their prediction are rejected.
 
     Returns:
-        The smoothed states (..., T), and (..., T) which measurements were used.
+        The smoothed states (..., T), and a mask (..., T) of the measurements that were used.
     """
     steps = times.shape[-1]
-    there = np.asarray(np.isfinite(z).all(axis=-1))
-    z = np.where(there[..., None], z, 0.0)
-    R = np.where(there[..., None, None], R, np.eye(2))
-    used = there.copy()
-    filtered, predicted = [start(z[..., 0, :], R[..., 0, :, :])], []
-    steps_ahead = motion(np.diff(times, axis=-1), agility)
+    measured = np.asarray(np.isfinite(z).all(axis=-1))
+    z = np.where(measured[..., None], z, 0.0)
+    R = np.where(measured[..., None, None], R, np.eye(2))
+    used = measured.copy()
+    filtered, predicted = [initial_state(z[..., 0, :], R[..., 0, :, :])], []
+    transitions = constant_velocity(np.diff(times, axis=-1), acceleration_density)
     for k in range(1, steps):
-        ahead = predict(filtered[-1], steps_ahead.at(k - 1))
-        after = update(ahead, z[..., k, :], R[..., k, :, :])
-        used[..., k] &= distance(ahead, z[..., k, :], R[..., k, :, :])[0] <= gate
-        predicted.append(ahead)
-        filtered.append(_choose(used[..., k], after, ahead))
+        prediction = predict(filtered[-1], transitions.at(k - 1))
+        updated = update(prediction, z[..., k, :], R[..., k, :, :])
+        used[..., k] &= mahalanobis_distance(prediction, z[..., k, :], R[..., k, :, :])[0] <= gate
+        predicted.append(prediction)
+        filtered.append(_select(used[..., k], updated, prediction))
     smoothed = [filtered[-1]]
     for k in range(steps - 2, -1, -1):
-        smoothed.append(_backward(filtered[k], predicted[k], smoothed[-1], steps_ahead.at(k).F))
+        smoothed.append(_smooth_step(filtered[k], predicted[k], smoothed[-1], transitions.at(k).F))
     smoothed.reverse()
     mean = np.stack([s.mean for s in smoothed], axis=-2)
     return Gaussian(mean, np.stack([s.covariance for s in smoothed], axis=-3)), used
 
 
-def _backward(here: Gaussian, ahead: Gaussian, later: Gaussian, F: Array) -> Gaussian:
-    """One step of the smoother: what the later states say about this one (Särkkä, eq. 8.6)."""
+def _smooth_step(here: Gaussian, ahead: Gaussian, later: Gaussian, F: Array) -> Gaussian:
+    """One backward step of the smoother (Särkkä, eq. 8.6)."""
     PF = here.covariance @ np.swapaxes(F, -1, -2)
     gain = np.swapaxes(np.linalg.solve(ahead.covariance, np.swapaxes(PF, -1, -2)), -1, -2)
     mean = here.mean + (gain @ (later.mean - ahead.mean)[..., None])[..., 0]
@@ -134,13 +135,13 @@ def _backward(here: Gaussian, ahead: Gaussian, later: Gaussian, F: Array) -> Gau
     return Gaussian(mean, (P + np.swapaxes(P, -1, -2)) / 2)
 
 
-def _choose(which: NDArray[np.bool_], a: Gaussian, b: Gaussian) -> Gaussian:
+def _select(which: NDArray[np.bool_], a: Gaussian, b: Gaussian) -> Gaussian:
     mean = np.where(which[..., None], a.mean, b.mean)
     return Gaussian(mean, np.where(which[..., None, None], a.covariance, b.covariance))
 
 
 def _inverse2(S: Array) -> Array:
-    """Inverses of (..., 2, 2); several times quicker than the general one."""
+    """Inverses of (..., 2, 2); several times faster than ``numpy.linalg.inv``."""
     inverse = np.empty_like(S)
     inverse[..., 0, 0], inverse[..., 1, 1] = S[..., 1, 1], S[..., 0, 0]
     inverse[..., 0, 1], inverse[..., 1, 0] = -S[..., 0, 1], -S[..., 1, 0]

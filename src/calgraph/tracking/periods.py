@@ -1,4 +1,4 @@
-"""Stretches of time in which a scanner sees the same objects all the time (lrf-network, section III-C)."""
+"""Periods: intervals of time with a constant set of visible objects (lrf-network, section III-C)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 
-# An object out of sight for longer has vanished, s.
-_GAP = 0.4
+# An object that is not detected for longer has left the view, s.
+_MAX_GAP = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class TrackSegment:
     """One identity within one period."""
 
     period: int
@@ -21,10 +21,10 @@ class Piece:
     """(T,) its clusters, in order of time."""
 
 
-def cut_into_periods(
+def split_into_periods(
     identities: Sequence[NDArray[np.intp]], scan: NDArray[np.intp], times: Array
-) -> tuple[Piece, ...]:
-    """Cuts identities wherever the set of visible objects changes, or they are out of sight themselves.
+) -> tuple[TrackSegment, ...]:
+    """Splits identities wherever the set of visible objects changes, or they are not detected themselves.
 
     Args:
         identities: clusters of each, in order of time.
@@ -32,22 +32,26 @@ def cut_into_periods(
         times: (C,) s.
 
     Returns:
-        The pieces by period, then in the order of the identities; periods are numbered from 0.
+        The segments by period, then in the order of the identities; periods are numbered from 0.
     """
-    stretches = [s for members in identities for s in np.split(members, _gaps(times[members]))]
-    if not stretches:
+    intervals = [s for members in identities for s in np.split(members, _gap_indices(times[members]))]
+    if not intervals:
         return ()
-    # The set changes where a stretch begins, and after its last scan.
-    changes = np.unique([(scan[s[0]], scan[s[-1]] + 1) for s in stretches])
-    pieces: list[Piece] = []
-    for stretch in stretches:
-        period = np.searchsorted(changes, scan[stretch], side="right") - 1
+    # The set changes where an interval begins, and after its last scan.
+    changes = np.unique([(scan[s[0]], scan[s[-1]] + 1) for s in intervals])
+    segments: list[TrackSegment] = []
+    for interval in intervals:
+        period = np.searchsorted(changes, scan[interval], side="right") - 1
         cuts = np.flatnonzero(np.diff(period)) + 1
-        parts = zip(np.split(period, cuts), np.split(stretch, cuts), strict=True)
-        pieces.extend(Piece(int(numbers[0]), members) for numbers, members in parts)
-    renumbered = {period: n for n, period in enumerate(sorted({piece.period for piece in pieces}))}
-    return tuple(sorted((Piece(renumbered[p.period], p.members) for p in pieces), key=lambda piece: piece.period))
+        parts = zip(np.split(period, cuts), np.split(interval, cuts), strict=True)
+        segments.extend(TrackSegment(int(numbers[0]), members) for numbers, members in parts)
+    renumbered = {period: n for n, period in enumerate(sorted({segment.period for segment in segments}))}
+    return tuple(
+        sorted(
+            (TrackSegment(renumbered[p.period], p.members) for p in segments), key=lambda segment: segment.period
+        )
+    )
 
 
-def _gaps(times: Array) -> NDArray[np.intp]:
-    return np.flatnonzero(np.diff(times) > _GAP) + 1
+def _gap_indices(times: Array) -> NDArray[np.intp]:
+    return np.flatnonzero(np.diff(times) > _MAX_GAP) + 1

@@ -1,4 +1,4 @@
-"""All scans of one scanner in arrays: what is done to every scan is then done to hundreds at once."""
+"""All scans of one scanner in arrays, so that hundreds are processed in one call."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan
 
-# Who passes within a longer break between two scans may pass unseen, s.
-_BREAK = 0.5
+# Longest time between two scans of one coverage interval, s; an object may pass undetected in a longer one.
+_MAX_BREAK = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,8 @@ class ScanRun:
         return len(self.stamps)
 
 
-class ScanGathering:
-    """Takes the scans of one scanner as they come, and keeps no more of them than their numbers."""
+class ScanStackBuilder:
+    """Collects the scans of one scanner into arrays, message by message."""
 
     def __init__(self) -> None:
         self._runs: list[ScanRun] = []
@@ -39,7 +39,7 @@ class ScanGathering:
         self._last = -np.inf
 
     def add(self, scan: LaserScan) -> None:
-        """Takes the next scan; one that is not later than the one before counts as its repetition."""
+        """Appends a scan; one that is not later than the previous one is a duplicate and is dropped."""
         if not scan.stamp > self._last:
             return
         self._last = scan.stamp
@@ -60,16 +60,16 @@ class ScanGathering:
             self._rows = []
 
 
-def in_runs(scans: Iterable[LaserScan]) -> tuple[ScanRun, ...]:
-    """Stacks the scans of one scanner, in order of time; repetitions count once."""
-    gathering = ScanGathering()
+def stack_scans(scans: Iterable[LaserScan]) -> tuple[ScanRun, ...]:
+    """Stacks the scans of one scanner, in order of time, without duplicates."""
+    builder = ScanStackBuilder()
     for scan in scans:
-        gathering.add(scan)
-    return gathering.runs()
+        builder.add(scan)
+    return builder.runs()
 
 
-def watched(runs: Sequence[ScanRun]) -> Array:
-    """(W, 2) from when to when a scanner measured without a break, s."""
+def coverage_intervals(runs: Sequence[ScanRun]) -> Array:
+    """(W, 2) start and end of the intervals in which a scanner measured without a break, s."""
     stamps = np.concatenate([run.stamps for run in runs])
-    breaks = np.flatnonzero(np.diff(stamps) > _BREAK)
+    breaks = np.flatnonzero(np.diff(stamps) > _MAX_BREAK)
     return np.column_stack([stamps[[0, *breaks + 1]], stamps[[*breaks, -1]]])

@@ -1,7 +1,7 @@
-"""The static surroundings of a scanner, learnt from a recording through which people walk all the time.
+"""The static background of a scanner, learned from a recording in which people walk all the time.
 
-A depth counts as static where a beam returns it often and throughout the recording: a walker never stays long
-enough at one depth of one beam, and somebody who stands still for a while does it in one stretch only.
+A depth counts as static where a beam returns it often and throughout the recording: a walking person never stays
+long enough at one depth of one beam, and a person who stands still for a while does so in one part of it only.
 """
 
 from collections.abc import Sequence
@@ -14,38 +14,38 @@ from calgraph.geometry import Array
 from calgraph.sensors import ScanBackground, find_nearest_beams
 from calgraph.tracking.scan_stack import ScanRun
 
-# Scans to learn from: more say no more.
-_MOST_SCANS = 512
-# Width of a bin of depth, m; a depth is looked for in a bin and its two neighbours.
+# Scans that the background is learned from, evenly spaced: more do not change it.
+_MAX_SCANS = 512
+# Width of a depth bin, m; hits are counted over a bin and its two neighbours.
 _BIN = 0.05
-# A static depth answers in this part of all scans, and in this part of the recording's stretches ...
-_OFTEN = 0.1
-_THROUGHOUT = 0.6
-# ... of which there are so many.
-_STRETCHES = 10
-# How clearly nearer than the background a beam must end: m, and in standard deviations of its own scatter.
+# A static depth has at least this fraction of all scans, and hits in this fraction of the recording's parts ...
+_MIN_HIT_FRACTION = 0.1
+_MIN_PART_FRACTION = 0.6
+# ... of which there are this many.
+_PARTS = 10
+# A foreground beam ends at least this much nearer than the background: m, and in standard deviations of the beam.
 _MARGIN = 0.08
-_SPREADS = 5.0
-# Ranges this near a beam's usual depth tell its noise, m.
+_MARGIN_SIGMAS = 5.0
+# Ranges this near to a beam's most frequent depth determine its noise, m.
 _NOISE_WINDOW = 0.15
-# Neighbouring static points farther apart than this, m and as a multiple of the beam spacing, lie on two surfaces.
-_BREAK = (0.10, 6.0)
+# Neighbouring static points farther apart than this, m plus a multiple of the beam spacing, lie on two surfaces.
+_MAX_GAP = (0.10, 6.0)
 
 
 @dataclass(frozen=True, eq=False)
 class StaticScene:
-    """What a scanner sees when nobody is there."""
+    """The static background of one scanner."""
 
-    nearer: ScanBackground
-    """Tells which beams of a scan end before the static surroundings."""
+    background: ScanBackground
+    """Range limit of each beam's foreground."""
     points: Array
     """(M, 2) static points, sensor frame, m, in order of angle, with a NaN row wherever the surface breaks."""
     sigma: float
-    """Noise of a range, the median over the beams that see one static depth, m; NaN if there are none."""
+    """Range noise, the median over the beams with exactly one static depth, m; NaN if there are none."""
 
 
 def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
-    """Learns the static surroundings from a whole recording.
+    """Learns the static background from a whole recording.
 
     Args:
         runs: the scans of one stationary scanner; those with other beams are matched by angle.
@@ -53,30 +53,30 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     Returns:
         The scene, or None if no scan has any beam.
     """
-    kept = _evenly_kept(runs)
+    kept = _subsample_evenly(runs)
     if not kept:
         return None
     angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
-    ranges = np.concatenate([_at_angles(angles, run) for run in kept])
+    ranges = np.concatenate([_resample_to_angles(angles, run) for run in kept])
     nearest, usual, single = _static_depths(ranges)
     off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
     spread = _robust_spread(off)
-    centre = usual + _column_median(off)
-    margin = np.maximum(_MARGIN, _SPREADS * np.where(np.isfinite(spread), spread, 0.0))
+    mean_range = usual + _column_median(off)
+    margin = np.maximum(_MARGIN, _MARGIN_SIGMAS * np.where(np.isfinite(spread), spread, 0.0))
     limit = np.where(np.isfinite(nearest), nearest - margin, np.inf)
     padded = np.pad(limit, 1, mode="edge")
     # A beam also takes its neighbours' depths, because at an edge its direction is uncertain too.
     limit = np.minimum(limit, np.minimum(padded[:-2], padded[2:]))
-    clean = single & np.isfinite(centre)
-    points = np.stack([centre * np.cos(angles), centre * np.sin(angles)], axis=-1)
+    clean = single & np.isfinite(mean_range)
+    points = np.stack([mean_range * np.cos(angles), mean_range * np.sin(angles)], axis=-1)
     sigma = float(np.median(spread[clean])) if clean.any() else np.nan
-    return StaticScene(ScanBackground(angles, limit), _broken(points, clean, centre, angles), sigma)
+    return StaticScene(ScanBackground(angles, limit), _insert_breaks(points, clean, mean_range, angles), sigma)
 
 
-def _evenly_kept(runs: Sequence[ScanRun]) -> list[ScanRun]:
+def _subsample_evenly(runs: Sequence[ScanRun]) -> list[ScanRun]:
     """Every 2^k-th scan, with the smallest k that keeps no more than a bounded number; none without beams."""
     count = sum(map(len, runs))
-    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / _MOST_SCANS))))
+    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / _MAX_SCANS))))
     kept, passed = [], 0
     for run in runs:
         chosen = slice(-passed % stride, None, stride)
@@ -86,7 +86,7 @@ def _evenly_kept(runs: Sequence[ScanRun]) -> list[ScanRun]:
     return [run for run in kept if run.ranges.size]
 
 
-def _at_angles(angles: Array, run: ScanRun) -> Array:
+def _resample_to_angles(angles: Array, run: ScanRun) -> Array:
     """(S, B) ranges of a run's scans by the nearest of ascending angles (B,); NaN where nothing was measured."""
     ranges = np.where(np.isfinite(run.ranges), run.ranges, np.nan)
     nearest = find_nearest_beams(angles, run.angles)
@@ -105,26 +105,28 @@ def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         (B,) the nearest static depth, m, and (B,) the most frequent one, NaN where a beam has none; and (B,)
         which beams have one static depth only.
     """
-    seen, beams = np.nonzero(np.isfinite(ranges))
+    scan, beams = np.nonzero(np.isfinite(ranges))
     scans, count = ranges.shape
-    if not len(seen):
+    if not len(scan):
         nothing = np.full(count, np.nan)
         return nothing, nothing, np.zeros(count, dtype=bool)
-    bins = (ranges[seen, beams] / _BIN).astype(np.intp)
-    stretches = min(_STRETCHES, scans)
-    stretch = seen * stretches // scans
-    # hits[t, d, b]: how often beam b ended at depth d in stretch t; one bin of margin at either end.
-    shape = (stretches, int(bins.max()) + 3, count)
-    cell = np.ravel_multi_index((stretch, bins + 1, beams), shape)
+    bins = (ranges[scan, beams] / _BIN).astype(np.intp)
+    parts = min(_PARTS, scans)
+    part = scan * parts // scans
+    # hits[t, d, b]: how often beam b ended at depth d in part t; one bin of margin at either end.
+    shape = (parts, int(bins.max()) + 3, count)
+    cell = np.ravel_multi_index((part, bins + 1, beams), shape)
     hits = np.bincount(cell, minlength=int(np.prod(shape))).reshape(shape)
-    near = hits[:, :-2] + hits[:, 1:-1] + hits[:, 2:]
-    often = near.sum(axis=0)
-    static = (often >= max(_OFTEN * scans, 1)) & ((near > 0).sum(axis=0) >= _THROUGHOUT * stretches)
+    window_hits = hits[:, :-2] + hits[:, 1:-1] + hits[:, 2:]
+    total_hits = window_hits.sum(axis=0)
+    static = (total_hits >= max(_MIN_HIT_FRACTION * scans, 1)) & (
+        (window_hits > 0).sum(axis=0) >= _MIN_PART_FRACTION * parts
+    )
     depths = (np.arange(len(static)) + 0.5) * _BIN
     any_static = static.any(axis=0)
     # The smallest range near the nearest static bin's centre is that bin's; a bin beside the surface has hits too.
     nearest = np.where(any_static, depths[np.argmax(static, axis=0)] + _BIN, np.nan)
-    usual = np.where(any_static, depths[np.argmax(np.where(static, often, -1), axis=0)], np.nan)
+    usual = np.where(any_static, depths[np.argmax(np.where(static, total_hits, -1), axis=0)], np.nan)
     farthest = depths[len(depths) - 1 - np.argmax(static[::-1], axis=0)] - _BIN
     return nearest, usual, any_static & (farthest - nearest < 2 * _BIN)
 
@@ -143,12 +145,12 @@ def _robust_spread(values: Array) -> Array:
     return 1.4826 * _column_median(np.abs(values - _column_median(values)))
 
 
-def _broken(points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array) -> Array:
-    """The clean ones of the points (B, 2), with a NaN row between neighbours that do not lie on one surface."""
+def _insert_breaks(points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array) -> Array:
+    """The clean points of (B, 2), with a NaN row between neighbours that do not lie on one surface."""
     chosen = np.flatnonzero(clean)
     if not len(chosen):
         return np.empty((0, 2))
     gap = np.linalg.norm(np.diff(points[chosen], axis=0), axis=-1)
     spacing = float(np.median(np.diff(angles))) * ranges[chosen[:-1]] if len(angles) > 1 else np.zeros(len(gap))
-    cuts = np.flatnonzero((gap > _BREAK[0] + _BREAK[1] * spacing) | (np.diff(chosen) > 3)) + 1
+    cuts = np.flatnonzero((gap > _MAX_GAP[0] + _MAX_GAP[1] * spacing) | (np.diff(chosen) > 3)) + 1
     return np.insert(points[chosen], cuts, np.nan, axis=0)

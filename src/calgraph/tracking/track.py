@@ -1,4 +1,4 @@
-"""What one scanner knows after a recording: the objects it followed, and what stood still."""
+"""The result of tracking in one scanner: tracks of moving objects, and the static background."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ class Hits:
     """The beams that ended on one object, in order of time."""
 
     points: Array
-    """(N, 2) where they ended, sensor frame, m."""
+    """(N, 2) end points, sensor frame, m."""
     times: Array
-    """(N,) when they were measured, s."""
-    owner: NDArray[np.intp]
-    """(N,) which of the track's times they belong to, ascending; each time has some."""
+    """(N,) times of measurement, s."""
+    time_index: NDArray[np.intp]
+    """(N,) index of the track's time that each belongs to, ascending; every time has at least one."""
 
 
 NO_HITS = Hits(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.intp))
@@ -25,7 +25,7 @@ NO_HITS = Hits(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.intp))
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """One object followed by one scanner through one unbroken stretch of time."""
+    """One object in one scanner over one interval without a break."""
 
     times: Array
     """(T,) when its points were measured (mean time of its beams), ascending, s."""
@@ -38,18 +38,18 @@ class Track:
     period: int
     """The set of visible objects is constant within a period of the scanner."""
     hits: Hits = NO_HITS
-    """What it was measured by; none where only its positions are known."""
+    """The beams that measured it; none where only positions are given."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tracked:
-    """What one scanner knows: its tracks, and the static background it sees."""
+class ScannerTracks:
+    """Tracks and static background of one scanner."""
 
     tracks: tuple[Track, ...]
     """By period, then by time."""
     background: Array
     """(M, 2) static points, sensor frame, m, in order of angle; NaN rows between breaks are not used."""
     sigma: float
-    """Range noise seen on the background, m."""
-    watched: Array | None = None
-    """(W, 2) from when to when it measured without a break, s; without, from its first track to its last one."""
+    """Range noise, measured on the background, m."""
+    coverage: Array | None = None
+    """(W, 2) start and end of the intervals in which it measured, s; None: from its first to its last track."""

@@ -7,7 +7,7 @@ from calgraph.diagnostics.network.walk_report import build_floor_views, build_wa
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 
 T_ROOT = {
     "west": np.eye(3),
@@ -24,7 +24,7 @@ def walk(begin: float, end: float, y: float) -> Array:
     return np.column_stack([times, times - START, np.full(len(times), y)])
 
 
-def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> Tracked:
+def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> ScannerTracks:
     """What a scanner knows of walks in the root frame, with as much noise as it states."""
     T_scanner_root = se2.inverse(T_ROOT[name])
     tracks = tuple(
@@ -39,7 +39,7 @@ def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> Tracked:
     )
     wall = np.column_stack([np.linspace(0, 10, 5001), np.full(5001, -2.0)])
     wall[2500] = np.nan
-    return Tracked(tracks, se2.apply(T_scanner_root, wall), SIGMA)
+    return ScannerTracks(tracks, se2.apply(T_scanner_root, wall), SIGMA)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from calgraph.estimation.network.problem import BodyPath, BodyScans
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 from calgraph.tracking.track import Hits
 from network_scenes import OFFSET, SIGMA, T_ROOT, glimpses
 
@@ -70,7 +70,7 @@ def scene(
     bodies: int = 2,
     scanners: tuple[int, ...] = (0, 1, 2),
     swing: float | None = None,
-) -> tuple[list[Tracked], PoseGraphSolution, PoseGraph]:
+) -> tuple[list[ScannerTracks], PoseGraphSolution, PoseGraph]:
     """What scanners followed, and pairs and start poses that are off by 3 cm and half a degree."""
     rng = np.random.default_rng(seed)
     walks = [walk(radii, 2.0 * k + rng.uniform(0, 6)) for k in range(bodies)]
@@ -82,7 +82,7 @@ def scene(
         if swing is not None:
             seen = [with_arms(one, *w, swing, rng) for one, w in zip(seen, here, strict=True)]
         own = [followed(one, *w, rng) for one, w in zip(seen, here, strict=True)]
-        tracked.append(Tracked(tuple(own), NOTHING, SIGMA))
+        tracked.append(ScannerTracks(tuple(own), NOTHING, SIGMA))
     edges = np.array([[0, 1], [0, 2], [1, 2]])
     T = se2.inverse(T_ROOT[edges[:, 0]]) @ T_ROOT[edges[:, 1]]
     graph = PoseGraph(3, edges, T, np.tile(np.diag([1e4, 1e4, 1e5]), (3, 1, 1)))

@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.estimation.network.track_association import group_tracks_by_body
 from calgraph.geometry import Array, se2
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 from calgraph.tracking.track import Hits
 
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([8.0, 1.0])), se2.pose(-1.5, np.array([4.0, 6.0]))])
@@ -18,7 +18,7 @@ def path(begin: float, end: float, start: tuple[float, float], speed: tuple[floa
     return np.column_stack([times, np.array(start) + (times - begin)[:, None] * velocity, velocity])
 
 
-def follow(scanner: int, paths: list[Array], rng: np.random.Generator, late: float = 0.0) -> Tracked:
+def follow(scanner: int, paths: list[Array], rng: np.random.Generator, late: float = 0.0) -> ScannerTracks:
     """What a scanner knows of paths, its clock being late."""
     T_scanner_root = se2.inverse(T_ROOT[scanner])
     tracks = []
@@ -28,10 +28,10 @@ def follow(scanner: int, paths: list[Array], rng: np.random.Generator, late: flo
         velocities = own[:, 3:] @ T_scanner_root[:2, :2].T
         spread = np.tile(NOISE**2 * np.eye(2), (len(own), 1, 1))
         tracks.append(Track(own[:, 0] + late, places, velocities, spread, 0, hits))
-    return Tracked(tuple(tracks), np.zeros((0, 2)), 0.01)
+    return ScannerTracks(tuple(tracks), np.zeros((0, 2)), 0.01)
 
 
-def grouped(tracked: list[Tracked]) -> list[list[tuple[int, int]]]:
+def grouped(tracked: list[ScannerTracks]) -> list[list[tuple[int, int]]]:
     """By body: scanner, and which of its tracks."""
     index = {id(track): (s, k) for s, own in enumerate(tracked) for k, track in enumerate(own.tracks)}
     found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)])
@@ -89,7 +89,7 @@ def test_a_glimpse_of_half_a_second_is_left_out(rng: np.random.Generator) -> Non
 
 
 def test_an_empty_building_has_nobody() -> None:
-    assert group_tracks_by_body([Tracked((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2]) == []
+    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2]) == []
 
 
 def test_a_bodys_tracks_are_known_by_scanner(rng: np.random.Generator) -> None:

@@ -7,17 +7,17 @@ import numpy as np
 from calgraph.config import Board
 from calgraph.detection import BoardCorners, Detection
 from calgraph.geometry import se3
-from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig
 
 FINE = QUICK.model_copy(
     update={
-        "laser": LaserKnobs(count=1, resolution=0.5),
-        "multibeam": MultibeamKnobs(count=1, resolution=0.4),
+        "laser": LaserOptions(count=1, resolution=0.5),
+        "multibeam": MultibeamOptions(count=1, resolution=0.4),
         "radii": (1.5, 2.2),
     }
 )
-BLIND = FINE.model_copy(update={"camera": CameraKnobs(count=0)})
+BLIND = FINE.model_copy(update={"camera": CameraOptions(count=0)})
 
 
 def without_edges(_: str, detection: Detection) -> Detection:

@@ -11,7 +11,7 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
 from calgraph.estimation import cramer_rao
 from calgraph.geometry import Array, se3
-from calgraph.simulation import CameraKnobs, RigScenario, set_stage, simulate_detections
+from calgraph.simulation import CameraOptions, RigScenario, build_world, simulate_detections
 
 STEP = 1e-5
 """Of numerical derivatives, m and rad."""
@@ -83,8 +83,8 @@ def without_edges(captured: CaptureSet) -> CaptureSet:
 
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])
 def test_bound_is_that_of_numerical_derivatives(model: str) -> None:
-    camera = CameraKnobs.model_validate({"model": model, "width": 640, "height": 480, "texels_per_mm": 0.5})
-    stage = set_stage(RigScenario(camera=camera, samples=1), 3)
+    camera = CameraOptions.model_validate({"model": model, "width": 640, "height": 480, "texels_per_mm": 0.5})
+    stage = build_world(RigScenario(camera=camera, samples=1), 3)
     rig, captured, truth = simulate_detections(stage, 0)
     captured = without_edges(captured)
     T_root_sensor = {rig.root: np.eye(4), **truth.T_root_sensor}

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from calgraph.estimation import RigSolution, cramer_rao, solve_bundle
 from calgraph.geometry import Array, se3
-from calgraph.simulation import CameraKnobs, LaserKnobs, MultibeamKnobs, set_stage
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
 RUNS = 10
@@ -19,7 +19,7 @@ DISTURBED = QUICK.model_copy(update={"disturbed": 0.2})
 
 @pytest.fixture(scope="module")
 def runs() -> list[tuple[DetectedRig, RigSolution]]:
-    stage = set_stage(SMALL, 1)
+    stage = build_world(SMALL, 1)
     found = [detect_rig_on(stage, seed) for seed in range(RUNS)]
     return [(one, one.solve()) for one in found]
 
@@ -62,7 +62,7 @@ def test_the_noise_found_is_the_noise_stated(runs: list[tuple[DetectedRig, RigSo
 
 
 def test_slips_in_a_fifth_of_the_captures_cost_little() -> None:
-    calm, slipping = set_stage(QUICK, 1), set_stage(DISTURBED, 1)
+    calm, slipping = build_world(QUICK, 1), build_world(DISTURBED, 1)
     squares = np.zeros(2)
     for seed in range(3):
         for i, stage in enumerate((calm, slipping)):
@@ -82,7 +82,7 @@ def test_what_was_left_out_is_from_captures_that_were_disturbed() -> None:
 
 
 def test_scanners_suffice_without_cameras() -> None:
-    blind = detect_rig(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
+    blind = detect_rig(QUICK.model_copy(update={"camera": CameraOptions(count=0)}))
     joint = blind.solve()
     assert joint.converged
     assert blind.mahalanobis(joint, "laser_front") < 3
@@ -91,9 +91,9 @@ def test_scanners_suffice_without_cameras() -> None:
 @pytest.mark.parametrize(
     "others",
     [
-        {"laser": LaserKnobs(count=0)},
-        {"multibeam": MultibeamKnobs(count=0)},
-        {"laser": LaserKnobs(count=0), "multibeam": MultibeamKnobs(count=0), "camera": CameraKnobs(count=2)},
+        {"laser": LaserOptions(count=0)},
+        {"multibeam": MultibeamOptions(count=0)},
+        {"laser": LaserOptions(count=0), "multibeam": MultibeamOptions(count=0), "camera": CameraOptions(count=2)},
     ],
     ids=["camera and 3-D", "camera and 2-D", "two cameras"],
 )

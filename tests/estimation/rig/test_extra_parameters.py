@@ -10,7 +10,7 @@ from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, RigSolution
 from calgraph.result import EstimatedParameter
-from calgraph.simulation import CameraKnobs
+from calgraph.simulation import CameraOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
 
 # How far the board's first tag is printed off its stated place, m.
@@ -136,7 +136,7 @@ def test_what_no_capture_tells_is_said_to_be_unmeasured(
 
 @pytest.mark.parametrize(("estimate", "lack"), [("intrinsics", "no camera"), ("tags", "no camera")])
 def test_unknowns_that_no_sensor_has_are_refused(estimate: Estimable, lack: str) -> None:
-    blind = detect_rig(QUICK.model_copy(update={"camera": CameraKnobs(count=0)}))
+    blind = detect_rig(QUICK.model_copy(update={"camera": CameraOptions(count=0)}))
     with pytest.raises(InputError, match=lack):
         blind.solve(estimate)
 

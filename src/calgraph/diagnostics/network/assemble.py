@@ -16,7 +16,7 @@ from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covarianc
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, SensorPose
-from calgraph.tracking import Tracked
+from calgraph.tracking import ScannerTracks
 
 _ADVICE = "let people walk farther across, and to and fro, where {name} and others both see them"
 
@@ -26,7 +26,7 @@ NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 def assemble_network(
     rig: Rig,
     frames: Mapping[str, str],
-    followed: Mapping[str, Tracked | Rejected],
+    followed: Mapping[str, ScannerTracks | Rejected],
     pairs: NetworkPairs,
     graph: PoseGraph,
     names: tuple[str, ...],
@@ -47,7 +47,7 @@ def assemble_network(
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses replace the averaged ones.
     """
-    tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, Tracked)}
+    tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
     clock_offsets = {} if joint is None else dict(zip(names, joint.clock_offset.tolist(), strict=True))
     samples = {
         name: resample_tracks(_correct_clock(one, clock_offsets.get(name, 0.0))) for name, one in tracked.items()
@@ -95,7 +95,7 @@ def assemble_network(
     )
 
 
-def _correct_clock(tracked: Tracked, clock_offset: float) -> Tracked:
+def _correct_clock(tracked: ScannerTracks, clock_offset: float) -> ScannerTracks:
     """The same tracks with times of the root's clock."""
     tracks = tuple(replace(track, times=track.times - clock_offset) for track in tracked.tracks)
     return replace(tracked, tracks=tracks)
@@ -153,7 +153,7 @@ def _count_shared(hypothesis: PoseHypothesis) -> int:
     return round(hypothesis.observations / hypothesis.matched_share)
 
 
-def _explain_unconnected(name: str, followed: Mapping[str, Tracked | Rejected], pairs: NetworkPairs) -> str:
+def _explain_unconnected(name: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: NetworkPairs) -> str:
     tracks = followed[name]
     if isinstance(tracks, Rejected):
         return tracks.reason

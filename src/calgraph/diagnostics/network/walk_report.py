@@ -15,7 +15,7 @@ from calgraph.pairwise.synchronized_tracks import (
     pair_simultaneous_samples,
 )
 from calgraph.result import CaptureRow, FloorView
-from calgraph.tracking import Tracked
+from calgraph.tracking import ScannerTracks
 
 # Two scanners detect one person where their positions are within this distance, m; a walk counts as shared from
 # this number of ticks on.
@@ -124,7 +124,7 @@ def _split_walks(samples: TrackSamples) -> Iterator[NDArray[np.intp]]:
 
 
 def build_floor_views(
-    tracked: Mapping[str, Tracked],
+    tracked: Mapping[str, ScannerTracks],
     samples: Mapping[str, TrackSamples],
     T_root_scanner: Mapping[str, Array],
     start: float,

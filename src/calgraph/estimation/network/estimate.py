@@ -37,7 +37,7 @@ from calgraph.estimation.network.track_association import BodyTracks, group_trac
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.pairwise import icp
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 
 # Interval of a path's control points, s: a step of a walk takes half a second.
 _KNOT_INTERVAL = 0.2
@@ -92,7 +92,7 @@ class NetworkSolution:
 
 def solve_network(
     target: People | Cylinder,
-    tracked: Sequence[Tracked],
+    tracked: Sequence[ScannerTracks],
     averaged: PoseGraphSolution,
     graph: PoseGraph,
     *,
@@ -183,7 +183,7 @@ def _collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
         times.append(track.times)
         points.append(track.hits.points)
         beam_times.append(track.hits.times)
-        counts.append(np.bincount(track.hits.owner, minlength=len(track.times)))
+        counts.append(np.bincount(track.hits.time_index, minlength=len(track.times)))
     scan_time, point, beam_time = (np.concatenate(part) for part in (times, points, beam_times))
     count = np.concatenate(counts)
     # Tracks of one body may overlap slightly: scans are sorted by time, with their beams.
@@ -257,7 +257,7 @@ def _compute_weights(
 
 
 def _register_walls(
-    tracked: Sequence[Tracked], network: NetworkProblem, state: NetworkState
+    tracked: Sequence[ScannerTracks], network: NetworkProblem, state: NetworkState
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body."""
     pairs = {

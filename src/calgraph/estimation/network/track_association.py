@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calgraph.geometry import Array, se2
-from calgraph.tracking import Track, Tracked
+from calgraph.tracking import ScannerTracks, Track
 
 # Interval at which tracks are compared, s.
 _TICK = 0.1
@@ -59,7 +59,7 @@ class _SampledTrack:
     """(T, 2) at the ticks, m."""
 
 
-def group_tracks_by_body(tracked: Sequence[Tracked], T_root_scanner: Array) -> list[BodyTracks]:
+def group_tracks_by_body(tracked: Sequence[ScannerTracks], T_root_scanner: Array) -> list[BodyTracks]:
     """Groups the tracks of all scanners by body.
 
     Args:
