@@ -1,4 +1,4 @@
-"""Relative poses of sensor pairs: by consensus over captures, or from what both saw moving."""
+"""Relative poses of sensor pairs: RANSAC over captures of a board, or registration of simultaneous tracks."""
 
 from calgraph.pairwise.board_pair import (
     Candidates,

@@ -1,8 +1,7 @@
-"""From two sensors' detections to their relative pose: one table of (kind, kind), one consensus."""
+"""Relative pose of two sensors from their detections of the board: RANSAC with a solver for each (kind, kind)."""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from calgraph.pairwise.plane_matches import PlanePlaneMatches
 from calgraph.ransac import find_consensus, select_best_of_groups
 
 Candidates = Mapping[int, Sequence[Detection]]
-"""Detections of one sensor by capture; several where it is not known which of them is the board."""
+"""Detections of one sensor by capture; several if it is ambiguous which of them is the board."""
 
 
 def estimate_pair(
@@ -46,7 +45,7 @@ def estimate_pair(
         candidates_a: detections by a; all of one geometric kind (planes or lines).
         candidates_b: detections by b.
         board_size: width and height of the (largest) board, m.
-        rng: source of the samples.
+        rng: random generator for the samples.
         refine: fit the inliers once more, weighted by their covariances; the paper keeps the solution of its
             solver, which has equal weights.
 
@@ -55,7 +54,7 @@ def estimate_pair(
     """
     common = sorted(set(candidates_a) & set(candidates_b))
     if not common:
-        return Rejected("no capture shows the board to both")
+        return Rejected("no capture in which both detected the board")
     kinds = _geometric_kind(candidates_a[common[0]][0]), _geometric_kind(candidates_b[common[0]][0])
     if kinds == ("line", "plane"):
         swapped = estimate_pair(sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng, refine=refine)
@@ -63,25 +62,23 @@ def estimate_pair(
 
     table, matches = _build_matches(candidates_a, candidates_b, board_size)
     if len(common) < matches.sample_size:
-        return Rejected(f"{len(common)} captures show the board to both, {matches.sample_size} are needed")
+        return Rejected(f"both detected the board in {len(common)} captures, {matches.sample_size} are needed")
     groups = _group_alternatives(table, candidates_a, candidates_b)
     found = find_consensus(
         groups, matches.sample_size, matches.solve, squared_residual_function(matches), 1.0, rng=rng
     )
     min_inliers = max(matches.sample_size, _min_match_count(matches, len(table)))
     if found is None or found.inlier_count < min_inliers:
-        return Rejected(f"no relative pose agrees with {min_inliers} of the {len(common)} common captures")
-    T_a_b, alternative_pose_angle = found.model, 0.0
-    if refine and isinstance(matches, PlaneLineMatches):
-        T_a_b, alternative_pose_angle = resolve_ambiguity(
-            T_a_b, matches.find_local_minima(found.inliers), matches, found.inliers
+        return Rejected(
+            f"RANSAC found no relative pose with at least {min_inliers} inliers among {len(common)} shared captures"
         )
+    T_a_b, angle = found.model, 0.0
+    if refine and isinstance(matches, PlaneLineMatches):
+        minima = matches.find_local_minima(found.inliers)
+        T_a_b, angle = resolve_ambiguity(T_a_b, minima, matches, found.inliers)
     if refine:
         T_a_b = refine_pose(T_a_b, matches, found.inliers)
-    return replace(
-        _evaluate_estimate(sensor_a, sensor_b, T_a_b, table, matches, found.inliers),
-        alternative_pose_angle=alternative_pose_angle,
-    )
+    return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle)
 
 
 def reselect_inliers(
@@ -91,25 +88,23 @@ def reselect_inliers(
     candidates_b: Candidates,
     board_size: tuple[float, float],
 ) -> PairwiseEstimate | Rejected:
-    """Selects a pair's inliers anew, under a pose that more than this pair's data determined.
+    """Reselects a pair's inliers under a pose from the joint solution of all sensors.
 
-    The consensus had to be lenient, as a pose from few captures is uncertain. Now the inliers' own scatter tells
-    how far a good match strays, and matches beyond 3.5 times that are out.
+    The gate of RANSAC is wide, because a pose from few captures is uncertain. Here the gate is 3.5 robust standard
+    deviations of the inliers' residuals.
 
     Args:
         estimate: as found by :func:`estimate_pair`.
-        T_a_b: the better pose (4, 4).
+        T_a_b: pose (4, 4) from the joint solution.
         candidates_a: detections by the estimate's sensor a.
         candidates_b: detections by its sensor b.
         board_size: width and height of the (largest) board, m.
 
     Returns:
-        The estimate at ``T_a_b`` with the new inliers; rejected if too few are left, as a wrong pose's would be.
+        The estimate at ``T_a_b`` with the new inliers; rejected if fewer than a minimal sample are left.
     """
-    if (
-        _geometric_kind(candidates_a[estimate.matches[0, 0]][0]) == "line"
-        and _geometric_kind(candidates_b[estimate.matches[0, 0]][0]) == "plane"
-    ):
+    capture = estimate.matches[0, 0]
+    if (_geometric_kind(candidates_a[capture][0]), _geometric_kind(candidates_b[capture][0])) == ("line", "plane"):
         swapped = reselect_inliers(estimate.inverse(), se3.inverse(T_a_b), candidates_b, candidates_a, board_size)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
     table, matches = _build_matches(candidates_a, candidates_b, board_size)
@@ -118,9 +113,10 @@ def reselect_inliers(
     gate = min(1.0, 3.5**2 * scale2)
     inliers = select_best_of_groups(r2 / gate, _group_alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
-        return Rejected(f"its {int(estimate.inliers.sum())} captures contradict what all sensors together say")
-    found = _evaluate_estimate(estimate.sensor_a, estimate.sensor_b, T_a_b, table, matches, inliers)
-    return replace(found, alternative_pose_angle=estimate.alternative_pose_angle)
+        count = int(estimate.inliers.sum())
+        return Rejected(f"all {count} shared captures were rejected as outliers by the joint solution")
+    sensors = estimate.sensor_a, estimate.sensor_b
+    return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle)
 
 
 def _build_matches(
@@ -133,36 +129,30 @@ def _build_matches(
 
 
 def _min_match_count(matches: Matches, count: int) -> int:
-    """How many matches it takes to measure more numbers than a pose has: fewer agree with whatever they gave."""
-    numbers = matches.linearize(np.eye(4)[None]).residuals.size // count
-    return 7 // numbers + 1
+    """Number of matches with more residuals than a pose has unknowns: fewer fit some pose without redundancy."""
+    residuals_per_match = matches.linearize(np.eye(4)[None]).residuals.size // count
+    return 7 // residuals_per_match + 1
 
 
 def _evaluate_estimate(
-    sensor_a: str,
-    sensor_b: str,
+    sensors: tuple[str, str],
     T_a_b: Array,
     table: NDArray[np.intp],
     matches: Matches,
     inliers: NDArray[np.bool_],
+    alternative_pose_angle: float,
 ) -> PairwiseEstimate:
     at = matches.linearize(T_a_b[None])
     at = Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
     rms = np.sqrt(np.mean(at.residuals**2, axis=-1))
     return PairwiseEstimate(
-        sensor_a,
-        sensor_b,
-        T_a_b,
-        compute_information(at, inliers),
-        table,
-        inliers,
-        rms,
-        normalized_rms=compute_normalized_rms(at, inliers),
-    )
+        *sensors, T_a_b, compute_information(at, inliers), table, inliers, rms,
+        alternative_pose_angle, compute_normalized_rms(at, inliers),
+    )  # fmt: skip
 
 
 PairwiseEstimates = Mapping[tuple[str, str], PairwiseEstimate | Rejected]
-"""Estimate, or the reason why there is none, by pair of sensors."""
+"""Estimate of each pair of sensors, or the reason for its rejection."""
 
 
 def estimate_pairs(
@@ -178,8 +168,8 @@ def estimate_pairs(
     Args:
         detections: by sensor and capture.
         board_size: width and height of the (largest) board, m.
-        rng: source of the samples.
-        progress: told how much is done, 0..1.
+        rng: random generator for the samples.
+        progress: called with the completed fraction, 0..1.
         refine: as for :func:`estimate_pair`.
     """
     names = list(itertools.combinations(detections, 2))
@@ -191,7 +181,7 @@ def estimate_pairs(
 
 
 def select_successful(pairs: PairwiseEstimates) -> list[PairwiseEstimate]:
-    """The pairs that could be estimated."""
+    """Selects the pairs that were not rejected."""
     return [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
 
 
@@ -201,7 +191,7 @@ def reselect_all_inliers(
     detections: Mapping[str, Candidates],
     board_size: tuple[float, float],
 ) -> PairwiseEstimates:
-    """Selects the inliers of every pair anew under joint poses, as :func:`reconsider` does.
+    """Reselects the inliers of every pair under joint poses, as :func:`reselect_inliers` does.
 
     Args:
         pairs: as estimated.
@@ -218,9 +208,9 @@ def reselect_all_inliers(
 
 
 def tabulate_matches(candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:
-    """All pairs of candidates in common captures: (M, 3) rows of capture, index in a, index in b.
+    """Lists all pairs of candidates in common captures: (M, 3) rows of capture, index in a, index in b.
 
-    Two boards that cameras tell apart are no pair.
+    Detections that cameras identified as different boards are not paired.
     """
     rows = [
         (capture, i, j)
@@ -235,7 +225,7 @@ def tabulate_matches(candidates_a: Candidates, candidates_b: Candidates) -> NDAr
 def _group_alternatives(
     table: NDArray[np.intp], candidates_a: Candidates, candidates_b: Candidates
 ) -> NDArray[np.intp]:
-    """(M,) groups of matches of which one at most is true: those of one capture, and board if it is known."""
+    """Numbers (M,) the groups of mutually exclusive matches: those of one capture, and board if identified."""
     groups: dict[tuple[int, frozenset[int | None]], int] = {}
     numbers = []
     for capture, i, j in table.tolist():
@@ -245,7 +235,7 @@ def _group_alternatives(
 
 
 def _board_index(detection: Detection) -> int | None:
-    """Which of the rig's boards it is, if the sensor can tell."""
+    """Index of the board in the rig, if the sensor can identify it."""
     return detection.board if isinstance(detection, BoardCorners) else None
 
 
@@ -254,14 +244,14 @@ def _geometric_kind(detection: Detection) -> str:
 
 
 def _stack_planes(detections: Sequence[Detection]) -> tuple[Array, Array, Array]:
-    seen = [d for d in detections if isinstance(d, PlanePatch | BoardCorners)]
-    planes, covariances = zip(*(plane_of(d) for d in seen), strict=True)
-    return np.array(planes), np.array(covariances), np.array([d.center for d in seen])
+    with_plane = [d for d in detections if isinstance(d, PlanePatch | BoardCorners)]
+    planes, covariances = zip(*(plane_of(d) for d in with_plane), strict=True)
+    return np.array(planes), np.array(covariances), np.array([d.center for d in with_plane])
 
 
 def _stack_segments(detections: Sequence[Detection]) -> tuple[Array, Array]:
-    seen = [d for d in detections if isinstance(d, Segment)]
-    return np.array([d.endpoints for d in seen]), np.array([d.covariance for d in seen])
+    segments = [d for d in detections if isinstance(d, Segment)]
+    return np.array([d.endpoints for d in segments]), np.array([d.covariance for d in segments])
 
 
 MatchBuilder = Callable[[Sequence[Detection], Sequence[Detection], tuple[float, float]], Matches]

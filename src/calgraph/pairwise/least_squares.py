@@ -1,4 +1,4 @@
-"""Small dense least squares on SE(3), many problems at once, that leave open what the data leave open."""
+"""Batched small least squares on SE(3) in which unobservable directions keep their start values."""
 
 import itertools
 from collections.abc import Callable
@@ -14,16 +14,16 @@ _MIN_RMS_SLOPE = 0.03
 def gauss_newton(
     T: Array, residuals: Callable[[Array], tuple[Array, Array]], iterations: int = 12
 ) -> tuple[Array, Array]:
-    """Minimises K independent sums of squares over poses.
+    """Minimizes K independent sums of squares over poses.
 
     Args:
         T: (K, 4, 4) start values.
-        residuals: poses (K, 4, 4) to residuals (K, m) and their Jacobians (K, m, 6) for se3.retract; NaN where
-            a pose is not allowed, which no step then enters.
-        iterations: steps at most.
+        residuals: poses (K, 4, 4) to residuals (K, m) and their Jacobians (K, m, 6) for se3.retract; NaN for
+            infeasible poses, to which no step is taken.
+        iterations: maximum number of steps.
 
     Returns:
-        The poses (K, 4, 4) and their mean squared residuals (K,), infinite for starts that are not allowed.
+        The poses (K, 4, 4) and their mean squared residuals (K,), infinite for infeasible start values.
     """
     r, J = residuals(T)
     cost = _mean_square(r)
@@ -55,7 +55,7 @@ def _mean_square(r: Array) -> Array:
 
 
 def axis_aligned_rotations() -> Array:
-    """The 24 rotations (24, 3, 3) that map axes to axes: how sensors are mounted when nothing else is known."""
+    """The 24 rotations (24, 3, 3) that map axes to axes: start values for sensors of unknown mounting."""
     rotations = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):

@@ -1,4 +1,4 @@
-"""Matches with a 2-D scanner: plane–line (MSG-Cal, IV.B) and line–line (coplanarity; not in the paper)."""
+"""Matches with segments of a 2-D scanner: plane–line (MSG-Cal, IV.B) and line–line (coplanarity; our addition)."""
 
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -20,32 +20,32 @@ _REFINED_STARTS = 6
 
 @dataclass(frozen=True, eq=False)
 class PlaneLineMatches:
-    """M matches between planes seen by a and segments seen by b."""
+    """M matches between planes measured by a and segments measured by b."""
 
     planes: Array
     """(M, 4), frame a."""
     covariances_a: Array
     """(M, 3, 3) in the chart of plane.retract."""
     centers_a: Array
-    """(M, 3) middle of what a saw, m."""
+    """(M, 3) centres of a's detections, m."""
     endpoints: Array
     """(M, 2, 3), frame b, z = 0."""
     covariances_b: Array
     """(M, 6, 6) of the end points."""
     max_center_distance: float
-    """The board's diagonal: how far apart the two centres may be, m."""
+    """Largest distance between the two centres: the board's diagonal, m."""
 
     @property
     def sample_size(self) -> int:
-        """Five as in the paper; three where the boards' poses leave half of the unknowns open anyway."""
+        """Five as in the paper; three if the boards' poses do not determine the linear solution."""
         return 5 if self._determined else 3
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
-        """Minimises the end points' distances to the planes (eq. 4), with no initial estimate.
+        """Minimizes the end points' distances to the planes (eq. 4), with no initial estimate.
 
         As z = 0 in the scan plane, ``n · (R x + t) + d`` is linear in R's first two columns and t: five segments
-        give ten equations for the nine unknowns (Zhang and Pless 2004). Where the boards' poses leave some of
-        these open, the solution is sought from all axis-aligned rotations, and what is open stays as it starts.
+        give ten equations for the nine unknowns (Zhang and Pless 2004). If the boards' poses do not determine
+        these, Gauss–Newton starts from all axis-aligned rotations, and unobservable directions keep their values.
         """
         n = np.repeat(self.planes[samples, :3], 2, axis=1)
         d = np.repeat(self.planes[samples, 3], 2, axis=1)
@@ -67,16 +67,16 @@ class PlaneLineMatches:
         n, d, x = (np.repeat(v, count, axis=0) for v in (n, d, x))
         R = starts.reshape(-1, 3, 3)
         T, cost = gauss_newton(se3.pose(R, _solve_translation(R, n, d, x)), residuals)
-        # Among solutions that fit alike, the one that had to turn least from a plain mounting.
-        turned = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
-        best = np.argmin((cost + (0.02 * turned) ** 2).reshape(-1, count), axis=1)
+        # Of solutions with similar residuals, the one with the smallest rotation from its start.
+        angle = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
+        best = np.argmin((cost + (0.02 * angle) ** 2).reshape(-1, count), axis=1)
         return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
 
     def find_local_minima(self, chosen: NDArray[np.bool_]) -> Array:
-        """Poses (K, 4, 4) at which the chosen matches' distances are smallest nearby, sought from everywhere.
+        """Finds local minima (K, 4, 4) of the chosen matches' distances, from all axis-aligned rotations.
 
-        Distances from planes do not change much when a scanner is turned over or tilted the other way: with few
-        captures several poses fit.
+        Distances from planes change little if a scanner is turned over or tilted the opposite way: with few captures
+        several poses fit.
         """
         starts = axis_aligned_rotations()
         n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
@@ -91,14 +91,14 @@ class PlaneLineMatches:
 
     @cached_property
     def _determined(self) -> bool:
-        """Whether all matches together determine the linear solution."""
+        """Whether all matches jointly determine the linear solution."""
         n = np.repeat(self.planes[:, :3], 2, axis=0)
         x = self.endpoints.reshape(-1, 3)
         s = np.linalg.svd(np.concatenate([x[:, :1] * n, x[:, 1:2] * n, n], axis=-1), compute_uv=False)
         return bool(len(s) == 9 and s[-1] > _MIN_CONDITION * np.sqrt(len(n)))
 
     def linearize(self, T_a_b: Array) -> Linearization:
-        """Distances of the two end points from the plane."""
+        """Computes the distances of the two end points from the plane."""
         n = np.broadcast_to(self.planes[:, None, :3], self.endpoints.shape)
         x_a = se3.apply(T_a_b[:, None], self.endpoints)
         arm = x_a - T_a_b[:, None, None, :3, 3]
@@ -113,14 +113,14 @@ class PlaneLineMatches:
         return Linearization(plane.distance(self.planes, x_a), jacobian, covariance)
 
     def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
-        """Whether the segment's middle lies within a board of the plane's."""
-        middle = se3.apply(T_a_b, self.endpoints.mean(axis=1))
-        return np.asarray(np.linalg.norm(middle - self.centers_a, axis=-1) <= self.max_center_distance)
+        """Tests whether the distance from the segment's midpoint to the plane's centre is at most a board."""
+        midpoints = se3.apply(T_a_b, self.endpoints.mean(axis=1))
+        return np.asarray(np.linalg.norm(midpoints - self.centers_a, axis=-1) <= self.max_center_distance)
 
 
 @dataclass(frozen=True, eq=False)
 class LineLineMatches:
-    """M matches between segments seen by a and segments seen by b: two lines on one board are coplanar."""
+    """M matches between segments measured by a and by b: two lines on one board are coplanar."""
 
     endpoints_a: Array
     """(M, 2, 3), frame a."""
@@ -129,15 +129,15 @@ class LineLineMatches:
     endpoints_b: Array
     covariances_b: Array
     max_center_distance: float
-    """The board's diagonal: how far apart the two middles may be, m."""
+    """Largest distance between the two midpoints: the board's diagonal, m."""
 
     sample_size: int = 8
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
-        """Linear in the scan planes, then Gauss–Newton on coplanarity, held together by the board's finite size.
+        """Solves linearly, then refines by Gauss–Newton on coplanarity, regularized by the board's finite size.
 
-        The turn of one scanner about the line in which the two scan planes meet is left as it starts: it moves no
-        crossing point on that line, so coplanarity says nothing of it (see :func:`coplanarity`).
+        The rotation of one scanner about the intersection of the two scan planes keeps its start value: it moves
+        no crossing point on that line, so it is unobservable (see :func:`evaluate_coplanarity`).
         """
         a, b = self.endpoints_a[samples], self.endpoints_b[samples]
         T, _ = gauss_newton(
@@ -147,7 +147,7 @@ class LineLineMatches:
         return T
 
     def linearize(self, T_a_b: Array) -> Linearization:
-        """Distance of the two lines times the sine of their angle: zero where they are coplanar."""
+        """Computes the distance of the two lines times the sine of their angle: zero if they are coplanar."""
         a, b = self.endpoints_a, self.endpoints_b
         r, jacobian, by_a, by_b = evaluate_coplanarity(T_a_b[:, None], a, b)
         covariance = np.einsum("kmi,mij,kmj->km", by_a, self.covariances_a, by_a)
@@ -155,14 +155,13 @@ class LineLineMatches:
         return Linearization(r[..., None], jacobian[..., None, :], covariance[..., None, None])
 
     def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
-        """Whether the middles of both segments lie within a board of each other."""
-        middle = se3.apply(T_a_b, self.endpoints_b.mean(axis=1))
-        return np.asarray(
-            np.linalg.norm(middle - self.endpoints_a.mean(axis=1), axis=-1) <= self.max_center_distance
-        )
+        """Tests whether the distance between the midpoints of both segments is at most a board."""
+        midpoints = se3.apply(T_a_b, self.endpoints_b.mean(axis=1))
+        distance = np.linalg.norm(midpoints - self.endpoints_a.mean(axis=1), axis=-1)
+        return np.asarray(distance <= self.max_center_distance)
 
 
-# Sine of the angle between scan planes below which coplanarity says nothing of their pose.
+# Sine of the angle between scan planes below which coplanarity does not determine their pose.
 _MIN_SCAN_PLANE_SINE = 0.05
 
 
@@ -171,9 +170,9 @@ def evaluate_coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array
 
     With the sine s of the angle between the scan planes z = 0 of a and b, this is the distance between the two
     points where the lines cross the scan planes' intersection, times the sines of the lines' angles with it.
-    Without the division, poses that lay one scan plane in the other would always fit: all lines would be coplanar.
-    Turning b about that line changes nothing: a pair of 2-D scanners alone fixes five of its six unknowns.
-    Scan planes within 3 degrees of each other say next to nothing of their pose: NaN.
+    Without the division, any pose with coinciding scan planes would fit: all lines would be coplanar.
+    Rotating b about that line has no effect: a pair of 2-D scanners alone determines five of its six unknowns.
+    Scan planes within 3 degrees of each other hardly determine their pose: NaN.
 
     Args:
         T_a_b: (..., 4, 4).
@@ -216,14 +215,14 @@ def _direction_with_jacobian(segment: Array) -> tuple[Array, Array]:
 
 
 def _evaluate_plane_distances(T: Array, n: Array, d: Array, x: Array) -> tuple[Array, Array]:
-    """Distances (K, P) of points x (K, P, 3) moved by T (K, 4, 4) from planes (n, d), and their Jacobian."""
+    """Computes distances (K, P) of transformed points x (K, P, 3) from planes (n, d), and their Jacobian by T."""
     Rx = x @ np.swapaxes(T[:, :3, :3], -1, -2)
     r = np.sum(n * (Rx + T[:, None, :3, 3]), axis=-1) + d
     return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
 
 
 def _select_rotations(starts: Array, n: Array, d: Array, x: Array) -> Array:
-    """Of rotations (S, 3, 3), for each sample those (K, k, 3, 3) that fit best once translated."""
+    """Selects for each sample the rotations (K, k, 3, 3) out of (S, 3, 3) that fit best with some translation."""
     r = np.einsum("kpi,sij,kpj->ksp", n, starts, x, optimize=True) + d[:, None]
     r -= np.einsum("kpi,kiq,ksq->ksp", n, np.linalg.pinv(n, rcond=0.05), r, optimize=True)
     chosen = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")[:, :_REFINED_STARTS]
@@ -231,13 +230,13 @@ def _select_rotations(starts: Array, n: Array, d: Array, x: Array) -> Array:
 
 
 def _solve_translation(R: Array, n: Array, d: Array, x: Array) -> Array:
-    """The translations (K, 3) that fit best for given rotations; zero along what the normals leave open."""
+    """Solves for translations (K, 3) given rotations; zero in directions that the normals do not determine."""
     r = np.sum(n * (x @ np.swapaxes(R, -1, -2)), axis=-1) + d
     return np.asarray(-(np.linalg.pinv(n, rcond=0.05) @ r[..., None])[..., 0])
 
 
 def _regularized_coplanarity(T: Array, a: Array, b: Array, looseness: float) -> tuple[Array, Array]:
-    """Coplanarity residuals, and the gaps between the middles scaled by the board's noise over looseness."""
+    """Coplanarity residuals, and the gaps between midpoints with the weight of a prior with a wide ``stddev``."""
     r, J, _, _ = evaluate_coplanarity(T[:, None], a, b)
     scale = 0.02 / looseness
     Rm = np.einsum("kij,kmj->kmi", T[:, :3, :3], b.mean(axis=2))

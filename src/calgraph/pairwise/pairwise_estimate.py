@@ -1,4 +1,4 @@
-"""What the two sensors of a pair know of each other: the correspondence kinds' interface and their result."""
+"""Interface of matches between the detections of two sensors, and the estimate of their relative pose."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,29 +26,29 @@ _MIN_ALTERNATIVE_ANGLE = np.radians(5)
 
 
 MatchFilter = Literal["ransac", "none"]
-"""Which matches a joint solution uses: those that agree (ransac), or the first candidates of every capture."""
+"""Matches that the joint solution uses: the inliers (``ransac``), or the first candidates of each capture."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairwiseEstimate:
-    """Relative pose of two sensors from the captures in which both saw the board."""
+    """Relative pose of two sensors from the captures in which both detected the board."""
 
     sensor_a: str
     sensor_b: str
     T_a_b: Array
     """(4, 4)."""
     information: Array
-    """(6, 6) inverse covariance of T_a_b's error in the fixed axes of a; singular where data fix nothing."""
+    """(6, 6) inverse covariance of T_a_b's error in the fixed axes of a; singular in unobservable directions."""
     matches: NDArray[np.intp]
     """(M, 3) of all candidate matches: capture, index of the detection in a, index in b."""
     inliers: NDArray[np.bool_]
-    """(M,) the matches that agree with T_a_b: at most one per capture."""
+    """(M,) mask of the matches consistent with T_a_b: at most one of each group of alternatives."""
     residuals: Array
-    """(M,) root mean square distance between the two detections under T_a_b, m."""
+    """(M,) RMS distance between the two detections under T_a_b, m."""
     alternative_pose_angle: float = 0.0
-    """Angle to another pose that fits the inliers as well, rad; 0 where there is none."""
+    """Angle to an alternative pose that fits the inliers equally well, rad; 0 if there is none."""
     normalized_rms: float = 1.0
-    """How many times farther apart the inliers' detections are than their covariances explain."""
+    """RMS of the inliers' residuals whitened by their covariances: 1 if these explain the residuals."""
 
     @property
     def squared_error(self) -> float:
@@ -56,7 +56,7 @@ class PairwiseEstimate:
         return float(np.sum(self.residuals[self.inliers] ** 2))
 
     def inverse(self) -> "PairwiseEstimate":
-        """The same estimate as ``T_b_a``."""
+        """Returns the same estimate as ``T_b_a``."""
         R = self.T_a_b[:3, :3]
         # Inverse of se3.inverse_covariance's Jacobian: a perturbation of T_b_a as one of T_a_b.
         J = np.zeros((6, 6))
@@ -71,64 +71,61 @@ class PairwiseEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """Residuals of all matches at one pose, with what they depend on."""
+    """Residuals of all matches at one pose, with their Jacobian and covariance."""
 
     residuals: Array
     """(M, k) distances, m."""
     jacobian: Array
-    """(M, k, 6) with respect to a perturbation of T_a_b along the fixed axes of a."""
+    """(M, k, 6) derivatives by a perturbation of T_a_b along the fixed axes of a."""
     covariance: Array
-    """(M, k, k) from the two detections' covariances, m²."""
+    """(M, k, k) propagated from the covariances of both detections, m²."""
 
 
 class Matches(Protocol):
-    """Matches of one (kind, kind); M of them."""
+    """M matches of detections of one (kind, kind)."""
 
     @property
     def sample_size(self) -> int:
-        """How many matches make a minimal sample."""
+        """Number of matches in a minimal sample."""
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
-        """Poses T_a_b (K, 4, 4) from samples (K, m) of the matches; NaN for those without solution."""
+        """Solves for poses T_a_b (K, 4, 4) of samples (K, m) of the matches; NaN for those without solution."""
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Residuals of all matches under poses (K, 4, 4), with a leading axis K on every field."""
 
     def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
-        """(K, M) whether both detections can lie on one board of the known size."""
+        """(K, M) whether both detections can lie on one board of the given size."""
 
 
 def squared_residual_function(matches: Matches) -> Callable[[Array], Array]:
-    """For the consensus: squared residuals (K, M) in units of the squared gate; infinite where out of reach."""
+    """Returns the map from poses to squared residuals (K, M) over the squared gate; infinite if not feasible."""
 
-    def of(T_a_b: Array) -> Array:
+    def evaluate(T_a_b: Array) -> Array:
         at = matches.linearize(T_a_b)
         variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + MODEL_ERROR**2
         r2 = np.mean(at.residuals**2 / variance, axis=-1) / _INLIER_GATE**2
         return np.asarray(np.where(matches.feasible(T_a_b), r2, np.inf))
 
-    return of
+    return evaluate
 
 
 def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Array:
-    """The pose (4, 4) that fits all inliers best, near one that a minimal sample gave.
+    """Refines a pose (4, 4) on all inliers by Gauss-Newton; unobservable directions keep their start value."""
 
-    What the inliers leave open stays as it is.
-    """
-
-    def problem(T: Array) -> tuple[Array, Array, float]:
+    def build_normal_equations(T: Array) -> tuple[Array, Array, float]:
         at = matches.linearize(T[None])
         r, J, covariance = at.residuals[0][inliers], at.jacobian[0][inliers], at.covariance[0][inliers]
         W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
         H = np.einsum("mki,mkl,mlj->ij", J, W, J)
         return H, np.einsum("mki,mkl,ml->i", J, W, r), float(np.einsum("mk,mkl,ml->", r, W, r))
 
-    H, g, cost = problem(T_a_b)
+    H, g, cost = build_normal_equations(T_a_b)
     for _ in range(_MAX_STEPS):
         values, vectors = np.linalg.eigh(H)
         along = np.where(values > _MAX_STDDEV**-2, vectors.T @ g / np.maximum(values, _MAX_STDDEV**-2), 0.0)
         trial = se3.retract(T_a_b, -np.asarray(vectors @ along, dtype=np.float64))
-        trial_H, trial_g, trial_cost = problem(trial)
+        trial_H, trial_g, trial_cost = build_normal_equations(trial)
         if not trial_cost < cost * (1 - 1e-6):
             break
         T_a_b, H, g, cost = trial, trial_H, trial_g, trial_cost
@@ -138,16 +135,16 @@ def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> A
 def resolve_ambiguity(
     T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_]
 ) -> tuple[Array, float]:
-    """The pose that fits all inliers best, and whether another does so too.
+    """Selects the pose that fits all inliers best, and measures whether another fits equally well.
 
     Args:
-        T_a_b: (4, 4) the pose that consensus found; another is taken only if it fits clearly better.
+        T_a_b: (4, 4) pose found by RANSAC; another is selected only if it fits clearly better.
         others: (K, 4, 4) other minima.
         matches: of the pair.
         inliers: (M,) of T_a_b.
 
     Returns:
-        The pose, and the angle (rad) to the farthest other one that fits as well; 0 if there is none.
+        The pose, and the angle (rad) to the farthest other one that fits equally well; 0 if there is none.
     """
     poses = np.concatenate([T_a_b[None], others])
     at = matches.linearize(poses)
@@ -165,14 +162,14 @@ def resolve_ambiguity(
 
 
 def compute_normalized_rms(at: Linearization, inliers: NDArray[np.bool_]) -> float:
-    """Root mean square of the inliers' residuals, whitened by their covariances and a board's flatness."""
+    """RMS of the inliers' residuals, whitened by their covariances and the board's flatness."""
     r, covariance = at.residuals[inliers], at.covariance[inliers]
     W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
     return float(np.sqrt(np.einsum("mk,mkl,ml->", r, W, r) / max(r.size - 6, 1)))
 
 
 def compute_information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
-    """(6, 6) information of the inliers, scaled down by their scatter where it exceeds their covariances."""
+    """Information (6, 6) of the inliers, divided by their reduced chi-squared where it exceeds 1."""
     r, J, covariance = at.residuals[inliers], at.jacobian[inliers], at.covariance[inliers]
     floor = 1e-8 * np.eye(r.shape[1])
     W = np.linalg.inv(covariance + floor)
@@ -183,7 +180,7 @@ def compute_information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
 
 
 def select_matches(pair: PairwiseEstimate, keep: MatchFilter) -> NDArray[np.bool_]:
-    """(M,) which of a pair's matches a joint solution uses."""
+    """Mask (M,) of the matches of a pair that the joint solution uses."""
     if keep == "ransac":
         return pair.inliers
     return np.asarray((pair.matches[:, 1] == 0) & (pair.matches[:, 2] == 0))

@@ -1,4 +1,4 @@
-"""Plane–plane matches: two sensors that both see the board as a plane (MSG-Cal, IV.A)."""
+"""Plane–plane matches: both sensors measure the plane of the board (MSG-Cal, IV.A)."""
 
 from dataclasses import dataclass
 
@@ -11,30 +11,30 @@ from calgraph.pairwise.pairwise_estimate import Linearization
 
 @dataclass(frozen=True, eq=False)
 class PlanePlaneMatches:
-    """M matches between planes seen by a and planes seen by b."""
+    """M matches between planes measured by a and planes measured by b."""
 
     planes_a: Array
     """(M, 4), frame a."""
     covariances_a: Array
     """(M, 3, 3) in the chart of plane.retract."""
     centers_a: Array
-    """(M, 3) middle of what a saw, m."""
+    """(M, 3) centres of a's detections, m."""
     planes_b: Array
     covariances_b: Array
     centers_b: Array
     comparison_radius: float
-    """Half of the board's shorter side: how far from the centre planes are compared, m."""
+    """Distance from the centre at which planes are compared: half of the board's shorter side, m."""
     max_center_distance: float
-    """The board's diagonal: how far apart the two centres may be, m."""
+    """Largest distance between the two centres: the board's diagonal, m."""
 
     sample_size: int = 3
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
-        """Kabsch on the normals, then least squares for the translation (eqs. 1–3)."""
+        """Solves for the rotation by Kabsch on the normals, then for the translation by least squares (eqs. 1–3)."""
         n_a, d_a = self.planes_a[samples, :3], self.planes_a[samples, 3]
         n_b, d_b = self.planes_b[samples, :3], self.planes_b[samples, 3]
         R = se_n.nearest_rotation(np.einsum("kmi,kmj->kij", n_a, n_b))
-        # n_i · t + d_i - d_j = 0; three normals in one plane leave the translation open.
+        # n_i · t + d_i - d_j = 0; coplanar normals do not determine the translation.
         normal_matrix = np.einsum("kmi,kmj->kij", n_a, n_a)
         eigenvalues = np.linalg.eigvalsh(normal_matrix)
         solvable = eigenvalues[:, 0] > 1e-4 * eigenvalues[:, 2]
@@ -44,7 +44,7 @@ class PlanePlaneMatches:
         return se3.pose(R, t)
 
     def linearize(self, T_a_b: Array) -> Linearization:
-        """Distances from plane a to three points of plane b around its centre."""
+        """Computes distances from plane a to three points of plane b around its centre."""
         angles = 2 * np.pi * np.arange(3) / 3
         circle = self.comparison_radius * np.stack([np.cos(angles), np.sin(angles)])
         basis_b = plane.tangent_basis(self.planes_b[:, :3])
@@ -53,14 +53,14 @@ class PlanePlaneMatches:
         n_a = np.broadcast_to(self.planes_a[:, None, :3], x_a.shape)
         arm = x_a - T_a_b[:, None, None, :3, 3]
         jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
-        moved_by_a = _distance_by_chart(self.planes_a, x_a)
-        moved_by_b = _distance_by_chart(self.planes_b, x_b)
-        covariance = moved_by_a @ self.covariances_a @ np.swapaxes(moved_by_a, -1, -2)
-        covariance = covariance + moved_by_b @ self.covariances_b @ np.swapaxes(moved_by_b, -1, -2)
+        by_a = _distance_by_chart(self.planes_a, x_a)
+        by_b = _distance_by_chart(self.planes_b, x_b)
+        covariance = by_a @ self.covariances_a @ np.swapaxes(by_a, -1, -2)
+        covariance = covariance + by_b @ self.covariances_b @ np.swapaxes(by_b, -1, -2)
         return Linearization(plane.distance(self.planes_a, x_a), jacobian, covariance)
 
     def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
-        """Whether normals agree within 30 degrees and centres lie within a board of each other."""
+        """Tests whether the normals differ by less than 30 degrees, and the centres by less than a board."""
         x_a = se3.apply(T_a_b, self.centers_b)
         n_a = self.planes_b[:, :3] @ np.swapaxes(T_a_b[:, :3, :3], -1, -2)
         close = np.linalg.norm(x_a - self.centers_a, axis=-1) <= self.max_center_distance
@@ -68,6 +68,6 @@ class PlanePlaneMatches:
 
 
 def _distance_by_chart(planes: Array, points: Array) -> Array:
-    """How the distance at points (..., M, k, 3) changes with the charts of planes (M, 4): (..., M, k, 3)."""
+    """Derivatives (..., M, k, 3) of the distances at points (..., M, k, 3) by the charts of planes (M, 4)."""
     along = points @ plane.tangent_basis(planes[:, :3])
     return np.concatenate([along, np.ones((*along.shape[:-1], 1))], axis=-1)
