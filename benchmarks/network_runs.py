@@ -22,7 +22,7 @@ from calgraph.graph import (
 )
 from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, estimate_scanner_pairs
-from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples, resample_tracks
+from calgraph.pairwise.synchronized_tracks import pair_samples, resample_tracks
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
     GroundTruth,
@@ -252,11 +252,9 @@ def judge(
     true = se2.inverse(truth[pair.sensor_a]) @ truth[pair.sensor_b]
     off = se2.difference(pair.T_a_b, true)
     right = np.degrees(abs(off[2])) < GROSS[0] and np.hypot(off[0], off[1]) < GROSS[1]
-    met = pair_simultaneous_samples(
-        resample_tracks(tracked[pair.sensor_a]), resample_tracks(tracked[pair.sensor_b])
-    )
+    met = pair_samples(resample_tracks(tracked[pair.sensor_a]), resample_tracks(tracked[pair.sensor_b]))
     squared = np.sum((se2.apply(pair.T_a_b, met.x_b) - met.x_a) ** 2, axis=1)
-    return bool(right), float(np.sqrt(np.mean(np.minimum.reduceat(squared, met.starts_a))))
+    return bool(right), float(np.sqrt(np.mean(np.minimum.reduceat(squared, met.run_starts_a))))
 
 
 def gross(errors: Array) -> NDArray[np.bool_]:

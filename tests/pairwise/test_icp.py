@@ -101,7 +101,7 @@ def test_walls_that_contradict_the_tracks_are_rejected(rng: np.random.Generator)
     found = align_backgrounds(
         se2.inverse(A) @ beside, certain, scan(ROOM, A, rng), scan(moved, beside, rng), SIGMA
     )
-    assert found == Rejected("walls and tracks contradict each other")
+    assert found == Rejected("static background and tracks contradict each other")
 
 
 def test_a_room_that_the_other_scanner_looks_through_is_rejected(rng: np.random.Generator) -> None:
@@ -109,7 +109,7 @@ def test_a_room_that_the_other_scanner_looks_through_is_rejected(rng: np.random.
     wide: list[Wall] = [((-4, -3), (5, -3)), ((-4, -3), (-4, 5)), ((5, -3), (5, 5)), ((-4, 5), (5, 5))]
     found = align_backgrounds(T_A_B, LOOSE, scan(wide, A, rng), scan(small, B, rng), SIGMA)
     assert isinstance(found, Rejected)
-    assert found.reason == "268 static points of one lie in space that the other looks through"
+    assert found.reason == "268 static points of one lie in the free space of the other"
 
 
 def test_the_two_sides_of_a_thin_wall_are_not_matched(rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_simultaneous_samples
+from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.pairwise.visibility_map import (
     VisibilityMap,
     build_visibility_map,
@@ -90,7 +90,7 @@ def test_a_pose_is_refuted_by_people_who_pass_the_other_scanner_unnoticed() -> N
     wrong = se2.pose(np.pi, np.array([2.0, 0.0]))  # the other half of the circle at every time
     found = contradicts_visibility(
         np.array([T_a_b, wrong]),
-        pair_simultaneous_samples(a, b),
+        pair_samples(a, b),
         *views,
         radius=0.5,
         min_expected=20,
@@ -104,11 +104,11 @@ def test_poses_with_views_apart_are_refuted_by_nobody() -> None:
     views = build_visibility_map(still(wall(4.0)), a), build_visibility_map(still(wall(4.0)), b)
     far = se2.pose(0.3, np.array([20.0, 0.0]))
     assert contradicts_visibility(
-        far[None], pair_simultaneous_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
+        far[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
     ).tolist() == [False]
     assert contradicts_visibility(
         np.zeros((0, 3, 3)),
-        pair_simultaneous_samples(a, b),
+        pair_samples(a, b),
         *views,
         radius=0.5,
         min_expected=20,
@@ -122,7 +122,7 @@ def test_nobody_is_missed_while_the_other_scanner_did_not_measure() -> None:
     a, b = walks(x), walks(x[:60])
     views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
     assert contradicts_visibility(
-        np.eye(3)[None], pair_simultaneous_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
+        np.eye(3)[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
     ).tolist() == [False]
 
 
@@ -135,7 +135,7 @@ def test_who_passes_while_the_other_scanner_measured_and_saw_nobody_is_missed() 
         build_visibility_map(still(wall(12.0), watched), b),
     )
     assert contradicts_visibility(
-        np.eye(3)[None], pair_simultaneous_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
+        np.eye(3)[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
     ).tolist() == [True]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
-from calgraph.pairwise.synchronized_tracks import pair_simultaneous_samples
+from calgraph.pairwise.synchronized_tracks import pair_samples
 from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_detections
 
 Flags = NDArray[np.bool_]
@@ -110,7 +110,7 @@ def _compare_detections(sights: Sequence[ScannerObservations], T_root_node: Arra
     near = np.linalg.norm(at[:, None] - at, axis=-1) < reach[:, None] + reach
     pairs = []
     for a, b in np.argwhere(np.triu(near, 1)).tolist():
-        met = pair_simultaneous_samples(sights[a].samples, sights[b].samples)
+        met = pair_samples(sights[a].samples, sights[b].samples)
         T_a_b = se2.inverse(T_root_node[a]) @ T_root_node[b]
         (should,), (did,) = find_missed_detections(
             T_a_b[None], met, sights[a].visibility, sights[b].visibility, _THERE

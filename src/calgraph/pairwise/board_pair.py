@@ -70,7 +70,8 @@ def estimate_pair(
     min_inliers = max(matches.sample_size, _min_match_count(matches, len(table)))
     if found is None or found.inlier_count < min_inliers:
         return Rejected(
-            f"RANSAC found no relative pose with at least {min_inliers} inliers among {len(common)} shared captures"
+            f"RANSAC found no relative pose with at least {min_inliers} inliers among "
+            f"{len(common)} shared captures"
         )
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):

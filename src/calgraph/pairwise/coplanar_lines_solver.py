@@ -17,9 +17,9 @@ _DIHEDRAL_ANGLE = 0.15
 def solve_coplanar_lines(a: Array, b: Array) -> Array:
     """Solves for poses under which the lines of each sample are coplanar.
 
-    In coordinates (direction, moment) of lines in their scan planes, ``l_a @ E @ l_b = 0``. The last element of the
-    matrix E is zero; seven pairs of lines determine the other eight up to scale. The intersection of the scan planes
-    is coplanar with all lines of the other scan plane, so it spans E's null space on either side.
+    In coordinates (direction, moment) of lines in their scan planes, ``l_a @ E @ l_b = 0``. The last element of
+    the matrix E is zero; seven pairs of lines determine the other eight up to scale. The intersection of the scan
+    planes is coplanar with all lines of the other scan plane, so it spans E's null space on either side.
 
     Args:
         a: (K, m, 2, 3) end points of m >= 7 segments in K samples, frame a, z = 0, m.

@@ -1,7 +1,7 @@
-"""Point-to-line ICP of two static backgrounds, which says only what walls can say.
+"""Point-to-line ICP of two static backgrounds, restricted to observable directions.
 
-Two walls at an angle fix a pose; a corridor leaves its own direction open. What the walls fix is information to be
-added to that of the tracks, in the directions in which there is some.
+Two walls at an angle determine a pose; the walls of a corridor do not determine the translation along it. The
+information of the background is added to that of the tracks in the observable directions only.
 
 Source: Censi, "An ICP variant using a point-to-line metric", ICRA 2008.
 """
@@ -18,57 +18,59 @@ from calgraph.geometry import Array, se2
 from calgraph.pairwise.track_registration import rigid_motion_covariance
 from calgraph.pairwise.visibility_map import is_free_space
 
-# Neighbours on either side that make a line, how far apart two neighbours of one wall are at most (m, and as a
-# share of their range), and how far (m) the points of a line may stray from it.
+# Neighbours on either side of a point to which a line is fitted, largest distance between neighbours on one wall
+# (m, and as a fraction of their range), and largest standard deviation of the points from the line, m.
 _NEIGHBOURS_PER_SIDE = 3
 _MAX_NEIGHBOUR_DISTANCE = (0.15, 0.05)
 _MAX_LINE_STDDEV = 0.03
-# Matched lines' normals differ by less than this, rad; both turn to their scanner: a wall has two sides.
+# Largest angle between the normals of matched points, rad. Normals point to the scanner: a wall has two sides.
 _MAX_NORMAL_ANGLE = np.radians(25)
-# Distance within which lines are matched (m): at first, however certain or uncertain the guess (else walls that
-# contradict it were overlooked), and at last; and the factor from one step to the next.
+# Match distance (m): bounds of the initial one (a smaller one would miss walls that contradict the initial pose),
+# the final one, and the factor per step.
 _INITIAL_MATCH_DISTANCE, _FINAL_MATCH_DISTANCE, _MATCH_DISTANCE_FACTOR = (0.5, 0.8), 0.06, 0.7
 _MAX_STEPS = 25
-# Points that must match, and their share of those that have to: a point that the other scanner looks through by
-# more than this (m) contradicts.
+# Least number of matches, and their least share of matching and contradicting points: a point contradicts if the
+# other scanner measures farther than it by more than the margin, m.
 _MIN_MATCHES = 25
 _MIN_MATCH_SHARE = 0.5
 _FREE_SPACE_MARGIN = 0.3
-# Points of one wall err together: range bias, plaster, mounting height (m). A point weighs as one of so many.
+# Errors of the points of one wall are correlated (range bias, plaster, mounting height, m): weights are divided by
+# this number of points.
 _CORRELATED_POINTS = 10.0
 _WALL_ERROR = 0.01
-# A direction is determined if its standard deviation is below this (m; m at _LEVER for the angle).
+# A direction is observable if its standard deviation is below this (m; m at the lever arm for the angle).
 _MAX_STDDEV = 0.03
 _LEVER_ARM = 3.0
-# χ² with three degrees of freedom, 99.9 %: walls and guess contradict each other beyond it. The guess may err by
-# so many times what its covariance says: in a few seconds people show one side only.
+# χ² with three degrees of freedom, 99.9 %: beyond it background and tracks contradict each other. Standard
+# deviations of the initial pose are multiplied by the factor: in a few seconds scanners measure one side of people
+# only.
 _MAX_CHI2 = 16.3
 _PRIOR_STDDEV_FACTOR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class IcpResult:
-    """The pose that walls give, and in which directions they give one."""
+    """Pose from static backgrounds, and the directions in which they determine it."""
 
     T_a_b: Array
-    """(3, 3); in open directions that of the first guess."""
+    """(3, 3); in unobservable directions that of the initial pose."""
     information: Array
-    """(3, 3) of the error in the fixed axes of a; without any in open directions."""
+    """(3, 3) of the error in the fixed axes of a; zero in unobservable directions."""
     observable_directions: Array
-    """(3, k) orthonormal directions (x, y, theta times the lever) that the walls determine."""
+    """(3, k) orthonormal observable directions of (x, y, theta times the lever arm)."""
     match_count: int
-    """How many of b's points lie on lines of a."""
+    """Number of b's points that match lines of a."""
 
     def fuse(self, T_a_b: Array, information: Array) -> tuple[Array, Array]:
-        """This and an independent estimate with its information together: pose (3, 3) and information (3, 3)."""
+        """Fuses this with an independent estimate and its information: pose (3, 3) and information (3, 3)."""
         total = self.information + information
         step = np.linalg.solve(total, self.information @ se2.difference(self.T_a_b, T_a_b))
         return se2.retract(T_a_b, np.asarray(step, dtype=np.float64)), total
 
 
 @dataclass(frozen=True, eq=False)
-class _OrientedPoints:
-    """Points with the lines through their neighbours."""
+class _SurfacePoints:
+    """Points with the normals of lines through their neighbours."""
 
     points: Array
     normals: Array
@@ -76,38 +78,38 @@ class _OrientedPoints:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """The points, to be asked for the nearest."""
+        """KD-tree of the points."""
         return cKDTree(self.points)
 
 
 @dataclass(frozen=True, eq=False)
 class StaticBackground:
-    """The static surroundings of a scanner, as all its pairs need them."""
+    """Static background of a scanner, shared by all its pairs."""
 
     points: Array
     """(N, 2) in order of angle, m, scanner frame; NaN rows are breaks."""
 
     @cached_property
-    def oriented_points(self) -> _OrientedPoints:
-        """Those points that lie on lines."""
+    def oriented_points(self) -> _SurfacePoints:
+        """The points on lines, with normals."""
         return _fit_lines(self.points)
 
 
 def align_backgrounds(
     T_a_b: Array, covariance: Array, background_a: StaticBackground, background_b: StaticBackground, sigma: float
 ) -> IcpResult | Rejected:
-    """Aligns b's static background to a's, from a first guess.
+    """Aligns b's static background to a's, from an initial pose.
 
     Args:
-        T_a_b: (3, 3) first guess.
+        T_a_b: (3, 3) initial pose.
         covariance: (3, 3) of its error in the fixed axes of a.
         background_a: of a.
         background_b: of b.
         sigma: standard deviation of a point's distance from the other scanner's line, m.
 
     Returns:
-        The alignment; rejected if too little overlaps, if nothing is determined, or if walls and guess contradict
-        each other.
+        The alignment; rejected if the overlap is too small, if no direction is observable, or if background and
+        initial pose contradict each other.
     """
     a, b = background_a.oriented_points, background_b.oriented_points
     if min(len(a.points), len(b.points)) < _MIN_MATCHES:
@@ -130,61 +132,55 @@ def align_backgrounds(
             break
         match_distance = max(_FINAL_MATCH_DISTANCE, match_distance * _MATCH_DISTANCE_FACTOR)
     matches = _match_points(T, a, b, _FINAL_MATCH_DISTANCE)
-    contradicting = int(is_free_space(background_a.points, se2.apply(T, b.points), _FREE_SPACE_MARGIN).sum())
-    contradicting += int(
-        is_free_space(background_b.points, se2.apply(se2.inverse(T), a.points), _FREE_SPACE_MARGIN).sum()
-    )
+    b_in_a, a_in_b = se2.apply(T, b.points), se2.apply(se2.inverse(T), a.points)
+    contradicting = int(is_free_space(background_a.points, b_in_a, _FREE_SPACE_MARGIN).sum())
+    contradicting += int(is_free_space(background_b.points, a_in_b, _FREE_SPACE_MARGIN).sum())
     if len(matches[0]) < _MIN_MATCHES or len(matches[0]) < _MIN_MATCH_SHARE * (len(matches[0]) + contradicting):
-        return Rejected(f"{contradicting} static points of one lie in space that the other looks through")
+        return Rejected(f"{contradicting} static points of one lie in the free space of the other")
     H, _ = _build_normal_equations(T, a, b, matches, noise2, _FINAL_MATCH_DISTANCE)
     directions, values = _find_observable_directions(H)
     if not directions.shape[1]:
         return Rejected("the static background determines no direction")
+    scale2 = np.outer(_SCALE, _SCALE)
     deviation = directions.T @ (se2.difference(T, T_a_b) / _SCALE)
-    prior_covariance = directions.T @ (covariance / np.outer(_SCALE, _SCALE)) @ directions
-    wall_covariance = (
-        directions.T @ (_wall_error_covariance(T, a, matches[1]) / np.outer(_SCALE, _SCALE)) @ directions
-    )
+    prior_covariance = directions.T @ (covariance / scale2) @ directions
+    wall_covariance = directions.T @ (_wall_error_covariance(T, a, matches[1]) / scale2) @ directions
     icp_covariance = np.diag(1 / values) + wall_covariance
-    if (
-        deviation @ np.linalg.solve(_PRIOR_STDDEV_FACTOR**2 * prior_covariance + icp_covariance, deviation)
-        > _MAX_CHI2
-    ):
-        return Rejected("walls and tracks contradict each other")
-    information = directions @ np.linalg.solve(icp_covariance, directions.T) / np.outer(_SCALE, _SCALE)
+    total = _PRIOR_STDDEV_FACTOR**2 * prior_covariance + icp_covariance
+    if deviation @ np.linalg.solve(total, deviation) > _MAX_CHI2:
+        return Rejected("static background and tracks contradict each other")
+    information = directions @ np.linalg.solve(icp_covariance, directions.T) / scale2
     return IcpResult(T, information, directions, len(matches[0]))
 
 
-# Tangent vectors divided by it are in metres throughout.
+# Tangent vectors divided by it are in metres.
 _SCALE = np.array([1, 1, 1 / _LEVER_ARM])
 
 
-def _fit_lines(background: Array) -> _OrientedPoints:
-    """The points (N, 2) that have a straight line through their neighbours in order of angle."""
+def _fit_lines(background: Array) -> _SurfacePoints:
+    """Selects the points of (N, 2) whose neighbours in order of angle lie on a line, and fits their normals."""
     n, width = len(background), 2 * _NEIGHBOURS_PER_SIDE + 1
     if n < width:
-        return _OrientedPoints(np.zeros((0, 2)), np.zeros((0, 2)))
+        return _SurfacePoints(np.zeros((0, 2)), np.zeros((0, 2)))
     windows = np.lib.stride_tricks.sliding_window_view(background, width, axis=0)
     ranges = np.linalg.norm(windows[..., _NEIGHBOURS_PER_SIDE], axis=1)
     gaps = np.linalg.norm(np.diff(windows, axis=2), axis=1)
-    # NaN compares as false: windows over a break drop out here.
-    connected = (gaps < np.maximum(_MAX_NEIGHBOUR_DISTANCE[0], _MAX_NEIGHBOUR_DISTANCE[1] * ranges[:, None])).all(
-        axis=1
-    )
-    windows = windows[connected]
+    # Comparisons with NaN are False, so windows over a break are dropped.
+    max_gap = np.maximum(_MAX_NEIGHBOUR_DISTANCE[0], _MAX_NEIGHBOUR_DISTANCE[1] * ranges)
+    windows = windows[(gaps < max_gap[:, None]).all(axis=1)]
     centered = windows - windows.mean(axis=2, keepdims=True)
     values, vectors = np.linalg.eigh(centered @ np.swapaxes(centered, 1, 2) / width)
     straight = (values[:, 0] < _MAX_LINE_STDDEV**2) & (values[:, 1] > 9 * values[:, 0])
     points, normals = windows[straight, :, _NEIGHBOURS_PER_SIDE], vectors[straight, :, 0]
     normals = np.where(np.sum(normals * points, axis=1, keepdims=True) > 0, -normals, normals)
-    return _OrientedPoints(points, normals)
+    return _SurfacePoints(points, normals)
 
 
 _Matches = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
-def _match_points(T: Array, a: _OrientedPoints, b: _OrientedPoints, match_distance: float) -> _Matches:
-    """Indices of points of b and of the nearest points of a, whose lines run alike, within reach."""
+def _match_points(T: Array, a: _SurfacePoints, b: _SurfacePoints, match_distance: float) -> _Matches:
+    """Indices of points of b and of the nearest points of a, with similar normals, within the match distance."""
     x = se2.apply(T, b.points)
     distance, nearest = a.tree.query(x, distance_upper_bound=match_distance + _MAX_NEIGHBOUR_DISTANCE[0])
     of_b = np.flatnonzero(np.isfinite(distance))
@@ -196,7 +192,7 @@ def _match_points(T: Array, a: _OrientedPoints, b: _OrientedPoints, match_distan
 
 
 def _build_normal_equations(
-    T: Array, a: _OrientedPoints, b: _OrientedPoints, found: _Matches, noise2: float, match_distance: float
+    T: Array, a: _SurfacePoints, b: _SurfacePoints, found: _Matches, noise2: float, match_distance: float
 ) -> tuple[Array, Array]:
     of_b, of_a = found
     rotated = b.points[of_b] @ T[:2, :2].T
@@ -208,16 +204,16 @@ def _build_normal_equations(
 
 
 def _find_observable_directions(H: Array) -> tuple[Array, Array]:
-    """Directions (3, k), scaled to metres, in which the walls fix the pose, and their information (k,)."""
+    """Observable directions (3, k), scaled to metres, and their information (k,)."""
     values, vectors = np.linalg.eigh(H * np.outer(_SCALE, _SCALE))
     observable = values > _MAX_STDDEV**-2
     return vectors[:, observable], values[observable]
 
 
-def _wall_error_covariance(T_a_b: Array, a: _OrientedPoints, of_a: NDArray[np.intp]) -> Array:
-    """(3, 3) covariance of the pose for what all points of a wall err alike, which turns short walls more."""
+def _wall_error_covariance(T_a_b: Array, a: _SurfacePoints, of_a: NDArray[np.intp]) -> Array:
+    """Covariance (3, 3) of the pose due to errors common to a wall; shorter walls have larger errors of angle."""
     x, normal = a.points[of_a], a.normals[of_a]
     center = x.mean(axis=0)
-    off = x - center
-    along = float(np.sqrt(np.mean((normal[:, 1] * off[:, 0] - normal[:, 0] * off[:, 1]) ** 2)))
-    return rigid_motion_covariance(T_a_b, center, _WALL_ERROR, _WALL_ERROR / max(along, 0.1))
+    offset = x - center
+    extent = float(np.sqrt(np.mean((normal[:, 1] * offset[:, 0] - normal[:, 0] * offset[:, 1]) ** 2)))
+    return rigid_motion_covariance(T_a_b, center, _WALL_ERROR, _WALL_ERROR / max(extent, 0.1))

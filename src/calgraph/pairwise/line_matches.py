@@ -75,8 +75,8 @@ class PlaneLineMatches:
     def find_local_minima(self, chosen: NDArray[np.bool_]) -> Array:
         """Finds local minima (K, 4, 4) of the chosen matches' distances, from all axis-aligned rotations.
 
-        Distances from planes change little if a scanner is turned over or tilted the opposite way: with few captures
-        several poses fit.
+        Distances from planes change little if a scanner is turned over or tilted the opposite way: with few
+        captures several poses fit.
         """
         starts = axis_aligned_rotations()
         n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
@@ -142,7 +142,7 @@ class LineLineMatches:
         a, b = self.endpoints_a[samples], self.endpoints_b[samples]
         T, _ = gauss_newton(
             solve_coplanar_lines(a, b),
-            partial(_regularized_coplanarity, a=a, b=b, looseness=20 * self.max_center_distance),
+            partial(_regularized_coplanarity, a=a, b=b, prior_stddev=20 * self.max_center_distance),
         )
         return T
 
@@ -235,10 +235,10 @@ def _solve_translation(R: Array, n: Array, d: Array, x: Array) -> Array:
     return np.asarray(-(np.linalg.pinv(n, rcond=0.05) @ r[..., None])[..., 0])
 
 
-def _regularized_coplanarity(T: Array, a: Array, b: Array, looseness: float) -> tuple[Array, Array]:
+def _regularized_coplanarity(T: Array, a: Array, b: Array, prior_stddev: float) -> tuple[Array, Array]:
     """Coplanarity residuals, and the gaps between midpoints with the weight of a prior with a wide ``stddev``."""
     r, J, _, _ = evaluate_coplanarity(T[:, None], a, b)
-    scale = 0.02 / looseness
+    scale = 0.02 / prior_stddev
     Rm = np.einsum("kij,kmj->kmi", T[:, :3, :3], b.mean(axis=2))
     gap = Rm + T[:, None, :3, 3] - a.mean(axis=2)
     J_gap = np.concatenate([np.broadcast_to(np.eye(3), (*Rm.shape, 3)), -so3.hat(Rm)], axis=-1)

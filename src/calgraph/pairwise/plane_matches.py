@@ -30,7 +30,7 @@ class PlanePlaneMatches:
     sample_size: int = 3
 
     def solve(self, samples: NDArray[np.intp]) -> Array:
-        """Solves for the rotation by Kabsch on the normals, then for the translation by least squares (eqs. 1–3)."""
+        """Solves for rotations by Kabsch on the normals, then for translations by least squares (eqs. 1–3)."""
         n_a, d_a = self.planes_a[samples, :3], self.planes_a[samples, 3]
         n_b, d_b = self.planes_b[samples, :3], self.planes_b[samples, 3]
         R = se_n.nearest_rotation(np.einsum("kmi,kmj->kij", n_a, n_b))

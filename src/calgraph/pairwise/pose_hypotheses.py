@@ -1,7 +1,7 @@
-"""First guesses of how two scanners stand to each other: some seconds of one's walks laid over the other's.
+"""Pose hypotheses for two scanners: least-squares alignments of stretches of a trajectory of each.
 
-Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders", 2016,
-section III.D: every combination of two tracks gives hypotheses.
+Source: Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders",
+2016, section III.D: every combination of two tracks gives hypotheses.
 """
 
 import numpy as np
@@ -10,26 +10,24 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
 
-# Two walks are compared in stretches of so many ticks, and as a whole: a stretch outlives a confusion of people.
+# Lengths of the stretches, ticks; the last one is the whole trajectory. Short ones survive identity switches.
 _STRETCH_LENGTHS = (30, 80, 1_000_000)
-# A stretch gives a hypothesis if it has so many ticks, extends so far (m, standard deviation along the walk) and
-# fits so well (m, root mean square).
+# A stretch gives a hypothesis if it has at least this many ticks, this extent (standard deviation of positions,
+# m), and at most this RMS distance after alignment (m).
 _MIN_TICKS = 6
 _MIN_EXTENT = 0.15
 _MAX_FIT_RMS = 0.3
-# So many are handed on at most.
+# Maximum number of hypotheses.
 _MAX_PROPOSALS = 200
 
 
 def propose_poses(pairs: SimultaneousPairs, rng: np.random.Generator) -> Array:
-    """Poses (K, 3, 3) from stretches of every walk of a with every walk of b, whether or not they are one person.
+    """Proposes poses (K, 3, 3) from stretches of every combination of a trajectory of a with one of b.
 
-    The stretches that say most come first, with some others at random.
+    The stretches with the largest extent and the smallest RMS distance come first, then a random selection.
     """
-    trajectories = (
-        pairs.a.trajectory[pairs.row_a] * (int(pairs.b.trajectory.max()) + 1) + pairs.b.trajectory[pairs.row_b]
-    )
-    order = np.argsort(trajectories, kind="stable")  # and ascending in tick within the walks
+    trajectories = pairs.trajectories
+    order = np.argsort(trajectories, kind="stable")  # and ascending in tick within each trajectory
     trajectories, ticks = trajectories[order], pairs.a.tick[pairs.row_a][order]
     moments = _compute_moments(pairs.x_a[order], pairs.x_b[order])
     poses, scores = [], []
@@ -48,22 +46,22 @@ def propose_poses(pairs: SimultaneousPairs, rng: np.random.Generator) -> Array:
 
 
 def _compute_moments(x_a: Array, x_b: Array) -> Array:
-    """(M, 9) whose sums over a stretch give its least squares pose."""
+    """Moments (M, 9) whose sums over a stretch determine its least-squares pose."""
     dot, cross = np.sum(x_a * x_b, axis=1), x_b[:, 0] * x_a[:, 1] - x_b[:, 1] * x_a[:, 0]
     squares = np.sum(x_a**2, axis=1), np.sum(x_b**2, axis=1)
     return np.column_stack([np.ones(len(x_a)), x_a, x_b, dot, cross, *squares])
 
 
 def _fit_stretches(moments: Array, starts: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Least squares poses of all stretches of all combinations of walks at once.
+    """Fits poses to all stretches of all combinations of trajectories (Kabsch).
 
     Args:
         moments: (M, 9) as :func:`_moments` gives them, stretch by stretch.
         starts: (K,) where the stretches begin.
 
     Returns:
-        Poses (K, 3, 3), root mean square distances (K,), m, and extents of the walks (K,), m; infinite distances
-        for stretches of too few ticks.
+        Poses (K, 3, 3), RMS distances (K,), m, and extents of the trajectories (K,), m; infinite distances for
+        stretches of too few ticks.
     """
     sums = np.add.reduceat(moments, starts)
     count = sums[:, 0]

@@ -1,8 +1,8 @@
-"""Relative poses of stationary scanners from what both saw moving at the same time.
+"""Relative poses of stationary scanners from simultaneous tracks.
 
 Source: Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders",
-2016, section III.D: every combination of two tracks gives hypotheses, and all tracks of all periods judge
-them. Its truncation at the scanner's range, which mixes metres with Mahalanobis distances, is a χ² gate here.
+2016, section III.D: every combination of two tracks gives hypotheses, which are scored on all tracks of all
+periods. Its truncation at the scanner's range, which mixes metres with Mahalanobis distances, is a χ² gate here.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from calgraph.pairwise.synchronized_tracks import (
     TICK_PERIOD,
     SimultaneousPairs,
     TrackSamples,
-    pair_simultaneous_samples,
+    pair_samples,
 )
 from calgraph.pairwise.track_registration import (
     ASSOCIATION_GATE,
@@ -34,72 +34,77 @@ from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_vi
 from calgraph.processes import parallel_map
 from calgraph.tracking import ScannerTracks
 
-# Combinations of samples on which hypotheses are judged roughly, coarsely and finely, how many hypotheses are
-# refined coarsely and finely, and how many samples of a there must be to judge by.
+# Simultaneous pairs on which hypotheses are scored roughly, coarsely and finely, numbers of hypotheses that are
+# registered coarsely and finely, and least number of samples of a on which hypotheses are scored.
 _ROUGH_PAIRS = 300
 _COARSE_PAIRS = 1200
 _FINE_PAIRS = 6_000
 _COARSE_HYPOTHESES = 6
 _FINE_HYPOTHESES = 4
 _MIN_SAMPLES = 20
-# A stretch's pose strays at its far end: what it explains coarsely may be off by this standard deviation, m.
+# Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m.
 _PROPOSAL_STDDEV = 0.3
-# Another scanner sees somebody within this distance of where he is under a right pose, m; and positions that both
-# should see, so that a pose is judged by them.
+# Distance within which the other scanner detects an object under a correct pose, m, and least number of expected
+# detections to judge a pose.
 _DETECTION_RADIUS = 0.5
 _MIN_EXPECTED = 20
-# A pose is refuted if more than this share of what should have been seen was not. Under right ones that is mostly
-# less than a fifth, but up to a half where furniture hides people from one of the two.
+# A pose is rejected if a larger share of the expected detections is missed. Under correct poses the share is
+# mostly below 0.2, but up to 0.5 where furniture occludes people from one of the two.
 _MAX_MISSED_SHARE = 0.5
-# Two hypotheses are one if they differ by less than this in metres and in radians.
+# Two hypotheses are duplicates if they differ by less than this, m and rad.
 _SAME_POSE = (0.5, np.radians(8))
-# Ticks that must agree: at least, as a share of those that should, as a multiple of what chance explains, and as a
-# share of the best hypothesis's.
-_MIN_MATCHED_TICKS = 20
+# Least number of matches, their least share of the expected ones, their least ratio to those by chance, and the
+# least ratio of a score to that of the best hypothesis.
+_MIN_TICKS = 20
 _MIN_MATCHED_SHARE = 0.25
 _MIN_CHANCE_RATIO = 2.0
 _MIN_SCORE_RATIO = 0.4
-# Two people who walk alike for some seconds are so far from each other under a wrong pose, m; one person, seen by
-# both, is at one place, as well as tracks are known to be anywhere, m. By how much the latter must explain the
-# positions better, a logarithm: a perfect fit of 2 s comes to 52, one to 9 cm takes 9 s for as much.
+# Standard deviation of the distance between different people with similar trajectories under a wrong pose, and
+# between two tracks of one person, m. Least log likelihood ratio of the two: a perfect fit of 2 s has 52, a fit
+# with 9 cm needs 9 s for the same.
 _COINCIDENCE_STDDEV, _TRACK_STDDEV = 0.15, 0.01
 _MIN_WEIGHT_OF_EVIDENCE = 45.0
-# A scanner sees people at a place if it saw them so often within this distance of it, m.
+# A scanner often detects people at a place if it has this number of samples within this distance of it, m.
 _NEIGHBOUR_RADIUS = 0.4
 _MIN_NEIGHBOURS = 3
-# Fewer pairs than these are judged before other processes have begun.
+# Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
-# Positions at most that are asked for their neighbours.
+# Maximum number of positions whose neighbours are counted.
 _MAX_QUERIES = 300
 
 
 @dataclass(frozen=True, eq=False)
 class PoseHypothesis:
-    """One way in which two scanners may stand to each other, with its evidence."""
+    """A possible relative pose of two scanners, with its evidence."""
 
     T_a_b: Array
     """(3, 3)."""
     information: Array
     """(3, 3) inverse covariance of T_a_b's error (x, y, theta) in the fixed axes of a."""
     observations: int
-    """How many simultaneous positions agree, at ticks of 0.1 s."""
+    """Number of matching simultaneous positions, at ticks of 0.1 s."""
     chance_observations: float
-    """How many would if the two scanners had seen different people in the same places."""
+    """Expected number of matches if the scanners had tracked different people in the same places."""
     matched_share: float
-    """Which share that is of those that should agree, as both scanners often see people there, 0..1."""
+    """Share of matches among the expected ones: positions where both scanners often detect people, 0..1."""
     cost: float
-    """Mean truncated squared distance of all that a saw while b saw somebody, in units of the gate, 0..1."""
+    """Mean truncated squared distance of a's samples to the nearest of b, over the gate, 0..1."""
     model_error: float
-    """How far what agrees is apart beyond what tracks' covariances explain, standard deviation, m."""
+    """Standard deviation of the matches' distances beyond the tracks' covariances, m."""
     uses_background: bool
-    """Whether the static background contributes."""
+    """Whether the static background contributed by ICP."""
+
+    @property
+    def score(self) -> float:
+        """Number of matches times their share of the expected ones."""
+        return self.observations * self.matched_share
 
     @property
     def weight_of_evidence(self) -> float:
-        """How much likelier the positions are if both saw the same people than if these only walked alike.
+        """Log likelihood ratio of the matches: same people against different people with similar trajectories.
 
-        A logarithm (Good, "Probability and the weighing of evidence", 1950), less what should agree and does not.
-        Positions count as if they were independent, which they are not: it is no probability.
+        Source: Good, "Probability and the weighing of evidence", 1950. It is scaled by the share of matches among
+        the expected ones. Positions are treated as independent, which they are not: it is not a probability.
         """
         return (
             self.matched_share
@@ -110,21 +115,21 @@ class PoseHypothesis:
 
 @dataclass(frozen=True, eq=False)
 class _ScannerData:
-    """What one scanner knows, as all its pairs need it."""
+    """Data of one scanner, shared by all its pairs."""
 
     observations: ScannerObservations
     background: StaticBackground
     sigma: float
-    """Of the background's ranges, m."""
+    """Standard deviation of the background's ranges, m."""
 
     @classmethod
-    def of(cls, tracked: ScannerTracks) -> "_ScannerData":
+    def from_tracks(cls, tracked: ScannerTracks) -> "_ScannerData":
         return cls(ScannerObservations.from_tracks(tracked), StaticBackground(tracked.background), tracked.sigma)
 
 
 @dataclass(frozen=True, eq=False)
 class ScannerPairEstimate:
-    """What the two stationary scanners of a pair know of each other; at most one hypothesis is right."""
+    """Pose hypotheses of a pair of stationary scanners; at most one is correct."""
 
     sensor_a: str
     sensor_b: str
@@ -154,29 +159,20 @@ def estimate_scanner_pairs(
     """Estimates the relative pose of every pair of scanners, as :func:`estimate_network_pair` does.
 
     Args:
-        tracked: what each scanner knows, by its name.
-        rng: source of the samples.
+        tracked: tracks and background of each scanner, by its name.
+        rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        depth_stddev: distance (m) of objects' true centres from those that tracks show, along the beam, standard
-            deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
-        jobs: processes at most, see :func:`calgraph.processes.parallel_map`; the result does not depend on it.
-        progress: told how much is done, 0..1.
+        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m: some
+            centimetres for fitted ellipses, 0.1 and more for centres of mass.
+        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_map`; does not affect the result.
+        progress: called with the completed fraction, 0..1.
     """
-    scanners = {name: _ScannerData.of(known) for name, known in tracked.items()}
+    scanners = {name: _ScannerData.from_tracks(tracks) for name, tracks in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
-    # Random numbers are drawn here, pair by pair, whoever judges then what they propose.
-    work = [
-        (
-            a,
-            b,
-            scanners[a],
-            scanners[b],
-            _propose_hypotheses(scanners[a].observations, scanners[b].observations, rng),
-            icp,
-            depth_stddev,
-        )
-        for a, b in names
-    ]
+    pairs = [(scanners[a], scanners[b]) for a, b in names]
+    # Random numbers are drawn here in a fixed order, so that results do not depend on the number of processes.
+    proposals = [_propose_hypotheses(a.observations.samples, b.observations.samples, rng) for a, b in pairs]
+    work = [(*names[k], *pairs[k], proposals[k], icp, depth_stddev) for k in range(len(names))]
     found = parallel_map(_evaluate_hypotheses, work, jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress)
     return dict(zip(names, found, strict=True))
 
@@ -191,46 +187,36 @@ def estimate_scanner_pair(
     icp: bool = True,
     depth_stddev: float = DEPTH_STDDEV,
 ) -> ScannerPairEstimate | Rejected:
-    """Estimates ``T_a_b`` from the people that both scanners saw.
+    """Estimates ``T_a_b`` from the people that both scanners tracked.
 
     Args:
         name_a: name of scanner a.
         name_b: name of scanner b.
         a: its tracks and background.
         b: those of b.
-        rng: source of the samples.
+        rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        depth_stddev: distance (m) of objects' true centres from those that tracks show, along the beam, standard
-            deviation: some centimetres for fitted ellipses, 0.1 and more for centres of mass.
+        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m: some
+            centimetres for fitted ellipses, 0.1 and more for centres of mass.
 
     Returns:
-        The best few hypotheses, or the reason why there is none.
+        The best hypotheses, or the reason why there is none.
     """
-    of_a, of_b = _ScannerData.of(a), _ScannerData.of(b)
-    return _evaluate_hypotheses(
-        name_a,
-        name_b,
-        of_a,
-        of_b,
-        _propose_hypotheses(of_a.observations, of_b.observations, rng),
-        icp,
-        depth_stddev,
-    )
+    of_a, of_b = _ScannerData.from_tracks(a), _ScannerData.from_tracks(b)
+    proposals = _propose_hypotheses(of_a.observations.samples, of_b.observations.samples, rng)
+    return _evaluate_hypotheses(name_a, name_b, of_a, of_b, proposals, icp, depth_stddev)
 
 
-def _propose_hypotheses(
-    a: ScannerObservations, b: ScannerObservations, rng: np.random.Generator
-) -> Array | Rejected:
-    """Poses (K, 3, 3) to be judged."""
-    pairs = pair_simultaneous_samples(a.samples, b.samples)
+def _propose_hypotheses(a: TrackSamples, b: TrackSamples, rng: np.random.Generator) -> Array | Rejected:
+    """Proposes poses (K, 3, 3)."""
+    pairs = pair_samples(a, b)
     seconds = len(np.unique(pairs.a.tick[pairs.row_a])) * TICK_PERIOD
-    if seconds < _MIN_MATCHED_TICKS * TICK_PERIOD:
-        return Rejected(
-            f"only {seconds:.1f} s in which both saw somebody, {_MIN_MATCHED_TICKS * TICK_PERIOD:.1f} s are needed"
-        )
+    if seconds < _MIN_TICKS * TICK_PERIOD:
+        needed = _MIN_TICKS * TICK_PERIOD
+        return Rejected(f"both tracked somebody at the same time for {seconds:.1f} s, {needed:.1f} s are needed")
     poses = propose_poses(pairs, rng)
     if not len(poses):
-        return Rejected("nobody moved alike before both, or nobody moved far enough to tell a direction")
+        return Rejected("no trajectory of one has the shape of one of the other, or all are too short")
     return poses
 
 
@@ -243,12 +229,12 @@ def _evaluate_hypotheses(
     icp: bool,
     depth_stddev: float,
 ) -> ScannerPairEstimate | Rejected:
-    """The hypotheses that some guesses lead to."""
+    """Registers and scores proposed poses, coarsely, then finely."""
     if isinstance(proposals, Rejected):
         return proposals
     a, b = scanner_a.observations.samples, scanner_b.observations.samples
     maps = scanner_a.observations.visibility, scanner_b.observations.visibility
-    pairs = pair_simultaneous_samples(a, b)
+    pairs = pair_samples(a, b)
     rough, coarse, fine = (
         _subsample_pairs(pairs, wanted) for wanted in (_ROUGH_PAIRS, _COARSE_PAIRS, _FINE_PAIRS)
     )
@@ -279,30 +265,26 @@ def _evaluate_hypotheses(
     )
     registrations = [fit for fit, wrong in zip(registrations, refuted, strict=True) if not wrong]
     if not registrations:
-        return Rejected("under every pose that explains some of what both saw, people pass one of them unnoticed")
+        return Rejected("under every proposed pose, one does not detect what the other tracks in its view")
     shares = np.array(
-        [len(fit.pairs) / max(_expected_matches(fit.T_a_b, coarse, a, b), 1) for fit in registrations]
+        [len(fit.matches) / max(_expected_matches(fit.T_a_b, coarse, a, b), 1) for fit in registrations]
     )
-    scores = np.array([len(fit.pairs) for fit in registrations]) * shares
+    scores = np.array([len(fit.matches) for fit in registrations]) * shares
     promising = (shares >= _MIN_MATCHED_SHARE) & (scores >= _MIN_SCORE_RATIO * np.max(scores, initial=0.0))
     poses = _select_distinct(_stack_poses(registrations)[promising], -scores[promising], _FINE_HYPOTHESES)
     refined = [register_tracks(T, fine, depth_stddev=depth_stddev, steps=3, model_error=0.1) for T in poses]
     hypotheses = [
         _build_hypothesis(fit, fine, a, b, len(pairs), depth_stddev) for fit in refined if fit is not None
     ]
-    hypotheses.sort(key=lambda h: -h.observations * h.matched_share)
+    hypotheses.sort(key=lambda h: -h.score)
     kept = [h for h in hypotheses if _is_credible(h)]
     if not kept:
-        most = round(max(map(len, (fit.pairs for fit in registrations)), default=0) * len(pairs) / len(coarse))
+        most = round(max(map(len, (fit.matches for fit in registrations)), default=0) * len(pairs) / len(coarse))
         return Rejected(
-            f"no pose explains what both saw; the best agrees for {most * TICK_PERIOD:.1f} s, as by chance, or as "
-            "people do who walk alike"
+            f"no pose hypothesis is credible: the best one matches {most * TICK_PERIOD:.1f} s of tracks, which "
+            "chance or similar trajectories explain as well"
         )
-    kept = [
-        h
-        for h in kept
-        if h.observations * h.matched_share >= _MIN_SCORE_RATIO * kept[0].observations * kept[0].matched_share
-    ]
+    kept = [h for h in kept if h.score >= _MIN_SCORE_RATIO * kept[0].score]
     if icp:
         kept = [_align_with_background(h, scanner_a, scanner_b) for h in kept]
     return ScannerPairEstimate(name_a, name_b, tuple(kept))
@@ -314,22 +296,23 @@ def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:
 
 
 def _is_credible(h: PoseHypothesis) -> bool:
-    """Whether neither chance nor people who walk alike explain the hypothesis, and it explains what it should."""
-    by_chance = h.observations < max(_MIN_MATCHED_TICKS, _MIN_CHANCE_RATIO * h.chance_observations)
+    """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""
     return (
-        not by_chance and h.weight_of_evidence >= _MIN_WEIGHT_OF_EVIDENCE and h.matched_share >= _MIN_MATCHED_SHARE
+        h.observations >= max(_MIN_TICKS, _MIN_CHANCE_RATIO * h.chance_observations)
+        and h.weight_of_evidence >= _MIN_WEIGHT_OF_EVIDENCE
+        and h.matched_share >= _MIN_MATCHED_SHARE
     )
 
 
-def _subsample_pairs(met: SimultaneousPairs, wanted: int) -> SimultaneousPairs:
-    """The meetings of so many ticks that there are about ``wanted`` of them, or all if few ticks would be left."""
-    step = max(1, round(len(met) / wanted))
-    thinned = pair_simultaneous_samples(met.a.subsample(step), met.b.subsample(step))
-    return thinned if len(np.unique(thinned.row_a)) >= _MIN_SAMPLES else met
+def _subsample_pairs(pairs: SimultaneousPairs, wanted: int) -> SimultaneousPairs:
+    """Selects every n-th tick to leave about ``wanted`` pairs; all pairs if too few samples would be left."""
+    step = max(1, round(len(pairs) / wanted))
+    subsampled = pair_samples(pairs.a.subsample(step), pairs.b.subsample(step))
+    return subsampled if len(np.unique(subsampled.row_a)) >= _MIN_SAMPLES else pairs
 
 
 def _select_distinct(T: Array, cost: Array, count: int) -> Array:
-    """The ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
+    """Selects up to ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
     kept: list[Array] = []
     for i in np.argsort(cost):
         if not any(_are_close(T[i], other) for other in kept):
@@ -356,9 +339,9 @@ def _build_hypothesis(
     return PoseHypothesis(
         fit.T_a_b,
         compute_registration_information(fit, pairs, depth_stddev),
-        round(len(fit.pairs) * scale),
+        round(len(fit.matches) * scale),
         _expected_by_chance(fit, pairs, b) * scale,
-        min(len(fit.pairs) / max(_expected_matches(fit.T_a_b, pairs, a, b), 1), 1.0),
+        min(len(fit.matches) / max(_expected_matches(fit.T_a_b, pairs, a, b), 1), 1.0),
         float(compute_pose_costs(fit.T_a_b[None], pairs)[0]),
         fit.model_error,
         uses_background=False,
@@ -366,10 +349,10 @@ def _build_hypothesis(
 
 
 def _expected_by_chance(fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples) -> float:
-    """How many of a's positions would agree with some of b's by chance: with those at any other time.
+    """Expected number of a's samples that match one of b by chance, from matches at all times.
 
-    Where both saw people all the time in one narrow passage, many do, under any pose that lays the passages over
-    each other.
+    If both scanners detect people all the time in one narrow passage, the number is large under any pose that
+    superimposes the passages.
     """
     radius = np.sqrt(ASSOCIATION_GATE * (float(np.median(pairs.variance)) + fit.model_error**2))
     sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // _MAX_QUERIES)]
@@ -378,7 +361,7 @@ def _expected_by_chance(fit: TrackRegistration, pairs: SimultaneousPairs, b: Tra
 
 
 def _expected_matches(T_a_b: Array, pairs: SimultaneousPairs, a: TrackSamples, b: TrackSamples) -> float:
-    """How many positions should agree were the pose right: where one often saw people, it sees the other's."""
+    """Expected number of matches under a correct pose: samples where the other scanner often detects people."""
     return max(_count_observable(se2.inverse(T_a_b), pairs.a, b), _count_observable(T_a_b, pairs.b, a))
 
 
@@ -390,13 +373,13 @@ def _count_observable(T: Array, samples: TrackSamples, other: TrackSamples) -> f
 
 
 def _count_neighbours(x: Array, T: Array, samples: TrackSamples, radius: float) -> NDArray[np.intp]:
-    """How many samples of all times are within the radius of each point (N, 2) moved by T."""
+    """Number of samples of all times within the radius of each transformed point (N, 2)."""
     near = samples.tree.query_ball_point(se2.apply(T, x), radius, return_length=True)
     return np.asarray(near, dtype=np.intp)
 
 
 def _align_with_background(h: PoseHypothesis, a: _ScannerData, b: _ScannerData) -> PoseHypothesis:
-    """The hypothesis with what the static background adds, unless it contradicts or has nothing to say."""
+    """Fuses the hypothesis with the alignment of the static backgrounds, unless that is rejected."""
     covariance = np.asarray(np.linalg.inv(h.information), dtype=np.float64)
     sigma = float(np.hypot(a.sigma, b.sigma))
     alignment = align_backgrounds(h.T_a_b, covariance, a.background, b.background, sigma)

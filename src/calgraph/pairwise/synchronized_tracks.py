@@ -1,6 +1,6 @@
-"""Tracks of two scanners on one clock: who was where at the same time, whoever that is for the other scanner.
+"""Tracks of two scanners resampled at the ticks of a common clock, and all simultaneous pairs of their samples.
 
-Scanners are not synchronised, so that tracks are interpolated at the ticks of one clock for all of them.
+Scanners are not synchronized, so tracks are interpolated.
 """
 
 from collections.abc import Sequence
@@ -17,27 +17,28 @@ from calgraph.tracking import ScannerTracks, Track
 Indices = NDArray[np.intp]
 
 TICK_PERIOD = 0.1
-"""Time between the ticks, s: smoothed tracks of walking people hold no more than ten positions a second."""
-# Tracks are interpolated over gaps of this, s, or so many of their usual intervals.
+"""Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz."""
+# Tracks are interpolated over gaps up to this, s, or up to this multiple of their median interval.
 _MAX_GAP = 0.5
 _MAX_GAP_INTERVALS = 2.5
-# How a walking person's velocity may change within a gap, m/s².
+# Acceleration of a walking person within a gap, standard deviation, m/s².
 _MAX_ACCELERATION = 1.0
-# A track continues an earlier one that ended less than a gap (s) before it at the predicted place (m) ...
+# A track continues an earlier one that ended at most this long before it (s), within this distance of the
+# predicted position (m) ...
 _MAX_JOIN_GAP = 0.8
 _MAX_JOIN_DISTANCE = 0.25
-# ... give or take what a person's speed changes meanwhile, m/s.
+# ... plus this speed times the gap, m/s.
 _MAX_JOIN_SPEED = 0.7
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
-    """All that one scanner saw moving, at the ticks of the common clock; S of them, ascending in tick."""
+    """Positions of the objects that one scanner tracked, at ticks of the common clock: S, ascending in tick."""
 
     tick: Indices
     """(S,) time in ticks."""
     trajectory: Indices
-    """(S,) which of the scanner's walks: tracks of successive periods that continue each other."""
+    """(S,) index of the trajectory: tracks of successive periods that continue each other."""
     positions: Array
     """(S, 2) m, sensor frame."""
     velocities: Array
@@ -52,11 +53,11 @@ class TrackSamples:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Where the scanner saw somebody, at whatever time."""
+        """KD-tree of the positions at all times."""
         return cKDTree(self.positions)
 
     def subsample(self, step: int) -> "TrackSamples":
-        """Those of every ``step``-th tick."""
+        """Selects every ``step``-th tick."""
         kept = self.tick % step == 0
         return TrackSamples(
             self.tick[kept],
@@ -69,7 +70,7 @@ class TrackSamples:
 
 @dataclass(frozen=True, eq=False)
 class SimultaneousPairs:
-    """All combinations of something that a saw with something that b saw at the same tick; M of them."""
+    """All M combinations of a sample of a with a sample of b at the same tick."""
 
     a: TrackSamples
     b: TrackSamples
@@ -82,48 +83,54 @@ class SimultaneousPairs:
         return len(self.row_a)
 
     @cached_property
-    def starts_a(self) -> Indices:
-        """Where the combinations of one sample of a begin."""
+    def run_starts_a(self) -> Indices:
+        """Row of the first combination of each sample of a."""
         return _run_starts(self.row_a)
 
     @cached_property
+    def trajectories(self) -> Indices:
+        """(M,) one number for each combination of a trajectory of a with a trajectory of b."""
+        of_a, of_b = self.a.trajectory[self.row_a], self.b.trajectory[self.row_b]
+        return np.asarray(of_a * (int(self.b.trajectory.max()) + 1) + of_b)
+
+    @cached_property
     def x_a(self) -> Array:
-        """(M, 2) positions seen by a, m."""
+        """(M, 2) positions in a, m."""
         return np.asarray(self.a.positions[self.row_a])
 
     @cached_property
     def x_b(self) -> Array:
-        """(M, 2) positions seen by b, m."""
+        """(M, 2) positions in b, m."""
         return np.asarray(self.b.positions[self.row_b])
 
     @cached_property
     def v_b(self) -> Array:
-        """(M, 2) velocities seen by b, m/s."""
+        """(M, 2) velocities in b, m/s."""
         return np.asarray(self.b.velocities[self.row_b])
 
     @cached_property
     def ray_a(self) -> Array:
-        """(M, 2) unit vectors from a to what it saw."""
+        """(M, 2) unit vectors from a to its positions, in a."""
         return _normalize(self.x_a)
 
     @cached_property
     def ray_b(self) -> Array:
-        """(M, 2) unit vectors from b to what it saw, in its frame."""
+        """(M, 2) unit vectors from b to its positions, in b."""
         return _normalize(self.x_b)
 
     @cached_property
     def variance(self) -> Array:
-        """(M,) variances of a coordinate's difference, m², averaged over all directions."""
+        """(M,) variances of the difference of positions, m², averaged over all directions."""
         traces = [np.trace(s.covariances, axis1=1, axis2=2) for s in (self.a, self.b)]
         return np.asarray((traces[0][self.row_a] + traces[1][self.row_b]) / 2)
 
     def are_mutual_nearest(self, rows: Indices, d2: Array) -> NDArray[np.bool_]:
-        """(n,) which of some combinations, ascending, are each other's nearest, ``d2`` (n,) being squared."""
+        """(n,) mask of ascending rows (n,) that are mutual nearest neighbours by squared distances ``d2`` (n,)."""
         return _is_minimum_of_run(self.row_a[rows], d2) & _is_minimum_of_group(self.row_b[rows], d2)
 
 
-def pair_simultaneous_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousPairs:
-    """Combines everything that two scanners saw at the same ticks."""
+def pair_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousPairs:
+    """Combines the samples of two scanners at the same ticks."""
     first, last = np.searchsorted(b.tick, a.tick, "left"), np.searchsorted(b.tick, a.tick, "right")
     count = last - first
     row_a = np.repeat(np.arange(len(a.tick)), count)
@@ -132,7 +139,7 @@ def pair_simultaneous_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousP
 
 
 def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
-    """Interpolates a scanner's tracks at the ticks of the clock that all scanners share."""
+    """Interpolates a scanner's tracks at the ticks of the clock common to all scanners."""
     tracks = [track for track in tracked.tracks if len(track.times)]
     parts = [_interpolate_at_ticks(walk, i) for i, walk in enumerate(_join_tracks(tracks))]
     if not parts:
@@ -143,9 +150,9 @@ def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
 
 
 def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
-    """Joins the tracks that continue each other: a new period cuts everybody's track, but nobody's walk.
+    """Joins tracks that continue each other: a new period ends all tracks, but not the motion of the objects.
 
-    A wrong join does no harm beyond its neighbourhood, since walks are compared in short stretches.
+    A wrong join has only local effects, since trajectories are compared in short stretches.
     """
     if not tracks:
         return []
@@ -173,7 +180,7 @@ def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
 
 
 def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices, Indices, Array, Array, Array]:
-    """Cubic Hermite interpolation of one walk, which keeps to positions and velocities; none over long gaps."""
+    """Cubic Hermite interpolation of one trajectory through its positions and velocities, except in long gaps."""
     t = np.concatenate([track.times for track in tracks])
     x = np.concatenate([track.positions for track in tracks])
     v = np.concatenate([track.velocities for track in tracks])
@@ -197,8 +204,8 @@ def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices
         + u**2 * (u - 1) * gap * v[k + 1]
     )
     velocities = (1 - u) * v[k] + u * v[k + 1]
-    # The neighbours' errors are those of one smoother, nearly the same: they do not average out. What the walker
-    # did in between is unknown, and most so in the middle of the gap.
+    # The errors of neighbouring samples of one smoother are nearly equal and do not average out. The unknown
+    # acceleration in between adds most variance in the middle of the gap.
     acceleration_variance = (_MAX_ACCELERATION * (u * (1 - u) * gap) ** 2)[..., None] ** 2
     w = u[..., None]
     covariances = (1 - w) * S[k] + w * S[k + 1] + acceleration_variance * np.eye(2)

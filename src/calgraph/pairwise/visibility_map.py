@@ -1,8 +1,8 @@
-"""Where a stationary scanner would not have overlooked anybody, and which poses that refutes.
+"""Visibility maps of stationary scanners, and the test of poses by missed detections.
 
-What two scanners saw together speaks for a pose; what one of them should have seen, and did not, speaks against
-it. People who walk alike are matched for some seconds under many a wrong pose. Hardly one of these explains why
-all others whom one scanner saw went through the other's open view unnoticed.
+Simultaneous detections support a pose; missed detections contradict it. Objects with similar trajectories match
+for some seconds under many wrong poses. Under most of these, other objects that one scanner tracks would cross the
+visible region of the other without a detection.
 """
 
 from dataclasses import dataclass, replace
@@ -17,68 +17,68 @@ from calgraph.tracking import ScannerTracks
 
 Flags = NDArray[np.bool_]
 
-# Side of a map's cells; how far before what stands still somebody surely stands out; and how near is too near, m.
+# Width of a map's cells; distance before the background from which objects are detected; and least range, m.
 _CELL_SIZE = 0.2
 _BACKGROUND_MARGIN = 0.5
 _MIN_RANGE = 0.4
-# Nobody is overlooked up to the range beyond which only this share of the sights lies.
+# The visible region ends at the range beyond which this share of the detections lies.
 _RANGE_TAIL = 0.05
-# Nor where the scanner saw somebody so often, in a cell or those around it.
+# A cell is visible, too, if it and its neighbours have at least this number of detections.
 _MIN_DETECTIONS = 3
-# Between two beams farther apart nobody knows, rad.
+# Largest angle between two background points for the space between their beams to be free, rad.
 _MAX_BEAM_GAP = np.radians(2)
 
 
 @dataclass(frozen=True, eq=False)
 class VisibilityMap:
-    """A map of the places at which a scanner does not overlook anybody."""
+    """Grid of the region in which a scanner detects every moving object."""
 
     visible: Flags
-    """(N, N) by x and y in cells of the scanner's frame, the scanner in the middle; nothing along the border."""
+    """(N, N) by x and y in cells of the scanner's frame, the scanner in the centre; False along the border."""
     coverage_intervals: Array
-    """(W, 2) from when to when the scanner measured, s, ascending."""
+    """(W, 2) begin and end of the intervals in which the scanner measured, s, ascending."""
 
     def covers(self, x: Array) -> Flags:
-        """(...) whether positions (..., 2), m, are open to the scanner."""
+        """Tests whether positions (..., 2), m, are visible to the scanner: (...)."""
         size = len(self.visible)
         cell = np.clip(x * (1 / _CELL_SIZE) + size / 2, 0, size - 1).astype(np.intp)
         return np.asarray(self.visible.ravel()[cell[..., 0] * size + cell[..., 1]])
 
     @property
     def max_range(self) -> float:
-        """Nothing farther from the scanner is open to it, m."""
+        """Upper bound of the range of visible positions, m."""
         return float(np.sqrt(0.5) * _CELL_SIZE * len(self.visible))
 
     def measures_at(self, times: Array) -> Flags:
-        """(M,) whether the scanner measured at some times (M,), s."""
-        stretch = np.searchsorted(self.coverage_intervals[:, 0], times, "right") - 1
-        return np.asarray((stretch >= 0) & (times <= np.append(self.coverage_intervals[:, 1], -np.inf)[stretch]))
+        """Tests whether the scanner measured at times (M,), s: (M,)."""
+        interval = np.searchsorted(self.coverage_intervals[:, 0], times, "right") - 1
+        return np.asarray((interval >= 0) & (times <= np.append(self.coverage_intervals[:, 1], -np.inf)[interval]))
 
 
 @dataclass(frozen=True, eq=False)
 class ScannerObservations:
-    """What one scanner saw moving, and where it would have seen anybody."""
+    """Track samples of one scanner, and its visibility map."""
 
     samples: TrackSamples
     visibility: VisibilityMap
 
     @classmethod
     def from_tracks(cls, tracked: ScannerTracks) -> "ScannerObservations":
-        """What a scanner followed, at the ticks that all scanners share."""
+        """Resamples a scanner's tracks at the common ticks and builds its visibility map."""
         samples = resample_tracks(tracked)
         return cls(samples, build_visibility_map(tracked, samples))
 
     def subsample(self, step: int) -> "ScannerObservations":
-        """Of every ``step``-th tick alone; the view is as it was."""
+        """Selects every ``step``-th tick; the map is unchanged."""
         return replace(self, samples=self.samples.subsample(step))
 
 
 def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> VisibilityMap:
-    """The open view of a scanner: before what stands still, up to where it usually sees people; and where it did.
+    """Builds the map: free space before the background up to the usual detection range, and cells with detections.
 
     Args:
-        tracked: what the scanner knows.
-        samples: of what it saw moving.
+        tracked: tracks and background of the scanner.
+        samples: the resampled tracks.
     """
     ranges = np.linalg.norm(samples.positions, axis=1)
     max_range = float(np.quantile(ranges, 1 - _RANGE_TAIL)) if len(ranges) else 0.0
@@ -96,17 +96,20 @@ def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> Visib
 
 
 def _sampled_interval(samples: TrackSamples) -> Array:
-    """(W, 2) from the first sample to the last one, s."""
+    """The interval (1, 2) from the first to the last sample, s; (0, 2) without samples."""
     return samples.times[[0, -1]][None] if len(samples.tick) else np.zeros((0, 2))
 
 
 def is_free_space(background: Array, x: Array, margin: float) -> Flags:
-    """(M,) whether a scanner looks past points (M, 2) of its frame to something farther by more than a margin, m.
+    """Tests whether a scanner measures background farther than points of its frame.
 
     Args:
         background: (N, 2) its static points, m; NaN rows are breaks.
-        x: the points, m.
-        margin: m.
+        x: (M, 2) points, m.
+        margin: least distance of the background behind a point, m.
+
+    Returns:
+        (M,) mask.
     """
     points = background[np.isfinite(background).all(axis=1)]
     if len(points) < 2:
@@ -116,7 +119,7 @@ def is_free_space(background: Array, x: Array, margin: float) -> Flags:
     bearing, ranges = bearing[order], np.linalg.norm(points, axis=1)[order]
     at, r = np.arctan2(x[:, 1], x[:, 0]), np.linalg.norm(x, axis=1)
     k = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
-    # Between two beams that hit things at different depths nobody knows.
+    # Space between two beams is free up to the smaller of their ranges.
     between = (at - bearing[k - 1] < _MAX_BEAM_GAP) & (bearing[k] - at < _MAX_BEAM_GAP)
     return np.asarray(between & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
 
@@ -124,18 +127,18 @@ def is_free_space(background: Array, x: Array, margin: float) -> Flags:
 def find_missed_detections(
     T_a_b: Array, pairs: SimultaneousPairs, visibility_a: VisibilityMap, visibility_b: VisibilityMap, radius: float
 ) -> tuple[Flags, Flags]:
-    """What each of two scanners should have seen of what the other one saw, and what it did see.
+    """Finds the samples of two scanners that the other scanner should have detected, and those that it detected.
 
     Args:
         T_a_b: (K, 3, 3).
-        pairs: all simultaneous observations.
+        pairs: all simultaneous pairs.
         visibility_a: of scanner a.
         visibility_b: of scanner b.
         radius: distance from a position within which a detection of the other scanner is of the same object, m.
 
     Returns:
-        Of all samples of a, followed by those of b, (K, A + B) each: whether the other scanner should have seen
-        it, under this pose, and whether it saw anything there.
+        Two masks (K, A + B) over the samples of a, followed by those of b: whether a detection by the other
+        scanner is expected under this pose, and whether there is one.
     """
     a, b = pairs.a, pairs.b
     moved = se2.apply(T_a_b, b.positions)
@@ -161,16 +164,16 @@ def contradicts_visibility(
     min_expected: float,
     max_missed_share: float,
 ) -> Flags:
-    """(K,) which poses let too much of what one scanner saw in the other's open view pass unnoticed.
+    """Tests which poses (K,) imply too many missed detections.
 
     Args:
         T_a_b: (K, 3, 3).
-        pairs: all simultaneous observations.
+        pairs: all simultaneous pairs.
         visibility_a: of scanner a.
         visibility_b: of scanner b.
         radius: distance from a position within which a detection of the other scanner is of the same object, m.
         min_expected: least number of expected detections to judge a pose.
-        max_missed_share: share of them that may have been missed.
+        max_missed_share: largest share of missed detections among them.
     """
     expected, detected = find_missed_detections(T_a_b, pairs, visibility_a, visibility_b, radius)
     count = np.count_nonzero(expected, axis=1)

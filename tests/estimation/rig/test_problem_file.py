@@ -74,7 +74,7 @@ def problem() -> Problem:
     )
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
     assert select_successful(pairs)
-    pairs = {**pairs, ("lidar", "blind"): Rejected("no capture shows the board to both")}
+    pairs = {**pairs, ("lidar", "blind"): Rejected("no capture in which both detected the board")}
     return Problem(
         RIG, captured, pairs, find_spanning_tree("lidar", select_successful(pairs)), SolverOptions(keep="none")
     )

@@ -12,7 +12,7 @@ from calgraph.pairwise.synchronized_tracks import (
     TICK_PERIOD,
     SimultaneousPairs,
     TrackSamples,
-    pair_simultaneous_samples,
+    pair_samples,
 )
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import ScannerTracks
@@ -54,7 +54,7 @@ def match_across_scanners(
     others_active = {name: np.zeros(len(samples[name].tick), dtype=np.bool_) for name in names}
     residuals = [np.zeros((0, 2))]
     for a, b in itertools.combinations(names, 2):
-        both = pair_simultaneous_samples(samples[a], samples[b])
+        both = pair_samples(samples[a], samples[b])
         others_active[a][both.row_a] = others_active[b][both.row_b] = True
         offset = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
         d = np.linalg.norm(offset, axis=-1)
