@@ -1,4 +1,4 @@
-"""From detections that agree to a bundle: which sensors saw one board together, and where it was about."""
+"""From matched detections to board observations: the sensors that detected one board, and its initial pose."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,28 +13,28 @@ from calgraph.geometry import Array, plane, se3, so3
 from calgraph.pairwise import Candidates, PairwiseEstimate
 
 Node = tuple[int, str, int]
-"""Capture, sensor, and which of its detections."""
+"""Capture, sensor, and index of its detection."""
 
 
 @dataclass(frozen=True)
 class BoardObservation:
-    """One board in one capture, as some sensors saw it."""
+    """One board in one capture, as detected by some sensors."""
 
     capture: int
     detection_index: Mapping[str, int]
-    """By sensor, which of its detections."""
+    """By sensor, index of its detection."""
 
 
 def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]]]) -> list[BoardObservation]:
-    """Boards that at least two sensors saw together, in order of captures.
+    """Boards that at least two sensors detected, in order of captures.
 
     Args:
-        matches: pairs, each with those of its matches (M,) that are believed.
+        matches: pairs, each with a mask (M,) of its matches to use.
     """
     edges = [
         ((int(capture), pair.sensor_a, int(i)), (int(capture), pair.sensor_b, int(j)))
-        for pair, believed in matches
-        for capture, i, j in pair.matches[believed]
+        for pair, used in matches
+        for capture, i, j in pair.matches[used]
     ]
     nodes: dict[Node, int] = {}
     ends = np.array([[nodes.setdefault(end, len(nodes)) for end in edge] for edge in edges], dtype=np.intp)
@@ -42,27 +42,27 @@ def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]
     adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(len(nodes), len(nodes)))
     labels = connected_components(adjacency, directed=False)[1]
     links = np.bincount(ends.ravel(), minlength=len(nodes))
-    together: dict[int, list[tuple[int, Node]]] = {}
+    components: dict[int, list[tuple[int, Node]]] = {}
     for node, n in nodes.items():
-        together.setdefault(int(labels[n]), []).append((int(links[n]), node))
-    found = [_select_detections(members) for members in together.values()]
-    return sorted((s for s in found if len(s.detection_index) > 1), key=lambda s: s.capture)
+        components.setdefault(int(labels[n]), []).append((int(links[n]), node))
+    observations = [_select_detections(members) for members in components.values()]
+    return sorted((o for o in observations if len(o.detection_index) > 1), key=lambda o: o.capture)
 
 
 def _select_detections(members: Sequence[tuple[int, Node]]) -> BoardObservation:
-    """Of several detections of one sensor the one that most others agree with."""
+    """The board observation of matched detections: of several of one sensor that with the most matches."""
     ranked = sorted(members, key=lambda member: (member[0], -member[1][2]))
     return BoardObservation(ranked[0][1][0], {sensor: k for _, (_, sensor, k) in ranked})
 
 
 def initial_board_pose(
-    sighting: BoardObservation, detections: Mapping[str, Candidates], T_root_sensor: Mapping[str, Array]
+    observation: BoardObservation, detections: Mapping[str, Candidates], T_root_sensor: Mapping[str, Array]
 ) -> Array:
-    """``T_root_board`` (4, 4) about where the sensors saw it: by a camera if one did, else in its plane."""
-    found = [(T_root_sensor[name], d) for name, d in detections_of(sighting, detections)]
+    """Initial ``T_root_board`` (4, 4): from a camera if one detected it, else with the plane of a scanner."""
+    found = [(T_root_sensor[name], d) for name, d in detections_of(observation, detections)]
     cameras = [(T, d) for T, d in found if isinstance(d, BoardCorners)]
     if cameras:
-        T, best = min(cameras, key=lambda seen: float(np.trace(seen[1].covariance)))
+        T, best = min(cameras, key=lambda detected: float(np.trace(detected[1].covariance)))
         return np.asarray(T @ best.T_camera_board)
     points = np.concatenate([se3.apply(T, d.points) for T, d in found if not isinstance(d, BoardCorners)])
     center = points.mean(axis=0)
@@ -73,7 +73,7 @@ def initial_board_pose(
         else (found[0][0], plane.fit(points)[:3])
     )
     n = n if n @ (T[:3, 3] - center) >= 0 else -n
-    # The board's y as far as its plane allows along the axis across it: what sensors see does not depend on it.
+    # The rotation about the normal is arbitrary; y is along the projection of the axis farthest from the normal.
     across = so3.hat(n)
     x = -across[:, np.argmin(np.abs(n))]
     x /= np.linalg.norm(x)
@@ -81,7 +81,12 @@ def initial_board_pose(
 
 
 def detections_of(
-    sighting: BoardObservation, detections: Mapping[str, Candidates]
+    observation: BoardObservation, detections: Mapping[str, Candidates]
 ) -> Iterator[tuple[str, Detection]]:
-    """The sensors of a sighting with what they saw."""
-    return ((name, detections[name][sighting.capture][k]) for name, k in sighting.detection_index.items())
+    """The sensors of a board observation with their detections."""
+    return ((name, detections[name][observation.capture][k]) for name, k in observation.detection_index.items())
+
+
+def board_number(observation: BoardObservation, detections: Mapping[str, Candidates]) -> int:
+    """Index of the rig's board that cameras identified; -1 without one."""
+    return next((d.board for _, d in detections_of(observation, detections) if isinstance(d, BoardCorners)), -1)

@@ -1,7 +1,7 @@
-"""The joint estimator at the statistical limit: sensor poses, and one pose for each board that was held.
+"""Bundle adjustment of a rig: sensor poses, one pose for each board, and extra parameters such as range biases.
 
-Residuals are in the units that sensors measure. Boards do not know each other, so they are eliminated one by one
-(Schur complement), and what is left is a small dense problem over sensors, however many captures there are.
+Residuals are in the units of the measurements. Boards are conditionally independent given the sensors, so each is
+eliminated (Schur complement), which leaves a small dense problem over the sensors for any number of captures.
 
 Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
 """
@@ -17,22 +17,23 @@ from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
 from calgraph.geometry import Array, Index, se3, so3
 
-# What is believed of a board without any data (m⁻², rad⁻²): it keeps what no view sees from being singular.
+# Prior information on a board's pose (m⁻², rad⁻²): regularizes directions that no view measures.
 BOARD_PRIOR_INFORMATION = 1e-4
-# What is believed of a sensor without any data: m and rad.
+# Prior standard deviation of a sensor's pose: m and rad.
 _POSE_PRIOR_STDDEV = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
-# Where the next step would gain less than this (half squared standard deviations), nothing is off by more than 5 %
-# of its own,
+# Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no parameter is then
+# off by more than 5 % of its standard deviation,
 COARSE_TOLERANCE = 1e-3
-# nor by more than a thousandth.
+# or by more than 0.05 %.
 _FINE_TOLERANCE = 1e-7
-# What sums were moved along by steps that gained less than so many times that, they are as exact: to second order.
+# An extrapolated linearization is exact to second order, and accepted as final, if the cost fell by less than this
+# multiple of the tolerance since it was evaluated.
 _EXTRAPOLATION_LIMIT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
 class SensorPrior:
-    """What is known of a sensor's pose beforehand."""
+    """Gaussian prior of a sensor's pose."""
 
     sensor: int
     T_root_sensor: Array
@@ -43,51 +44,51 @@ class SensorPrior:
 
 @dataclass(frozen=True)
 class ExtraParameter:
-    """A number that is estimated along with the poses."""
+    """A scalar parameter that is estimated besides the poses."""
 
     of: str
-    """Whose: a sensor, or a tag."""
+    """The sensor or tag that it belongs to."""
     quantity: str
     unit: str
     """``m``, ``px``, ``rad``, or nothing."""
     prior_value: float
-    """What it is beforehand taken to be."""
+    """Mean of its prior, and start value."""
     prior_stddev: float
-    """Standard deviation of that: wide, so that it decides only what nothing measures."""
+    """Standard deviation of its prior: wide, so that it matters only without measurements."""
     view_sets: tuple[int, ...]
-    """Those whose measurements depend on it, and outlines, as the bundle counts all views."""
+    """Indices in :attr:`Bundle.all_views` of the views that depend on it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Who measured which boards."""
+    """The observations of all boards, and the parameters that they depend on."""
 
     sensors: tuple[str, ...]
-    """Sensors, the root first."""
+    """Names, the root first."""
     views: tuple[BoardViews, ...]
     """Of each sensor."""
     body: Index
-    """(S,) which rigid body each sensor is on, counted from 0, the root's: sensors of one body move as one."""
+    """(S,) index of each sensor's rigid body; 0 is the root's, which does not move."""
     bias_variance: Array
-    """(K,) variance of the displacement with which a sensor sees a board in each view of its own, m²: of all S
+    """(K,) variance of the view bias, a displacement of the board before the sensor in each view, m²: of all S
     sensors' views, then of the outlines."""
     lever: float
-    """A displacement by one metre comes with a rotation of one metre over this, m: half the size of a board."""
+    """Ratio of the translational to the rotational view bias, m: half the size of a board."""
     priors: tuple[SensorPrior, ...] = ()
     extra_parameters: tuple[ExtraParameter, ...] = ()
-    """Besides poses. Views of a sensor take theirs in this order."""
+    """Besides poses. A sensor's views use theirs in this order."""
     outlines: tuple[BoardViews, ...] = ()
-    """(O,) where scanners saw the sheets end: views with noise, sway and unknowns of their own."""
+    """(O,) views of the boards' outlines, with separate noise, bias and extra parameters."""
     outline_sensor: tuple[int, ...] = ()
-    """(O,) the sensor that each outline is of."""
+    """(O,) index of each outline's sensor."""
 
     @property
     def all_views(self) -> tuple[BoardViews, ...]:
-        """(K,) of each sensor, then the outlines: below, ``k`` counts these."""
+        """(K,) of each sensor, then the outlines; below, ``k`` is an index of this tuple."""
         return (*self.views, *self.outlines)
 
     def sensor_of(self, k: int) -> int:
-        """Whose views they are."""
+        """Index of the sensor of views k."""
         return k if k < len(self.views) else self.outline_sensor[k - len(self.views)]
 
     def with_views(self, all_views: Sequence[BoardViews]) -> "Bundle":
@@ -96,81 +97,82 @@ class Bundle:
         return replace(self, views=tuple(all_views[:sensors]), outlines=tuple(all_views[sensors:]))
 
     def without_outlines(self) -> "Bundle":
-        """The bundle with what sensors saw of the boards' planes and prints alone."""
+        """The bundle with observations of the boards' planes and prints only."""
         return replace(self, outlines=(), outline_sensor=(), bias_variance=self.bias_variance[: len(self.views)])
 
     def extra_indices(self, k: int) -> Index:
-        """(e,) which unknowns the measurements depend on."""
+        """(e,) indices of the extra parameters of views k."""
         return np.array([i for i, one in enumerate(self.extra_parameters) if k in one.view_sets], dtype=np.intp)
 
     def columns(self, k: int) -> Index:
-        """(n,) columns of the reduced problem that views depend on: of the sensor's body, and own unknowns."""
+        """(n,) columns of the reduced problem that views k depend on: the pose of a body, and extra parameters."""
         return np.concatenate([self.pose_columns(self.sensor_of(k)), self.extra_indices(k) + 6 * self.body_count])
 
     def pose_columns(self, sensor: int) -> Index:
-        """(6,) columns of the body that a sensor is on, in the reduced problem; (0,) of the root's."""
+        """(6,) columns of a sensor's body in the reduced problem; (0,) for the root's."""
         body = int(self.body[sensor])
         return np.arange(6 * (body - 1), 6 * body) if body > 0 else np.zeros(0, dtype=np.intp)
 
     @property
     def body_count(self) -> int:
-        """Number of bodies that move."""
+        """Number of bodies besides the root's."""
         return int(self.body.max())
 
     @property
     def parameter_count(self) -> int:
-        """Number of unknowns of the reduced problem."""
+        """Number G of parameters of the reduced problem."""
         return 6 * self.body_count + len(self.extra_parameters)
 
     @property
     def prior_stddev(self) -> Array:
-        """(G,) standard deviations of the reduced problem's unknowns without any data."""
+        """(G,) prior standard deviations of the reduced problem's parameters."""
         return np.concatenate(
             [np.tile(_POSE_PRIOR_STDDEV, self.body_count), [one.prior_stddev for one in self.extra_parameters]]
         )
 
     def bias_variances(self, k: int) -> Array:
-        """(6 + e,) variances of the displacement of one view, along the sensor's axes."""
+        """(6 + e,) variances of the bias of a view in k, along the sensor's axes."""
         shape = np.array([1, 1, 1, *[self.lever**-2] * 3, *[0.0] * self.all_views[k].extra_count])
         return np.asarray(self.bias_variance[k] * shape)
 
 
 @dataclass(frozen=True, eq=False)
 class BundleState:
-    """Values of all unknowns."""
+    """Values of all parameters."""
 
     T_root_sensor: Array
     """(S, 4, 4)."""
     T_root_board: Array
     """(C, 4, 4)."""
     extra: Array
-    """(E,) of the unknowns besides poses."""
+    """(E,) extra parameters."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarginalizedViews:
-    """One sensor's views, or an outline's, at a state."""
+    """Normal equations of one set of views at a state, with the view biases marginalised."""
 
     information: Array
-    """(V, q, q) on the numbers that measurements depend on."""
+    """(V, q, q) on the local parameters."""
     gradient: Array
     """(V, q)."""
     local_jacobian: Array
-    """(V, q, 6 + e) how these move with the pose of the board before the sensor, and the sensor's own unknowns,"""
+    """(V, q, 6 + e) derivatives of the local parameters by the board's pose before the sensor and the extra
+    parameters,"""
     J_sensor: Array
-    """(V, q, n) with the n columns of the reduced problem that they depend on,"""
+    """(V, q, n) by the n columns of the reduced problem that they depend on,"""
     J_board: Array
-    """(V, q, 6) and with the board."""
+    """(V, q, 6) and by the board's pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class BundleEquations:
-    """Normal equations of all views at a state."""
+    """Normal equations of the bundle at a state."""
 
     cost: float
     views: tuple[MarginalizedViews, ...]
     H: Array
-    """(G, G) of the sensors."""
+    """(G, G) of the sensors and extra parameters."""
     g: Array
     """(G,)."""
     H_board: Array
@@ -178,16 +180,16 @@ class BundleEquations:
     g_board: Array
     """(C, 6)."""
     H_board_sensor: Array
-    """(C, 6, G) between a board and the sensors."""
+    """(C, 6, G) between boards and sensors."""
     cache: tuple[CachedLinearization, ...]
-    """(K,) where the views' measurements were looked at."""
+    """(K,) the linearizations that they are extrapolated from."""
     exact: bool
-    """Whether that was at this very state."""
+    """Whether all of these are at this state."""
 
     def eliminate_boards(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
-        """The problem without boards: its matrix (G, G) and gradient (G,), and ``K`` (C, 6, G + 1).
+        """Schur complement: matrix (G, G) and gradient (G,) of the reduced problem, and ``K`` (C, 6, G + 1).
 
-        Boards follow the sensors' step: their own is ``-(K[..., :-1] @ step + K[..., -1])``.
+        For a step of the sensors, that of the boards is ``-(K[..., :-1] @ step + K[..., -1])``.
         """
         right = np.concatenate([self.H_board_sensor, self.g_board[..., None]], axis=-1)
         K = np.linalg.solve(_damp(self.H_board, damping) + BOARD_PRIOR_INFORMATION * np.eye(6), right)
@@ -198,7 +200,7 @@ class BundleEquations:
 
 @dataclass(frozen=True, eq=False)
 class MinimizedBundle:
-    """Where the solver stopped."""
+    """The result of a minimisation."""
 
     state: BundleState
     equations: BundleEquations
@@ -212,42 +214,44 @@ def linearize_bundle(
     """The normal equations at a state.
 
     Args:
-        bundle: the measurements.
-        state: where.
+        bundle: the observations.
+        state: the linearization point.
         cache: (K,) earlier linearizations of the same views, or None: extrapolated where they are near enough.
     """
     size, boards = bundle.parameter_count, len(state.T_root_board)
     cost, H, g = _prior_equations(bundle, state)
-    H_board, g_board, coupling = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
-    equations, visits = [], []
+    H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
+    equations, linearizations = [], []
     for k, views in enumerate(bundle.all_views):
-        T_root_board, sway, own = (
+        T_root_board, bias, extra = (
             state.T_root_board[views.board],
             bundle.bias_variances(k),
             state.extra[bundle.extra_indices(k)],
         )
         T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], T_root_board)
-        before = cache[k] if cache else None
-        sums = before.extrapolate(views, T_sensor_board, own) if before else None
-        visits.append(before if before and sums else linearize_views(views, T_sensor_board, own, sway))
-        sums = sums or visits[k].equations
-        A, b, costs = sums.marginalize_bias(sway)
-        by_sensor, by_board = (sums.local_jacobian @ J for J in view_jacobians(bundle, state, k))
-        equations.append(MarginalizedViews(A, b, sums.local_jacobian, by_sensor, by_board))
+        cached = cache[k] if cache else None
+        at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
+        linearizations.append(cached if cached and at else linearize_views(views, T_sensor_board, extra, bias))
+        at = at or linearizations[k].equations
+        A, b, costs = at.marginalize_bias(bias)
+        J_sensor, J_board = (at.local_jacobian @ J for J in view_jacobians(bundle, state, k))
+        equations.append(MarginalizedViews(A, b, at.local_jacobian, J_sensor, J_board))
         cost += float(costs.sum())
-        columns, n = bundle.columns(k), by_sensor.shape[-1]
-        J = np.concatenate([by_sensor, by_board], axis=-1)
+        columns, n = bundle.columns(k), J_sensor.shape[-1]
+        J = np.concatenate([J_sensor, J_board], axis=-1)
         Jt = np.swapaxes(J, -1, -2)
-        both, slope = Jt @ A @ J, (Jt @ b[..., None])[..., 0]
+        both, gradient = Jt @ A @ J, (Jt @ b[..., None])[..., 0]
         H[np.ix_(columns, columns)] += both[:, :n, :n].sum(axis=0)
-        g[columns] += slope[:, :n].sum(axis=0)
+        g[columns] += gradient[:, :n].sum(axis=0)
         H_board[views.board] += both[:, n:, n:]
-        g_board[views.board] += slope[:, n:]
-        coupling[np.ix_(views.board, np.arange(6), columns)] += both[:, n:, :n]
+        g_board[views.board] += gradient[:, n:]
+        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += both[:, n:, :n]
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
-    exact = not any(at is before for at, before in zip(visits, cache, strict=False))
-    return BundleEquations(cost, tuple(equations), H, g, H_board, g_board, coupling, tuple(visits), exact)
+    exact = not any(new is old for new, old in zip(linearizations, cache, strict=False))
+    return BundleEquations(
+        cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, tuple(linearizations), exact
+    )
 
 
 def minimize_bundle(
@@ -262,84 +266,87 @@ def minimize_bundle(
     """Minimises the robust cost of all views and priors.
 
     Args:
-        bundle: the measurements.
+        bundle: the observations.
         state: start values.
         cache: (K,) earlier linearizations of the same views near the solution, or None.
         iterations: steps at most, rejected ones included.
         tolerance: the solver stops where the next step would gain less, in half squared standard deviations.
-        exact: whether measurements are looked at where the solver stops; else those of views that stay near are
-            believed to change as they did when they were.
+        exact: whether the final state is linearized exactly, instead of by extrapolation where that is near.
 
     Raises:
         CalibrationError: the residuals are not finite at the start.
     """
-    system = linearize_bundle(bundle, state, cache)
-    if not np.isfinite(system.cost):
+    equations = linearize_bundle(bundle, state, cache)
+    if not np.isfinite(equations.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
-    # What was gained since measurements were looked at.
-    since = 0.0 if system.exact else np.inf
+    # Decrease of the cost since the last exact linearization.
+    decrease_since_exact = 0.0 if equations.exact else np.inf
     damping = Damping(1e-5)
     for iteration in range(iterations):
-        H, g, K = system.eliminate_boards(damping.value)
+        H, g, K = equations.eliminate_boards(damping.value)
         step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         boards = -(K[..., :-1] @ step + K[..., -1])
-        predicted = -0.5 * float(system.g @ step + np.sum(system.g_board * boards))
-        if done := predicted <= tolerance + 1e-12 * system.cost:
-            if not exact or since <= _EXTRAPOLATION_LIMIT * tolerance:
-                return MinimizedBundle(state, system, iteration, converged=True)
+        predicted = -0.5 * float(equations.g @ step + np.sum(equations.g_board * boards))
+        if settled := predicted <= tolerance + 1e-12 * equations.cost:
+            if not exact or decrease_since_exact <= _EXTRAPOLATION_LIMIT * tolerance:
+                return MinimizedBundle(state, equations, iteration, converged=True)
         else:
             trial = retract_state(bundle, state, step, boards)
-            ahead = linearize_bundle(bundle, trial, system.cache)
-            gained = system.cost - ahead.cost
-        if done or (exact and gained < 0 and since > 0):
-            # What was moved along is too coarse to judge by.
-            system, since = linearize_bundle(bundle, state), 0.0
-        elif gained >= 0:  # False where the trial's residuals are not finite
-            state, system, since = trial, ahead, 0.0 if ahead.exact else since + gained
-            damping = damping.accept_step(gained / predicted)
+            trial_equations = linearize_bundle(bundle, trial, equations.cache)
+            decrease = equations.cost - trial_equations.cost
+        if settled or (exact and decrease < 0 and decrease_since_exact > 0):
+            # The extrapolation is too inaccurate to judge the step.
+            equations, decrease_since_exact = linearize_bundle(bundle, state), 0.0
+        elif decrease >= 0:  # False for NaN: residuals at the trial are not finite
+            state, equations, decrease_since_exact = (
+                trial,
+                trial_equations,
+                0.0 if trial_equations.exact else decrease_since_exact + decrease,
+            )
+            damping = damping.accept_step(decrease / predicted)
         else:
             damping = damping.reject_step()
-    return MinimizedBundle(state, system, iterations, converged=False)
+    return MinimizedBundle(state, equations, iterations, converged=False)
 
 
 def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
-    """How boards before a sensor, and its own unknowns, move with the reduced problem's, and with the boards.
+    """Derivatives of the boards' poses before a sensor, and of its extra parameters.
 
     Returns:
-        (V, 6 + e, n), by ``bundle.columns(k)``, and (V, 6 + e, 6).
+        (V, 6 + e, n) by the parameters ``bundle.columns(k)``, and (V, 6 + e, 6) by the boards' poses.
     """
     views, sensor = bundle.all_views[k], bundle.sensor_of(k)
-    count, own = len(views.board), views.extra_count
+    count, extra = len(views.board), views.extra_count
     T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (count, 4, 4))
-    by_pose, of_board = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
-    moving = len(bundle.pose_columns(sensor))
-    by_sensor, by_board = np.zeros((count, 6 + own, moving + own)), np.zeros((count, 6 + own, 6))
-    by_sensor[:, :6, :moving] = (by_pose @ _body_jacobian(bundle, state, sensor))[..., :moving]
-    by_sensor[:, 6:, moving:] = np.eye(own)
-    by_board[:, :6] = of_board
-    return by_sensor, by_board
+    by_sensor_pose, by_board_pose = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
+    pose_size = len(bundle.pose_columns(sensor))
+    J_sensor, J_board = np.zeros((count, 6 + extra, pose_size + extra)), np.zeros((count, 6 + extra, 6))
+    J_sensor[:, :6, :pose_size] = (by_sensor_pose @ _body_jacobian(bundle, state, sensor))[..., :pose_size]
+    J_sensor[:, 6:, pose_size:] = np.eye(extra)
+    J_board[:, :6] = by_board_pose
+    return J_sensor, J_board
 
 
 def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array) -> BundleState:
     """The state after steps (G,) of the sensors and (C, 6) of the boards, along the root's fixed axes."""
     T = state.T_root_sensor.copy()
     for s in np.flatnonzero(bundle.body > 0):
-        lever = _body_jacobian(bundle, state, int(s))
-        T[s] = se3.retract(T[s], lever @ step[bundle.pose_columns(int(s))])
-    own = state.extra + step[len(step) - len(state.extra) :]
-    return BundleState(_restore_rigid_groups(bundle, state, T), se3.retract(state.T_root_board, boards), own)
+        J = _body_jacobian(bundle, state, int(s))
+        T[s] = se3.retract(T[s], J @ step[bundle.pose_columns(int(s))])
+    extra = state.extra + step[len(step) - len(state.extra) :]
+    return BundleState(_restore_rigid_groups(bundle, state, T), se3.retract(state.T_root_board, boards), extra)
 
 
 def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
-    """(S·6, G) how all sensors' poses move with the unknowns of the reduced problem, in the root's fixed axes."""
-    by_unknowns = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
+    """(S·6, G) derivatives of all poses, in the root's fixed axes, by the reduced problem's parameters."""
+    J = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
     for s in np.flatnonzero(bundle.body > 0):
-        by_unknowns[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = _body_jacobian(bundle, state, int(s))
-    return by_unknowns
+        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = _body_jacobian(bundle, state, int(s))
+    return J
 
 
 def _body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
-    """(6, 6) how a sensor's pose moves with its body, which turns about its first sensor."""
+    """(6, 6) derivative of a sensor's pose by that of its body, which is the pose of its first sensor."""
     first = int(np.flatnonzero(bundle.body == bundle.body[sensor])[0])
     J = np.eye(6)
     J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3] - state.T_root_sensor[first, :3, 3])
@@ -347,7 +354,7 @@ def _body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
 
 
 def _restore_rigid_groups(bundle: Bundle, before: BundleState, T_root_sensor: Array) -> Array:
-    """The poses, with those on one body as far apart as before: a step keeps that to first order only."""
+    """The poses with relative poses on one body as before, which a step keeps to first order only."""
     T = T_root_sensor.copy()
     for s, body in enumerate(bundle.body):
         first = int(np.flatnonzero(bundle.body == body)[0])
@@ -357,16 +364,16 @@ def _restore_rigid_groups(bundle: Bundle, before: BundleState, T_root_sensor: Ar
 
 
 def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, Array]:
-    """What is known without data: cost, matrix (G, G) and gradient (G,)."""
-    # Poses are not drawn anywhere: only what no data fix stays where it is.
+    """Cost, matrix (G, G) and gradient (G,) of the priors of the reduced problem's parameters."""
+    # Zero-gradient regularizer of poses, for unobserved directions.
     off = np.zeros(bundle.parameter_count)
     off[6 * bundle.body_count :] = state.extra - [one.prior_value for one in bundle.extra_parameters]
-    certain = bundle.prior_stddev**-2
-    return 0.5 * float(certain @ off**2), np.diag(certain), certain * off
+    information = bundle.prior_stddev**-2
+    return 0.5 * float(information @ off**2), np.diag(information), information * off
 
 
 def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H: Array, g: Array) -> float:
-    """Adds a prior to the sensors' normal equations, in place; returns its cost."""
+    """Adds a sensor's prior to the normal equations, in place; returns its cost."""
     error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
     J = np.eye(6)
     J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
@@ -378,11 +385,11 @@ def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H:
 
 
 def _damp(H: Array, damping: float) -> Array:
-    """Marquardt's scaling of matrices (..., n, n)."""
+    """Matrices (..., n, n) with Marquardt's damping of their diagonals."""
     size = H.shape[-1]
     return H * (1 + damping * np.eye(size))
 
 
 def stack_poses(parts: Sequence[Array]) -> Array:
-    """Poses (n, 4, 4) of a sequence of them, also of none."""
+    """Array (n, 4, 4) of a sequence of poses, which may be empty."""
     return np.array(parts, dtype=np.float64).reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""How uncertain the poses that a bundle gives are, and how far off its views may be for that."""
+"""Covariances of a bundle's solution: of poses and parameters, and of what each view measures."""
 
 import numpy as np
 
@@ -12,36 +12,37 @@ from calgraph.estimation.rig.bundle_solver import (
 from calgraph.geometry import Array
 
 
-def pose_covariance(bundle: Bundle, state: BundleState, system: BundleEquations) -> Array:
+def pose_covariance(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:
     """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
-    by_unknowns = pose_jacobian(bundle, state)
-    return np.asarray(by_unknowns @ parameter_covariance(system) @ by_unknowns.T)
+    J = pose_jacobian(bundle, state)
+    return np.asarray(J @ parameter_covariance(equations) @ J.T)
 
 
-def parameter_covariance(system: BundleEquations) -> Array:
-    """Covariance (G, G) of the sensors' bodies and own unknowns."""
-    H, _, _ = system.eliminate_boards()
+def parameter_covariance(equations: BundleEquations) -> Array:
+    """Covariance (G, G) of the poses of bodies and of the extra parameters."""
+    H, _, _ = equations.eliminate_boards()
     return np.asarray(np.linalg.inv(H))
 
 
-def view_covariance_factors(bundle: Bundle, system: BundleEquations) -> list[Array]:
-    """By sensor and outline, how far off the solution may have what views measure: factors ``F`` (V, q, G + 6).
+def view_covariance_factors(bundle: Bundle, equations: BundleEquations) -> list[Array]:
+    """By view set, factors ``F`` (V, q, G + 6) of the solution's covariance in the views' local parameters.
 
-    Of two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of these errors. A
-    board's error is ``e - K x``, where x are those of the sensors and e has the covariance ``inv(H_board)``.
+    For two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of their errors. The
+    error of a board's pose is ``e - K x``, with x that of the parameters, and e of covariance ``inv(H_board)``.
     """
-    H, _, K = system.eliminate_boards()
-    inner, of_board = _inverse_root(H), _inverse_root(system.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
-    found = []
-    for k, (views, at) in enumerate(zip(bundle.all_views, system.views, strict=True)):
-        by_unknowns = -at.J_board @ K[views.board, :, :-1]
-        by_unknowns[..., bundle.columns(k)] += at.J_sensor
-        found.append(np.concatenate([by_unknowns @ inner, at.J_board @ of_board[views.board]], axis=-1))
-    return found
+    H, _, K = equations.eliminate_boards()
+    root = _inverse_root(H)
+    board_root = _inverse_root(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
+    factors = []
+    for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
+        by_parameters = -at.J_board @ K[views.board, :, :-1]
+        by_parameters[..., bundle.columns(k)] += at.J_sensor
+        factors.append(np.concatenate([by_parameters @ root, at.J_board @ board_root[views.board]], axis=-1))
+    return factors
 
 
 def _inverse_root(A: Array) -> Array:
-    """``R`` (..., n, n) with ``R @ R.T`` the inverse of positive definite A, be it almost singular."""
+    """``R`` (..., n, n) with ``R @ R.T`` the inverse of positive definite A, which may be almost singular."""
     values, vectors = np.linalg.eigh(A)
     least = np.finfo(float).eps * values[..., -1:]
     return np.asarray(vectors / np.sqrt(np.maximum(values, least))[..., None, :])

@@ -1,4 +1,4 @@
-"""What a bundle may estimate besides poses: range biases, intrinsics, and the places of tags on their boards."""
+"""Parameters that a bundle can estimate besides poses: range biases, intrinsics, displacements of tags."""
 
 import logging
 from collections import Counter
@@ -23,15 +23,15 @@ from calgraph.sensors import CameraModel
 
 Estimable = Literal["range_bias", "intrinsics", "tags"]
 
-# How far off values that are stated may be, as standard deviations: range biases, m; focal lengths, as a share;
-# principal points, as a share of the picture; coefficients of a distortion; tags on their board, m and rad.
+# Prior standard deviations of stated values: range biases, m; focal lengths, relative; principal points, relative
+# to the image size; distortion coefficients; displacements of tags on their board, m and rad.
 _BIAS, _FOCAL, _PRINCIPAL, _DISTORTION, _TAG, _TAG_ANGLE = 0.1, 0.1, 0.05, 0.3, 0.03, 0.05
 _COEFFICIENTS = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
 _NO_TAG = (-1, -1)
-# What is known hardly better than beforehand was not measured.
+# A parameter whose standard deviation exceeds this share of its prior's was not measured.
 _MAX_STDDEV_SHARE = 0.5
 
 TagCorners = dict[tuple[int, int], Array]
@@ -43,17 +43,17 @@ _log = logging.getLogger(__name__)
 def add_extra_parameters(
     bundle: Bundle, state: BundleState, rig: Rig, board_of: Index, estimate: Sequence[Estimable]
 ) -> tuple[Bundle, BundleState]:
-    """The bundle and its start with what is to be estimated besides poses.
+    """The bundle and its start values with parameters to estimate besides poses.
 
     Args:
-        bundle: without unknowns.
-        state: its start.
-        rig: what the sensors saw.
-        board_of: (C,) which of the rig's boards each board is; those that no camera saw may be any.
-        estimate: which; the order does not matter.
+        bundle: without extra parameters.
+        state: its start values.
+        rig: with the boards as stated.
+        board_of: (C,) index of the rig's board of each observed board; arbitrary where no camera detected it.
+        estimate: kinds of parameters, in any order.
 
     Raises:
-        InputError: no sensor has such an unknown.
+        InputError: no sensor has such a parameter.
     """
     if "range_bias" in estimate:
         bundle = _add_range_biases(bundle)
@@ -65,11 +65,11 @@ def add_extra_parameters(
 
 
 def summarize_extra_parameters(
-    bundle: Bundle, state: BundleState, system: BundleEquations
+    bundle: Bundle, state: BundleState, equations: BundleEquations
 ) -> tuple[EstimatedParameter, ...]:
-    """The unknowns besides poses, with their standard deviations."""
-    own = np.diag(parameter_covariance(system))[6 * bundle.body_count :]
-    found = tuple(
+    """The parameters besides poses, with their standard deviations; warns of those that are not observable."""
+    variances = np.diag(parameter_covariance(equations))[6 * bundle.body_count :]
+    estimated = tuple(
         EstimatedParameter(
             one.of,
             one.quantity,
@@ -79,82 +79,82 @@ def summarize_extra_parameters(
             float(stddev),
             bool(stddev < _MAX_STDDEV_SHARE * one.prior_stddev),
         )
-        for one, value, stddev in zip(bundle.extra_parameters, state.extra, np.sqrt(own), strict=True)
-        # Where outlines are seen is a nuisance, which nobody asked for.
+        for one, value, stddev in zip(bundle.extra_parameters, state.extra, np.sqrt(variances), strict=True)
+        # Offsets of outlines are nuisance parameters.
         if one.view_sets[0] < len(bundle.sensors)
     )
-    for one in found:
+    for one in estimated:
         if not one.measured:
             _log.warning(
                 "%s of %s is told by no capture: %.4g ± %.2g %s; do not rely on it", one.quantity, one.of,
                 one.value, one.stddev, one.unit,
             )  # fmt: skip
-    return found
+    return estimated
 
 
 def _add_range_biases(bundle: Bundle) -> Bundle:
     views: list[BoardViews] = list(bundle.views)
-    unknowns: list[ExtraParameter] = []
-    for s, own in enumerate(bundle.views):
-        if isinstance(own, RangeObservations):
-            views[s] = replace(own, extra_count=1)
-            unknowns.append(ExtraParameter(bundle.sensors[s], "range bias", "m", 0.0, _BIAS, (s,)))
-    return _extend(bundle, views, unknowns, "range_bias: no scanner")
+    parameters: list[ExtraParameter] = []
+    for s, observed in enumerate(bundle.views):
+        if isinstance(observed, RangeObservations):
+            views[s] = replace(observed, extra_count=1)
+            parameters.append(ExtraParameter(bundle.sensors[s], "range bias", "m", 0.0, _BIAS, (s,)))
+    return _extend(bundle, views, parameters, "range_bias: no scanner")
 
 
 def _add_intrinsics(bundle: Bundle) -> Bundle:
     views: list[BoardViews] = list(bundle.views)
-    unknowns: list[ExtraParameter] = []
-    for s, own in enumerate(bundle.views):
-        if isinstance(own, CornerObservations):
-            views[s] = replace(own, estimate_intrinsics=True)
-            unknowns += _intrinsic_parameters(bundle.sensors[s], s, own.camera)
-    return _extend(bundle, views, unknowns, "intrinsics: no camera")
+    parameters: list[ExtraParameter] = []
+    for s, observed in enumerate(bundle.views):
+        if isinstance(observed, CornerObservations):
+            views[s] = replace(observed, estimate_intrinsics=True)
+            parameters += _intrinsic_parameters(bundle.sensors[s], s, observed.camera)
+    return _extend(bundle, views, parameters, "intrinsics: no camera")
 
 
 def _intrinsic_parameters(name: str, sensor: int, camera: CameraModel) -> Iterator[ExtraParameter]:
     quantities = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[camera.model])[: len(camera.intrinsics)]
-    beliefs = [*(_FOCAL * camera.focal), _PRINCIPAL * camera.width, _PRINCIPAL * camera.height]
-    beliefs += [_DISTORTION] * len(camera.distortion)
-    for i, (quantity, belief) in enumerate(zip(quantities, beliefs, strict=True)):
+    stddevs = [*(_FOCAL * camera.focal), _PRINCIPAL * camera.width, _PRINCIPAL * camera.height]
+    stddevs += [_DISTORTION] * len(camera.distortion)
+    for i, (quantity, stddev) in enumerate(zip(quantities, stddevs, strict=True)):
         yield ExtraParameter(
-            name, quantity, "px" if i < 4 else "", float(camera.intrinsics[i]), float(belief), (sensor,)
+            name, quantity, "px" if i < 4 else "", float(camera.intrinsics[i]), float(stddev), (sensor,)
         )
 
 
 def _add_tag_displacements(bundle: Bundle, rig: Rig, board_of: Index) -> Bundle:
-    """Tags may be off their places, but one of each board, the one seen most often: it is where the board is."""
-    cameras = {s: own for s, own in enumerate(bundle.views) if isinstance(own, CornerObservations)}
+    """All tags may be displaced but the most often detected one of each board, which defines the board's frame."""
+    cameras = {s: observed for s, observed in enumerate(bundle.views) if isinstance(observed, CornerObservations)}
     printed = [_tag_corners(which, compute_landmarks(board)) for which, board in enumerate(rig.boards)]
-    on = {s: _find_tags(own, board_of, printed) for s, own in cameras.items()}
-    seen = Counter(key for keys in on.values() for key in keys if key != _NO_TAG)
-    by_board = groupby(sorted(seen), key=itemgetter(0))
-    fixed = {max(keys, key=lambda key: seen[key]) for _, keys in by_board}
-    free = [key for tags in printed for key in tags if key in seen and key not in fixed]
+    tags_of = {s: _find_tags(observed, board_of, printed) for s, observed in cameras.items()}
+    detections = Counter(key for keys in tags_of.values() for key in keys if key != _NO_TAG)
+    by_board = groupby(sorted(detections), key=itemgetter(0))
+    fixed = {max(keys, key=lambda key: detections[key]) for _, keys in by_board}
+    free = [key for tags in printed for key in tags if key in detections and key not in fixed]
     number = {key: i for i, key in enumerate(free)}
     centers = np.array([printed[key[0]][key].mean(axis=0)[:2] for key in free]).reshape(-1, 2)
     views: list[BoardViews] = list(bundle.views)
-    for s, own in cameras.items():
-        tag = np.array([number.get(key, -1) for key in on[s]], dtype=np.intp)
-        views[s] = replace(own, tag_centers=centers, tag_index=tag)
+    for s, observed in cameras.items():
+        tag = np.array([number.get(key, -1) for key in tags_of[s]], dtype=np.intp)
+        views[s] = replace(observed, tag_centers=centers, tag_index=tag)
     names = [f"tag {key[1]}" + (f" of board {key[0] + 1}" if len(printed) > 1 else "") for key in free]
-    unknowns = [
-        ExtraParameter(name, quantity, unit, 0.0, belief, tuple(cameras))
+    parameters = [
+        ExtraParameter(name, quantity, unit, 0.0, stddev, tuple(cameras))
         for name in names
-        for quantity, unit, belief in (("x", "m", _TAG), ("y", "m", _TAG), ("rotation", "rad", _TAG_ANGLE))
+        for quantity, unit, stddev in (("x", "m", _TAG), ("y", "m", _TAG), ("rotation", "rad", _TAG_ANGLE))
     ]
-    return _extend(bundle, views, unknowns, "tags: no camera saw two tags of one board")
+    return _extend(bundle, views, parameters, "tags: no camera saw two tags of one board")
 
 
 def _tag_corners(board: int, marks: Landmarks) -> TagCorners:
-    """The tags of a board; none where its marks are single corners."""
+    """The tags of a board; none for patterns of single corners."""
     if marks.corners.shape[1] == 1:
         return {}
     return {(board, int(i)): corners for i, corners in zip(marks.ids, marks.corners, strict=True)}
 
 
 def _find_tags(views: CornerObservations, board_of: Index, printed: Sequence[TagCorners]) -> list[tuple[int, int]]:
-    """By corner, the tag that it is of; ``_NO_TAG`` for those of none."""
+    """The tag of each corner; ``_NO_TAG`` for those of none."""
     places = {
         (key[0], *corner.tolist()): key for tags in printed for key, corners in tags.items() for corner in corners
     }
@@ -165,7 +165,9 @@ def _find_tags(views: CornerObservations, board_of: Index, printed: Sequence[Tag
     ]
 
 
-def _extend(bundle: Bundle, views: Sequence[BoardViews], unknowns: Sequence[ExtraParameter], none: str) -> Bundle:
-    if not unknowns:
+def _extend(
+    bundle: Bundle, views: Sequence[BoardViews], parameters: Sequence[ExtraParameter], none: str
+) -> Bundle:
+    if not parameters:
         raise InputError(f"--estimate {none}")
-    return replace(bundle, views=tuple(views), extra_parameters=(*bundle.extra_parameters, *unknowns))
+    return replace(bundle, views=tuple(views), extra_parameters=(*bundle.extra_parameters, *parameters))

@@ -1,4 +1,4 @@
-"""From measurements to the normal equations of views: outliers held off, common errors allowed for."""
+"""From whitened residuals to the normal equations of views, with robust weights and a marginalised view bias."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,34 +10,36 @@ from scipy.special import chdtr, chdtrc, gammaln
 from calgraph.estimation.rig.observations import LinearizedResiduals
 from calgraph.geometry import Array, Index
 
-# Residuals beyond so many standard deviations count less (Huber): Gaussian noise loses 0.3 % of its information.
+# Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
+# information.
 HUBER_THRESHOLD = 2.5
-# Times at most that outliers of a view are judged anew about where it then is.
+# Limit on the robust weights' iterations, which hardly ever binds.
 _MAX_REWEIGHTINGS = 3
-# They are not if that is where it was, to such a share of their standard deviations, root mean square.
+# They stop where a view's fit moves by less than this share of its standard deviations, root mean square.
 _REWEIGHTING_TOLERANCE = 1e-2
-# Directions of a view with less than this share of its information are not measured by it.
+# Directions with less than this share of a view's largest information count as not measured by it: a numerical
+# rank.
 _RANK_TOLERANCE = 1e-10
-# Directions of a view that the others check with less than this share of its weight are not checked.
+# Directions that the other views check with less than this redundancy number do not enter a test.
 _MIN_REDUNDANCY = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class ViewNormalEquations:
-    """What V views say, summed over their measurements."""
+    """The normal equations of V views, each summed over its measurements."""
 
     JtJ: Array
-    """(V, q, q) information on the q numbers that the measurements depend on."""
+    """(V, q, q) information on the local parameters of each view."""
     Jtr: Array
-    """(V, q) gradient by them."""
+    """(V, q) gradient by these."""
     local_jacobian: Array
-    """(V, q, p): how they move with the pose and the sensor's own unknowns."""
+    """(V, q, p) derivatives of the local parameters by the board's pose and the sensor's extra parameters."""
     squared_residuals: Array
     """(V,) weighted sum of squared residuals."""
     robust_cost_offset: Array
-    """(V,) what it costs to hold outliers off, in half squares: the robust cost is this and half of ``square``."""
+    """(V,) robust cost beyond half of ``squared_residuals``, which down-weighted outliers contribute."""
     residual_count: NDArray[np.intp]
-    """(V,) how many numbers were measured."""
+    """(V,) number of residuals."""
 
     @property
     def information(self) -> Array:
@@ -50,21 +52,21 @@ class ViewNormalEquations:
         return np.asarray((np.swapaxes(self.local_jacobian, -1, -2) @ self.Jtr[..., None])[..., 0])
 
     def within_view_scatter(self) -> tuple[Array, NDArray[np.intp]]:
-        """Squared residuals (V,) about each view's own best fit, and how many numbers are left to scatter (V,).
+        """Squared residuals (V,) about the best fit of each view alone, and their degrees of freedom (V,).
 
-        They tell the noise of single measurements, however wrong sensors and board are placed.
+        They measure the noise of single measurements, independent of errors of the poses.
         """
-        whiten, seen = whitening(self.JtJ)
+        whiten, measured = whitening(self.JtJ)
         explained = np.sum(_matvec(whiten, self.Jtr) ** 2, axis=-1)
-        return self.squared_residuals - explained, self.residual_count - np.sum(seen, axis=-1)
+        return self.squared_residuals - explained, self.residual_count - np.sum(measured, axis=-1)
 
     def fit(self) -> Array:
-        """(V, q) by how much the numbers that measurements depend on are to change to fit each view best."""
+        """(V, q) change of the local parameters to the best fit of each view alone."""
         whiten, _ = whitening(self.JtJ)
         return -_matvec(np.swapaxes(whiten, -1, -2), _matvec(whiten, self.Jtr))
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "ViewNormalEquations":
-        """Those of some of the views: a mask (V,), or their numbers, which may repeat."""
+        """Those of some of the views: a mask (V,), or indices, which may repeat."""
         return ViewNormalEquations(
             self.JtJ[keep],
             self.Jtr[keep],
@@ -75,152 +77,151 @@ class ViewNormalEquations:
         )
 
     def squared_change(self, change: Array) -> Array:
-        """(V,) by how much residuals change, squared and summed, as the numbers do that they depend on (V, q)."""
+        """(V,) sum of squared changes of the residuals for changes (V, q) of the local parameters."""
         return np.asarray(np.einsum("vi,vij,vj->v", change, self.JtJ, change))
 
-    def extrapolate(self, change: Array, basis: Array) -> "ViewNormalEquations":
-        """The sums after the numbers that measurements depend on have changed by (V, q), to first order in these.
+    def extrapolate(self, change: Array, local_jacobian: Array) -> "ViewNormalEquations":
+        """The equations after a change (V, q) of the local parameters, to first order of the residuals in it.
 
-        Measurements keep the weights that they have; ``basis`` is the new one.
+        Robust weights are kept; ``local_jacobian`` is that at the new poses.
         """
-        slope = self.Jtr + _matvec(self.JtJ, change)
-        square = self.squared_residuals + np.sum(change * (self.Jtr + slope), axis=-1)
-        return replace(self, Jtr=slope, squared_residuals=square, local_jacobian=basis)
+        Jtr = self.Jtr + _matvec(self.JtJ, change)
+        squared_residuals = self.squared_residuals + np.sum(change * (self.Jtr + Jtr), axis=-1)
+        return replace(self, Jtr=Jtr, squared_residuals=squared_residuals, local_jacobian=local_jacobian)
 
-    def marginalize_bias(self, sway: Array) -> tuple[Array, Array, Array]:
-        """The views' information, gradients and costs if each saw its board displaced by an unknown of its own.
+    def marginalize_bias(self, variance: Array) -> tuple[Array, Array, Array]:
+        """Information, gradients and costs with a bias of each view marginalised.
 
-        A bent board, a range that is off for one material, a stamp that is late: measurements of one view then err
-        together, and however many there are, they say no more than the displacement allows. It is marginalised:
-        what is left of A is ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``.
+        A bent board, a range error on one material, a late stamp: the errors of one view's measurements are
+        correlated, and do not average out. The bias is modelled as a displacement of the board before the sensor
+        with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``.
 
         Args:
-            sway: (p,) variances Q of the displacement along the sensor's axes; 0 for the sensor's own unknowns.
+            variance: (p,) diagonal of Q along the sensor's axes; 0 for the sensor's extra parameters.
 
         Returns:
             (V, q, q), (V, q) and (V,).
         """
-        if not np.any(sway):
+        if not np.any(variance):
             return self.JtJ, self.Jtr, self.robust_cost_offset + 0.5 * self.squared_residuals
-        spread = _bias_covariance(self.local_jacobian, sway)
-        shrink = _bias_shrinkage(self.JtJ, spread)
-        A, slope = shrink @ self.JtJ, _matvec(shrink, self.Jtr)
-        explained = np.sum(_matvec(spread, slope) * self.Jtr, axis=-1)
-        return (
-            (A + np.swapaxes(A, -1, -2)) / 2,
-            slope,
-            self.robust_cost_offset + 0.5 * (self.squared_residuals - explained),
-        )
+        Q = _bias_covariance(self.local_jacobian, variance)
+        shrinkage = _bias_shrinkage(self.JtJ, Q)
+        A, Jtr = shrinkage @ self.JtJ, _matvec(shrinkage, self.Jtr)
+        explained = np.sum(_matvec(Q, Jtr) * self.Jtr, axis=-1)
+        cost = self.robust_cost_offset + 0.5 * (self.squared_residuals - explained)
+        return (A + np.swapaxes(A, -1, -2)) / 2, Jtr, cost
 
-    def estimate_bias(self, spread: Array) -> Array:
-        """(V, q) the likeliest displacement, if it has the covariance ``spread`` (V, q, q)."""
-        return -_matvec(spread @ _bias_shrinkage(self.JtJ, spread), self.Jtr)
+    def estimate_bias(self, covariance: Array) -> Array:
+        """(V, q) most likely bias, for its prior covariance (V, q, q)."""
+        return -_matvec(covariance @ _bias_shrinkage(self.JtJ, covariance), self.Jtr)
 
 
 def accumulate(
-    rows: LinearizedResiduals,
+    residuals: LinearizedResiduals,
     start: Index,
-    fitted: Callable[[ViewNormalEquations], Array] = ViewNormalEquations.fit,
+    fit: Callable[[ViewNormalEquations], Array] = ViewNormalEquations.fit,
 ) -> ViewNormalEquations:
-    """Sums rows over views, which start at ``start`` (V,).
+    """Sums residuals into the normal equations of views.
 
-    Which measurements are outliers is judged where each view itself would have its board: where it is displaced as
-    a whole, all of its measurements are off, and none of them is wrong.
+    Robust weights are computed at the best fit of each view: a bias moves all residuals of a view, and must not
+    turn them into outliers.
 
     Args:
-        rows: of N measurements.
-        start: (V,).
-        fitted: (V, q) from sums, where the views are to be judged.
+        residuals: of N measurements.
+        start: (V,) the first measurement of each view.
+        fit: from the equations to the change (V, q) of local parameters at which weights are computed.
     """
-    columns, residual = _jacobian_columns(rows), rows.residual.ravel()
-    count = np.diff(start, append=len(rows.residual)) * rows.residual.shape[1]
-    plain = sums = _accumulate_unweighted(columns, residual, rows.local_jacobian, count)
-    shift = fitted(sums)
+    columns, residual = _jacobian_columns(residuals), residuals.residual.ravel()
+    count = np.diff(start, append=len(residuals.residual)) * residuals.residual.shape[1]
+    unweighted = equations = _accumulate_unweighted(columns, residual, residuals.local_jacobian, count)
+    shift = fit(equations)
     for _ in range(_MAX_REWEIGHTINGS):
-        off = residual + np.einsum("in,in->n", columns, np.repeat(shift.T, count, axis=1))
-        size = _residual_norms(off.reshape(rows.residual.shape))
-        if not np.any(size > HUBER_THRESHOLD):
-            return plain
-        sums = _downweight_outliers(plain, columns, residual, start, size)
-        before, shift = shift, fitted(sums)
-        if np.all(plain.squared_change(shift - before) <= _REWEIGHTING_TOLERANCE**2 * count):
+        about_fit = residual + np.einsum("in,in->n", columns, np.repeat(shift.T, count, axis=1))
+        norm = _residual_norms(about_fit.reshape(residuals.residual.shape))
+        if not np.any(norm > HUBER_THRESHOLD):
+            return unweighted
+        equations = _downweight_outliers(unweighted, columns, residual, start, norm)
+        before, shift = shift, fit(equations)
+        if np.all(unweighted.squared_change(shift - before) <= _REWEIGHTING_TOLERANCE**2 * count):
             break
-    return sums
+    return equations
 
 
-def accumulate_biased(rows: LinearizedResiduals, start: Index, sway: Array) -> ViewNormalEquations:
-    """Sums rows over views, which start at ``start`` (V,): outliers are judged where each view likeliest sways."""
-    spread = _bias_covariance(rows.local_jacobian, sway)
-    return accumulate(rows, start, lambda sums: sums.estimate_bias(spread))
+def accumulate_biased(residuals: LinearizedResiduals, start: Index, variance: Array) -> ViewNormalEquations:
+    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (p,)."""
+    covariance = _bias_covariance(residuals.local_jacobian, variance)
+    return accumulate(residuals, start, lambda equations: equations.estimate_bias(covariance))
 
 
-def _jacobian_columns(rows: LinearizedResiduals) -> Array:
-    """(q, N·k) derivatives of all residuals, one number after the other in memory."""
-    return np.ascontiguousarray(rows.jacobian.reshape(-1, rows.jacobian.shape[-1]).T)
+def _jacobian_columns(residuals: LinearizedResiduals) -> Array:
+    """(q, N·k) derivatives, one column of the Jacobian after the other in memory."""
+    return np.ascontiguousarray(residuals.jacobian.reshape(-1, residuals.jacobian.shape[-1]).T)
 
 
-def _accumulate_unweighted(columns: Array, residual: Array, basis: Array, count: Index) -> ViewNormalEquations:
-    """Sums of derivatives (q, n) and residuals (n,), so many of each view, all of which count in full."""
+def _accumulate_unweighted(
+    columns: Array, residual: Array, local_jacobian: Array, count: Index
+) -> ViewNormalEquations:
+    """Normal equations with unit weights of derivatives (q, n) and residuals (n,), ``count`` (V,) of each view."""
     q = len(columns)
-    core, slope = np.empty((len(count), q, q)), np.empty((len(count), q))
+    JtJ, Jtr = np.empty((len(count), q, q)), np.empty((len(count), q))
     for i in range(q):
         for j in range(i, q):
-            core[:, i, j] = core[:, j, i] = _sum_by_view(columns[i] * columns[j], count)
-        slope[:, i] = _sum_by_view(columns[i] * residual, count)
-    return ViewNormalEquations(core, slope, basis, _sum_by_view(residual**2, count), np.zeros(len(count)), count)
+            JtJ[:, i, j] = JtJ[:, j, i] = _sum_by_view(columns[i] * columns[j], count)
+        Jtr[:, i] = _sum_by_view(columns[i] * residual, count)
+    return ViewNormalEquations(
+        JtJ, Jtr, local_jacobian, _sum_by_view(residual**2, count), np.zeros(len(count)), count
+    )
 
 
 def _downweight_outliers(
-    plain: ViewNormalEquations, columns: Array, residual: Array, start: Index, size: Array
+    unweighted: ViewNormalEquations, columns: Array, residual: Array, start: Index, norm: Array
 ) -> ViewNormalEquations:
-    """The sums with outliers weighed by ``HUBER / size`` instead of in full.
+    """The normal equations with outliers weighted by ``HUBER_THRESHOLD / norm``.
 
     Args:
-        plain: in which all count in full.
+        unweighted: with unit weights.
         columns: (q, N·k) derivatives.
         residual: (N·k,).
-        start: (V,) where views begin.
-        size: (N,) how far off measurements are where they are judged.
+        start: (V,) the first measurement of each view.
+        norm: (N,) of the residuals that decide the weights.
     """
-    outlying = np.flatnonzero(size > HUBER_THRESHOLD)
-    far, k = size[outlying], len(residual) // max(len(size), 1)
-    count = np.bincount(np.searchsorted(start, outlying, side="right") - 1, minlength=len(start))
-    numbers, root = (
-        (k * outlying[:, None] + np.arange(k)).ravel(),
-        np.repeat(np.sqrt(1 - HUBER_THRESHOLD / far), k),
-    )
+    outlier = np.flatnonzero(norm > HUBER_THRESHOLD)
+    far, k = norm[outlier], len(residual) // max(len(norm), 1)
+    count = np.bincount(np.searchsorted(start, outlier, side="right") - 1, minlength=len(start))
+    index = (k * outlier[:, None] + np.arange(k)).ravel()
+    root = np.repeat(np.sqrt(1 - HUBER_THRESHOLD / far), k)
     excess = _accumulate_unweighted(
-        columns[:, numbers] * root, residual[numbers] * root, plain.local_jacobian, k * count
+        columns[:, index] * root, residual[index] * root, unweighted.local_jacobian, k * count
     )
     return replace(
-        plain,
-        JtJ=plain.JtJ - excess.JtJ,
-        Jtr=plain.Jtr - excess.Jtr,
-        squared_residuals=plain.squared_residuals - excess.squared_residuals,
+        unweighted,
+        JtJ=unweighted.JtJ - excess.JtJ,
+        Jtr=unweighted.Jtr - excess.Jtr,
+        squared_residuals=unweighted.squared_residuals - excess.squared_residuals,
         robust_cost_offset=_sum_by_view(0.5 * HUBER_THRESHOLD * (far - HUBER_THRESHOLD), count),
     )
 
 
-def _sum_by_view(numbers: Array, count: Index) -> Array:
-    """(V,) sums of so many of the numbers (n,) each."""
+def _sum_by_view(values: Array, count: Index) -> Array:
+    """(V,) sums of values (n,), ``count`` (V,) of each view."""
     sums, some = np.zeros(len(count)), count > 0
-    sums[some] = np.add.reduceat(numbers, (np.cumsum(count) - count)[some])
+    sums[some] = np.add.reduceat(values, (np.cumsum(count) - count)[some])
     return sums
 
 
 def _residual_norms(residual: Array) -> Array:
-    """(N,) lengths of residuals (N, k)."""
+    """(N,) norms of residuals (N, k)."""
     return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
 
 
-def _bias_covariance(basis: Array, sway: Array) -> Array:
-    """(V, q, q) covariance, in the numbers that measurements depend on, of a displacement with variances (p,)."""
-    return np.asarray((basis * sway) @ np.swapaxes(basis, -1, -2))
+def _bias_covariance(local_jacobian: Array, variance: Array) -> Array:
+    """(V, q, q) covariance of the local parameters for a displacement of the board with variances (p,)."""
+    return np.asarray((local_jacobian * variance) @ np.swapaxes(local_jacobian, -1, -2))
 
 
-def _bias_shrinkage(core: Array, spread: Array) -> Array:
-    """``inv(I + core @ spread)`` (V, q, q)."""
-    return np.asarray(np.linalg.inv(np.eye(core.shape[-1]) + core @ spread))
+def _bias_shrinkage(JtJ: Array, covariance: Array) -> Array:
+    """``inv(I + JtJ @ covariance)`` (V, q, q)."""
+    return np.asarray(np.linalg.inv(np.eye(JtJ.shape[-1]) + JtJ @ covariance))
 
 
 def _matvec(A: Array, x: Array) -> Array:
@@ -230,41 +231,45 @@ def _matvec(A: Array, x: Array) -> Array:
 
 def whitening(information: Array) -> tuple[Array, NDArray[np.bool_]]:
     """``L`` (V, p, p) with ``L @ A @ L.T`` of information A the identity where it is measured, (V, p)."""
-    # Metres and radians do not compare: first to a unit diagonal.
+    # Metres and radians do not compare: scale to a unit diagonal first.
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(information / size[..., :, None] / size[..., None, :])
-    seen = values > _RANK_TOLERANCE * values[..., -1:]
-    root = np.where(seen, values, 1.0) ** -0.5 * seen
-    return root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :], seen
+    measured = values > _RANK_TOLERANCE * values[..., -1:]
+    root = np.where(measured, values, 1.0) ** -0.5 * measured
+    return root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :], measured
 
 
-def consistency_statistic(information: Array, spread: Array, gradient: Array) -> tuple[Array, NDArray[np.intp]]:
-    """How badly views fit the solution that they are part of, for the covariance of what they say.
+def consistency_statistic(
+    information: Array, covariance: Array, gradient: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """Test statistic of each view against the solution that it is part of.
 
     Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
 
     Args:
         information: (V, p, p) A of each view.
-        spread: (V, p, p) covariance P of the solution where the view measures it, the view's own part included.
+        covariance: (V, p, p) P of the solution in the view's parameters, the view's contribution included.
         gradient: (V, p) of each view at the solution; its covariance is A - A P A.
 
     Returns:
-        Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,):
-        directions that other views hardly check do not count.
+        Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,), without
+        directions of negligible redundancy.
     """
-    whiten, seen = whitening(information)
+    whiten, measured = whitening(information)
     forced = whiten @ information
-    redundancy = seen[..., :, None] * np.eye(seen.shape[-1]) - forced @ spread @ np.swapaxes(forced, -1, -2)
-    free, axes = np.linalg.eigh((redundancy + np.swapaxes(redundancy, -1, -2)) / 2)
-    checked = free > _MIN_REDUNDANCY
+    redundancy = measured[..., :, None] * np.eye(measured.shape[-1]) - forced @ covariance @ np.swapaxes(
+        forced, -1, -2
+    )
+    values, axes = np.linalg.eigh((redundancy + np.swapaxes(redundancy, -1, -2)) / 2)
+    checked = values > _MIN_REDUNDANCY
     along = (np.swapaxes(axes, -1, -2) @ whiten @ gradient[..., None])[..., 0]
-    squared = np.sum(checked * along**2 / np.where(checked, free, 1.0), axis=-1)
+    squared = np.sum(checked * along**2 / np.where(checked, values, 1.0), axis=-1)
     return squared, np.asarray(checked.sum(axis=-1), dtype=np.intp)
 
 
 def huber_variance_factor(dimension: int) -> float:
-    """Mean of ``weight * |r|²`` over its degrees of freedom, for Gaussian residuals ``r`` of so many numbers."""
+    """Mean of ``weight * |r|²`` over its degrees of freedom, for Gaussian residuals r of this dimension."""
     d, h = dimension, HUBER_THRESHOLD
     inside = d * chdtr(d + 2, h**2)
     outside = h * np.sqrt(2) * np.exp(gammaln((d + 1) / 2) - gammaln(d / 2)) * chdtrc(d + 1, h**2)

@@ -1,4 +1,4 @@
-"""Poses that are known before anything is measured: softly (priors), or exactly to each other (rigid groups)."""
+"""Priors of poses: of a sensor with a covariance, or exact relative poses (rigid groups)."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,14 +21,14 @@ Row6 = tuple[float, float, float, float, float, float]
 
 
 class PosePrior(StrictModel):
-    """A sensor's pose, and how sure it is."""
+    """The prior of a sensor's pose."""
 
     sensor: str
     T_root_sensor: tuple[Row4, Row4, Row4, Row4]
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
     """Of its error in the root's fixed axes, (translation, rotation), m and rad."""
     source: str
-    """Who says so."""
+    """The file that states it."""
 
 
 class RigidGroup(StrictModel):
@@ -37,10 +37,10 @@ class RigidGroup(StrictModel):
     T_group_sensor: dict[str, tuple[Row4, Row4, Row4, Row4]]
     """By sensor; the frame is that of any of them."""
     source: str
-    """Who says so."""
+    """The file that states it."""
 
     def propagate_pose(self, by: str, T_root_by: Array) -> Iterator[tuple[str, Array]]:
-        """All sensors with their ``T_root_sensor`` (4, 4), if one of them is where it is said to be."""
+        """All sensors with their ``T_root_sensor`` (4, 4), given that of one of them."""
         T_by_group = se3.inverse(np.array(self.T_group_sensor[by]))
         for name, T_group_sensor in self.T_group_sensor.items():
             yield name, T_root_by @ T_by_group @ np.array(T_group_sensor) if name != by else T_root_by
@@ -48,17 +48,17 @@ class RigidGroup(StrictModel):
 
 @dataclass(frozen=True, eq=False)
 class PriorFile:
-    """A file whose poses are priors of all sensors that it knows."""
+    """A file whose poses are priors of all sensors in it."""
 
     poses: ExtrinsicsFile
     stddev: tuple[float, float] | None = None
-    """Of every coordinate of a position (m) and of every rotation (rad), 0 and 0 for a pose that is exact; without
-    them the file's own covariances are taken."""
+    """Of every coordinate of a position (m) and of every rotation (rad), 0 and 0 for exact poses; None for the
+    covariances in the file."""
 
 
 @dataclass(frozen=True)
 class RigidFile:
-    """A file that says how some sensors are fixed to each other."""
+    """A file with exact relative poses of some sensors."""
 
     poses: ExtrinsicsFile
     sensors: tuple[str, ...]
@@ -72,11 +72,10 @@ def frame_id(sensor: str, rig: Rig, captured: CaptureSet) -> str:
 def resolve_prior_poses(
     rig: Rig, captured: CaptureSet, prior: PriorFile | None, rigid: Sequence[RigidFile]
 ) -> tuple[tuple[PosePrior, ...], tuple[RigidGroup, ...]]:
-    """What files say of a rig's sensors, as plain data.
+    """The priors and rigid groups that files state of a rig's sensors.
 
     Raises:
-        InputError: a file does not know a sensor that it has to, does not say how sure it is, or a sensor is fixed
-            to two groups.
+        InputError: a file lacks a required sensor or a covariance, or a sensor is in two groups.
     """
     frames = {name: frame_id(name, rig, captured) for name in rig.sensors}
     groups = [_resolve_group(file.poses, file.sensors, frames) for file in rigid]
@@ -100,24 +99,24 @@ def attach_by_priors(
     priors: Sequence[PosePrior],
     groups: Sequence[RigidGroup],
 ) -> SpanningTree:
-    """The tree with sensors that only what is known beforehand ties to it, and what captures tie to those."""
-    by_group = (
+    """The tree with the sensors that priors or groups connect to it, and those that captures connect to these."""
+    from_groups = (
         (name, by, T)
         for group in groups
         for by in tree.T_root_sensor
         if by in group.T_group_sensor
         for name, T in group.propagate_pose(by, tree.T_root_sensor[by])
     )
-    by_prior = ((prior.sensor, tree.root, np.array(prior.T_root_sensor)) for prior in priors)
-    for name, parent, T in chain(by_group, by_prior):
+    from_priors = ((prior.sensor, tree.root, np.array(prior.T_root_sensor)) for prior in priors)
+    for name, parent, T in chain(from_groups, from_priors):
         if name not in tree.T_root_sensor:
-            further = SpanningTree(tree.root, {**tree.parents, name: parent}, {**tree.T_root_sensor, name: T})
-            return attach_by_priors(grow_tree(further, estimates), estimates, priors, groups)
+            extended = SpanningTree(tree.root, {**tree.parents, name: parent}, {**tree.T_root_sensor, name: T})
+            return attach_by_priors(grow_tree(extended, estimates), estimates, priors, groups)
     return tree
 
 
 def apply_rigid_groups(state: BundleState, names: Sequence[str], groups: Sequence[RigidGroup]) -> BundleState:
-    """The state with sensors of a group as it says: they follow the one that was placed first."""
+    """The state with exact relative poses within groups, from the pose of the first sensor of each."""
     poses = dict(zip(names, state.T_root_sensor, strict=True))
     for group in groups:
         by = next((name for name in names if name in group.T_group_sensor), None)
@@ -127,25 +126,25 @@ def apply_rigid_groups(state: BundleState, names: Sequence[str], groups: Sequenc
 
 
 def with_priors(bundle: Bundle, priors: Sequence[PosePrior], groups: Sequence[RigidGroup]) -> Bundle:
-    """The bundle with what is known of its sensors."""
-    known = tuple(
+    """The bundle with priors and rigid groups of its sensors."""
+    sensor_priors = tuple(
         SensorPrior(
             bundle.sensors.index(p.sensor), np.array(p.T_root_sensor), np.linalg.inv(np.array(p.covariance))
         )
         for p in priors
     )
-    return replace(bundle, body=assign_bodies(bundle.sensors, groups), priors=known)
+    return replace(bundle, body=assign_bodies(bundle.sensors, groups), priors=sensor_priors)
 
 
 def without_priors(bundle: Bundle) -> Bundle:
-    """The bundle with nothing known; sensors that saw no board with another one stay where they start."""
-    tied = np.array([len(views.board) > 0 for views in bundle.views])
-    tied[0] = False
-    return replace(bundle, body=np.where(tied, np.cumsum(tied), 0), priors=())
+    """The bundle without priors and groups; sensors without observations are fixed."""
+    observed = np.array([len(views.board) > 0 for views in bundle.views])
+    observed[0] = False
+    return replace(bundle, body=np.where(observed, np.cumsum(observed), 0), priors=())
 
 
 def assign_bodies(names: Sequence[str], groups: Sequence[RigidGroup]) -> Index:
-    """(S,) number of the rigid body that each sensor is on, in the order of their first sensors."""
+    """(S,) index of each sensor's rigid body, in the order of their first sensors."""
     group_of = {name: i for i, group in enumerate(groups) for name in group.T_group_sensor}
     label = [("group", group_of[name]) if name in group_of else ("sensor", i) for i, name in enumerate(names)]
     number = {body: i for i, body in enumerate(dict.fromkeys(label))}

@@ -1,4 +1,4 @@
-"""The joint problem of a rig: everything that its joint solution is made from."""
+"""The joint problem of a rig: all inputs of its joint solution."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,41 +23,41 @@ class SolverOptions(StrictModel):
     """How to solve a problem."""
 
     estimator: Estimator = "bundle"
-    """All sensors and boards in the units that sensors measure, or the paper's hypergraph."""
+    """The bundle over all sensors and boards, or the paper's hypergraph."""
     keep: MatchFilter = "ransac"
-    """Which matches of two sensors to use: those that agree (ransac), or all (none)."""
+    """Matches of two sensors to use: inliers (ransac), or all (none)."""
     folds: Annotated[int, Field(ge=0)] = 5
-    """In how many parts the captures are left out for cross-validation; 0 for none."""
+    """Folds of the cross-validation over captures; 0 for none."""
     estimate: tuple[Estimable, ...] = ()
-    """What to estimate besides poses: the scanners' range biases, the cameras' intrinsics, the tags' places."""
+    """Parameters to estimate besides poses: range biases of scanners, intrinsics, displacements of tags."""
     priors: tuple[PosePrior, ...] = ()
-    """What is known of sensors' poses beforehand."""
+    """Priors of sensors' poses."""
     groups: tuple[RigidGroup, ...] = ()
-    """Sensors that are fixed to each other as stated."""
+    """Sensors with exact relative poses."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What the sensors of a rig saw, and where a joint solution of their poses starts.
+    """The detections of a rig's sensors, and the start values of a joint solution.
 
     :func:`calgraph.estimation.save_problem` keeps it to the last bit.
     """
 
     rig: Rig
     captured: CaptureSet
-    """All detections, and why others are missing."""
+    """All detections, and the reasons for missing ones."""
     pairs: PairwiseEstimates
-    """Estimate, or the reason why there is none, by pair of sensors."""
+    """By pair of sensors, the estimate or why it was rejected."""
     tree: SpanningTree
-    """What is connected to the root, and the start poses."""
+    """The sensors connected to the root, and their start poses."""
     solver: SolverOptions
 
 
 def with_prior_poses(problem: Problem, prior: PriorFile | None, rigid: Sequence[RigidFile]) -> Problem:
-    """The problem with what files say of the poses in place of what was known of them, where there is any.
+    """The problem with priors and rigid groups from files instead of those that it has, if any are given.
 
     Raises:
-        InputError: as :func:`known_poses` does.
+        InputError: as :func:`resolve_prior_poses` does.
     """
     if prior is None and not rigid:
         return problem
@@ -66,10 +66,10 @@ def with_prior_poses(problem: Problem, prior: PriorFile | None, rigid: Sequence[
 
 
 def check_problem(problem: Problem) -> None:
-    """Refuses a problem whose parts do not fit together, as one that another program wrote may be.
+    """Checks the consistency of a problem, which another program may have written.
 
     Raises:
-        InputError: saying what does not fit.
+        InputError: naming the inconsistent part.
     """
     captured, tree, sensors = problem.captured, problem.tree, problem.rig.sensors
     if set(captured.detections) != set(sensors) or set(captured.frames) != set(sensors):
@@ -82,17 +82,17 @@ def check_problem(problem: Problem) -> None:
     if {tree.root, *tree.parents} != set(tree.T_root_sensor) or tree.root in tree.parents:
         raise InputError(f"parents: must be given for all sensors in the tree but its root {tree.root}")
     for hold in captured.holds:
-        for name, seen in captured.detections.items():
-            if hold.index not in seen and (hold.index, name) not in captured.rejections:
+        for name, by_capture in captured.detections.items():
+            if hold.index not in by_capture and (hold.index, name) not in captured.rejections:
                 raise InputError(f"misses: must say why {name} has no detection in capture {hold.index}")
     for estimate in select_successful(problem.pairs):
         _check_matches(estimate, captured.detections)
 
 
-def _check_names(what: str, names: Iterable[str], known: Iterable[str]) -> None:
-    unknown = set(names) - set(known)
+def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> None:
+    unknown = set(names) - set(allowed)
     if unknown:
-        raise InputError(f"{what}: must be among {', '.join(known)}, got {', '.join(sorted(unknown))}")
+        raise InputError(f"{what}: must be among {', '.join(allowed)}, got {', '.join(sorted(unknown))}")
 
 
 def _check_matches(estimate: PairwiseEstimate, detections: Mapping[str, Candidates]) -> None:
@@ -100,9 +100,9 @@ def _check_matches(estimate: PairwiseEstimate, detections: Mapping[str, Candidat
     if not len(estimate.matches) == len(estimate.inliers) == len(estimate.residuals):
         raise InputError(f"estimates: matches, inliers and residuals of {pair} must be as many")
     for name, column in ((estimate.sensor_a, 1), (estimate.sensor_b, 2)):
-        seen = detections[name]
+        by_capture = detections[name]
         for capture, candidate in estimate.matches[:, [0, column]].tolist():
-            if not 0 <= candidate < len(seen.get(capture, ())):
+            if not 0 <= candidate < len(by_capture.get(capture, ())):
                 raise InputError(
                     f"estimates/matches: of {pair} name detection {candidate} of {name} in capture {capture}, "
                     "which does not exist"

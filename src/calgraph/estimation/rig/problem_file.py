@@ -1,4 +1,4 @@
-"""A problem in one file, from which it is solved again to the last bit; docs/formats.md describes its members."""
+"""Reading and writing a problem, to the last bit; docs/formats.md describes the file's members."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -66,21 +66,21 @@ class _Miss(StrictModel):
 class _Pair(StrictModel):
     sensors: tuple[str, str]
     rejected: str | None = None
-    """Why there is no estimate; pairs without it are in the order of the rows of the estimates' table."""
+    """Why there is no estimate; pairs without it are in the order of the rows of the table of estimates."""
 
 
 class _Structure(StrictModel):
-    """The JSON member: all that is not numbers."""
+    """The JSON member: everything but arrays."""
 
     format: str
     rig: Rig
     solver: SolverOptions
     sensors: tuple[str, ...]
-    """Names; the tables count sensors in this order."""
+    """Names; tables refer to sensors by their index here."""
     start: float
     frames: dict[str, str]
     cameras: dict[str, Literal["pinhole", "fisheye"]]
-    """Model by name; in the order of the rows of the cameras' table."""
+    """Model by name; in the order of the rows of the table of cameras."""
     misses: tuple[_Miss, ...]
     pairs: tuple[_Pair, ...]
     parents: dict[str, str]
@@ -88,7 +88,7 @@ class _Structure(StrictModel):
 
 
 def save_problem(problem: Problem, path: Path) -> None:
-    """Writes everything of a problem, to the last bit, in one step.
+    """Writes a problem, to the last bit, in one step.
 
     Raises:
         InputError: ``path`` cannot be written.
@@ -101,8 +101,8 @@ def load_problem(path: Path) -> Problem:
     """Reads what :func:`save_problem` wrote.
 
     Raises:
-        InputError: the file is missing, is no problem, has another version, is truncated or damaged, or what it
-            says does not fit together; the message names the member and what would be right.
+        InputError: the file is missing, is no problem, has another version, is truncated, damaged or inconsistent;
+            the message names the member and the allowed values.
     """
     content, arrays = read_archive(path, _STRUCTURE, FORMAT)
     structure = validate_content(_Structure, content, path / _STRUCTURE)
@@ -115,10 +115,9 @@ def load_problem(path: Path) -> Problem:
 
 
 def round_trip(problem: Problem) -> Problem:
-    """The problem as it will come back from a file.
+    """The problem as read back from a file.
 
-    The values are the same; but how an array lies in memory may decide the last bit of what is computed from it.
-    Snapshots, of which nothing is computed, are kept.
+    Values are equal, but the memory layout of arrays may change the last bit of results. Snapshots are kept.
     """
     content, arrays = _encode(problem)
     again = _decode(_Structure.model_validate(content), arrays)
@@ -190,7 +189,7 @@ def _holds(sensors: Sequence[str], arrays: Arrays) -> tuple[Hold, ...]:
         if not 0 <= row["hold"] < len(holds):
             raise InputError(f"stamps/hold: must be below the {len(holds)} holds, got {row['hold']}")
         stamps[row["hold"]][row["sensor"]] = row["stamps"]
-    return tuple(replace(hold, stamps=own) for hold, own in zip(holds, stamps, strict=True))
+    return tuple(replace(hold, stamps=by_sensor) for hold, by_sensor in zip(holds, stamps, strict=True))
 
 
 def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, tuple[Detection, ...]]]:
@@ -220,8 +219,8 @@ def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:
 
 
 def _pairs(structure: _Structure, arrays: Arrays) -> PairwiseEstimates:
-    known = sum(pair.rejected is None for pair in structure.pairs)
-    rows = iter(_unpack_exactly(_ESTIMATES, arrays, known, "pairs that are not rejected"))
+    estimate_count = sum(pair.rejected is None for pair in structure.pairs)
+    rows = iter(_unpack_exactly(_ESTIMATES, arrays, estimate_count, "pairs that are not rejected"))
     return {
         pair.sensors: _estimate(pair.sensors, **next(rows)) if pair.rejected is None else Rejected(pair.rejected)
         for pair in structure.pairs

@@ -1,4 +1,4 @@
-"""What a joint estimator found, whichever it was."""
+"""Results of the joint estimators of a rig."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,20 +12,20 @@ from calgraph.result import EstimatedParameter
 
 @dataclass(frozen=True)
 class MeasuredNoise:
-    """How large a sensor's errors are, as its measurements scatter."""
+    """Estimated variance components of a sensor."""
 
     scale: float
     """Standard deviation of single measurements, over that stated in rig.yaml."""
     view_bias: float
-    """Standard deviation of the displacement that all measurements of one view share, m."""
+    """Standard deviation of the view bias, a displacement common to all measurements of one view, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedBundle:
-    """A solved bundle, for whoever asks it more: how well it predicts, what a further board would tell."""
+    """A solved bundle, from which diagnostics are computed."""
 
     bundle: Bundle
-    """With the noise that was measured, and without the views that were wrong."""
+    """With the estimated noise, and without outlier views."""
     minimized: MinimizedBundle
     captures: Index
     """(C,) the capture of each board."""
@@ -42,20 +42,20 @@ class RigSolution:
     """(S·6, S·6) of all poses' errors in the root's fixed axes, in the order of ``T_root_sensor``; zero for the
     root."""
     residuals: Mapping[str, Array]
-    """Whitened residuals by what was measured."""
+    """Whitened residuals by sensor, or by kind of edge."""
     converged: bool
     remarks: tuple[str, ...] = ()
-    """What was seen and yet not used, and why."""
+    """Observations that were not used, with the reason."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
-    """By capture and sensor, why what it saw was left out although it agreed with another sensor."""
+    """By capture and sensor, why a detection was rejected although it was an inlier of a pair."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
-    """By sensor, where it was measured."""
+    """By sensor, where it was estimated."""
     graph_error: float = float("nan")
     """Sum of squared errors over all of a hypergraph's edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
     extra_parameters: tuple[EstimatedParameter, ...] = ()
-    """What was estimated besides poses."""
+    """Parameters estimated besides poses."""
     solved_bundle: SolvedBundle | None = None
-    """What the bundle ended with; None for other estimators, and where no two sensors share a board."""
+    """The bundle's solution; None for other estimators, and where no two sensors share a board."""
 
     @property
     def covariance(self) -> dict[str, Array]:
