@@ -1,4 +1,4 @@
-"""Extending a network: the algebra of the prior, scanners that only the earlier calibration has, moved ones."""
+"""Extension of a network: prior, scanners that only the earlier calibration has, and moved scanners."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from calgraph.geometry import Array, se2
 from known_networks import calibration, four_scanners
 
 
-def test_the_prior_pulls_as_its_cost_says() -> None:
+def test_the_gradient_of_the_prior_equals_finite_differences() -> None:
     rng = np.random.default_rng(0)
     poses = four_scanners(rng)
     prior = build_scanner_prior(poses, ("a", "x", "c", "b"))
@@ -30,7 +30,7 @@ def test_the_prior_pulls_as_its_cost_says() -> None:
 
 
 def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:
-    """How the gradient changes along one column."""
+    """The derivative of the gradient by one unknown."""
     slopes = []
     for sign in (1, -1):
         step = sign * 1e-6 * np.eye(16)[column].reshape(4, 4)
@@ -40,8 +40,8 @@ def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:
     return np.asarray((slopes[0] - slopes[1]) / 2e-6)
 
 
-def test_errors_of_kept_scanners_go_together_with_those_found_anew() -> None:
-    """Linear theory by sampling: b and c are measured again, d is kept; 4,000 draws tell covariances to 10 %."""
+def test_errors_of_kept_and_estimated_scanners_are_correlated() -> None:
+    """Linear theory by sampling: b and c are measured again, d is kept; 4,000 samples."""
     rng = np.random.default_rng(3)
     poses = four_scanners(rng)
     prior = build_scanner_prior(poses, ("a", "b", "c"))
@@ -60,7 +60,7 @@ def test_errors_of_kept_scanners_go_together_with_those_found_anew() -> None:
     np.testing.assert_allclose(sampled / np.outer(size, size), together / np.outer(size, size), atol=0.1)
 
 
-def test_a_kept_scanner_stays_where_it_was_and_says_so() -> None:
+def test_a_kept_scanner_keeps_its_pose_with_a_remark() -> None:
     poses = four_scanners(np.random.default_rng(3))
     found = calibration(poses.select(("a", "b", "c")))
     both = merge_calibrations(found, calibration(poses), build_scanner_prior(poses, ("a", "b", "c")))
@@ -69,7 +69,7 @@ def test_a_kept_scanner_stays_where_it_was_and_says_so() -> None:
     assert "earlier calibration" in both["d"].verdict.reason
 
 
-def test_a_scanner_that_moved_is_forgotten_and_what_hung_from_it_hangs_from_the_root() -> None:
+def test_children_of_a_removed_scanner_get_the_root_as_parent() -> None:
     old = remove_scanners(calibration(four_scanners(np.random.default_rng(0))), ("c",))
     assert [(sensor.name, sensor.parent) for sensor in old.sensors] == [("a", None), ("b", "a"), ("d", "a")]
     assert old.joint_covariance is not None
@@ -81,7 +81,7 @@ def test_another_root_is_refused() -> None:
         extract_earlier_poses(calibration(four_scanners(np.random.default_rng(0))), "b")
 
 
-@pytest.mark.parametrize(("name", "said"), [("a", "is the root"), ("z", "z is not in what is extended")])
-def test_what_cannot_be_forgotten_is_refused(name: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+@pytest.mark.parametrize(("name", "message"), [("a", "is the root"), ("z", "z is not in what is extended")])
+def test_root_and_unknown_scanners_cannot_be_removed(name: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         remove_scanners(calibration(four_scanners(np.random.default_rng(0))), (name,))

@@ -1,4 +1,4 @@
-"""Who has moved: the fewest scanners that explain a difference, and none where chance explains it."""
+"""Detection of moved scanners: which, how far, and the rate of false alarms."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ CHANCE = 1e-3
 NAMES = ("a", "b", "c", "d", "e", "f")
 
 
-def network(rng: np.random.Generator, count: int = 6) -> PlanarPoses:
-    """Poses some metres apart, known to millimetres, errors correlated."""
+def random_network(rng: np.random.Generator, count: int = 6) -> PlanarPoses:
+    """Poses some metres apart, with correlated errors of millimetres."""
     T = se2.pose(rng.uniform(-3, 3, count), rng.uniform(-6, 6, (count, 2)))
     T[0] = np.eye(3)
     mixed = rng.normal(0, 1, (3 * count, 3 * count)) * np.tile([2e-3, 2e-3, 3e-4], count)[:, None] / 4
@@ -21,71 +21,73 @@ def network(rng: np.random.Generator, count: int = 6) -> PlanarPoses:
     return PlanarPoses(NAMES[:count], T, spread)
 
 
-def again(poses: PlanarPoses, rng: np.random.Generator, moved: dict[int, Array] | None = None) -> PlanarPoses:
-    """The same poses as another recording finds them, some moved by a step in the root's axes."""
+def measure_again(
+    poses: PlanarPoses, rng: np.random.Generator, moved: dict[int, Array] | None = None
+) -> PlanarPoses:
+    """The poses estimated from another recording, some of them moved by a step in the root's axes."""
     T = poses.T_root_scanner.copy()
     for node, step in (moved or {}).items():
         T[node] = se2.retract(T[node], step)
     T = se2.inverse(T[0]) @ T
     spread = 2 * poses.covariance
     error = rng.multivariate_normal(np.zeros(len(spread)), spread).reshape(-1, 3)
-    # Both recordings err: the one at hand is given all of it.
+    # The error of both recordings is added to one of them.
     return PlanarPoses(poses.names, se2.retract(T, error), poses.covariance)
 
 
-def test_a_network_that_stayed_is_called_moved_as_often_as_stated() -> None:
-    """600 networks at 5 %: 30 false alarms, give or take 16 (three standard deviations)."""
+def test_the_false_alarm_probability_is_as_stated() -> None:
+    """600 networks at 5 %: 30 false alarms, with three standard deviations of 16."""
     alarms = 0
     for seed in range(600):
         rng = np.random.default_rng(seed)
-        before = network(rng)
-        alarms += bool(find_moved_scanners(before, again(before, rng), 0.05)[1])
+        before = random_network(rng)
+        alarms += bool(find_moved_scanners(before, measure_again(before, rng), 0.05)[1])
     assert abs(alarms - 30) < 17
 
 
 @pytest.mark.parametrize("node", range(6))
 @pytest.mark.parametrize("step", [(0.03, 0, 0), (0, 0, np.radians(0.5))])
-def test_the_scanner_that_moved_is_named_and_no_other(node: int, step: tuple[float, float, float]) -> None:
+def test_only_the_moved_scanner_is_named(node: int, step: tuple[float, float, float]) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        before = network(rng)
-        still, moved = find_moved_scanners(before, again(before, rng, {node: np.array(step)}), CHANCE)
+        before = random_network(rng)
+        reference, moved = find_moved_scanners(before, measure_again(before, rng, {node: np.array(step)}), CHANCE)
         assert [one.name for one in moved] == [NAMES[node]], seed
-        assert still == ("b" if node == 0 else "a")
+        assert reference == ("b" if node == 0 else "a")
 
 
-def test_the_distance_and_turn_are_those_of_the_scanner() -> None:
+def test_distance_and_rotation_equal_the_displacement() -> None:
     rng = np.random.default_rng(4)
-    before = network(rng)
-    _, (moved,) = find_moved_scanners(before, again(before, rng, {2: np.array([0.3, -0.4, 0.1])}), CHANCE)
+    before = random_network(rng)
+    _, (moved,) = find_moved_scanners(before, measure_again(before, rng, {2: np.array([0.3, -0.4, 0.1])}), CHANCE)
     assert moved.distance == pytest.approx(0.5, abs=0.02)
     assert moved.rotation == pytest.approx(0.1, abs=0.003)
 
 
-def test_two_that_moved_are_named_even_if_one_is_the_root() -> None:
+def test_two_moved_scanners_are_named_even_if_one_is_the_root() -> None:
     steps = {0: np.array([0.05, 0, 0.02]), 3: np.array([0, 0.05, 0])}
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        before = network(rng)
-        assert [one.name for one in find_moved_scanners(before, again(before, rng, steps), CHANCE)[1]] == [
+        before = random_network(rng)
+        assert [one.name for one in find_moved_scanners(before, measure_again(before, rng, steps), CHANCE)[1]] == [
             "a",
             "d",
         ]
 
 
-def test_of_two_scanners_the_one_that_is_not_the_root_is_taken_to_have_moved() -> None:
+def test_of_two_scanners_the_root_is_assumed_to_have_stayed() -> None:
     rng = np.random.default_rng(0)
-    before = network(rng, 2)
-    after = again(before, rng, {0: np.array([0.1, 0, 0])})
-    still, moved = find_moved_scanners(before, after, CHANCE)
-    assert (still, [one.name for one in moved]) == ("a", ["b"])
+    before = random_network(rng, 2)
+    after = measure_again(before, rng, {0: np.array([0.1, 0, 0])})
+    reference, moved = find_moved_scanners(before, after, CHANCE)
+    assert (reference, [one.name for one in moved]) == ("a", ["b"])
 
 
-def test_a_network_of_one_has_not_moved() -> None:
+def test_a_network_of_one_scanner_has_not_moved() -> None:
     assert find_displaced_nodes(np.eye(3)[None], np.zeros((1, 3)), np.zeros((3, 3)), CHANCE) == ()
 
 
-def test_three_of_thirty_are_found_though_not_all_sets_are_tried() -> None:
+def test_three_of_thirty_are_found_by_the_incremental_search() -> None:
     rng = np.random.default_rng(1)
     count = 30
     T = se2.pose(rng.uniform(-3, 3, count), rng.uniform(-20, 20, (count, 2)))

@@ -1,4 +1,4 @@
-"""What became of walks: seen by two scanners or why not, how far apart, and where on the floor."""
+"""Capture rows of walks, residuals between scanners, and floor plans."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,14 @@ START = 1000.0
 SIGMA = 0.02
 
 
-def walk(begin: float, end: float, y: float) -> Array:
+def simulate_walk(begin: float, end: float, y: float) -> Array:
     """(T, 3) times, s, and positions in the root frame, m: along x at 1 m/s."""
     times = START + np.arange(begin, end, 0.05)
     return np.column_stack([times, times - START, np.full(len(times), y)])
 
 
-def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> ScannerTracks:
-    """What a scanner knows of walks in the root frame, with as much noise as it states."""
+def build_tracks(name: str, walks: list[Array], rng: np.random.Generator) -> ScannerTracks:
+    """Tracks of walks given in the root frame, with noise of the stated covariance."""
     T_scanner_root = se2.inverse(T_ROOT[name])
     tracks = tuple(
         Track(
@@ -44,11 +44,13 @@ def tracked(name: str, walks: list[Array], rng: np.random.Generator) -> ScannerT
 
 @pytest.fixture
 def samples(rng: np.random.Generator) -> dict[str, TrackSamples]:
-    """West sees three walks: one that east sees too, one far from what east sees meanwhile, one on its own."""
+    """Three walks of west: shared with east, at a distance from a person in east, and alone."""
     return {
-        "west": resample_tracks(tracked("west", [walk(0, 4, 0), walk(5, 9, 0), walk(10, 14, 0)], rng)),
-        "east": resample_tracks(tracked("east", [walk(1, 4.5, 0), walk(5, 9, 3)], rng)),
-        "north": resample_tracks(tracked("north", [walk(0, 4, 0)], rng)),
+        "west": resample_tracks(
+            build_tracks("west", [simulate_walk(0, 4, 0), simulate_walk(5, 9, 0), simulate_walk(10, 14, 0)], rng)
+        ),
+        "east": resample_tracks(build_tracks("east", [simulate_walk(1, 4.5, 0), simulate_walk(5, 9, 3)], rng)),
+        "north": resample_tracks(build_tracks("north", [simulate_walk(0, 4, 0)], rng)),
     }
 
 
@@ -59,15 +61,15 @@ def rows_of(name: str, samples: dict[str, TrackSamples], connected: tuple[str, .
     ]
 
 
-def test_a_walk_that_another_scanner_sees_is_used(samples: dict[str, TrackSamples]) -> None:
+def test_a_shared_walk_is_used(samples: dict[str, TrackSamples]) -> None:
     shared = rows_of("west", samples, ("west", "east"))[0]
     assert (shared.used, shared.reason) == (True, "")
     assert shared.residual is not None
-    # Two scanners err along two axes each; 29 such distances give that to within a quarter.
+    # Noise of two scanners along two axes; the RMS of 29 distances is accurate to a quarter.
     assert 1.5 * SIGMA < shared.residual < 2.5 * SIGMA
 
 
-def test_a_walk_that_no_one_else_sees_says_why(samples: dict[str, TrackSamples]) -> None:
+def test_a_walk_of_one_scanner_is_rejected_with_a_reason(samples: dict[str, TrackSamples]) -> None:
     rows = rows_of("west", samples, ("west", "east"))
     assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
         (False, "other scanners saw somebody meanwhile, but not within 0.5 m of it", None),
@@ -75,15 +77,15 @@ def test_a_walk_that_no_one_else_sees_says_why(samples: dict[str, TrackSamples])
     ]
 
 
-def test_walks_of_a_scanner_without_a_pose_are_not_used(samples: dict[str, TrackSamples]) -> None:
+def test_walks_of_an_unconnected_scanner_are_rejected(samples: dict[str, TrackSamples]) -> None:
     (row,) = rows_of("north", samples, ("west", "east"))
     assert (row.used, row.reason) == (False, "its scanner is not connected to the root")
 
 
-def test_a_glimpse_is_not_enough(rng: np.random.Generator) -> None:
+def test_a_short_overlap_is_rejected(rng: np.random.Generator) -> None:
     samples = {
-        "west": resample_tracks(tracked("west", [walk(0, 4, 0)], rng)),
-        "east": resample_tracks(tracked("east", [walk(2, 2.35, 0)], rng)),
+        "west": resample_tracks(build_tracks("west", [simulate_walk(0, 4, 0)], rng)),
+        "east": resample_tracks(build_tracks("east", [simulate_walk(2, 2.35, 0)], rng)),
     }
     (row,) = rows_of("west", samples, ("west", "east"))
     assert (row.used, row.reason) == (False, "another scanner saw it for less than 0.5 s")
@@ -101,27 +103,30 @@ def test_walks_are_numbered_in_order_of_time(samples: dict[str, TrackSamples]) -
     assert [row.start for row in rows] == sorted(row.start for row in rows)
 
 
-def test_residuals_are_as_large_as_tracks_say() -> None:
-    """Squared residuals of 40 seeds, 60 each: their mean is farther from 1 than 0.12 once in 10,000 times."""
+def test_whitened_residuals_have_unit_variance() -> None:
+    """Squared residuals of 40 seeds, 60 each: the mean deviates from 1 by 0.12 with a probability of 1e-4."""
     chi2 = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        samples = {n: resample_tracks(tracked(n, [walk(0, 3, 0)], rng)) for n in ("west", "east")}
+        samples = {n: resample_tracks(build_tracks(n, [simulate_walk(0, 3, 0)], rng)) for n in ("west", "east")}
         chi2.append(float(np.mean(match_across_scanners(samples, T_ROOT).residuals ** 2)))
     assert abs(np.mean(chi2) - 1) < 0.12
 
 
-def test_scanners_that_saw_nobody_meet_nobody(rng: np.random.Generator) -> None:
-    samples = {n: resample_tracks(tracked(n, [], rng)) for n in T_ROOT}
-    meeting = match_across_scanners(samples, T_ROOT)
-    assert meeting.residuals.shape == (0, 2)
-    assert build_walk_rows(samples, meeting, START) == ()
+def test_without_tracks_there_are_no_matches(rng: np.random.Generator) -> None:
+    samples = {n: resample_tracks(build_tracks(n, [], rng)) for n in T_ROOT}
+    matches = match_across_scanners(samples, T_ROOT)
+    assert matches.residuals.shape == (0, 2)
+    assert build_walk_rows(samples, matches, START) == ()
 
 
-def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator) -> None:
-    known = {"east": tracked("east", [walk(0, 4, 1.5)], rng), "north": tracked("north", [], rng)}
+def test_the_floor_plan_is_in_the_root_frame(rng: np.random.Generator) -> None:
+    tracked = {
+        "east": build_tracks("east", [simulate_walk(0, 4, 1.5)], rng),
+        "north": build_tracks("north", [], rng),
+    }
     views = build_floor_views(
-        known, {n: resample_tracks(t) for n, t in known.items()}, {"east": T_ROOT["east"]}, start=0.0
+        tracked, {n: resample_tracks(t) for n, t in tracked.items()}, {"east": T_ROOT["east"]}, start=0.0
     )
     (view,) = views
     (line,) = view.tracks
@@ -130,10 +135,10 @@ def test_the_floor_shows_walls_and_walks_where_they_are(rng: np.random.Generator
     np.testing.assert_allclose(line[:, 1], 1.5, atol=5 * SIGMA)
 
 
-def test_the_floor_of_a_long_recording_stays_small(rng: np.random.Generator) -> None:
-    hour = np.concatenate([walk(0, 3600, 0)])
+def test_the_floor_plan_of_a_long_recording_is_thinned(rng: np.random.Generator) -> None:
+    hour = np.concatenate([simulate_walk(0, 3600, 0)])
     hour[:, 1] = 5 + 5 * np.sin(hour[:, 1])
-    known = tracked("west", [hour], rng)
-    (view,) = build_floor_views({"west": known}, {"west": resample_tracks(known)}, T_ROOT, start=0.0)
+    tracked = build_tracks("west", [hour], rng)
+    (view,) = build_floor_views({"west": tracked}, {"west": resample_tracks(tracked)}, T_ROOT, start=0.0)
     assert sum(map(len, view.tracks)) <= 30_000
     assert len(view.background) < 400

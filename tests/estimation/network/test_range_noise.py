@@ -1,4 +1,4 @@
-"""How noisy ranges are, told by beams on bodies."""
+"""Estimates of the range noise from residuals at bodies."""
 
 from dataclasses import replace
 
@@ -12,53 +12,53 @@ from calgraph.estimation.network.scan_equations import compute_tukey_weights
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array
-from network_scenes import OFFSET, SIGMA, T_ROOT, glimpses
+from network_scenes import OFFSET, SIGMA, T_ROOT, simulate_scans
 
-STATED = np.array([0.013])
+BACKGROUND = np.array([0.013])
 
 
-def followed(seconds: float, rng: np.random.Generator) -> tuple[NetworkProblem, NetworkState]:
-    """A body that one scanner sees, and the path that fits best: it has few beams to follow."""
+def simulate_solution(seconds: float, rng: np.random.Generator) -> tuple[NetworkProblem, NetworkState]:
+    """A body in the view of one scanner, and its best path, which has few beams per control point."""
     knots = Knots.spanning(-0.5, seconds + 0.5, 0.2)
     t = 0.9 * knots.control_times()
     path = np.column_stack([3 + 1.4 * np.sin(t), 2.2 + 0.9 * np.sin(1.5 * t + 0.4), t])
-    motion = BodyPath(path, np.array([0.25, 0.15]))
-    seen = glimpses(0, knots, motion, np.arange(0.05, seconds, 0.08), rng)
-    body = BodyObservations(knots, (seen,), motion.radii, 0.1 * motion.radii, faces_forward=False)
+    body_path = BodyPath(path, np.array([0.25, 0.15]))
+    scans = simulate_scans(0, knots, body_path, np.arange(0.05, seconds, 0.08), rng)
+    body = BodyObservations(knots, (scans,), body_path.radii, 0.1 * body_path.radii, faces_forward=False)
     network = NetworkProblem(1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0)
-    state = NetworkState(T_ROOT[:1], OFFSET[:1], (motion,))
+    state = NetworkState(T_ROOT[:1], OFFSET[:1], (body_path,))
     for _ in range(6):
-        network = replace(network, bodies=(weighed(body, state),))
+        network = replace(network, bodies=(update_weights(body, state),))
         state, _ = optimize_network(network, state)
     return network, state
 
 
-def weighed(body: BodyObservations, state: NetworkState) -> BodyObservations:
-    """The body with weights of beams about its path."""
-    (motion,), (seen,) = state.paths, body.scans
-    at = np.repeat(seen.times - OFFSET[seen.scanner], np.diff(seen.first_beam, append=len(seen.ranges)))
-    pose, T = evaluate_spline(motion.control, *body.knots.basis_at(at)[:2]), T_ROOT[seen.scanner]
-    hits = raycast_ellipses(T[:2, 2], seen.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], motion.radii)
-    weight = compute_tukey_weights((hits.ranges - seen.ranges) / SIGMA, hits.not_grazing)
-    return replace(body, scans=(replace(seen, weight=weight),))
+def update_weights(body: BodyObservations, state: NetworkState) -> BodyObservations:
+    """The body with robust weights about its path."""
+    (body_path,), (scans,) = state.paths, body.scans
+    at = np.repeat(scans.times - OFFSET[scans.scanner], np.diff(scans.first_beam, append=len(scans.ranges)))
+    pose, T = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2]), T_ROOT[scans.scanner]
+    hits = raycast_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.radii)
+    weight = compute_tukey_weights((hits.ranges - scans.ranges) / SIGMA, hits.not_grazing)
+    return replace(body, scans=(replace(scans, weight=weight),))
 
 
-def measured(network: NetworkProblem, state: NetworkState) -> Array:
-    return estimate_range_noise(network, state, linearize_network(network, state), STATED)
+def estimate(network: NetworkProblem, state: NetworkState) -> Array:
+    return estimate_range_noise(network, state, linearize_network(network, state), BACKGROUND)
 
 
-def test_noise_is_measured_though_paths_follow_it(rng: np.random.Generator) -> None:
-    # One body's median over 20 s is right to 2.5 %, one standard deviation; uncorrected, it comes to 0.87.
-    found = [measured(*followed(20.0, rng))[0] / SIGMA for _ in range(10)]
-    assert np.mean(found) == pytest.approx(1, abs=0.03)
+def test_noise_is_unbiased_in_spite_of_leverage(rng: np.random.Generator) -> None:
+    # The standard deviation of one estimate from 20 s is 2.5 %; without the correction, the mean is 0.87.
+    ratios = [estimate(*simulate_solution(20.0, rng))[0] / SIGMA for _ in range(10)]
+    assert np.mean(ratios) == pytest.approx(1, abs=0.03)
 
 
-def test_scanners_that_see_next_to_nothing_are_as_noisy_as_their_background(rng: np.random.Generator) -> None:
-    network, state = followed(2.0, rng)
-    np.testing.assert_array_equal(measured(network, state), STATED)
+def test_with_few_beams_the_noise_is_that_of_the_background(rng: np.random.Generator) -> None:
+    network, state = simulate_solution(2.0, rng)
+    np.testing.assert_array_equal(estimate(network, state), BACKGROUND)
 
 
-def test_ranges_without_noise_are_not_believed_to_have_none(rng: np.random.Generator) -> None:
-    network, state = followed(20.0, rng)
-    stated = np.array([3 * SIGMA])
-    assert estimate_range_noise(network, state, linearize_network(network, state), stated) == 0.5 * stated
+def test_noise_is_at_least_half_of_the_background(rng: np.random.Generator) -> None:
+    network, state = simulate_solution(20.0, rng)
+    background = np.array([3 * SIGMA])
+    assert estimate_range_noise(network, state, linearize_network(network, state), background) == 0.5 * background

@@ -1,4 +1,4 @@
-"""Equations of paths, whose control points depend on the three next to them only."""
+"""Covariances of paths from their banded equations."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def equations(count: int, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("count", [4, 5, 6, 40])
-def test_covariances_of_a_path_are_those_of_the_whole_inverse(count: int, rng: np.random.Generator) -> None:
+def test_path_covariances_equal_the_dense_inverse(count: int, rng: np.random.Generator) -> None:
     band, full = equations(count, rng)
     inverse = np.zeros((count, 3, count + 3, 3))
     inverse[:, :, :count] = np.linalg.inv(full).reshape(count, 3, count, 3)

@@ -1,4 +1,4 @@
-"""Curves in time: they keep sums, know their slopes, and reproduce what cubics can."""
+"""Cubic B-splines: partition of unity, derivatives, and exact reproduction of cubics."""
 
 import numpy as np
 import pytest
@@ -25,12 +25,12 @@ def test_weights_are_never_negative() -> None:
     assert KNOTS.basis_at(TIMES)[1].min() > -1e-12
 
 
-def test_slopes_add_up_to_zero() -> None:
+def test_derivative_weights_add_up_to_zero() -> None:
     _, _, slopes = KNOTS.basis_at(TIMES)
     np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-12)
 
 
-def test_slopes_are_the_derivative(rng: np.random.Generator) -> None:
+def test_derivative_weights_equal_finite_differences(rng: np.random.Generator) -> None:
     control, step = rng.normal(size=(KNOTS.count, 2)), 1e-5
     inside = TIMES[1:-1]
     ahead, behind = (evaluate_spline(control, *KNOTS.basis_at(inside + off)[:2]) for off in (step, -step))
@@ -38,7 +38,7 @@ def test_slopes_are_the_derivative(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(evaluate_spline(control, first, slopes), (ahead - behind) / (2 * step), atol=1e-7)
 
 
-def test_slopes_do_not_jump_at_knots(rng: np.random.Generator) -> None:
+def test_derivatives_are_continuous_at_knots(rng: np.random.Generator) -> None:
     control = rng.normal(size=(KNOTS.count, 2))
     knots = np.linspace(3.2, 7.8, 24)
     (first, _, before), (second, _, after) = KNOTS.basis_at(knots - 1e-9), KNOTS.basis_at(knots + 1e-9)
@@ -59,7 +59,7 @@ def test_a_cubic_is_reproduced(slope: bool) -> None:
     )
 
 
-def test_there_are_knots_for_the_shortest_of_curves() -> None:
+def test_a_curve_without_duration_has_four_control_points() -> None:
     assert Knots.spanning(1.0, 1.0, 0.2).count == 4
 
 
