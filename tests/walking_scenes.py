@@ -1,4 +1,4 @@
-"""A small world for trackers: a room with a pillar, and ellipses that walk through it, seen beam by beam."""
+"""Simulated scans for trackers: a room with a pillar, and ellipses that walk through it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from calgraph.sensors import LaserScan
 Walk = Callable[[Array], Array]
 
 
-def along(waypoints: list[tuple[float, float]], speed: float = 1.2, begin: float = 0.0) -> Walk:
-    """A walk with rounded corners from waypoint to waypoint; NaN before its begin and after its end."""
+def walk_along(waypoints: list[tuple[float, float]], speed: float = 1.2, begin: float = 0.0) -> Walk:
+    """A walk with rounded corners along waypoints; NaN before it begins and after it ends."""
     corners = np.array(waypoints)
     ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
 
@@ -27,8 +27,8 @@ def along(waypoints: list[tuple[float, float]], speed: float = 1.2, begin: float
     return at
 
 
-def circling(radius: float, center: tuple[float, float], speed: float = 1.2, phase: float = 0.0) -> Walk:
-    """A walk on a circle for ever."""
+def walk_in_circle(radius: float, center: tuple[float, float], speed: float = 1.2, phase: float = 0.0) -> Walk:
+    """An endless walk on a circle."""
 
     def at(times: Array) -> Array:
         angle = phase + np.asarray(times) * speed / radius
@@ -37,13 +37,13 @@ def circling(radius: float, center: tuple[float, float], speed: float = 1.2, pha
     return at
 
 
-def velocity(walk: Walk, times: Array) -> Array:
+def compute_velocity(walk: Walk, times: Array) -> Array:
     return (walk(times + 0.01) - walk(times - 0.01)) / 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scanner in the origin, in a rectangular room with a square pillar, and what walks there."""
+    """A scanner in the origin, in a rectangular room with a square pillar and walking people."""
 
     walks: tuple[Walk, ...]
     radii: tuple[float, float] = (0.25, 0.15)
@@ -54,23 +54,25 @@ class World:
     fov: float = 1.5 * np.pi
     rate: float = 15.0
     sweep: float = 0.75
-    """Part of a turn that the beams of a scan take; negative if the scanner turns clockwise."""
+    """Fraction of a revolution that a scan takes; negative if the scanner turns clockwise."""
 
-    def scans(self, seconds: float, seed: int) -> list[LaserScan]:
+    def simulate_scans(self, seconds: float, seed: int) -> list[LaserScan]:
         rng = np.random.default_rng(seed)
         angles = np.linspace(-self.fov / 2, self.fov / 2, self.beams) * np.sign(self.sweep)
         step = abs(self.sweep) / self.rate / self.beams
-        static = self._static(angles)
+        static = self._static_ranges(angles)
         scans = []
         for stamp in 1e9 + np.arange(round(seconds * self.rate)) / self.rate:
             ranges = static.copy()
             for walk in self.walks:
-                ranges = np.minimum(ranges, self._hit(walk, stamp - 1e9 + step * np.arange(self.beams), angles))
+                ranges = np.minimum(
+                    ranges, self._ranges_to_person(walk, stamp - 1e9 + step * np.arange(self.beams), angles)
+                )
             ranges = ranges + rng.normal(0, self.noise, self.beams)
             scans.append(LaserScan(float(stamp), "laser", angles, ranges, step))
         return scans
 
-    def _static(self, angles: Array) -> Array:
+    def _static_ranges(self, angles: Array) -> Array:
         d = np.stack([np.cos(angles), np.sin(angles)])
         x0, x1, y0, y1 = self.room
         with np.errstate(divide="ignore"):
@@ -80,20 +82,20 @@ class World:
         far = np.minimum(np.maximum(*xs), np.maximum(*ys))
         return np.asarray(np.where((near < far) & (near > 0), near, walls))
 
-    def _hit(self, walk: Walk, times: Array, angles: Array) -> Array:
-        """Ranges (B,) of the beams on the ellipse, whose minor axis points where it walks; inf beside it."""
-        # Nobody turns within a scan.
+    def _ranges_to_person(self, walk: Walk, times: Array, angles: Array) -> Array:
+        """Ranges (B,) of the beams to an ellipse with its minor axis along the velocity; inf for misses."""
+        # The rotation within a scan is neglected.
         few = np.linspace(times[0], times[-1], 3)
-        xy, v = walk(few), velocity(walk, few[1:2])[0]
+        xy, v = walk(few), compute_velocity(walk, few[1:2])[0]
         heading = np.arctan2(v[1], v[0]) + np.pi / 2
         c, s = np.cos(heading), np.sin(heading)
         o = -np.stack([np.interp(times, few, xy[:, k]) for k in (0, 1)], axis=-1)
         d = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
-        def round_(p: Array) -> Array:
+        def scale(p: Array) -> Array:
             return np.stack([c * p[:, 0] + s * p[:, 1], c * p[:, 1] - s * p[:, 0]], axis=-1) / self.radii
 
-        o, d = round_(o), round_(d)
+        o, d = scale(o), scale(d)
         A, B, C = (d * d).sum(1), (o * d).sum(1), (o * o).sum(1) - 1
         with np.errstate(invalid="ignore"):
             near = (-B - np.sqrt(B * B - A * C)) / A

@@ -10,7 +10,7 @@ from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, RecordedMessage
 from calgraph.tracking import ScannerTracks
-from walking_scenes import World, circling
+from walking_scenes import World, walk_in_circle
 
 NAMES = ("east", "west", "south")
 RIG = Rig(root="east", target=People(), sensors={name: Lidar2dSpec(topic=f"/{name}") for name in NAMES})
@@ -32,7 +32,7 @@ class Counted(MessageRecording):
 
 @pytest.fixture
 def recording() -> Counted:
-    scans = World((circling(1.5, (3.0, 0.0)),)).scans(6.0, 0)
+    scans = World((walk_in_circle(1.5, (3.0, 0.0)),)).simulate_scans(6.0, 0)
     return Counted({f"/{name}": [replace(scan, frame_id=f"{name}_frame") for scan in scans] for name in NAMES})
 
 

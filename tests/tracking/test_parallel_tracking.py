@@ -8,7 +8,7 @@ import pytest
 from calgraph.config import People, RangeNoise
 from calgraph.errors import Rejected
 from calgraph.tracking import ScannerTracks, ScanRun, parallel_tracking, stack_scans, track_scanners
-from walking_scenes import World, along, circling
+from walking_scenes import World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")
 
@@ -16,11 +16,11 @@ PEOPLE = People(kind="people")
 @pytest.fixture(scope="module")
 def scans() -> dict[str, Sequence[ScanRun]]:
     worlds = {
-        "one": World((circling(1.5, (3.0, 0.0)),)),
-        "two": World((along([(2, -3), (2, 3), (6, 3)]), circling(1.0, (4.0, 0.0)))),
+        "one": World((walk_in_circle(1.5, (3.0, 0.0)),)),
+        "two": World((walk_along([(2, -3), (2, 3), (6, 3)]), walk_in_circle(1.0, (4.0, 0.0)))),
         "nobody": World(()),
     }
-    return {name: stack_scans(world.scans(12.0, 0)) for name, world in worlds.items()}
+    return {name: stack_scans(world.simulate_scans(12.0, 0)) for name, world in worlds.items()}
 
 
 @pytest.fixture(autouse=True)

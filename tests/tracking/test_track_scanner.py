@@ -15,7 +15,7 @@ from calgraph.geometry import Array
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import CenterFeature, ScannerTracks, Track, track_scanner
-from walking_scenes import Walk, World, along, circling
+from walking_scenes import Walk, World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")
 EPOCH = 1e9
@@ -28,7 +28,7 @@ def track_world(
     feature: CenterFeature = "nls",
     target: People | Cylinder = PEOPLE,
 ) -> ScannerTracks:
-    scans = world.scans(seconds, seed)
+    scans = world.simulate_scans(seconds, seed)
     result = track_scanner(scans, target, RangeNoise(), feature=feature)
     assert isinstance(result, ScannerTracks)
     return result
@@ -60,14 +60,14 @@ def busy_room() -> World:
     """Three people, one of them on a circle for ever, the others crossing before and behind."""
     return World(
         (
-            circling(2.0, (5.0, -1.0)),
-            along([(1.0, 5.5), (3.0, 2.0), (9.0, 1.0), (3.0, -5.0), (1.0, 3.0)] * 3),
-            along([(9.0, -5.0), (8.0, 5.0), (2.0, 4.0), (2.0, -4.0)] * 3, begin=5.0),
+            walk_in_circle(2.0, (5.0, -1.0)),
+            walk_along([(1.0, 5.5), (3.0, 2.0), (9.0, 1.0), (3.0, -5.0), (1.0, 3.0)] * 3),
+            walk_along([(9.0, -5.0), (8.0, 5.0), (2.0, 4.0), (2.0, -4.0)] * 3, begin=5.0),
         )
     )
 
 
-CIRCLE = World((circling(2.0, (5.0, -1.0)),))
+CIRCLE = World((walk_in_circle(2.0, (5.0, -1.0)),))
 DRUM = replace(CIRCLE, radii=(0.25, 0.25))
 CYLINDER = Cylinder(kind="cylinder", diameter=0.5)
 
@@ -120,7 +120,7 @@ def test_velocities_are_those_of_the_walk() -> None:
 @pytest.mark.parametrize("sweep", [0.75, -0.75])
 def test_beams_count_at_their_own_times(sweep: float) -> None:
     # At 5 Hz the last beam is 150 ms after the stamp: 0.3 m at this speed.
-    world = World((circling(2.0, (5.0, -1.0), speed=2.0),), rate=5.0, sweep=sweep)
+    world = World((walk_in_circle(2.0, (5.0, -1.0), speed=2.0),), rate=5.0, sweep=sweep)
     assert np.linalg.norm(errors(track_world(world), world), axis=1).mean() < 0.04
 
 
@@ -130,7 +130,10 @@ def test_a_cylinder_is_measured_to_a_centimetre() -> None:
 
 
 CROSSING = World(
-    (along([(3.0, -4.0), (5.0, 0.0), (7.0, 4.0)]), along([(3.0, 4.0), (5.0, 0.0), (7.0, -4.0)], begin=0.6))
+    (
+        walk_along([(3.0, -4.0), (5.0, 0.0), (7.0, 4.0)]),
+        walk_along([(3.0, 4.0), (5.0, 0.0), (7.0, -4.0)], begin=0.6),
+    )
 )
 
 
@@ -152,12 +155,12 @@ def test_both_people_of_a_crossing_are_tracked_nearly_all_the_time() -> None:
 
 def test_a_walk_behind_a_pillar_starts_periods() -> None:
     # The pillar hides the walker for about half a second.
-    world = World((along([(7.0, 5.5), (7.5, 0.0), (7.0, -5.0)], speed=1.0),), pillar=(4.0, 4.5, 0.8, 1.3))
+    world = World((walk_along([(7.0, 5.5), (7.5, 0.0), (7.0, -5.0)], speed=1.0),), pillar=(4.0, 4.5, 0.8, 1.3))
     assert [track.period for track in track_world(world, 10.0).tracks] == [0, 1]
 
 
 def test_a_second_walker_starts_a_period_when_coming_and_when_going() -> None:
-    second = along([(2.0, 5.0), (2.0, 1.5), (1.0, 5.0)], begin=4.0)
+    second = walk_along([(2.0, 5.0), (2.0, 1.5), (1.0, 5.0)], begin=4.0)
     result = track_world(World((CIRCLE.walks[0], second)), 15.0)
     periods = [
         track.period for track in result.tracks if nearest_walk(track, World((CIRCLE.walks[0], second))) == 0
@@ -193,13 +196,13 @@ def test_a_standing_person_gives_no_track() -> None:
         there = (np.asarray(times) > 5.0) & (np.asarray(times) < 10.0)
         return np.where(there[..., None], [3.0, 1.0 + 1e-9], np.nan)
 
-    scans = World((standing,)).scans(20.0, 0)
+    scans = World((standing,)).simulate_scans(20.0, 0)
     result = track_scanner(scans, PEOPLE, RangeNoise())
     assert isinstance(result, Rejected)
     assert "could be tracked" in result.reason
 
 
-@pytest.mark.parametrize("scans", [[], World(()).scans(3.0, 0)], ids=["no scans", "nobody"])
+@pytest.mark.parametrize("scans", [[], World(()).simulate_scans(3.0, 0)], ids=["no scans", "nobody"])
 def test_the_reason_for_no_tracks_is_stated(scans: list[LaserScan]) -> None:
     result = track_scanner(scans, PEOPLE, RangeNoise())
     assert isinstance(result, Rejected)
@@ -207,7 +210,7 @@ def test_the_reason_for_no_tracks_is_stated(scans: list[LaserScan]) -> None:
 
 
 def test_malformed_scans_are_tolerated() -> None:
-    scans = CIRCLE.scans(20.0, 0)
+    scans = CIRCLE.simulate_scans(20.0, 0)
     rng = np.random.default_rng(1)
     ugly = [
         replace(scan, ranges=np.where(rng.uniform(size=scan.ranges.shape) < 0.1, np.nan, scan.ranges))
@@ -223,7 +226,7 @@ def test_malformed_scans_are_tolerated() -> None:
 
 
 def test_a_minute_of_three_people_is_tracked_in_time(busy_room: World) -> None:
-    scans = busy_room.scans(60.0, 0)
+    scans = busy_room.simulate_scans(60.0, 0)
     begin = process_time()
     track_scanner(scans, PEOPLE, RangeNoise())
     # 0.6 s on an idle machine.
