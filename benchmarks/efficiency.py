@@ -24,7 +24,7 @@ from typing import get_args
 import numpy as np
 from scipy.stats import binomtest, chi2, norm
 
-from calgraph.calibrate import Options, build_problem_from_captures, solve_problem
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
 from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.detection import BoardCorners
@@ -191,7 +191,7 @@ def judge(recordings: Iterator[Recording], estimators: Sequence[str]) -> dict[st
         ideals.append(ideal_errors(recording))
         least = cramer_rao(recording.noise, captured, recording.T_root_sensor, recording.T_root_board)
         bounds.append(np.array([least[name] for name in sensors]))
-        problem = build_problem_from_captures(rig, captured, Options(), np.random.default_rng(seed))
+        problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(seed))
         for name in estimators:
             found[name].append(deviations(*solution(problem, name), recording.truth, sensors))
         print(f"\r{len(bounds)} runs", end="", file=sys.stderr, flush=True)

@@ -14,7 +14,7 @@ import argparse
 import numpy as np
 
 from calgraph.baselines import solve_hypergraph
-from calgraph.calibrate import Options, build_problem_from_captures, solve_problem
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import initialize_rig
@@ -63,7 +63,9 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
         metres, degrees = errors(dict(joint.T_root_sensor), truth)
         return float(metres.mean()), float(degrees.mean()), joint.graph_error
 
-    calibration = solve_problem(build_problem_from_captures(rig, captured, Options(), np.random.default_rng(seed)))
+    calibration = solve_problem(
+        build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(seed))
+    )
     metres, degrees = errors(poses_of(calibration), truth)
     return {
         "default": (float(metres.mean()), float(degrees.mean()), float("nan")),

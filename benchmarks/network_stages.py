@@ -58,7 +58,7 @@ def calibrated(place: Path, _count: int, _minutes: int) -> str:
     rig = load_rig(place / "rig.yaml")
     clock = Stopwatch()
     with open_recordings([place / "recording"]) as recording:
-        found = story.calibrate_network(rig, recording, story.Options(), clock.progress)
+        found = story.calibrate_network(rig, recording, story.NetworkOptions(), clock.progress)
     clock.lap("assembling")
     write(found, rig, place)
     clock.lap("writing")

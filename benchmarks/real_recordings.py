@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.calibrate import Options, calibrate_rig
+from calgraph.calibrate import RigOptions, calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording import open_recording
@@ -65,7 +65,7 @@ WALL: dict[str, object] = {
 def calibrated(rig: dict[str, object], folder: Path) -> Calibration:
     """Calibrates a plain folder."""
     with open_recording(folder) as recording:
-        return calibrate_rig(Rig.model_validate(rig), recording, Options())
+        return calibrate_rig(Rig.model_validate(rig), recording, RigOptions())
 
 
 def linked(folder: Path, files: dict[str, Path]) -> None:

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from calgraph.calibrate import Options, build_problem_from_captures, solve_problem
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, RigScenario
@@ -30,7 +30,7 @@ def main() -> None:
         rig, captured, truth = recorded(scenario, seed)
         began = time.perf_counter()
         calibration = solve_problem(
-            build_problem_from_captures(rig, captured, Options(), np.random.default_rng(seed))
+            build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(seed))
         )
         seconds = time.perf_counter() - began
         metres, degrees = errors(poses_of(calibration), truth)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calgraph.calibrate import Options, calibrate_tracks
+from calgraph.calibrate import NetworkOptions, calibrate_tracks
 from calgraph.geometry import Array, se2
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import follow, gross, planar
@@ -56,7 +56,7 @@ def outcome(seed: int) -> Outcome:
     followed = follow(
         rig, {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}, "nls"
     )
-    found = calibrate_tracks(rig, followed, Options(seed=seed))
+    found = calibrate_tracks(rig, followed, NetworkOptions(seed=seed))
     others = [sensor for sensor in found.sensors if sensor.name != rig.root]
     rows = np.ix_((0, 1, 3), (0, 1, 3))
     off = np.array([se2.difference(sensor.T_root_sensor[rows], truth[sensor.name]) for sensor in others])

@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.calibrate import Options, collect_captures
+from calgraph.calibrate import RigOptions, collect_captures
 from calgraph.captures import (
     CaptureSet,
     Hold,
@@ -63,7 +63,7 @@ def recorded(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundT
         simulate_rig(scenario, out, seed)
         rig = load_rig(out / "rig.yaml")
         with open_recording(out / "recording") as recording:
-            captured = collect_captures(rig, recording, Options(), np.random.default_rng(seed))
+            captured = collect_captures(rig, recording, RigOptions(), np.random.default_rng(seed))
         return rig, captured, load_truth(out / "truth.yaml")
 
 

@@ -22,7 +22,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from calgraph.calibrate import Options, build_problem_from_captures
+from calgraph.calibrate import RigOptions, build_problem_from_captures
 from calgraph.captures import CaptureSet
 from calgraph.detection import BoardCorners
 from calgraph.estimation import Problem, RigSolution, solve_bundle
@@ -71,7 +71,7 @@ def show(sensors: int, captures: int, repeat: int, oracle: bool) -> None:
     rig, captured, _ = simulate_detections(build_world(scenario_of(sensors, captures), 0), 0)
     # Nothing is to be selected among clean detections, and the hypergraph's time is not this one's.
     before, problem = timed(
-        lambda: build_problem_from_captures(rig, captured, Options(keep="none"), np.random.default_rng(0)), 1
+        lambda: build_problem_from_captures(rig, captured, RigOptions(keep="none"), np.random.default_rng(0)), 1
     )
     seconds, _ = timed(lambda: joint_solution(problem), repeat)
     line = f"{len(rig.sensors):7d}{len(captured.holds):9d}{numbers(captured):10d}{before:9.2f}{seconds:9.3f}"

@@ -165,7 +165,7 @@ def height_deviation(tilt: float, samples: int, seed: int) -> float:
     )
     rng = np.random.default_rng(seed)
     rig, captured, _ = simulate_detections(build_world(scenario, seed), seed)
-    problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), rng)
+    problem = calgraph.build_problem_from_captures(rig, captured, calgraph.RigOptions(folds=0), rng)
     calibration = calgraph.solve_problem(problem)
     if "laser_front" in calibration.unconnected:
         return np.inf

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from calgraph.calibrate import Options, calibrate_rig
+from calgraph.calibrate import RigOptions, calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import Recording
@@ -122,8 +122,8 @@ def pose_errors(calibration: Calibration, truth: GroundTruth) -> dict[str, Array
     }
 
 
-def calibrate(rig: Rig, recording: Recording, options: Options | None = None) -> Calibration:
-    return calibrate_rig(rig, recording, options or Options())
+def calibrate(rig: Rig, recording: Recording, options: RigOptions | None = None) -> Calibration:
+    return calibrate_rig(rig, recording, options or RigOptions())
 
 
 def simulate_scenario(scenario: RigScenario, seed: int = 1) -> tuple[Rig, SimulatedRecording, GroundTruth]:

@@ -39,5 +39,5 @@ def test_an_error_keeps_its_type_and_message(jobs: int) -> None:
 
 
 def test_a_killed_process_is_reported() -> None:
-    with pytest.raises(CalibrationError, match=r"killed.*--jobs 1"):
+    with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"):
         parallel_map(killed, [(1,), (2,)], 2)

@@ -12,7 +12,7 @@ SOURCE = ROOT / "src" / "calgraph"
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 
 GIVES_MESSAGES = {
-    "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "wrong",
+    "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "invalid",
 }  # fmt: skip
 ELSEWHERE = {
     "estimation/rig/problem.py": "Files that calgraph wrote",
@@ -54,8 +54,8 @@ def messages(path: Path) -> Iterator[str]:
         if isinstance(node, ast.Call):
             called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if called in GIVES_MESSAGES:
-                # The first argument of wrong is a key of rig.yaml.
-                yield from (words for given in node.args[called == "wrong" :] for words in spoken(given))
+                # The first argument of invalid is a key of rig.yaml.
+                yield from (words for given in node.args[called == "invalid" :] for words in spoken(given))
 
 
 def files() -> list[Path]:
@@ -76,8 +76,9 @@ def said() -> str:
 
 
 def pattern(message: str) -> str:
-    """Matches the message in a text of the source; names that are filled in later are in braces there."""
-    return r"(?:…|\{\w*\})".join(re.escape(part) for part in message.split("…"))
+    """Matches the message in a text of the source: with braces around names, and parameters for options."""
+    text = r"(?:…|\{\w*\})".join(re.escape(part) for part in message.split("…"))
+    return re.sub(r"\\-\\-([a-z]+)", r"(?:--\1|`\1`)", text)
 
 
 @pytest.mark.parametrize("message", [m for m in listed() if m not in NO_MESSAGE])

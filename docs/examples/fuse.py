@@ -32,7 +32,9 @@ stage = build_world(
     seed=4,
 )
 rig, captured, _ = simulate_detections(stage, seed=0)
-problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
+problem = calgraph.build_problem_from_captures(
+    rig, captured, calgraph.RigOptions(folds=0), np.random.default_rng(0)
+)
 calibration = calgraph.solve_problem(problem)
 
 moment = next(simulate_captures(stage, measurements=1))

@@ -28,7 +28,7 @@ rig = calgraph.Rig(
     target=calgraph.People(),
     sensors={name: calgraph.Lidar2dSpec(topic=name) for name in scans},
 )
-calibration = calgraph.calibrate_network(rig, calgraph.MessageRecording(scans), calgraph.Options())
+calibration = calgraph.calibrate_network(rig, calgraph.MessageRecording(scans), calgraph.NetworkOptions())
 columns = ["x", "y", "yaw_deg", "stddev_x", "stddev_y", "clock_offset", "verdict"]
 print(calgraph.to_dataframe(calibration)[columns].round(4).to_string())
 

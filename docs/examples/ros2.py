@@ -23,7 +23,9 @@ scenario = RigScenario(
     spinning=SpinningOptions(count=0), bearings=(-20, 0, 20), radii=(1.7, 2.5), samples=2,
 )  # fmt: skip
 rig, captured, _ = simulate_detections(build_world(scenario, 0), seed=0)
-problem = calgraph.build_problem_from_captures(rig, captured, calgraph.Options(folds=0), np.random.default_rng(0))
+problem = calgraph.build_problem_from_captures(
+    rig, captured, calgraph.RigOptions(folds=0), np.random.default_rng(0)
+)
 calibration = calgraph.solve_problem(problem)
 print(calgraph.to_dataframe(calibration)[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())
 

@@ -54,7 +54,7 @@ def _get_result(future: Future[Result]) -> Result:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise CalibrationError("a process was killed, perhaps because memory ran out; try --jobs 1") from error
+        raise CalibrationError("a process was killed, perhaps because memory ran out; reduce `jobs`") from error
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from calgraph.calibrate import Options, track_people, track_recording
+from calgraph.calibrate import NetworkOptions, track_people, track_recording
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, RecordedMessage
@@ -37,7 +37,7 @@ def recording() -> Counted:
 
 
 def test_a_recording_is_read_once(recording: Counted) -> None:
-    followed, frames = track_people(RIG, recording, Options())
+    followed, frames = track_people(RIG, recording, NetworkOptions())
     assert recording.read == [["/east", "/south", "/west"]]
     assert frames == {name: f"{name}_frame" for name in NAMES}
     assert all(isinstance(own, ScannerTracks) for own in followed.values())
@@ -48,7 +48,7 @@ def test_a_long_recording_is_read_in_portions_that_the_memory_holds(
 ) -> None:
     monkeypatch.setattr(track_recording, "_MAX_SCANS_IN_MEMORY", 200)
     told: list[tuple[str, float]] = []
-    followed, _ = track_people(RIG, recording, Options(), lambda *step: told.append(step))
+    followed, _ = track_people(RIG, recording, NetworkOptions(), lambda *step: told.append(step))
     assert recording.read == [["/east", "/west"], ["/south"]]
     assert tuple(followed) == NAMES
     assert [done for step, done in told if step == "tracking"] == pytest.approx([1 / 3, 2 / 3, 1])

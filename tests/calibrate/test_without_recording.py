@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.calibrate import Options, calibrate_detections, calibrate_network, calibrate_tracks, solve_problem
+from calgraph.calibrate import (
+    NetworkOptions,
+    RigOptions,
+    calibrate_detections,
+    calibrate_network,
+    calibrate_tracks,
+    solve_problem,
+)
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.detection import (
     BoardCorners,
@@ -66,7 +73,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def calibration(kept: Path) -> Calibration:
     one = detect_rig()
-    return calibrate_detections(one.rig, measured(one), Options(folds=0, dump=kept), one.captures.cameras)
+    return calibrate_detections(one.rig, measured(one), RigOptions(folds=0, dump=kept), one.captures.cameras)
 
 
 def test_rig_is_calibrated_from_arrays(calibration: Calibration) -> None:
@@ -83,7 +90,7 @@ def test_problem_of_own_detections_is_kept(calibration: Calibration, kept: Path)
 
 def test_people_are_no_board() -> None:
     with pytest.raises(InputError, match=r"target\.kind: must be board"):
-        calibrate_detections(SCANNERS, {}, Options())
+        calibrate_detections(SCANNERS, {}, RigOptions())
 
 
 @cache
@@ -96,7 +103,7 @@ def scans() -> tuple[dict[str, list[LaserScan]], Mapping[str, Array]]:
 
 def test_network_is_calibrated_from_scans_at_hand() -> None:
     sent, T_root_sensor = scans()
-    found = calibrate_network(SCANNERS, MessageRecording(sent), Options())
+    found = calibrate_network(SCANNERS, MessageRecording(sent), NetworkOptions())
     assert len(found.sensors) == 3
     assert_close(found, T_root_sensor, 0.03)
 
@@ -126,26 +133,26 @@ def test_network_is_calibrated_from_own_tracks(rng: np.random.Generator) -> None
         "scanner_2": se3.from_xyz_quaternion(np.array([6.0, 1, 0]), np.array([0, 0, 0.9, -0.4])),
         "scanner_3": se3.from_xyz_quaternion(np.array([3.0, -4, 0]), np.array([0, 0, 0.5, 0.8])),
     }
-    found = calibrate_tracks(SCANNERS, walks(poses, rng), Options(estimator="averaging"))
+    found = calibrate_tracks(SCANNERS, walks(poses, rng), NetworkOptions(estimator="averaging"))
     assert len(found.sensors) == 3
     assert_close(found, poses, 0.02)
 
 
 def test_scanner_without_tracks_is_said_to_have_none(rng: np.random.Generator) -> None:
     own = walks({"scanner_1": np.eye(4), "scanner_2": np.eye(4)}, rng)
-    found = calibrate_tracks(SCANNERS, own, Options(estimator="averaging"))
+    found = calibrate_tracks(SCANNERS, own, NetworkOptions(estimator="averaging"))
     assert "no tracks were given" in found.unconnected["scanner_3"]
 
 
 def test_tracks_of_a_scanner_that_the_rig_lacks_are_an_error(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="followed: must be of scanner_1, scanner_2, scanner_3, got scanner_9"):
-        calibrate_tracks(SCANNERS, walks({"scanner_9": np.eye(4)}, rng), Options())
+        calibrate_tracks(SCANNERS, walks({"scanner_9": np.eye(4)}, rng), NetworkOptions())
 
 
 def test_tracks_are_of_scanners(rng: np.random.Generator) -> None:
     rig = replace_sensor(SCANNERS, Lidar3dSpec(topic="scanner_2"))
     with pytest.raises(InputError, match=r"sensors.scanner_2.kind: only 2-D scanners"):
-        calibrate_tracks(rig, walks({"scanner_1": np.eye(4)}, rng), Options())
+        calibrate_tracks(rig, walks({"scanner_1": np.eye(4)}, rng), NetworkOptions())
 
 
 def replace_sensor(rig: Rig, sensor: Lidar3dSpec) -> Rig:

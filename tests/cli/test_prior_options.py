@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate import Options, build_problem_from_captures
+from calgraph.calibrate import RigOptions, build_problem_from_captures
 from calgraph.errors import Rejected
 from calgraph.estimation import PriorFile, RigidFile, load_problem, save_problem, with_prior_poses
 from calgraph.geometry import Array, se3, so3
@@ -66,7 +66,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     rig, captured, truth = simulate_detections(stage, 1, IdealDetectorOptions(pixel=0.05))
     save_yaml(folder / "rig.yaml", rig.to_plain())
     save_problem(
-        build_problem_from_captures(rig, captured, Options(), np.random.default_rng(0)), folder / "dump.npz"
+        build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(0)), folder / "dump.npz"
     )
     return Known(folder, truth.T_root_sensor)
 

@@ -117,7 +117,7 @@ def test_a_network_has_no_problem_to_dump(tmp_path: Path, simulated: Path, run: 
     )
     result = run("calibrate", rig, simulated / "recording", "-o", tmp_path / "out", "--dump", tmp_path / "p.npz")
     assert result.exit_code == 2
-    assert result.stderr.startswith("calgraph: --dump: only the problem of a rig with a board")
+    assert result.stderr.startswith("calgraph: --dump: only for rigs with a board")
 
 
 def test_what_is_no_dump_is_bad_input(dumped: Path, tmp_path: Path, run: Run) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate import Options, build_problem_from_captures
+from calgraph.calibrate import RigOptions, build_problem_from_captures
 from calgraph.estimation import save_problem
 from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, build_world, simulate_detections
 
@@ -22,7 +22,7 @@ def dump(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stage = build_world(RigScenario(camera=camera, laser=LaserOptions(count=1), radii=(2.0,), samples=1), 3)
     rig, captured, _ = simulate_detections(stage, 0)
     path = tmp_path_factory.mktemp("dump") / "problem.npz"
-    save_problem(build_problem_from_captures(rig, captured, Options(), np.random.default_rng(0)), path)
+    save_problem(build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(0)), path)
     return path
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from calgraph.calibrate import Options, calibrate
+from calgraph.calibrate import NetworkOptions, calibrate
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3
@@ -27,7 +27,7 @@ FORMATS = ("scans_demo.bag", "derived_rosbag2_sqlite3", "derived_rosbag2_mcap")
 
 def two_scanners(recording: Path) -> Calibration:
     with open_recording(recording) as opened:
-        return calibrate(Rig.model_validate(TWO), opened, Options())
+        return calibrate(Rig.model_validate(TWO), opened, NetworkOptions())
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Groun
     out = tmp_path_factory.mktemp("office")
     simulate_network(NetworkScenario(layout="office", duration=40), out / "network", seed=1)
     with open_recording(out / "network/recording") as recording:
-        found = calibrate(load_rig(out / "network/rig.yaml"), recording, Options())
+        found = calibrate(load_rig(out / "network/rig.yaml"), recording, NetworkOptions())
     return found, load_truth(out / "network/truth.yaml")
 
 
@@ -124,7 +124,7 @@ def test_every_scanner_hangs_from_the_root(office: tuple[Calibration, GroundTrut
 def test_a_scanner_that_saw_nobody_is_named(tmp_path: Path) -> None:
     simulate_network(NetworkScenario(layout="office", duration=6, people={"count": 0}), tmp_path / "empty", seed=0)  # type: ignore[arg-type]
     with open_recording(tmp_path / "empty/recording") as recording:
-        found = calibrate(load_rig(tmp_path / "empty/rig.yaml"), recording, Options())
+        found = calibrate(load_rig(tmp_path / "empty/rig.yaml"), recording, NetworkOptions())
     assert [sensor.name for sensor in found.sensors] == [found.root]
     assert all("nothing of the target's size" in reason for reason in found.unconnected.values())
 
@@ -138,4 +138,4 @@ def test_a_camera_in_a_network_is_bad_input(data_dir: Path) -> None:
         open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording,
         pytest.raises(InputError, match=r"sensors\.eye\.kind: only 2-D scanners"),
     ):
-        calibrate(Rig.model_validate({**TWO, "sensors": sensors}), recording, Options())
+        calibrate(Rig.model_validate({**TWO, "sensors": sensors}), recording, NetworkOptions())

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.calibrate import Options, build_problem_from_captures, collect_captures, solve_problem
+from calgraph.calibrate import RigOptions, build_problem_from_captures, collect_captures, solve_problem
 from calgraph.config import Board, Checkerboard, Rig
 from calgraph.graph import Initialization
 from calgraph.recording.recording import JoinedRecording
@@ -93,10 +93,12 @@ def recorded_rig() -> Staged:
 
 def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:
     rig, recording, _ = recorded_rig
-    captured = collect_captures(rig, recording, Options(), np.random.default_rng(0))
+    captured = collect_captures(rig, recording, RigOptions(), np.random.default_rng(0))
     starts: tuple[Initialization, ...] = ("tree", "consensus")
     along_tree, consensus = (
-        solve_problem(build_problem_from_captures(rig, captured, Options(start=start), np.random.default_rng(0)))
+        solve_problem(
+            build_problem_from_captures(rig, captured, RigOptions(start=start), np.random.default_rng(0))
+        )
         for start in starts
     )
     for sensor in along_tree.sensors:
@@ -116,7 +118,7 @@ def test_the_same_seed_gives_the_same_result(recorded_rig: Staged) -> None:
     """Scanners only, for time; the last bit counts."""
     rig, recording, _ = recorded_rig
     few = without(rig, "camera")
-    first, second = (calibrate(few, recording, Options(seed=7)) for _ in range(2))
+    first, second = (calibrate(few, recording, RigOptions(seed=7)) for _ in range(2))
     for a, b in zip(first.sensors, second.sensors, strict=True):
         np.testing.assert_array_equal(a.T_root_sensor, b.T_root_sensor)
         np.testing.assert_array_equal(a.covariance, b.covariance)
@@ -249,7 +251,7 @@ def test_two_halves_of_a_recording_are_one(recorded_rig: Staged) -> None:
 
 def test_without_the_filter_an_undisturbed_recording_is_calibrated_too(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
-    calibration = calibrate(without(rig, "camera"), recording, Options(keep="none"))
+    calibration = calibrate(without(rig, "camera"), recording, RigOptions(keep="none"))
     assert_true(calibration, truth, 50, 2)
 
 

@@ -89,9 +89,9 @@ def test_a_checkerboard_has_an_upper_end(size: tuple[float, float]) -> None:
 @pytest.mark.parametrize(
     ("wishes", "message"),
     [
-        (Wishes(square=20), "--square: is for charuco and checkerboard"),
-        (Wishes(kind="charuco", spacing=0.3), "--spacing: is for aprilgrid"),
-        (Wishes(kind="checkerboard", first_id=3), "--first-id: is for tags and aprilgrid and charuco"),
+        (Wishes(square=20), "`square`: is for charuco and checkerboard"),
+        (Wishes(kind="charuco", spacing=0.3), "`spacing`: is for aprilgrid"),
+        (Wishes(kind="checkerboard", first_id=3), "`first_id`: is for tags and aprilgrid and charuco"),
         (Wishes(kind="checkerboard", square=80, columns=8, rows=5), "pattern: extends beyond the board"),
         (Wishes(kind="charuco", dictionary="DICT_9X9"), "must be one of OpenCV's dictionaries"),
         (Wishes(kind="charuco", square=8), "needs marker 335, but DICT_5X5_100 ends at 99"),
@@ -105,7 +105,7 @@ def test_what_cannot_be_had_is_refused(wishes: Wishes, message: str) -> None:
 
 
 def test_a_sheet_without_room_is_refused() -> None:
-    with pytest.raises(InputError, match="--size: leaves no room"):
+    with pytest.raises(InputError, match="`size`: leaves no room"):
         design((50, 300), Wishes())
 
 

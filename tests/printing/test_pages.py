@@ -29,7 +29,7 @@ def test_paper_is_known_by_name_or_size(text: str, size: tuple[float, float]) ->
 
 @pytest.mark.parametrize("text", ["B52", "500", "500x", "-1x500", "0x500", "axb", ""])
 def test_other_paper_is_refused_with_what_there_is(text: str) -> None:
-    with pytest.raises(InputError, match=r"--paper: is none of a0, .*, letter, .* nor WIDTHxHEIGHT in mm"):
+    with pytest.raises(InputError, match=r"`paper`: is none of a0, .*, letter, .* nor WIDTHxHEIGHT in mm"):
         parse_paper(text)
 
 
@@ -110,13 +110,13 @@ def test_fit_makes_one_page_as_large_as_the_board_needs() -> None:
 
 
 def test_hundreds_of_pages_are_refused() -> None:
-    with pytest.raises(InputError, match=r"--paper: it would take \d+ pages"):
+    with pytest.raises(InputError, match=r"`paper`: it would take \d+ pages"):
         lay_out(Board(size=(9, 9)), A4)
 
 
 @pytest.mark.parametrize("overlap", [-1.0, 90.0])
 def test_an_overlap_that_leaves_nothing_new_is_refused(overlap: float) -> None:
-    with pytest.raises(InputError, match="--overlap: must be from 0 to 90 mm"):
+    with pytest.raises(InputError, match="`overlap`: must be from 0 to 90 mm"):
         lay_out(BARE, A4, overlap)
 
 

@@ -2,7 +2,7 @@
 
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.network import DEPTHS, calibrate_network, calibrate_tracks
-from calgraph.calibrate.options import NetworkEstimator, Options, Progress, Weights, no_progress
+from calgraph.calibrate.options import NetworkEstimator, NetworkOptions, Progress, RigOptions, Weights, no_progress
 from calgraph.calibrate.rig import (
     build_problem,
     build_problem_from_captures,
@@ -15,8 +15,8 @@ from calgraph.calibrate.track_recording import track_people
 from calgraph.calibrate.validate import bootstrap_covariances, compare_extrinsics, compare_network_extrinsics
 
 __all__ = [
-    "DEPTHS", "NetworkEstimator", "Options", "Progress", "Weights", "bootstrap_covariances", "build_problem",
-    "build_problem_from_captures", "calibrate", "calibrate_detections", "calibrate_network", "calibrate_rig",
-    "calibrate_tracks", "collect_captures", "compare_extrinsics", "compare_network_extrinsics", "no_progress",
-    "solve_problem", "track_people",
+    "DEPTHS", "NetworkEstimator", "NetworkOptions", "Progress", "RigOptions", "Weights", "bootstrap_covariances",
+    "build_problem", "build_problem_from_captures", "calibrate", "calibrate_detections", "calibrate_network",
+    "calibrate_rig", "calibrate_tracks", "collect_captures", "compare_extrinsics", "compare_network_extrinsics",
+    "no_progress", "solve_problem", "track_people",
 ]  # fmt: skip

@@ -1,17 +1,24 @@
-"""Whichever of the two stories a rig is for."""
+"""The calibration of either kind of rig, chosen by its target."""
 
 from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import Options, Progress, no_progress
+from calgraph.calibrate.options import NetworkOptions, Progress, RigOptions, no_progress
 from calgraph.calibrate.rig import calibrate_rig
-from calgraph.config import Cylinder, People, Rig
+from calgraph.config import Rig
+from calgraph.errors import InputError
 from calgraph.recording import Recording
 from calgraph.result import Calibration
 
 
-def calibrate(rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress) -> Calibration:
-    """Calibrates a robot with a board, or a network with people, whichever the rig's target is.
+def calibrate(
+    rig: Rig, recording: Recording, options: RigOptions | NetworkOptions, progress: Progress = no_progress
+) -> Calibration:
+    """Calibrates a robot with a board, or a network with people, according to the rig's target.
 
-    Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
+    Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`; the options are those of the target.
     """
-    story = calibrate_network if isinstance(rig.target, People | Cylinder) else calibrate_rig
-    return story(rig, recording, options, progress)
+    if rig.is_network and isinstance(options, NetworkOptions):
+        return calibrate_network(rig, recording, options, progress)
+    if not rig.is_network and isinstance(options, RigOptions):
+        return calibrate_rig(rig, recording, options, progress)
+    kind = "NetworkOptions" if rig.is_network else "RigOptions"
+    raise InputError(f"options: must be {kind} for this target, got {type(options).__name__}")

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.options import Options, Progress, network_estimator, no_progress
+from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.config import Rig
 from calgraph.diagnostics import (
@@ -29,14 +29,13 @@ DEPTHS: Mapping[CenterFeature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.0
 
 
 def calibrate_network(
-    rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: NetworkOptions, progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates stationary 2-D scanners from people who walk through their views (lrf-network).
 
     Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
     """
-    network_estimator(options)  # before minutes are spent on tracking
-    _calibration_to_extend(rig, options)
+    _calibration_to_extend(rig, options)  # checked before minutes are spent on tracking
     tracks, frames = track_people(rig, recording, options, progress)
     return calibrate_tracks(rig, tracks, options, progress, frames=frames, start=recording.start)
 
@@ -44,7 +43,7 @@ def calibrate_network(
 def calibrate_tracks(
     rig: Rig,
     tracks: Mapping[str, ScannerTracks | Rejected],
-    options: Options,
+    options: NetworkOptions,
     progress: Progress = no_progress,
     *,
     frames: Mapping[str, str] | None = None,
@@ -65,7 +64,6 @@ def calibrate_tracks(
         InputError: the rig is none of 2-D scanners, or has not all that were followed.
         CalibrationError: nothing is connected to the root of a network that is to be extended.
     """
-    estimator = network_estimator(options)
     earlier = _calibration_to_extend(rig, options)
     tracks = _complete_tracks(rig, tracks)
     rng = np.random.default_rng(options.seed)
@@ -86,7 +84,7 @@ def calibrate_tracks(
     graph, names, averaged = initialization.graph, initialization.names, initialization.solution
     joint = prior = None
     # A root without connections may have no tracks.
-    if estimator == "joint" and len(names) > 1:
+    if options.estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
         solution = partial(solve_network, moving_target(rig), [tracked[name] for name in names], averaged, graph)
         joint = solution()
@@ -102,7 +100,7 @@ def calibrate_tracks(
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
 
 
-def _calibration_to_extend(rig: Rig, options: Options) -> Calibration | None:
+def _calibration_to_extend(rig: Rig, options: NetworkOptions) -> Calibration | None:
     """The calibration to extend, without the scanners that have moved since."""
     if options.extend is None:
         return None

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from calgraph.baselines import solve_hypergraph
-from calgraph.calibrate.options import Options, Progress, check_estimator, no_progress, rig_estimator
+from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
 from calgraph.captures import (
     ActivityMeter,
     CaptureSet,
@@ -44,7 +44,7 @@ from calgraph.sensors import CameraModel, RecordedMessage
 
 
 def calibrate_rig(
-    rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: RigOptions, progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates a robot's sensors from one recording of a board carried around it (MSG-Cal).
 
@@ -67,7 +67,7 @@ def calibrate_rig(
 def calibrate_detections(
     rig: Rig,
     detections: Mapping[str, Mapping[int, DetectionResult]],
-    options: Options,
+    options: RigOptions,
     cameras: Mapping[str, CameraModel] | None = None,
     progress: Progress = no_progress,
 ) -> Calibration:
@@ -85,7 +85,7 @@ def calibrate_detections(
     Raises:
         InputError: detections and rig do not fit together.
     """
-    _check_board(rig, options)
+    _check_board(rig)
     rng = np.random.default_rng(options.seed)
     return _save_and_solve(
         build_problem_from_captures(
@@ -95,28 +95,29 @@ def calibrate_detections(
     )
 
 
-def _save_and_solve(problem: Problem, options: Options) -> Calibration:
+def _save_and_solve(problem: Problem, options: RigOptions) -> Calibration:
     if options.dump:
         save_problem(problem, options.dump)
     return solve_problem(problem)
 
 
-def build_problem(rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress) -> Problem:
+def build_problem(
+    rig: Rig, recording: Recording, options: RigOptions, progress: Progress = no_progress
+) -> Problem:
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
-    _check_board(rig, options)
+    _check_board(rig)
     rng = np.random.default_rng(options.seed)
     captures = collect_captures(rig, recording, options, rng, progress)
     return build_problem_from_captures(rig, captures, options, rng, progress)
 
 
-def _check_board(rig: Rig, options: Options) -> None:
+def _check_board(rig: Rig) -> None:
     if isinstance(rig.target, People | Cylinder):
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
-    rig_estimator(options)
 
 
 def collect_captures(
-    rig: Rig, recording: Recording, options: Options, rng: np.random.Generator, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> CaptureSet:
     """Finds the holds of the board, and detects the board in every sensor's messages of each hold."""
     if len(rig.sensors) < 2:
@@ -141,7 +142,7 @@ def collect_captures(
 
 
 def build_problem_from_captures(
-    rig: Rig, captures: CaptureSet, options: Options, rng: np.random.Generator, progress: Progress = no_progress
+    rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
     detections = captures.detections
@@ -153,7 +154,7 @@ def build_problem_from_captures(
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size)
         tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
     solver = SolverOptions(
-        estimator=rig_estimator(options), keep=options.keep, folds=options.folds, estimate=options.estimate
+        estimator=options.estimator, keep=options.keep, folds=options.folds, estimate=options.estimate
     )
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 

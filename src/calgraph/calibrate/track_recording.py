@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from calgraph.calibrate.options import Options, Progress, no_progress
+from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.captures import to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
@@ -14,7 +14,7 @@ _MAX_SCANS_IN_MEMORY = 100_000
 
 
 def track_people(
-    rig: Rig, recording: Recording, options: Options, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: NetworkOptions, progress: Progress = no_progress
 ) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str]]:
     """The tracks of each scanner, and the frames that their messages state."""
     target = moving_target(rig)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import Options, Progress, no_progress
+from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.rig import solve_jointly
 from calgraph.config import Rig
 from calgraph.diagnostics import (
@@ -60,7 +60,7 @@ def compare_network_extrinsics(
     rig: Rig,
     recording: Recording,
     given: ExtrinsicsFile,
-    options: Options,
+    options: NetworkOptions,
     tolerance: Tolerance | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Calibration, ExtrinsicsComparison]:

@@ -3,6 +3,7 @@
 import functools
 import logging
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -119,5 +120,12 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
 
 def _print_error(error: CalgraphError) -> None:
     stderr = console(stderr=True)
-    for line in str(error).splitlines():
+    # The library names its parameters in backticks; on the command line they are options.
+    message = re.sub(r"`(\w+)`", lambda match: _option(match[1]), str(error))
+    for line in message.splitlines():
         stderr.print(f"[bold red]calgraph:[/] {escape(line)}", soft_wrap=True)
+
+
+def _option(parameter: str) -> str:
+    """The command line option that sets a parameter of the library."""
+    return "--" + {"keep": "filter"}.get(parameter, parameter.replace("_", "-"))

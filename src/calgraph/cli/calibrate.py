@@ -1,8 +1,9 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -11,10 +12,13 @@ from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.progress import progress_bars
 from calgraph.config import Rig, load_rig
-from calgraph.errors import CalibrationError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
 from calgraph.recording import open_recordings, with_intrinsics
 from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, save_scene, to_json
+
+if TYPE_CHECKING:
+    from calgraph.estimation import Estimator
 
 
 class EstimatorChoice(StrEnum):
@@ -168,32 +172,49 @@ def calibrate(
     rig = load_rig(rig_file)
     if dump and not _is_in(dump, out):
         check_output_path(dump)
-    known, groups = read_priors(prior, prior_stddev, rigid)
+    rig_options = {"--estimate": estimate, "--prior": prior, "--rigid": rigid, "--dump": dump}
+    network_options = {"--extend": extend, "--moved": moved}
+    _check_unused(*(("rigs with a board", rig_options) if rig.is_network else ("networks", network_options)))
+    prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     with replace_folder_atomically(out) as folder:
-        options = story.Options(
-            estimator=estimator.value if estimator else None,
-            estimate=tuple(choice.value for choice in estimate or ()),
-            prior=known,
-            rigid=groups,
-            keep=keep.value,
-            folds=folds,
-            start=start.value,
-            tags=tags.value,
-            feature=feature.value,
-            average=average.value,
-            weights=weights.value,
-            icp=icp,
-            extend=load_calibration(extend) if extend else None,
-            moved=tuple(moved or ()),
-            seed=seed,
-            jobs=jobs or available_cores(),
-            dump=folder / dump.name if dump and _is_in(dump, out) else dump,
-        )
+        options: story.RigOptions | story.NetworkOptions
+        if rig.is_network:
+            options = story.NetworkOptions(
+                estimator=cast("story.NetworkEstimator", estimator.value if estimator else "joint"),
+                feature=feature.value,
+                average=average.value,
+                weights=weights.value,
+                icp=icp,
+                extend=load_calibration(extend) if extend else None,
+                moved=tuple(moved or ()),
+                seed=seed,
+                jobs=jobs or available_cores(),
+            )
+        else:
+            options = story.RigOptions(
+                estimator=cast("Estimator", estimator.value if estimator else "bundle"),
+                estimate=tuple(choice.value for choice in estimate or ()),
+                prior=prior_poses,
+                rigid=groups,
+                keep=keep.value,
+                folds=folds,
+                start=start.value,
+                tags=tags.value,
+                seed=seed,
+                dump=folder / dump.name if dump and _is_in(dump, out) else dump,
+            )
         with open_recordings(recordings) as recording, progress_bars() as progress:
             rig = with_intrinsics(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
         write_results(calibration, rig, folder)
     show_results(calibration, out, json=json)
+
+
+def _check_unused(target: str, options: Mapping[str, object]) -> None:
+    """Raises InputError if an option is given that is for another kind of target."""
+    given = [option for option, value in options.items() if value]
+    if given:
+        raise InputError(f"{', '.join(given)}: only for {target}")
 
 
 def _is_in(file: Path, folder: Path) -> bool:

@@ -16,7 +16,7 @@ from calgraph.cli.common_options import RigFile, available_cores
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
-from calgraph.config import Cylinder, People, Rig, load_rig
+from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically, write_text
 from calgraph.recording import open_recordings, with_intrinsics
@@ -92,8 +92,8 @@ def _compare(
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
     from calgraph import calibrate as story
 
-    if isinstance(rig.target, People | Cylinder):
-        options = story.Options(seed=seed, jobs=available_cores())
+    if rig.is_network:
+        options = story.NetworkOptions(seed=seed, jobs=available_cores())
         with open_recordings(recordings) as recording, progress_bars() as progress:
             return *story.compare_network_extrinsics(rig, recording, given, options, allowed, progress), rig
     problem = _problem(rig, recordings, seed)
@@ -112,7 +112,9 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         check_problem(problem)
         return problem
     with open_recordings(recordings) as recording, progress_bars() as progress:
-        return story.build_problem(with_intrinsics(rig, recording), recording, story.Options(seed=seed), progress)
+        return story.build_problem(
+            with_intrinsics(rig, recording), recording, story.RigOptions(seed=seed), progress
+        )
 
 
 def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: "Tolerance") -> str:

@@ -26,7 +26,7 @@ def demo(
 
     Writes recording, rig.yaml, scenario.yaml, truth.yaml and result/ into OUT, over those of an earlier demo.
     """
-    from calgraph.calibrate import Options, calibrate_rig  # takes seconds, which --help should not
+    from calgraph.calibrate import RigOptions, calibrate_rig  # takes seconds, which --help should not
 
     if (out / "recording").exists() and not (out / "truth.yaml").exists():
         raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")
@@ -36,7 +36,7 @@ def demo(
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
                 rig = with_intrinsics(rig, recording)
-                calibration = calibrate_rig(rig, recording, Options(), progress)
+                calibration = calibrate_rig(rig, recording, RigOptions(), progress)
         (folder / "result").mkdir()
         write_results(calibration, rig, folder / "result")
     print_calibration(calibration)

@@ -73,7 +73,7 @@ def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
     rig = load_rig(files[0])
     with open_recordings(files[1:]) as recording:
         rig = with_intrinsics(rig, recording)
-        return story.build_problem(rig, recording, story.Options(seed=seed), progress)
+        return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
 
 
 def _content(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> str:

@@ -173,6 +173,11 @@ class Rig(StrictModel):
         return self
 
     @property
+    def is_network(self) -> bool:
+        """Whether this is a network of scanners calibrated from moving objects, not a rig with boards."""
+        return isinstance(self.target, People | Cylinder)
+
+    @property
     def boards(self) -> tuple[Board, ...]:
         """The boards to detect; empty if the target is not a board."""
         if isinstance(self.target, Board):

@@ -69,12 +69,11 @@ def design(size: Pair, wishes: Wishes) -> Board:
     """
     for name, kinds in _MEANT_FOR.items():
         if getattr(wishes, name) is not None and wishes.kind not in kinds:
-            option = name.replace("_", "-")
-            raise InputError(f"--{option}: is for {' and '.join(kinds)}, which a board of {wishes.kind} is not")
+            raise InputError(f"`{name}`: is for {' and '.join(kinds)}, which a board of {wishes.kind} is not")
     room = size[0] - 2 * _RIM, size[1] - 2 * _RIM
     if min(room) < _RIM:
         raise InputError(
-            f"--size: leaves no room for a print within a rim of {_RIM:g} mm, got {size[0]:g}x{size[1]:g}"
+            f"`size`: leaves no room for a print within a rim of {_RIM:g} mm, got {size[0]:g}x{size[1]:g}"
         )
     content = {"size": [_m(length) for length in size], **_DESIGNS[wishes.kind](room, wishes)}
     return validate_content(Board, content, Path("the board asked for"))

@@ -109,11 +109,11 @@ def lay_out(board: Board, paper: Paper | None = None, overlap: float = 10.0) -> 
         return (max(single, key=lambda page: page.window.width * page.window.height),)
     if not 0 <= overlap < min(paper.inner) / 2:
         raise InputError(
-            f"--overlap: must be from 0 to {min(paper.inner) / 2:g} mm on this paper, got {overlap:g}"
+            f"`overlap`: must be from 0 to {min(paper.inner) / 2:g} mm on this paper, got {overlap:g}"
         )
     pages = min((list(_tiles(width, height, p, overlap)) for p in (paper, paper.turned)), key=len)
     if len(pages) > _MOST_PAGES:
-        raise InputError(f"--paper: it would take {len(pages)} pages; choose larger paper, or a smaller board")
+        raise InputError(f"`paper`: it would take {len(pages)} pages; choose larger paper, or a smaller board")
     return tuple(pages)
 
 

@@ -49,9 +49,9 @@ def parse_paper(text: str) -> Paper:
     name = text.strip().lower()
     if name in _NAMED:
         return Paper(*_NAMED[name])
-    width, height = parse_size(text, f"--paper: is none of {', '.join(_NAMED)}, nor")
+    width, height = parse_size(text, f"`paper`: is none of {', '.join(_NAMED)}, nor")
     if min(width, height) < 4 * MARGIN or max(width, height) > _LONGEST:
-        raise InputError(f"--paper: edges must be from {4 * MARGIN:g} to {_LONGEST:g} mm, got {text!r}")
+        raise InputError(f"`paper`: edges must be from {4 * MARGIN:g} to {_LONGEST:g} mm, got {text!r}")
     return Paper(width, height)
 
 

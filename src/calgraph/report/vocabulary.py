@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calgraph.config import Cylinder, People, Rig
+from calgraph.config import Rig
 
 
 @dataclass(frozen=True)
@@ -97,4 +97,4 @@ a scanner.""",
 
 def words_for(rig: Rig) -> Words:
     """The words of a rig's story."""
-    return NETWORK if isinstance(rig.target, People | Cylinder) else BOARD
+    return NETWORK if rig.is_network else BOARD

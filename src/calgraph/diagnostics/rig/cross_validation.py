@@ -77,7 +77,7 @@ def cross_validate(adjusted: SolvedBundle, folds: int) -> dict[str, HeldOutError
         InputError: there is one fold, or a number below.
     """
     if folds < 2:
-        raise InputError(f"--folds: must be 0 for none, or 2 and more, got {folds}")
+        raise InputError(f"`folds`: must be 0 for none, or 2 and more, got {folds}")
     bundle = adjusted.bundle
     units: dict[str, Literal["px", "m"]] = {
         name: "px" if isinstance(views, CornerObservations) else "m"

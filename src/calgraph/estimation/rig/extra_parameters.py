@@ -169,5 +169,5 @@ def _extend(
     bundle: Bundle, views: Sequence[BoardViews], parameters: Sequence[ExtraParameter], none: str
 ) -> Bundle:
     if not parameters:
-        raise InputError(f"--estimate {none}")
+        raise InputError(f"`estimate` {none}")
     return replace(bundle, views=tuple(views), extra_parameters=(*bundle.extra_parameters, *parameters))
