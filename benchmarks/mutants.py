@@ -2,10 +2,10 @@
 
     make mutants ROOM=pairwise N=100 SEED=1 JOBS=4 TESTS=tests/calibrate
 
-Mutants come from the operators of cosmic-ray, and from one for transposes. ``N`` places of the source are drawn
-with a seed, and one mutant of each. It is written into a copy of the checkout, where those tests run first that
-execute the mutated line. The first test that fails kills the mutant, and so does the time limit; it survives if
-all tests pass that execute any line of its file.
+``N`` places of the source are drawn with a seed, and one mutant of each: an operator, number, condition or loop
+that is changed as cosmic-ray does (``mutation.py``). It is written into a copy of the checkout, where those tests
+run first that execute the mutated line. The first test that fails kills the mutant, and so does the time limit; it
+survives if all tests pass that execute any line of its file.
 
 Not mutated: text, type annotations, decorators, imports, ``__all__``, ``zip(strict=...)``.
 """
@@ -22,19 +22,16 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import parso
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.operators.operator import Example, Operator
-from cosmic_ray.plugins import get_operator, operator_names
 from coverage import CoverageData
+
+from mutation import Mutant, draw, find_mutants
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path("src/calgraph")
@@ -43,62 +40,11 @@ NOT_COPIED = (
     "generated",
 )  # fmt: skip
 
-_FAMILIES = (
-    {"Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow"},
-    {"BitAnd", "BitOr", "BitXor"},
-    {"LShift", "RShift"},
-    {"Eq", "NotEq", "Lt", "LtE", "Gt", "GtE"},
-    {"Is", "IsNot"},
-)
-"""Operators replace each other within a family; across families nearly all mutants end in a TypeError."""
-_OTHERS = {
-    "AddNot", "ExceptionReplacer", "NumberReplacer", "ReplaceAndWithOr", "ReplaceBreakWithContinue",
-    "ReplaceContinueWithBreak", "ReplaceFalseWithTrue", "ReplaceOrWithAnd", "ReplaceTrueWithFalse",
-    "ReplaceUnaryOperator_Delete_Invert", "ReplaceUnaryOperator_Delete_Not", "ReplaceUnaryOperator_Delete_USub",
-    "ZeroIterationForLoop",
-}  # fmt: skip
 _LEAST_LIMIT = 30.0
 """Seconds that the tests of a mutant may take beyond five times what they take without it: imports and load."""
 _STARTED_BY_TESTS = {"PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
 
-Position = tuple[int, int]
 Outcome = Literal["killed", "timeout", "survived"]
-
-
-class TransposeRemover(Operator):  # type: ignore[misc]
-    """Removes ``.T``."""
-
-    def mutation_positions(self, node: Any) -> Iterator[tuple[Position, Position]]:
-        """The trailer, if it is ``.T``."""
-        if node.type == "trailer" and node.get_code(include_prefix=False) == ".T":
-            yield node.start_pos, node.end_pos
-
-    def mutate(self, node: Any, index: int) -> Any:  # noqa: ARG002  cosmic-ray's signature
-        """An empty trailer in its place."""
-        return parso.python.tree.PythonNode("trailer", [])
-
-    @classmethod
-    def examples(cls) -> tuple[Example, ...]:
-        """What cosmic-ray shows in its documentation."""
-        return (Example("a.T @ b", "a @ b"),)
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """One change of one file."""
-
-    file: Path
-    """Relative to the checkout."""
-    operator: str
-    occurrence: int
-    """Which of all places that the operator can change in the file."""
-    start: Position
-    """Line from 1, column from 0."""
-    end: Position
-
-    def code(self, original: str) -> str:
-        """The whole file with the change."""
-        return str(mutate_code(original, _operators()[self.operator](), self.occurrence))
 
 
 @dataclass(frozen=True)
@@ -125,65 +71,6 @@ class Tests:
             return Path(name).stem != f"test_{file.stem}", sum(self.seconds.get(f, 0.0) for f in by_file[name])
 
         return [function for name in sorted(by_file, key=rank) for function in sorted(by_file[name])]
-
-
-def _operators() -> dict[str, type[Operator]]:
-    chosen: dict[str, type[Operator]] = {"TransposeRemover": TransposeRemover}
-    for full in operator_names():
-        name = full.removeprefix("core/")
-        kind, _, pair = name.partition("_")
-        both = set(pair.split("_"))
-        swap = kind in ("ReplaceBinaryOperator", "ReplaceComparisonOperator")
-        if name in _OTHERS or (swap and any(both <= family for family in _FAMILIES)):
-            chosen[name] = get_operator(full)
-    return chosen
-
-
-def skipped_spans(code: str) -> list[tuple[Position, Position]]:
-    """Parts of a file that are not mutated: start and end, line from 1 and column from 0."""
-    found: list[ast.expr | ast.stmt | None] = []
-    for node in ast.walk(ast.parse(code)):
-        match node:
-            case ast.Import() | ast.ImportFrom():
-                found.append(node)
-            case ast.FunctionDef():
-                found += [*node.decorator_list, node.returns]
-            case ast.ClassDef():
-                found += node.decorator_list
-            case ast.arg() | ast.AnnAssign():
-                found.append(node.annotation)
-            case ast.Assign(targets=[ast.Name(id="__all__")]):
-                found.append(node)
-            case ast.Call(func=ast.Name(id="zip")):
-                found += [keyword.value for keyword in node.keywords]
-    return [
-        ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0))
-        for node in found
-        if node
-    ]
-
-
-def find_mutants(file: Path, code: str) -> list[Mutant]:
-    """All mutants of a file."""
-    skipped = skipped_spans(code)
-    nodes = list(ast_nodes(get_ast(code)))
-    mutants = []
-    for name, operator in _operators().items():
-        places = [place for node in nodes for place in operator().mutation_positions(node)]
-        for occurrence, (start, end) in enumerate(places):
-            if not any(first <= start and end <= last for first, last in skipped):
-                mutants.append(Mutant(file, name, occurrence, start, end))
-    return mutants
-
-
-def draw(mutants: list[Mutant], count: int, rng: np.random.Generator) -> list[Mutant]:
-    """At most ``count`` mutants at different places: places are drawn evenly, then a mutant of each."""
-    places: dict[tuple[Path, Position, Position], list[Mutant]] = defaultdict(list)
-    for mutant in mutants:
-        places[mutant.file, mutant.start, mutant.end].append(mutant)
-    keys = sorted(places)
-    drawn = sorted(rng.choice(len(keys), min(count, len(keys)), replace=False))
-    return [places[keys[k]][rng.integers(len(places[keys[k]]))] for k in drawn]
 
 
 def statement_lines(code: str, line: int) -> tuple[range, bool]:
@@ -274,7 +161,7 @@ def judge(mutant: Mutant, original: str, tests: Tests, checkout: Path) -> Outcom
                 code, output = run_pytest(checkout, ["-x", "-q", *tests.ordered(chosen, mutant.file)], limit)
                 if code is None:
                     return "timeout"
-                if code in (1, 2, 3):
+                if code in (1, 2, 3, 4):  # 2 to 4: it cannot even be imported
                     return "killed"
                 if code:
                     raise RuntimeError(f"pytest ended with {code} for {mutant}:\n{output}")
@@ -336,7 +223,7 @@ def main() -> None:
     tests = list(dict.fromkeys([*(place for room in options.rooms for place in tests_of(room)), *options.tests]))
     originals = {file: (ROOT / file).read_text(encoding="utf-8") for file in files}
     possible = [mutant for file, code in originals.items() for mutant in find_mutants(file, code)]
-    drawn = draw(possible, options.n, np.random.default_rng(options.seed))
+    drawn = draw(originals, possible, options.n, np.random.default_rng(options.seed))
     print(f"{len(drawn)} of {len(possible)} mutants of {len(files)} files; tests: {' '.join(tests)}", flush=True)
 
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:

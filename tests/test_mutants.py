@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("cosmic_ray", reason="the extra mutants is not installed")
 
 import mutants
+import mutation
 
 FILE = Path("src/calgraph/example.py")
 CODE = '''\
@@ -15,7 +16,7 @@ CODE = '''\
 from dataclasses import dataclass
 
 __all__ = ["f"] + []
-LIMIT = 0.5
+LIMIT = 20.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ def f(x: float | None, R: list[int]) -> int | None:
 def changes(code: str) -> dict[str, set[int]]:
     """Lines by the operator that changes them."""
     found: dict[str, set[int]] = {}
-    for mutant in mutants.find_mutants(FILE, code):
+    for mutant in mutation.find_mutants(FILE, code):
         found.setdefault(mutant.operator.split("_")[0], set()).add(mutant.start[0])
     return found
 
@@ -49,7 +50,8 @@ def test_text_annotations_decorators_and_exports_are_not_mutated() -> None:
 
 def test_operators_numbers_conditions_loops_and_transposes_are_mutated() -> None:
     assert changes(CODE) == {
-        "NumberReplacer": {5, 10, 19},
+        "NumberReplacer": {10, 19},
+        "LargeNumberScaler": {5},
         "ZeroIterationForLoop": {15},
         "AddNot": {16},
         "ReplaceAndWithOr": {16},
@@ -61,15 +63,26 @@ def test_operators_numbers_conditions_loops_and_transposes_are_mutated() -> None
 
 
 def test_a_mutant_changes_one_place() -> None:
-    (mutant,) = [m for m in mutants.find_mutants(FILE, CODE) if m.operator == "TransposeRemover"]
+    (mutant,) = [m for m in mutation.find_mutants(FILE, CODE) if m.operator == "TransposeRemover"]
     assert mutant.code(CODE) == CODE.replace("R.T", "R")
 
 
+def test_large_numbers_are_doubled_or_halved() -> None:
+    changed = [m.code("x = 20.0\n") for m in mutation.find_mutants(FILE, "x = 20.0\n")]
+    assert changed == ["x = 40.0\n", "x = 10.0\n"]
+
+
 def test_a_draw_has_one_mutant_of_a_place_and_repeats_with_its_seed() -> None:
-    possible = mutants.find_mutants(FILE, CODE)
-    drawn = mutants.draw(possible, 8, np.random.default_rng(3))
+    possible = mutation.find_mutants(FILE, CODE)
+    drawn = mutation.draw({FILE: CODE}, possible, 8, np.random.default_rng(3))
     assert len({(m.start, m.end) for m in drawn}) == 8
-    assert drawn == mutants.draw(possible, 8, np.random.default_rng(3))
+    assert drawn == mutation.draw({FILE: CODE}, possible, 8, np.random.default_rng(3))
+
+
+def test_mutants_that_are_no_python_are_not_drawn() -> None:
+    code = "def f(a, *, b):\n    return a + b\n"
+    drawn = mutation.draw({FILE: code}, mutation.find_mutants(FILE, code), 8, np.random.default_rng(0))
+    assert [m.start for m in drawn] == [(2, 13)]
 
 
 @pytest.mark.parametrize(
