@@ -34,7 +34,7 @@ def test_finds_line_among_sixty_percent_outliers(score: Score, seed: int) -> Non
     assert found.inliers[:40].sum() >= 38
 
 
-def test_picks_the_right_alternative_in_each_group(rng: np.random.Generator) -> None:
+def test_selects_the_correct_alternative_in_each_group(rng: np.random.Generator) -> None:
     x = rng.uniform(-1, 1, 30)
     right = np.stack([x, 2 * x], axis=1)
     wrong = np.stack([x, rng.uniform(-3, 3, 30)], axis=1)
@@ -46,12 +46,12 @@ def test_picks_the_right_alternative_in_each_group(rng: np.random.Generator) -> 
     assert not found.inliers[:30].any()
 
 
-def test_too_few_groups_have_no_consensus(rng: np.random.Generator) -> None:
+def test_too_few_groups_have_no_model(rng: np.random.Generator) -> None:
     solve, residuals = _line_problem(rng.normal(size=(4, 2)))
     assert find_consensus(np.zeros(4, dtype=int), 2, solve, residuals, 1.0, rng=rng) is None
 
 
-def test_samples_without_solution_are_no_consensus(rng: np.random.Generator) -> None:
+def test_samples_without_solution_have_no_model(rng: np.random.Generator) -> None:
     def never(samples: Indices) -> Array:
         return np.full((len(samples), 2), np.nan)
 

@@ -51,5 +51,5 @@ def test_noise_far_from_the_origin_leaves_an_ellipse(rng: np.random.Generator) -
     ],
     ids=["a line", "one point", "five points"],
 )
-def test_what_determines_no_ellipse_gives_none(points: Array) -> None:
+def test_degenerate_points_give_nan(points: Array) -> None:
     assert np.isnan(ellipse.fit_direct(points, np.ones(len(points), dtype=bool))).all()

@@ -74,7 +74,7 @@ def test_fit_points_at_the_sensor() -> None:
     assert_allclose(plane.fit(x), [0, 0, -1, 2], atol=1e-15)
 
 
-def test_fit_believes_points_by_their_weight(rng: np.random.Generator) -> None:
+def test_fit_weights_points(rng: np.random.Generator) -> None:
     truth = np.array([0, 0, -1.0, 3])
     x = points_on(truth, 1.0, 40, rng)
     x[::2, 2] += rng.normal(scale=0.3, size=20)
@@ -124,7 +124,7 @@ def test_chart_has_tangent_basis_and_offset_as_derivative(p: Array) -> None:
     assert_allclose(numeric, expected, atol=1e-8)
 
 
-def test_many_planes_move_at_once(rng: np.random.Generator) -> None:
+def test_functions_broadcast_over_planes(rng: np.random.Generator) -> None:
     p = plane.from_pose(se3.retract(np.eye(4), rng.uniform(-1, 1, size=(2, 5, 6))))
     delta = rng.uniform(-0.1, 0.1, size=(2, 5, 3))
     moved = plane.retract(p, delta)

@@ -1,4 +1,4 @@
-"""Pairs of sensors around boards with known poses: detections made from the truth, with noise and outliers."""
+"""Pairs of sensors around boards with given poses: detections from the ground truth, with noise and outliers."""
 
 import numpy as np
 import pytest
@@ -37,8 +37,8 @@ def test_pair_is_found_among_disturbed_captures(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_two_line_scanners_explain_new_boards(seed: int) -> None:
-    """Coplanarity leaves the turn about the scan planes' common line open; all else must hold for new boards."""
+def test_two_line_scanners_predict_new_boards(seed: int) -> None:
+    """All directions but the rotation about the intersection of the scan planes are tested on new boards."""
     rng = np.random.default_rng(seed)
     T_a_b = se3.pose(so3.exp(np.array([0.5, 0.3, 0.4])), np.array([0.3, -0.2, 0.1]))
     scene = make_boards(rng, 60)
@@ -68,13 +68,13 @@ def test_two_line_scanners_explain_new_boards(seed: int) -> None:
     assert spread[0] < 1e-3 * spread[1]
 
 
-def test_the_right_one_of_several_candidates_is_picked(rng: np.random.Generator) -> None:
+def test_the_correct_one_of_several_candidates_is_selected(rng: np.random.Generator) -> None:
     scene = make_boards(rng, 30)
     T_a_b = random_pose(rng)
     a = detect_boards("plane", np.eye(4), scene, rng)
     b = {
-        i: (make_patch(se3.inverse(T_a_b) @ make_boards(rng, 1)[0], rng), *seen)
-        for i, seen in detect_boards("plane", se3.inverse(T_a_b), scene, rng).items()
+        i: (make_patch(se3.inverse(T_a_b) @ make_boards(rng, 1)[0], rng), *found)
+        for i, found in detect_boards("plane", se3.inverse(T_a_b), scene, rng).items()
     }
     found = estimate_pair("a", "b", a, b, SIZE, rng)
     assert not isinstance(found, Rejected)
@@ -82,16 +82,16 @@ def test_the_right_one_of_several_candidates_is_picked(rng: np.random.Generator)
     assert (chosen[:, 2] == 1).mean() > 0.95
 
 
-def test_too_few_common_captures_are_said(rng: np.random.Generator) -> None:
+def test_too_few_shared_captures_are_rejected(rng: np.random.Generator) -> None:
     scene = make_boards(rng, 2)
-    seen = detect_boards("plane", np.eye(4), scene, rng)
-    found = estimate_pair("a", "b", seen, seen, SIZE, rng)
+    detections = detect_boards("plane", np.eye(4), scene, rng)
+    found = estimate_pair("a", "b", detections, detections, SIZE, rng)
     assert isinstance(found, Rejected)
     assert "2 captures" in found.reason
 
 
-def test_upright_boards_leave_height_roll_and_pitch_open(rng: np.random.Generator) -> None:
-    """Upright boards in an upright scanner's plane: only x, y and yaw can be known, and those are right."""
+def test_upright_boards_leave_height_roll_and_pitch_unobservable(rng: np.random.Generator) -> None:
+    """Upright boards in an upright scanner's plane: only x, y and yaw are observable."""
     scene = make_boards(rng, 12, tilt=0.0)
     for i in range(12):
         scene[i, :3, :3] = so3.exp(np.array([0, 0, rng.uniform(-0.6, 0.6)])) @ scene[i, :3, :3]
@@ -100,8 +100,8 @@ def test_upright_boards_leave_height_roll_and_pitch_open(rng: np.random.Generato
     b = detect_boards("line", se3.inverse(T_a_b), scene, rng)
     found = estimate_pair("a", "b", a, b, SIZE, rng)
     assert not isinstance(found, Rejected)
-    known = [0, 1, 5]
-    assert np.abs(se3.difference(found.T_a_b, T_a_b)[known]).max() < 0.01
+    observable = [0, 1, 5]
+    assert np.abs(se3.difference(found.T_a_b, T_a_b)[observable]).max() < 0.01
     spread = 1 / np.sqrt(np.maximum(np.diag(found.information), 1e-9))
-    assert spread[known].max() < 0.01
+    assert spread[observable].max() < 0.01
     assert spread[[2, 3, 4]].min() > 0.05

@@ -1,4 +1,4 @@
-"""Poses of two 2-D scanners by linear algebra, from lines on boards whose poses are known."""
+"""Poses of two 2-D scanners by linear algebra, from lines on boards with given poses."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def segments(T_a_b: Array, rng: np.random.Generator, count: int = 40, sigma: flo
         detect_boards("line", se3.inverse(T_a_b), scene, rng, sigma),
     )
     common = sorted(set(a) & set(b))
-    return np.array([[segment_endpoints(seen, i) for i in common] for seen in (a, b)])[:, None]
+    return np.array([[segment_endpoints(detections, i) for i in common] for detections in (a, b)])[:, None]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -27,8 +27,8 @@ def test_all_lines_are_coplanar_under_the_pose_of_any_mounting(seed: int) -> Non
     np.testing.assert_allclose(gaps, 0, atol=1e-6)
 
 
-def test_only_the_fold_about_the_hinge_differs_from_the_truth(rng: np.random.Generator) -> None:
-    """The hinge of scanners turned about x by 0.5 is the x axis, and so is the axis of what remains."""
+def test_only_the_dihedral_angle_differs_from_the_truth(rng: np.random.Generator) -> None:
+    """The scan planes of scanners rotated about x by 0.5 intersect in the x axis."""
     T_a_b = se3.pose(so3.exp(np.array([0.5, 0, 0])), np.array([0.3, 0, 0]))
     a, b = segments(T_a_b, rng)
     difference = se3.difference(solve_coplanar_lines(a, b)[0], T_a_b)

@@ -1,4 +1,4 @@
-"""Walls seen by two scanners: what they fix is exact, what they leave open stays open."""
+"""ICP of walls: exact in observable directions, unchanged in unobservable ones."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Gen
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_room_fixes_the_pose(seed: int) -> None:
+def test_a_room_determines_the_pose(seed: int) -> None:
     rng = np.random.default_rng(seed)
     found = aligned(ROOM, rng.normal(size=3) * [0.1, 0.1, 0.05], LOOSE, rng)
     d = se2.difference(found.T_a_b, T_A_B)
@@ -51,7 +51,7 @@ def test_a_room_fixes_the_pose(seed: int) -> None:
     assert np.degrees(abs(d[2])) < 0.1
 
 
-def test_errors_in_a_room_are_as_large_as_the_information_says() -> None:
+def test_information_in_a_room_is_consistent_with_the_errors() -> None:
     squared = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -62,13 +62,13 @@ def test_errors_in_a_room_are_as_large_as_the_information_says() -> None:
     assert np.mean(squared) < 4
 
 
-def test_a_corridor_leaves_its_direction_open(rng: np.random.Generator) -> None:
+def test_translation_along_a_corridor_is_unobservable(rng: np.random.Generator) -> None:
     found = aligned(CORRIDOR, np.array([0.0, 0.1, 0.03]), LOOSE, rng)
     along = A[:2, :2].T @ np.array([1.0, 0.0])
     assert along @ found.information[:2, :2] @ along < 1.0  # 1 m or worse
 
 
-def test_a_corridor_fixes_across_and_the_angle(rng: np.random.Generator) -> None:
+def test_a_corridor_determines_translation_across_it_and_the_angle(rng: np.random.Generator) -> None:
     found = aligned(CORRIDOR, np.array([0.0, 0.1, 0.03]), LOOSE, rng)
     d = se2.difference(found.T_a_b, T_A_B)
     across = A[:2, :2].T @ np.array([0.0, 1.0])
@@ -76,14 +76,14 @@ def test_a_corridor_fixes_across_and_the_angle(rng: np.random.Generator) -> None
     assert abs(d[2]) < 0.003
 
 
-def test_a_corridor_does_not_move_the_guess_along_it(rng: np.random.Generator) -> None:
+def test_a_corridor_keeps_the_initial_translation_along_it(rng: np.random.Generator) -> None:
     off = A[:2, :2].T @ np.array([0.2, 0.0])
     found = aligned(CORRIDOR, np.append(off, 0.0), LOOSE, rng)
     d = se2.difference(found.T_a_b, T_A_B)
     assert A[0, :2] @ d[:2] == pytest.approx(0.2, abs=0.01)
 
 
-def test_fusion_takes_from_walls_what_tracks_leave_open(rng: np.random.Generator) -> None:
+def test_fusion_combines_observable_directions_of_walls_and_tracks(rng: np.random.Generator) -> None:
     R = np.eye(3)
     R[:2, :2] = A[:2, :2].T
     loose_across = R @ np.diag([1e-2, 0.3, 0.05]) ** 2 @ R.T
@@ -104,7 +104,7 @@ def test_walls_that_contradict_the_tracks_are_rejected(rng: np.random.Generator)
     assert found == Rejected("static background and tracks contradict each other")
 
 
-def test_a_room_that_the_other_scanner_looks_through_is_rejected(rng: np.random.Generator) -> None:
+def test_a_room_in_the_free_space_of_the_other_scanner_is_rejected(rng: np.random.Generator) -> None:
     small: list[Wall] = [((-1, -3), (-1, 3)), ((4, -3), (4, 3)), ((4, 3), (-1, 3)), ((-1, -3), (4, -3))]
     wide: list[Wall] = [((-4, -3), (5, -3)), ((-4, -3), (-4, 5)), ((5, -3), (5, 5)), ((-4, 5), (5, 5))]
     found = align_backgrounds(T_A_B, LOOSE, scan(wide, A, rng), scan(small, B, rng), SIGMA)

@@ -29,7 +29,7 @@ def test_coplanarity_derivatives(seed: int) -> None:
     )
 
 
-def test_coplanarity_is_the_gap_on_the_scan_planes_common_line() -> None:
+def test_coplanarity_is_the_gap_along_the_intersection_of_the_scan_planes() -> None:
     """Scan planes that cross at right angles along x; both lines at 90 degrees to x, 0.1 m apart there."""
     T_a_b = se3.pose(so3.exp(np.array([np.pi / 2, 0, 0])), np.zeros(3))
     a = np.array([[1.0, -0.3, 0], [1.0, 0.3, 0]])

@@ -1,4 +1,4 @@
-"""Two stationary scanners and people whose walks are known: do they find each other, and do they know how well?"""
+"""Relative poses of two stationary scanners and their information, from simulated tracks of people."""
 
 import time
 from dataclasses import replace
@@ -19,7 +19,7 @@ from calgraph.tracking import CenterFeature, ScannerTracks, Track, track_scanner
 
 STEP = 0.04  # s, of the simulated truth
 SIGMA = 0.04  # m, of a smoothed position
-MEMORY = 0.4  # s over which a smoother's errors stay alike
+MEMORY = 0.4  # s, correlation time of a smoother's errors
 NO_BACKGROUND = np.zeros((0, 2))
 Walk = tuple[Array, Array]
 """Positions and velocities (N, 2) in the world at multiples of STEP."""
@@ -81,10 +81,10 @@ def observe(
         p = p + lfilter([1], [1, -keep], noise, axis=0)
         p = p * (1 - near / np.linalg.norm(p, axis=1, keepdims=True))
         visible = (np.hypot(*p.T) < reach) & (np.abs(np.arctan2(p[:, 1], p[:, 0])) < np.radians(135))
-        seen = np.flatnonzero(visible & (rng.random(len(t)) > 0.02))
+        detected = np.flatnonzero(visible & (rng.random(len(t)) > 0.02))
         piece = np.cumsum(rng.random(len(t)) < 1 / (rate * cut))
-        breaks = (np.diff(seen) > 5) | (np.diff(piece[seen]) > 0)
-        for k in np.split(seen, np.flatnonzero(breaks) + 1):
+        breaks = (np.diff(detected) > 5) | (np.diff(piece[detected]) > 0)
+        for k in np.split(detected, np.flatnonzero(breaks) + 1):
             if len(k) >= 4:
                 S = np.broadcast_to(sigma**2 * np.eye(2), (len(k), 2, 2))
                 tracks.append(Track(t[k] + late, p[k], u[k], S, period=int(piece[k[0]])))
@@ -119,22 +119,22 @@ def test_the_right_hypothesis_comes_first(people: int, seed: int) -> None:
     assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.1, 1.0)
 
 
-def test_a_crowd_of_twelve_is_sorted_out() -> None:
+def test_a_crowd_of_twelve_is_associated() -> None:
     rng = np.random.default_rng(3)
     walks = [wander(rng) for _ in range(12)]
     A, B = somewhere(rng), somewhere(rng)
     assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.05, 0.5)
 
 
-def test_a_crowd_seen_for_three_seconds_is_no_error() -> None:
+def test_a_crowd_tracked_for_three_seconds_is_associated() -> None:
     rng = np.random.default_rng(4)
     walks = [wander(rng, seconds=3) for _ in range(30)]
     A, B = somewhere(rng, 4.0), somewhere(rng, 4.0)
     assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.1, 1.0)
 
 
-def test_scanners_that_saw_other_people_for_some_seconds_hardly_ever_find_each_other() -> None:
-    # Anybody's short walk can be laid over anybody else's, as people are about as fast as each other.
+def test_scanners_that_tracked_different_people_for_seconds_are_rarely_accepted() -> None:
+    # Short trajectories of people at similar speeds can be superimposed.
     found = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -145,7 +145,7 @@ def test_scanners_that_saw_other_people_for_some_seconds_hardly_ever_find_each_o
     assert found <= 7
 
 
-def test_two_people_who_cross_again_and_again(rng: np.random.Generator) -> None:
+def test_two_people_who_cross_repeatedly_are_associated(rng: np.random.Generator) -> None:
     walks = [straight((-3, 0.1), (3, 0.3), 12), straight((0.2, -3), (0.1, 3), 12)]
     A, B = se2.pose(0.7, np.array([-3.0, -3.0])), se2.pose(2.4, np.array([4.0, -3.0]))
     assert error(estimate(rng, walks, A, B), se2.inverse(A) @ B) < (0.1, 1.0)
@@ -158,13 +158,13 @@ def test_a_pair_with_little_overlap_is_found(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_scanner_from_which_furniture_hides_half_of_all_walks_is_found(seed: int) -> None:
+def test_a_scanner_with_half_of_all_tracks_occluded_is_found(seed: int) -> None:
     rng = np.random.default_rng(seed)
     walks = [wander(rng, size=6.0) for _ in range(2)]
     A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
-    seen = observe(walks, B, rng, background=room(B, rng))
-    some = tuple(track for track in seen.tracks if rng.random() < 0.5)
-    pair = estimate_scanner_pair("a", "b", observe(walks, A, rng), replace(seen, tracks=some), rng)
+    observed = observe(walks, B, rng, background=room(B, rng))
+    some = tuple(track for track in observed.tracks if rng.random() < 0.5)
+    pair = estimate_scanner_pair("a", "b", observe(walks, A, rng), replace(observed, tracks=some), rng)
     assert error(pair, se2.inverse(A) @ B)[0] < 0.1
 
 
@@ -178,7 +178,7 @@ def test_clocks_may_differ_by_thirty_milliseconds(
 
 @pytest.mark.parametrize(("late", "near"), [(0.09, 0.0), (0.0, 0.07)])
 @pytest.mark.parametrize("seed", range(3))
-def test_tracks_may_be_far_surer_than_clocks_and_sizes_are_known(late: float, near: float, seed: int) -> None:
+def test_track_covariances_may_be_smaller_than_systematic_errors(late: float, near: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     A, B = somewhere(rng), somewhere(rng)
     fast = [wander(rng, speed=2.5)]
@@ -189,7 +189,7 @@ def test_tracks_may_be_far_surer_than_clocks_and_sizes_are_known(late: float, ne
     assert degrees < 0.5
 
 
-def test_errors_are_as_large_as_the_information_says() -> None:
+def test_information_is_consistent_with_the_errors() -> None:
     squared = []
     for seed in range(40):
         rng = np.random.default_rng(100 + seed)
@@ -215,7 +215,7 @@ def test_a_short_straight_walk_leaves_the_angle_less_certain_than_a_wide_one() -
     assert stddev_of_angle(1.5) > 2 * stddev_of_angle(6.0)
 
 
-def test_people_seen_at_different_times_tell_nothing(rng: np.random.Generator) -> None:
+def test_tracks_at_different_times_are_rejected(rng: np.random.Generator) -> None:
     walks = [wander(rng, seconds=20)]
     a, b = observe(walks, np.eye(3), rng), observe(walks, np.eye(3), rng, late=100.0)
     assert estimate_scanner_pair("a", "b", a, b, rng) == Rejected(
@@ -223,7 +223,7 @@ def test_people_seen_at_different_times_tell_nothing(rng: np.random.Generator) -
     )
 
 
-def test_people_who_stand_still_tell_no_direction(rng: np.random.Generator) -> None:
+def test_people_at_rest_are_rejected(rng: np.random.Generator) -> None:
     still = (np.ones((500, 2)), np.zeros((500, 2)))
     a, b = observe([still], np.eye(3), rng), observe([still], np.eye(3), rng)
     found = estimate_scanner_pair("a", "b", a, b, rng)
@@ -231,13 +231,13 @@ def test_people_who_stand_still_tell_no_direction(rng: np.random.Generator) -> N
     assert found.reason == "no trajectory of one has the shape of one of the other, or all are too short"
 
 
-def test_a_scanner_without_tracks_is_no_error(rng: np.random.Generator) -> None:
-    nobody = ScannerTracks((), NO_BACKGROUND, 0.01)
-    found = estimate_scanner_pair("a", "b", nobody, nobody, rng)
+def test_a_scanner_without_tracks_is_rejected(rng: np.random.Generator) -> None:
+    empty = ScannerTracks((), NO_BACKGROUND, 0.01)
+    found = estimate_scanner_pair("a", "b", empty, empty, rng)
     assert found == Rejected("both tracked somebody at the same time for 0.0 s, 2.0 s are needed")
 
 
-def test_walls_improve_what_tracks_found(rng: np.random.Generator) -> None:
+def test_walls_improve_the_pose_from_tracks(rng: np.random.Generator) -> None:
     walks = [wander(rng, seconds=15, size=3.0)]
     A, B = se2.pose(0.3, np.array([-2.0, -1.0])), se2.pose(2.5, np.array([2.0, -1.5]))
     a, b = (observe(walks, T, rng, background=room(T, rng)) for T in (A, B))
@@ -266,7 +266,7 @@ def test_six_scanners_of_a_minute_take_two_seconds() -> None:
 
 
 @pytest.mark.parametrize("feature", get_args(CenterFeature))
-def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
+def test_a_real_pair_is_within_ten_centimetres_of_the_measured_pose(
     data_dir: Path, feature: CenterFeature, rng: np.random.Generator
 ) -> None:
     """One person walks by for six seconds; the only walls that both see are parallel to x."""
@@ -278,14 +278,14 @@ def test_a_real_pair_is_within_a_hand_s_breadth_of_what_was_measured(
             scans[record.topic].append(message)
     tracked = []
     for of_one in scans.values():
-        known = track_scanner(of_one, People(kind="people"), RangeNoise(), feature=feature)
-        assert isinstance(known, ScannerTracks)
-        tracked.append(known)
+        tracks = track_scanner(of_one, People(kind="people"), RangeNoise(), feature=feature)
+        assert isinstance(tracks, ScannerTracks)
+        tracked.append(tracks)
     found = estimate_scanner_pair("front", "rear", tracked[0], tracked[1], rng)
     assert error(found, se2.pose(np.pi, np.array([-0.474, 0.006]))) < (0.1, 1.5)
 
 
-def test_centres_of_mass_lie_nearer_than_the_people(rng: np.random.Generator) -> None:
+def test_centres_of_mass_nearer_than_true_centres_are_corrected(rng: np.random.Generator) -> None:
     walks = [wander(rng) for _ in range(2)]
     A, B = se2.pose(0.8, np.array([-3.0, -3.0])), se2.pose(2.3, np.array([3.0, -3.0]))
     a, b = (observe(walks, T, rng, near=0.15) for T in (A, B))

@@ -1,4 +1,4 @@
-"""Two boards at once: cameras know which is which, scanners do not."""
+"""Two boards in one capture, which cameras identify and scanners do not."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ CAPTURES = 12
 
 
 def corners(T_s_board: Array, board: int, rng: np.random.Generator) -> BoardCorners:
-    seen = make_patch(T_s_board, rng)
+    patch = make_patch(T_s_board, rng)
     return BoardCorners(
-        np.zeros((4, 3)), np.zeros((4, 2)), T_s_board, 1e-6 * np.eye(6), seen.plane, seen.covariance, 0.1, board
+        np.zeros((4, 3)), np.zeros((4, 2)), T_s_board, 1e-6 * np.eye(6), patch.plane, patch.covariance, 0.1, board
     )
 
 
@@ -40,7 +40,7 @@ def by_lidar(T_s_root: Array, both: tuple[Array, Array], rng: np.random.Generato
     return found
 
 
-def test_two_cameras_never_take_one_board_for_another() -> None:
+def test_cameras_do_not_match_different_boards() -> None:
     rng = np.random.default_rng(1)
     both = scene(rng)
     table = tabulate_matches(by_camera(np.eye(4), both, rng), by_camera(np.eye(4), both, rng))
@@ -65,7 +65,7 @@ def test_both_boards_of_a_capture_are_used(seed: int, observe_b: object, swapped
 
 
 def test_scanners_use_one_board_of_a_capture() -> None:
-    """They cannot tell two boards, seen both by both, from one that is seen twice."""
+    """They cannot distinguish two boards from two detections of one board."""
     rng = np.random.default_rng(3)
     both = scene(rng)
     found = estimate_pair("a", "b", by_lidar(np.eye(4), both, rng), by_lidar(np.eye(4), both, rng), SIZE, rng)

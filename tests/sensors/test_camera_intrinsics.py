@@ -24,7 +24,7 @@ def camera(request: pytest.FixtureRequest) -> CameraModel:
 POINTS = np.array([[0.3, -0.2, 1.0], [-0.9, 0.7, 1.1], [0.0, 0.0, 2.0], [1e-9, 0.0, 1.0], [20.0, -10.0, 30.0]])
 
 
-def test_derivatives_are_those_of_numbers(camera: CameraModel) -> None:
+def test_derivatives_agree_with_numerical_ones(camera: CameraModel) -> None:
     found = camera.project_by_intrinsics(POINTS)
     for i, value in enumerate(camera.intrinsics):
         step = 1e-6 * max(1.0, abs(value)) * np.eye(len(camera.intrinsics))[i]
@@ -32,7 +32,7 @@ def test_derivatives_are_those_of_numbers(camera: CameraModel) -> None:
         np.testing.assert_allclose(found[..., i], (ahead - behind) / (2 * step[i]), rtol=1e-5, atol=1e-5)
 
 
-def test_a_camera_with_its_own_intrinsics_is_the_same(camera: CameraModel) -> None:
+def test_a_camera_with_unchanged_intrinsics_projects_equally(camera: CameraModel) -> None:
     np.testing.assert_array_equal(
         camera.with_intrinsics(camera.intrinsics).project(POINTS), camera.project(POINTS)
     )

@@ -1,4 +1,4 @@
-"""Camera models against OpenCV, against numerical derivatives, and past the limits of their polynomials."""
+"""Camera models against OpenCV, against numerical derivatives, and beyond the limits of their polynomials."""
 
 import cv2
 import numpy as np
@@ -126,27 +126,29 @@ def test_pixels_that_no_point_reaches_have_no_ray() -> None:
 
 
 @any_lens
-def test_nothing_outside_the_picture_is_drawn_into_it(camera: CameraModel, rng: np.random.Generator) -> None:
+def test_directions_outside_the_field_of_view_stay_outside_the_image(
+    camera: CameraModel, rng: np.random.Generator
+) -> None:
     points = rng.normal(size=(50_000, 3)) * [5, 5, 1]
     pixels = camera.project(points)
     drawn = camera.contains(pixels)
     directions = points[drawn] / np.linalg.norm(points[drawn], axis=1, keepdims=True)
-    # Each pixel belongs to one direction only: a second one would have come over the fold.
+    # Each pixel belongs to one direction only: a second one would be beyond the monotonic range.
     np.testing.assert_allclose(camera.rays(pixels[drawn]), directions, atol=1e-7)
 
 
-def test_a_point_that_opencv_draws_over_the_fold_is_not_seen() -> None:
+def test_a_point_beyond_the_monotonic_range_is_not_projected() -> None:
     camera, point = LENSES["overfitted"], np.array([[0.85, 0.0, 1.0]])
     assert camera.contains(opencv_pixels(camera, point)).all()
     assert np.isnan(camera.project(point)).all()
 
 
 @pytest.mark.parametrize("point", [[0, 0, -1.0], [0, 0, 0], [1, 0, 0], [1, 1, -0.1], [np.nan, 0, 1]])
-def test_pinhole_sees_nothing_beside_or_behind_it(point: list[float]) -> None:
+def test_pinhole_projects_no_point_beside_or_behind_it(point: list[float]) -> None:
     assert np.isnan(LENSES["barrel"].project(np.array([point]))).all()
 
 
-def test_wide_fisheye_sees_past_ninety_degrees() -> None:
+def test_wide_fisheye_projects_beyond_ninety_degrees() -> None:
     pixels = LENSES["wide fisheye"].project(np.array([[np.sin(1.7), 0, np.cos(1.7)]]))
     np.testing.assert_allclose(pixels, [[640 + 300 * 1.7, 480]], atol=1e-9)
 

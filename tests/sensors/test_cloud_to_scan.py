@@ -19,7 +19,7 @@ def test_beams_are_sorted_by_angle() -> None:
     np.testing.assert_allclose(scan.ranges, [1, 2, 3, 4])
 
 
-def test_gap_between_beams_is_filled_with_beams_that_saw_nothing() -> None:
+def test_gap_between_beams_is_filled_with_invalid_beams() -> None:
     scan = convert_cloud_to_scan(cloud_at([0.0, 0.1, 0.2, 0.5, 0.6], [1, 1, 1, 1, 1]))
     np.testing.assert_allclose(scan.angles, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     np.testing.assert_array_equal(scan.valid, [True, True, True, False, False, True, True])

@@ -13,25 +13,26 @@ PICTURE[:, :320, 0] = PICTURE[:, 320:, 2] = 255
 
 @pytest.mark.parametrize("step", [1, 2, 4])
 def test_points_have_the_colours_of_their_pixels_however_small_the_picture(step: int) -> None:
-    colors, seen = colorize_points(np.array([[-0.5, 0.0, 2.0], [0.5, 0.1, 2.0]]), CAMERA, PICTURE[::step, ::step])
-    assert seen.tolist() == [True, True]
+    points = np.array([[-0.5, 0.0, 2.0], [0.5, 0.1, 2.0]])
+    colors, visible = colorize_points(points, CAMERA, PICTURE[::step, ::step])
+    assert visible.tolist() == [True, True]
     assert colors.tolist() == [[255, 0, 0], [0, 0, 255]]
 
 
-def test_points_outside_and_behind_are_not_seen() -> None:
-    colors, seen = colorize_points(np.array([[9.0, 0, 2], [0, 0, -2], [0, 0, 2]]), CAMERA, PICTURE)
-    assert seen.tolist() == [False, False, True]
+def test_points_outside_the_image_and_behind_the_camera_are_not_visible() -> None:
+    colors, visible = colorize_points(np.array([[9.0, 0, 2], [0, 0, -2], [0, 0, 2]]), CAMERA, PICTURE)
+    assert visible.tolist() == [False, False, True]
     assert not colors[:2].any()
 
 
-def test_a_wall_behind_a_board_is_not_painted(rng: np.random.Generator) -> None:
+def test_a_wall_behind_a_board_is_occluded(rng: np.random.Generator) -> None:
     """A board 2 m away, and a wall at 5 m of which it hides the middle."""
     board = np.column_stack([rng.uniform(-0.5, 0.5, (4000, 2)), np.full(4000, 2.0)])
     wall = np.column_stack([rng.uniform(-2, 2, (4000, 2)), np.full(4000, 5.0)])
-    _, seen = colorize_points(np.concatenate([board, wall]), CAMERA, PICTURE)
+    _, visible = colorize_points(np.concatenate([board, wall]), CAMERA, PICTURE)
     # 1.5 cells of 0.02 rad, at 5 m, are 0.15 m: so near the border either may be.
-    reach, hidden = np.abs(wall[:, :2]).max(axis=1), ~seen[4000:]
-    assert seen[:4000].all()
+    reach, hidden = np.abs(wall[:, :2]).max(axis=1), ~visible[4000:]
+    assert visible[:4000].all()
     assert hidden[reach < 1.1].all()
     assert not hidden[reach > 1.25 + 0.2].any()
 
@@ -39,8 +40,8 @@ def test_a_wall_behind_a_board_is_not_painted(rng: np.random.Generator) -> None:
 def test_a_slanted_floor_is_one_surface() -> None:
     """Along the sight its points lie ever farther away, and hide nothing."""
     x, z = np.meshgrid(np.linspace(-0.5, 0.5, 40), np.linspace(3, 12, 200))
-    _, seen = colorize_points(np.column_stack([x.ravel(), np.full(x.size, 1.2), z.ravel()]), CAMERA, PICTURE)
-    assert seen.mean() > 0.95
+    _, visible = colorize_points(np.column_stack([x.ravel(), np.full(x.size, 1.2), z.ravel()]), CAMERA, PICTURE)
+    assert visible.mean() > 0.95
 
 
 def test_grey_pictures_give_grey_points() -> None:
@@ -48,7 +49,7 @@ def test_grey_pictures_give_grey_points() -> None:
     assert colors.tolist() == [[90, 90, 90]]
 
 
-def test_no_points_are_no_error() -> None:
-    colors, seen = colorize_points(np.zeros((0, 3)), CAMERA, PICTURE)
+def test_no_points_have_no_colours() -> None:
+    colors, visible = colorize_points(np.zeros((0, 3)), CAMERA, PICTURE)
     assert colors.shape == (0, 3)
-    assert seen.shape == (0,)
+    assert visible.shape == (0,)

@@ -1,4 +1,4 @@
-"""What is new in a scan against the background of its scanner."""
+"""Foreground of scans against the background of their scanner."""
 
 import numpy as np
 import pytest
@@ -16,25 +16,25 @@ def scan(ranges: Array | float, rng: np.random.Generator, noise: float = 0.02) -
     )
 
 
-def test_a_nearer_beam_is_new(rng: np.random.Generator) -> None:
+def test_a_nearer_beam_is_foreground(rng: np.random.Generator) -> None:
     background = ScanBackground.build([scan(4.0, rng) for _ in range(40)])
     ranges = np.where(np.abs(ANGLES) < 0.2, 2.0, 4.0)
     assert np.array_equal(background.foreground(scan(ranges, rng)), np.abs(ANGLES) < 0.2)
 
 
-def test_noise_is_not_new(rng: np.random.Generator) -> None:
+def test_noise_is_not_foreground(rng: np.random.Generator) -> None:
     background = ScanBackground.build([scan(4.0, rng) for _ in range(40)])
-    new = np.mean([background.foreground(scan(4.0, rng)).mean() for _ in range(50)])
-    assert new < 0.002
+    share = np.mean([background.foreground(scan(4.0, rng)).mean() for _ in range(50)])
+    assert share < 0.002
 
 
-def test_the_margin_follows_a_noisier_scanner(rng: np.random.Generator) -> None:
+def test_the_margin_grows_with_the_noise(rng: np.random.Generator) -> None:
     background = ScanBackground.build([scan(4.0, rng, 0.05) for _ in range(40)])
-    new = np.mean([background.foreground(scan(4.0, rng, 0.05)).mean() for _ in range(50)])
-    assert new < 0.005
+    share = np.mean([background.foreground(scan(4.0, rng, 0.05)).mean() for _ in range(50)])
+    assert share < 0.005
 
 
-def test_a_beam_that_flickers_between_two_depths_is_not_new_at_either_nor_between(
+def test_a_beam_alternating_between_two_depths_is_background_at_both_and_between(
     rng: np.random.Generator,
 ) -> None:
     def flicker() -> LaserScan:
@@ -46,13 +46,13 @@ def test_a_beam_that_flickers_between_two_depths_is_not_new_at_either_nor_betwee
     assert background.foreground(scan(1.5, rng)).sum() == 201
 
 
-def test_returns_where_nothing_ever_answered_are_new(rng: np.random.Generator) -> None:
+def test_returns_without_a_background_are_foreground(rng: np.random.Generator) -> None:
     open_sky = np.where(ANGLES > 0, np.inf, 4.0)
     background = ScanBackground.build([scan(open_sky, rng) for _ in range(20)])
     assert background.foreground(scan(3.0, rng)).sum() == 201
 
 
-def test_missing_returns_are_not_new(rng: np.random.Generator) -> None:
+def test_missing_returns_are_not_foreground(rng: np.random.Generator) -> None:
     background = ScanBackground.build([scan(4.0, rng) for _ in range(20)])
     nothing = LaserScan(0.0, "laser", ANGLES, np.where(ANGLES > 0, np.nan, np.inf))
     assert background.foreground(nothing).tolist() == 201 * [False]
