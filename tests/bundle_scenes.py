@@ -1,4 +1,4 @@
-"""Bundles of a small rig with known truth, without detectors: cheap enough to draw their noise a hundred times."""
+"""Bundles of a small simulated rig, without detectors: cheap enough for a hundred noise realisations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,29 +23,29 @@ _OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What sensors measure of boards, without noise."""
+    """Noiseless measurements of boards, and their true poses."""
 
     bundle: Bundle
     truth: BundleState
 
-    def measured(self, rng: np.random.Generator, noise: float = 1.0, sway: float = 0.0) -> Bundle:
-        """The bundle with Gaussian noise so many times that stated, and views displaced by ``sway`` (m)."""
-        swaying = replace(self.bundle, bias_variance=np.full(len(self.bundle.sensors), sway**2))
+    def measured(self, rng: np.random.Generator, noise: float = 1.0, view_bias: float = 0.0) -> Bundle:
+        """The bundle with noise of ``noise`` times the stated one, and a bias of each view of ``view_bias`` (m)."""
+        with_bias = replace(self.bundle, bias_variance=np.full(len(self.bundle.sensors), view_bias**2))
         views = []
-        for s, own in enumerate(self.bundle.views):
-            T = relative_poses(self.truth.T_root_sensor[s], self.truth.T_root_board[own.board])
-            spread = np.sqrt(swaying.bias_variances(s)[:6])
+        for s, views_of_sensor in enumerate(self.bundle.views):
+            T = relative_poses(self.truth.T_root_sensor[s], self.truth.T_root_board[views_of_sensor.board])
+            spread = np.sqrt(with_bias.bias_variances(s)[:6])
             T = se3.retract(T, spread * rng.normal(size=(len(T), 6)))
-            views.append(remeasured(own, T, rng, noise))
+            views.append(remeasured(views_of_sensor, T, rng, noise))
         return replace(self.bundle, views=tuple(views))
 
-    def without_sway(self) -> "Scene":
-        """The scene in which views are known not to err as a whole."""
+    def without_bias(self) -> "Scene":
+        """The scene with zero view bias."""
         return replace(self, bundle=replace(self.bundle, bias_variance=np.zeros(len(self.bundle.sensors))))
 
 
 def remeasured(views: BoardViews, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> BoardViews:
-    """The views with what they measure of boards at other poses, with noise so many times that stated."""
+    """The views with measurements of boards at other poses, and noise a multiple of the stated one."""
     error = views.linearize(T_sensor_board, np.zeros(views.extra_count)).residual
     if isinstance(views, CornerObservations):
         sigma = views.noise.pixel * views.noise_scale
@@ -56,10 +56,10 @@ def remeasured(views: BoardViews, T_sensor_board: Array, rng: np.random.Generato
 
 
 def scene(sensors: Sequence[str] = ("lidar", "camera", "laser"), boards: int = 20, seed: int = 0) -> Scene:
-    """Boards before a robot, all seen by all of its sensors, which are called after their kinds."""
+    """Boards before a robot, all observed by all sensors, which are named after their kinds."""
     rng = np.random.default_rng(seed)
     T_root_sensor = np.array([sensor_pose(name, rng) for name in sensors])
-    # As sensors are counted from the first, the root.
+    # The first sensor is the root.
     T_root_sensor = se3.inverse(T_root_sensor[0]) @ T_root_sensor
     T_root_board = se3.inverse(sensor_pose(sensors[0], np.random.default_rng(seed))) @ board_poses(boards, rng)
     views = [
@@ -86,7 +86,7 @@ def board_poses(count: int, rng: np.random.Generator) -> Array:
 
 
 def views_of(name: str, T_sensor_board: Array) -> BoardViews:
-    """What a sensor measures of boards (C, 4, 4) before it, without noise."""
+    """A sensor's noiseless views of boards (C, 4, 4) before it."""
     count = len(T_sensor_board)
     if name == "camera":
         points = se3.apply(T_sensor_board, CORNERS)
@@ -104,13 +104,13 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
 
 
 def _swept(T_sensor_board: Array) -> Array:
-    """(N, 3) where a 3-D scanner's beams meet the board."""
+    """(N, 3) points of a 3-D scanner on the board."""
     x, y = np.meshgrid(np.linspace(-0.55, 0.55, 12), np.linspace(-0.4, 0.4, 9))
     return se3.apply(T_sensor_board, np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1))
 
 
 def _cut(T_sensor_board: Array) -> Array:
-    """(N, 3) where the board meets the plane z = 0 of a 2-D scanner."""
+    """(N, 3) points of a 2-D scanner on the board, in its plane z = 0."""
     a, b, _ = T_sensor_board[2, :3]
     nearest = -T_sensor_board[2, 3] * np.array([a, b]) / (a * a + b * b)
     line = nearest + np.linspace(-1, 1, 161)[:, None] * np.array([b, -a]) / np.hypot(a, b)

@@ -1,4 +1,4 @@
-"""Bundles as one dense least-squares problem over sensors and boards: an oracle for what eliminates the boards."""
+"""Bundles as one dense least-squares problem over sensors and boards: an oracle for the Schur complement."""
 
 import numpy as np
 
@@ -8,8 +8,8 @@ from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array
 
 
-def quiet(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:
-    return scene(kinds, boards).without_sway()
+def unbiased_scene(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:
+    return scene(kinds, boards).without_bias()
 
 
 def residuals(bundle: Bundle, state: BundleState) -> Array:
@@ -27,7 +27,7 @@ def residuals_after(bundle: Bundle, state: BundleState, step: Array) -> Array:
 
 
 def dense_jacobian(bundle: Bundle, state: BundleState, at: Array | None = None) -> Array:
-    """By all unknowns, after a step from the state."""
+    """By all parameters, after a step from the state."""
     size = bundle.parameter_count + 6 * len(state.T_root_board)
     at = np.zeros(size) if at is None else at
     ahead, behind = (

@@ -21,7 +21,7 @@ def scatter(bundle: Bundle, seed: int, boards: int = BOARDS) -> dict[str, Bootst
 def test_honest_covariances_are_called_honest() -> None:
     ratios, honest = [], 0
     for seed in range(SEEDS):
-        found = scatter(scene(boards=BOARDS).measured(np.random.default_rng(seed), sway=SWAY), seed)
+        found = scatter(scene(boards=BOARDS).measured(np.random.default_rng(seed), view_bias=SWAY), seed)
         ratios.append([s.ratio for s in found.values()])
         honest += all(s.verdict == "honest" for s in found.values())
     # All intervals of a recording hold with 95 %: of five, fewer than four do once in forty.
@@ -31,7 +31,7 @@ def test_honest_covariances_are_called_honest() -> None:
 
 
 def test_errors_larger_than_assumed_make_covariances_optimistic() -> None:
-    bundle = scene(boards=BOARDS).measured(np.random.default_rng(0), sway=10 * SWAY)
+    bundle = scene(boards=BOARDS).measured(np.random.default_rng(0), view_bias=10 * SWAY)
     found = scatter(bundle, 0)
     assert {s.verdict for s in found.values()} == {"optimistic"}
     laser = found["laser"]
@@ -40,7 +40,7 @@ def test_errors_larger_than_assumed_make_covariances_optimistic() -> None:
 
 def test_measured_sway_keeps_covariances_of_correlated_errors_honest() -> None:
     exact = scene(boards=BOARDS)
-    bundle = exact.measured(np.random.default_rng(0), sway=5 * SWAY)
+    bundle = exact.measured(np.random.default_rng(0), view_bias=5 * SWAY)
     found = scatter(replace(bundle, bias_variance=np.full(3, (5 * SWAY) ** 2)), 0)
     assert all(s.verdict != "optimistic" for s in found.values())
 
@@ -53,7 +53,7 @@ def test_errors_smaller_than_assumed_make_covariances_pessimistic() -> None:
 
 
 def test_draws_that_happen_to_be_the_captures_themselves_say_nothing() -> None:
-    found = scatter(scene(boards=3).measured(np.random.default_rng(0), sway=SWAY), 0, boards=3)
+    found = scatter(scene(boards=3).measured(np.random.default_rng(0), view_bias=SWAY), 0, boards=3)
     assert len(found) == 2
     for s in found.values():
         assert ((s.ratio > 0) & (s.ratio < 1)).all()

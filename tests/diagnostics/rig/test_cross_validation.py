@@ -27,7 +27,7 @@ def test_errors_are_as_large_as_noise_and_covariances_say() -> None:
     exact = scene(boards=16)
     found = []
     for seed in range(SEEDS):
-        predicted = left_out(exact, exact.measured(np.random.default_rng(seed), sway=SWAY))
+        predicted = left_out(exact, exact.measured(np.random.default_rng(seed), view_bias=SWAY))
         found.append([predicted[name].ratio ** 2 for name in exact.bundle.sensors])
     spread = np.std(found, axis=0, ddof=1) / np.sqrt(SEEDS)
     # Right in 99 of 100 such tests, of three sensors each.
@@ -37,7 +37,7 @@ def test_errors_are_as_large_as_noise_and_covariances_say() -> None:
 
 def test_errors_are_in_pixels_metres_and_radians() -> None:
     exact = scene()
-    predicted = left_out(exact, exact.measured(np.random.default_rng(0), sway=SWAY))
+    predicted = left_out(exact, exact.measured(np.random.default_rng(0), view_bias=SWAY))
     assert [predicted[name].unit for name in ("lidar", "camera", "laser")] == ["m", "px", "m"]
     # Corners err by 0.3 px in x and y; ranges by 12 mm, to the plane by less.
     assert 0.3 * np.sqrt(2) * 0.9 < predicted["camera"].rms < 0.3 * np.sqrt(2) * 2
@@ -49,7 +49,7 @@ def test_errors_are_in_pixels_metres_and_radians() -> None:
 
 def test_errors_that_every_view_of_a_sensor_shares_do_not_hide() -> None:
     exact = scene()
-    bundle = exact.measured(np.random.default_rng(0), sway=SWAY)
+    bundle = exact.measured(np.random.default_rng(0), view_bias=SWAY)
     lidar, camera, laser = bundle.views
     assert isinstance(camera, CornerObservations)
     # A focal length that is off by three in a hundred: poses follow, the rest shows in captures left out.

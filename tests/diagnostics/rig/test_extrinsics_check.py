@@ -24,7 +24,7 @@ SEEDS = 20
 
 def precise() -> Scene:
     """Sensors with a fifth of the usual noise: 24 boards then tell all axes to within the tolerance."""
-    exact = scene(("lidar", "camera", "laser", "laser_2"), boards=24).without_sway()
+    exact = scene(("lidar", "camera", "laser", "laser_2"), boards=24).without_bias()
     views = tuple(
         own.update_noise(relative_poses(T, exact.truth.T_root_board), 0.2)
         for own, T in zip(exact.bundle.views, exact.truth.T_root_sensor, strict=True)

@@ -26,7 +26,7 @@ def without_edges(_: str, detection: Detection) -> Detection:
     return replace(detection, edges=np.empty((0, 2, 3)))
 
 
-def test_without_cameras_sheets_lie_where_they_were_seen_to_end() -> None:
+def test_without_cameras_boards_are_registered_by_their_outlines() -> None:
     one = detect_rig(BLIND)
     adjusted = one.solve().solved_bundle
     assert adjusted is not None
@@ -38,11 +38,11 @@ def test_without_cameras_sheets_lie_where_they_were_seen_to_end() -> None:
     assert np.mean((centers < 0.01) & (turns < 0.02)) > 0.8
 
 
-def test_nothing_is_remarked_of_outlines_that_fit() -> None:
+def test_outlines_that_fit_cause_no_remark() -> None:
     assert detect_rig(FINE).solve().remarks == ()
 
 
-def test_outlines_make_every_axis_surer() -> None:
+def test_outlines_reduce_the_variance_of_every_axis() -> None:
     one = detect_rig(BLIND)
     blunt = one.map_detections(without_edges)
     with_edges, without = (np.diag(rig.solve().covariance["laser_front"]) for rig in (one, blunt))
@@ -50,7 +50,7 @@ def test_outlines_make_every_axis_surer() -> None:
     assert np.sqrt(np.prod(with_edges / without)) < 0.5
 
 
-def test_sheets_of_another_size_than_stated_are_named_and_bend_nothing() -> None:
+def test_boards_of_a_wrong_size_are_remarked_and_their_outlines_not_used() -> None:
     one = detect_rig(FINE)
     blunt = one.map_detections(without_edges).solve()
     board = one.rig.boards[0]

@@ -1,4 +1,4 @@
-"""The bundle's solver against scipy and dense matrices, and on problems whose answers are known by hand."""
+"""The bundle's solver against SciPy and dense matrices, and on problems with exact solutions."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,11 +12,11 @@ from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPrior, minimize_bundle, retract_state
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.geometry import se3, so3
-from dense_bundles import dense_jacobian, quiet, residuals_after
+from dense_bundles import dense_jacobian, residuals_after, unbiased_scene
 
 
 def disturbed(state: BundleState, rng: np.random.Generator, size: float = 0.02) -> BundleState:
-    """A start off the truth, the root excepted."""
+    """A start off the truth, except the root."""
     sensors = size * rng.normal(size=(len(state.T_root_sensor), 6))
     sensors[0] = 0
     boards = size * rng.normal(size=(len(state.T_root_board), 6))
@@ -41,38 +41,38 @@ def solved_by_scipy(bundle: Bundle, start: BundleState, **options: Any) -> tuple
 
 
 def test_exact_measurements_give_the_truth_from_a_poor_start(rng: np.random.Generator) -> None:
-    exact = quiet()
-    solved = minimize_bundle(exact.bundle, disturbed(exact.truth, rng, size=0.1))
-    assert solved.converged
-    error = se3.difference(solved.state.T_root_sensor, exact.truth.T_root_sensor)
-    # Settled means that what is left is a thousandth of a standard deviation.
+    exact = unbiased_scene()
+    solution = minimize_bundle(exact.bundle, disturbed(exact.truth, rng, size=0.1))
+    assert solution.converged
+    error = se3.difference(solution.state.T_root_sensor, exact.truth.T_root_sensor)
+    # The tolerance is a thousandth of a standard deviation.
     assert np.abs(error).max() < 1e-6
 
 
-def test_least_squares_of_scipy_are_the_same(rng: np.random.Generator) -> None:
-    exact = quiet(boards=5)
-    # So little noise that no residual is held off by the robust loss.
+def test_solution_is_that_of_scipys_least_squares(rng: np.random.Generator) -> None:
+    exact = unbiased_scene(boards=5)
+    # So little noise that no residual is down-weighted.
     bundle, start = exact.measured(rng, noise=0.3), disturbed(exact.truth, rng, size=0.003)
-    solved = minimize_bundle(bundle, start)
+    solution = minimize_bundle(bundle, start)
     best, cost = solved_by_scipy(bundle, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    assert solved.equations.cost == pytest.approx(cost, rel=1e-7)
-    assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-6
+    assert solution.equations.cost == pytest.approx(cost, rel=1e-7)
+    assert np.abs(se3.difference(solution.state.T_root_sensor, best.T_root_sensor)).max() < 1e-6
 
 
-def test_outliers_pull_as_in_scipys_huber(rng: np.random.Generator) -> None:
-    exact = quiet(("lidar", "laser"), boards=6)
+def test_outliers_are_weighted_as_in_scipys_huber_loss(rng: np.random.Generator) -> None:
+    exact = unbiased_scene(("lidar", "laser"), boards=6)
     bundle, start = exact.measured(rng, noise=1.5), disturbed(exact.truth, rng, size=0.003)
-    solved = minimize_bundle(bundle, start)
+    solution = minimize_bundle(bundle, start)
     best, cost = solved_by_scipy(
         bundle, start, loss="huber", f_scale=2.5, max_nfev=300, xtol=1e-13, ftol=1e-13, gtol=1e-13
     )
-    assert solved.equations.cost <= cost * (1 + 1e-7)
-    # By small parts of the standard deviations, which are millimetres.
-    assert np.abs(se3.difference(solved.state.T_root_sensor, best.T_root_sensor)).max() < 1e-4
+    assert solution.equations.cost <= cost * (1 + 1e-7)
+    # A small part of the standard deviations, which are millimetres.
+    assert np.abs(se3.difference(solution.state.T_root_sensor, best.T_root_sensor)).max() < 1e-4
 
 
-def test_a_prior_pulls_as_a_kalman_update(rng: np.random.Generator) -> None:
-    exact = quiet()
+def test_a_prior_acts_as_a_kalman_update(rng: np.random.Generator) -> None:
+    exact = unbiased_scene()
     bundle = exact.measured(rng, noise=0.3)
     free = minimize_bundle(bundle, exact.truth)
     P = pose_covariance(bundle, free.state, free.equations)[6:12, 6:12]
@@ -88,38 +88,38 @@ def test_a_prior_pulls_as_a_kalman_update(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(spread, P - gain @ P, atol=0.02 * np.abs(P - gain @ P).max())
 
 
-def test_a_prior_alone_decides_where_a_sensor_without_views_is() -> None:
-    exact = quiet()
+def test_a_sensor_without_views_is_at_the_mean_of_its_prior() -> None:
+    exact = unbiased_scene()
     blind = replace(
         exact.bundle, views=(*exact.bundle.views[:2], exact.bundle.views[2].select(np.zeros(8, dtype=bool)))
     )
     known = se3.retract(exact.truth.T_root_sensor[2], np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.3]))
-    solved = minimize_bundle(replace(blind, priors=(SensorPrior(2, known, 1e6 * np.eye(6)),)), exact.truth)
-    np.testing.assert_allclose(solved.state.T_root_sensor[2], known, atol=1e-8)
+    solution = minimize_bundle(replace(blind, priors=(SensorPrior(2, known, 1e6 * np.eye(6)),)), exact.truth)
+    np.testing.assert_allclose(solution.state.T_root_sensor[2], known, atol=1e-8)
 
 
-def test_sensors_on_one_body_stay_as_far_apart_as_they_are(rng: np.random.Generator) -> None:
-    exact = quiet(("lidar", "camera", "laser", "laser2"))
+def test_relative_poses_on_one_body_do_not_change(rng: np.random.Generator) -> None:
+    exact = unbiased_scene(("lidar", "camera", "laser", "laser2"))
     bundle = replace(exact.measured(rng), body=np.array([0, 1, 1, 2]))
     T = exact.truth.T_root_sensor.copy()
-    # The body as a whole is off at the start, far enough for several steps.
+    # The body starts far enough from its pose for several steps.
     turn = se3.pose(so3.exp(np.array([0.1, -0.1, 0.1])), np.array([0.1, -0.1, 0.1]))
     T[1:3] = turn @ T[1:3]
-    solved = minimize_bundle(bundle, replace(exact.truth, T_root_sensor=T)).state.T_root_sensor
-    np.testing.assert_allclose(se3.inverse(solved[1]) @ solved[2], se3.inverse(T[1]) @ T[2], atol=1e-12)
-    assert np.abs(se3.difference(solved[1], exact.truth.T_root_sensor[1])).max() < 0.01
+    solution = minimize_bundle(bundle, replace(exact.truth, T_root_sensor=T)).state.T_root_sensor
+    np.testing.assert_allclose(se3.inverse(solution[1]) @ solution[2], se3.inverse(T[1]) @ T[2], atol=1e-12)
+    assert np.abs(se3.difference(solution[1], exact.truth.T_root_sensor[1])).max() < 0.01
 
 
 def test_sensors_on_the_roots_body_do_not_move(rng: np.random.Generator) -> None:
-    exact = quiet()
+    exact = unbiased_scene()
     bundle = replace(exact.measured(rng), body=np.array([0, 0, 1]))
-    solved = minimize_bundle(bundle, exact.truth)
-    np.testing.assert_array_equal(solved.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
-    assert not pose_covariance(bundle, solved.state, solved.equations)[:12].any()
+    solution = minimize_bundle(bundle, exact.truth)
+    np.testing.assert_array_equal(solution.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
+    assert not pose_covariance(bundle, solution.state, solution.equations)[:12].any()
 
 
-def test_a_sensor_left_without_views_stays_and_leaves_the_others_alone(rng: np.random.Generator) -> None:
-    exact = quiet()
+def test_a_sensor_without_views_stays_and_has_no_influence(rng: np.random.Generator) -> None:
+    exact = unbiased_scene()
     bundle = exact.measured(rng)
     blind = replace(bundle, views=(*bundle.views[:2], bundle.views[2].select(np.zeros(8, dtype=bool))))
     with_blind = minimize_bundle(blind, exact.truth)
@@ -127,14 +127,14 @@ def test_a_sensor_left_without_views_stays_and_leaves_the_others_alone(rng: np.r
     without = minimize_bundle(pair, replace(exact.truth, T_root_sensor=exact.truth.T_root_sensor[:2]))
     np.testing.assert_allclose(with_blind.state.T_root_sensor[:2], without.state.T_root_sensor, atol=1e-6)
     np.testing.assert_allclose(with_blind.state.T_root_sensor[2], exact.truth.T_root_sensor[2], atol=1e-12)
-    # Nothing is known of it but that it is somewhere on the robot.
+    # Its variance is that of the prior.
     assert pose_covariance(blind, with_blind.state, with_blind.equations)[12:15, 12:15].max() == pytest.approx(
         100.0
     )
 
 
-def test_a_board_that_one_sensor_alone_saw_changes_nothing(rng: np.random.Generator) -> None:
-    exact = quiet()
+def test_a_board_observed_by_one_sensor_has_no_influence(rng: np.random.Generator) -> None:
+    exact = unbiased_scene()
     bundle = exact.measured(rng)
     alone = np.arange(8) != 7
     one_more = replace(
@@ -152,13 +152,13 @@ def test_a_board_that_one_sensor_alone_saw_changes_nothing(rng: np.random.Genera
 
 def test_the_cost_never_rises(rng: np.random.Generator) -> None:
     exact = scene(boards=8)
-    bundle, start = exact.measured(rng, noise=3.0, sway=0.02), disturbed(exact.truth, rng, size=0.3)
+    bundle, start = exact.measured(rng, noise=3.0, view_bias=0.02), disturbed(exact.truth, rng, size=0.3)
     costs = [minimize_bundle(bundle, start, iterations=n).equations.cost for n in (1, 2, 3, 5, 8, 20)]
     assert np.all(np.diff(costs) <= 0)
 
 
-def test_a_solver_that_was_stopped_early_says_so(rng: np.random.Generator) -> None:
-    exact = quiet()
+def test_a_solver_that_was_stopped_early_has_not_converged(rng: np.random.Generator) -> None:
+    exact = unbiased_scene()
     start = disturbed(exact.truth, rng, size=0.2)
     assert [minimize_bundle(exact.bundle, start, iterations=count).converged for count in (1, 5, 20)] == [
         False,
@@ -168,7 +168,7 @@ def test_a_solver_that_was_stopped_early_says_so(rng: np.random.Generator) -> No
 
 
 def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
-    exact = quiet()
+    exact = unbiased_scene()
     T = exact.truth.T_root_sensor.copy()
     T[1] = T[1] @ np.diag([-1.0, 1, -1, 1])
     with pytest.raises(CalibrationError, match="behind a camera"):

@@ -45,23 +45,23 @@ def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[DetectedRig, 
 
 
 @pytest.mark.parametrize("name", ["camera", "laser_front"])
-def test_errors_are_as_the_covariance_says(runs: list[tuple[DetectedRig, RigSolution]], name: str) -> None:
+def test_errors_are_consistent_with_the_covariance(runs: list[tuple[DetectedRig, RigSolution]], name: str) -> None:
     low, high = interval(6 * RUNS)
     nees = np.mean([one.mahalanobis(joint, name) for one, joint in runs])
     # Sway that chance makes appear widens the covariance of a rig without any.
     assert 0.8 * low < nees < 1.1 * high
 
 
-def test_nothing_right_is_rejected(runs: list[tuple[DetectedRig, RigSolution]]) -> None:
+def test_no_inlier_is_rejected(runs: list[tuple[DetectedRig, RigSolution]]) -> None:
     assert sum(len(joint.rejected) for _, joint in runs) <= 1
 
 
-def test_the_noise_found_is_the_noise_stated(runs: list[tuple[DetectedRig, RigSolution]]) -> None:
+def test_estimated_noise_is_the_stated_one(runs: list[tuple[DetectedRig, RigSolution]]) -> None:
     scales = np.array([[noise.scale for noise in joint.noise.values()] for _, joint in runs])
     np.testing.assert_allclose(scales.mean(axis=0), 1.0, atol=0.05)
 
 
-def test_slips_in_a_fifth_of_the_captures_cost_little() -> None:
+def test_outliers_in_a_fifth_of_the_captures_cost_little() -> None:
     calm, slipping = build_world(QUICK, 1), build_world(DISTURBED, 1)
     squares = np.zeros(2)
     for seed in range(3):
@@ -73,7 +73,7 @@ def test_slips_in_a_fifth_of_the_captures_cost_little() -> None:
     assert np.sqrt(squares[1] / squares[0]) < 2
 
 
-def test_what_was_left_out_is_from_captures_that_were_disturbed() -> None:
+def test_rejected_views_are_of_disturbed_captures() -> None:
     one = detect_rig(DISTURBED)
     rejected = {capture for capture, _ in one.solve().rejected}
     disturbed = {i for i, board in enumerate(one.truth.boards) if board.disturbed}
@@ -105,7 +105,7 @@ def test_two_sensors_suffice(others: dict[str, object]) -> None:
     assert pair.mahalanobis(joint, name) < 3
 
 
-def test_a_sensor_that_shares_no_board_stays_where_it_was() -> None:
+def test_a_sensor_without_common_boards_keeps_its_pose() -> None:
     one = detect_rig(SMALL)
     pairs = [pair for pair in one.pairs() if "laser_front" not in (pair.sensor_a, pair.sensor_b)]
     joint = solve_bundle(one.rig, one.captures, pairs, one.T_root_sensor)

@@ -73,7 +73,7 @@ def test_range_bias_is_recovered(biased: DetectedRig) -> None:
     assert bias.stddev < 0.005
 
 
-def test_range_bias_of_a_scanner_that_has_none_is_none(biased: DetectedRig) -> None:
+def test_range_bias_of_an_unbiased_scanner_is_zero(biased: DetectedRig) -> None:
     bias = one(biased.solve("range_bias"), "lidar", "range bias")
     assert abs(bias.value) < 3 * bias.stddev
 
@@ -95,7 +95,7 @@ def test_a_misfocused_camera_is_placed_right_if_its_intrinsics_are_estimated(mis
     assert misfocused.error(misfocused.solve(), "camera") > 0.01
 
 
-def test_a_tags_place_is_recovered(misprinted: DetectedRig) -> None:
+def test_displacement_of_a_tag_is_recovered(misprinted: DetectedRig) -> None:
     joint = misprinted.solve("tags")
     # What is stated too far to the right is found as much to the left; one tag is where it is by definition.
     (free,) = [e for e in joint.extra_parameters if (e.of, e.quantity) == ("tag 0", "x")]
@@ -109,7 +109,7 @@ def test_a_camera_is_placed_right_if_the_misprint_is_estimated(misprinted: Detec
     assert misprinted.mahalanobis(without, "camera") > 4
 
 
-def test_what_is_right_stays_right_if_all_is_estimated(right: DetectedRig) -> None:
+def test_correct_values_are_recovered_if_all_are_estimated(right: DetectedRig) -> None:
     joint = right.solve("tags", "range_bias", "intrinsics")
     stated = np.array([e.stated for e in joint.extra_parameters])
     z = (np.array([e.value for e in joint.extra_parameters]) - stated) / [e.stddev for e in joint.extra_parameters]
@@ -117,12 +117,12 @@ def test_what_is_right_stays_right_if_all_is_estimated(right: DetectedRig) -> No
     assert right.mahalanobis(joint, "camera") < 3
 
 
-def test_poses_are_less_certain_if_more_is_unknown(right: DetectedRig) -> None:
+def test_variances_grow_with_more_parameters(right: DetectedRig) -> None:
     fewer, more = right.solve().covariance["camera"], right.solve("intrinsics").covariance["camera"]
     assert np.all(np.diag(more) > np.diag(fewer))
 
 
-def test_what_no_capture_tells_is_said_to_be_unmeasured(
+def test_parameters_that_are_not_observable_are_reported(
     right: DetectedRig, caplog: pytest.LogCaptureFixture
 ) -> None:
     camera = right.captures.cameras["camera"]
@@ -135,7 +135,7 @@ def test_what_no_capture_tells_is_said_to_be_unmeasured(
 
 
 @pytest.mark.parametrize(("estimate", "lack"), [("intrinsics", "no camera"), ("tags", "no camera")])
-def test_unknowns_that_no_sensor_has_are_refused(estimate: Estimable, lack: str) -> None:
+def test_parameters_that_no_sensor_has_are_refused(estimate: Estimable, lack: str) -> None:
     blind = detect_rig(QUICK.model_copy(update={"camera": CameraOptions(count=0)}))
     with pytest.raises(InputError, match=lack):
         blind.solve(estimate)

@@ -1,4 +1,4 @@
-"""Views: residuals are differentiated as numbers say, and weighed by the noise that scanners have."""
+"""Views: derivatives of residuals against numerical ones, and the noise of ranges."""
 
 from dataclasses import replace
 
@@ -31,10 +31,12 @@ UGLY = {
 }
 
 
-def jacobian(rows: LinearizedResiduals, views: BoardViews) -> Array:
-    """(N·k, 6 + e) by the pose of the view that each measurement is in, and the sensor's own unknowns."""
-    view = np.repeat(np.arange(len(views.start)), np.diff(views.start, append=len(rows.residual)))
-    return np.asarray(rows.jacobian @ rows.local_jacobian[view]).reshape(-1, rows.local_jacobian.shape[-1])
+def jacobian(linearized: LinearizedResiduals, views: BoardViews) -> Array:
+    """(N·k, 6 + e) by the pose of each measurement's view, and the sensor's extra parameters."""
+    view = np.repeat(np.arange(len(views.start)), np.diff(views.start, append=len(linearized.residual)))
+    return np.asarray(linearized.jacobian @ linearized.local_jacobian[view]).reshape(
+        -1, linearized.local_jacobian.shape[-1]
+    )
 
 
 def numerical(views: BoardViews, T: Array, own: Array) -> Array:
@@ -58,7 +60,7 @@ def corners(camera: CameraModel) -> CornerObservations:
 @pytest.mark.parametrize(
     "camera", [CAMERA, PLUMB_BOB, RATIONAL, FISHEYE], ids=["plain", "bob", "rational", "fisheye"]
 )
-def test_corners_are_differentiated_as_numbers_say(camera: CameraModel, pose: Array) -> None:
+def test_derivatives_of_corners_are_the_numerical_ones(camera: CameraModel, pose: Array) -> None:
     views, T = corners(camera), pose[None]
     found = jacobian(views.linearize(T, np.zeros(0)), views)
     expected = numerical(views, T, np.zeros(0))
@@ -69,7 +71,7 @@ def test_corners_are_differentiated_as_numbers_say(camera: CameraModel, pose: Ar
 @pytest.mark.parametrize(
     "camera", [CAMERA, PLUMB_BOB, RATIONAL, FISHEYE], ids=["plain", "bob", "rational", "fisheye"]
 )
-def test_corners_are_differentiated_by_intrinsics_and_by_the_tags_places(camera: CameraModel) -> None:
+def test_derivatives_of_corners_by_intrinsics_and_displacements_of_tags(camera: CameraModel) -> None:
     tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
     views, T = (
         replace(corners(camera), estimate_intrinsics=True, tag_centers=centers, tag_index=tag),
@@ -83,7 +85,7 @@ def test_corners_are_differentiated_by_intrinsics_and_by_the_tags_places(camera:
     np.testing.assert_allclose(found / size, expected / size, atol=1e-6)
 
 
-def test_a_tag_turns_about_its_own_centre() -> None:
+def test_a_tag_rotates_about_its_centre() -> None:
     tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
     views = replace(corners(CAMERA), tag_centers=centers, tag_index=tag)
     T, quarter = ORDINARY[None], np.array([0, 0, np.pi / 2, 0, 0, 0])
@@ -95,7 +97,7 @@ def test_a_tag_turns_about_its_own_centre() -> None:
 
 @pytest.mark.parametrize("bias", [0, 1])
 @pytest.mark.parametrize("kind", ["lidar", "laser"])
-def test_beams_are_differentiated_as_numbers_say(kind: str, bias: int) -> None:
+def test_derivatives_of_ranges_are_the_numerical_ones(kind: str, bias: int) -> None:
     truth = scene((kind,), boards=6, seed=3).truth
     T = relative_poses(truth.T_root_sensor[0], truth.T_root_board)
     views = beams(kind, T, bias)
@@ -107,7 +109,7 @@ def test_beams_are_differentiated_as_numbers_say(kind: str, bias: int) -> None:
 
 
 @pytest.mark.parametrize("incidence", [0.0, 80.0, 86.0])
-def test_beams_that_meet_the_board_flatly_are_differentiated_as_numbers_say(incidence: float) -> None:
+def test_derivatives_of_ranges_at_grazing_incidence_are_the_numerical_ones(incidence: float) -> None:
     n = np.array([-np.cos(np.radians(incidence)), np.sin(np.radians(incidence)), 0.0])
     T = se3.pose(np.column_stack([[0, 0, 1], np.cross(n, [0, 0, 1]), n]), np.array([2.0, 0.0, 0.0]))[None]
     views = one_beam(np.array([1.0, 0.0, 0.0]), 1.9)
@@ -129,7 +131,7 @@ def test_a_range_bias_is_what_a_scanner_measures_too_much() -> None:
 
 
 @pytest.mark.parametrize("incidence", [0, 30, 60, 80])
-def test_errors_of_a_beams_direction_count_more_the_flatter_it_meets_the_board(incidence: float) -> None:
+def test_the_noise_of_a_range_grows_with_the_tangent_of_the_incidence(incidence: float) -> None:
     noise, distance = RangeNoise(range=0.01, angle=0.002), 3.0
     n = np.array([-np.cos(np.radians(incidence)), np.sin(np.radians(incidence)), 0.0])
     T = se3.pose(np.column_stack([[0, 0, 1], np.cross(n, [0, 0, 1]), n]), np.array([distance, 0.0, 0.0]))[None]
@@ -149,24 +151,24 @@ def test_noise_is_stated_noise_times_its_scale() -> None:
 
 
 @pytest.mark.parametrize("kind", ["camera", "lidar", "laser"])
-def test_some_of_the_views_say_what_they_said_among_all(kind: str) -> None:
+def test_selected_views_have_the_same_residuals(kind: str) -> None:
     truth = scene((kind,), boards=5).truth
     T = se3.retract(relative_poses(truth.T_root_sensor[0], truth.T_root_board), np.full((5, 6), 0.01))
     views, keep = (
         views_of(kind, relative_poses(truth.T_root_sensor[0], truth.T_root_board)),
         np.array([0, 1, 0, 1, 1], bool),
     )
-    rows, kept = (
+    linearized, kept = (
         views.linearize(T, np.zeros(0)),
         np.repeat(keep, np.diff(views.start, append=len(views.linearize(T, np.zeros(0)).residual))),
     )
     some = views.select(keep)
     np.testing.assert_array_equal(some.board, [1, 3, 4])
-    np.testing.assert_array_equal(some.linearize(T[keep], np.zeros(0)).residual, rows.residual[kept])
+    np.testing.assert_array_equal(some.linearize(T[keep], np.zeros(0)).residual, linearized.residual[kept])
 
 
 @pytest.mark.parametrize("kind", ["camera", "lidar", "laser"])
-def test_no_views_left_say_nothing(kind: str) -> None:
+def test_no_views_have_no_residuals(kind: str) -> None:
     truth = scene((kind,), boards=5).truth
     views = views_of(kind, relative_poses(truth.T_root_sensor[0], truth.T_root_board)).select(
         np.zeros(5, dtype=bool)

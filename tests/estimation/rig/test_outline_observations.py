@@ -49,7 +49,7 @@ def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
     return views.update_noise(T_sensor_board, 1.0)
 
 
-def test_outlines_are_differentiated_as_numbers_say() -> None:
+def test_derivatives_of_outlines_are_the_numerical_ones() -> None:
     rng, small = np.random.default_rng(0), 1e-6
     T = np.stack([BEFORE, se3.retract(BEFORE, np.array([0.3, 0.2, 0.5, 0.4, -0.3, 0.8]))])
     views = outline(T, [edges_of(one, crossings(rng)) for one in T])
@@ -60,13 +60,15 @@ def test_outlines_are_differentiated_as_numbers_say() -> None:
         return views.linearize(se3.retract(T, np.tile(step[:6], (2, 1))), own + step[6:]).residual.ravel()
 
     numbers = np.stack([(residual(s) - residual(-s)) / (2 * small) for s in small * np.eye(7)], axis=-1)
-    rows = views.linearize(T, own)
-    view = np.repeat([0, 1], np.diff(views.start, append=len(rows.residual)))
+    linearized = views.linearize(T, own)
+    view = np.repeat([0, 1], np.diff(views.start, append=len(linearized.residual)))
     assert len(view) > 40
-    np.testing.assert_allclose((rows.jacobian @ rows.local_jacobian[view])[:, 0], numbers, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(
+        (linearized.jacobian @ linearized.local_jacobian[view])[:, 0], numbers, rtol=1e-5, atol=1e-4
+    )
 
 
-def test_a_sheet_that_is_farther_to_one_side_than_it_was_seen_is_off_by_that_much() -> None:
+def test_residual_of_an_outline_is_the_displacement_of_the_board() -> None:
     places = np.array([[[HALF[0] - 0.01, 0.1], [HALF[0] + 0.01, 0.1]]])
     views = outline(BEFORE[None], [edges_of(BEFORE, places)])
     moved = BEFORE @ se3.pose(np.eye(3), np.array([0.005, 0.0, 0.0]))
@@ -74,7 +76,7 @@ def test_a_sheet_that_is_farther_to_one_side_than_it_was_seen_is_off_by_that_muc
     np.testing.assert_allclose(found, -0.005, atol=1e-4)
 
 
-def test_distances_are_as_wrong_as_stated_and_unbiased() -> None:
+def test_residuals_of_outlines_have_the_stated_variance_and_no_mean() -> None:
     rng = np.random.default_rng(1)
     views = outline(BEFORE[None], [edges_of(BEFORE, crossings(rng, each=2000))])
     # Beams apart by 20 mm at random phases, and 2 mm of blur that these sheets do not have.
@@ -94,13 +96,13 @@ def test_distances_are_as_wrong_as_stated_and_unbiased() -> None:
     ],
     ids=["a hole", "inward", "a corner", "coarse", "an arm"],
 )
-def test_what_does_not_tell_a_side_is_not_used(places: list[list[float]]) -> None:
+def test_ambiguous_edges_are_not_used(places: list[list[float]]) -> None:
     views = outline(BEFORE[None], [edges_of(BEFORE, np.array([places]))])
     assert len(views.used) == 0
     assert views.linearize(BEFORE[None], np.zeros(1)).residual.shape == (0, 1)
 
 
-def test_some_of_the_outlines_say_what_they_said_among_all() -> None:
+def test_selected_outlines_have_the_same_residuals() -> None:
     rng = np.random.default_rng(2)
     T = se3.retract(BEFORE, rng.uniform(-0.2, 0.2, (4, 6)))
     views = outline(T, [edges_of(one, crossings(rng, each=3)) for one in T])
@@ -113,16 +115,16 @@ def test_some_of_the_outlines_say_what_they_said_among_all() -> None:
     )
 
 
-def test_middles_are_where_the_sheet_was_seen_to_end() -> None:
+def test_edge_points_are_on_the_outline() -> None:
     places = crossings(np.random.default_rng(3))
     views, found = outline(BEFORE[None], [edges_of(BEFORE, places)]).edge_points(BEFORE[None])
     np.testing.assert_allclose(found, places.mean(axis=1), atol=1e-9)
     assert not views.any()
 
 
-def test_outlines_place_a_lidar_by_as_much_as_they_say() -> None:
+def test_errors_with_outlines_are_consistent_with_the_covariance() -> None:
     """Two LiDARs: outlines make every axis surer than their planes alone, and covariances hold."""
-    exact = scene(("lidar", "lidar_2"), boards=8).without_sway()
+    exact = scene(("lidar", "lidar_2"), boards=8).without_bias()
     T_sensor_board = [relative_poses(T, exact.truth.T_root_board) for T in exact.truth.T_root_sensor]
     growth = [ExtraParameter("", "outline", "m", 0.0, 0.01, (2 + s,)) for s in range(2)]
     state = replace(exact.truth, extra=np.zeros(2))
@@ -138,9 +140,9 @@ def test_outlines_place_a_lidar_by_as_much_as_they_say() -> None:
             extra_parameters=tuple(growth),
             bias_variance=np.zeros(4),
         )
-        solved = minimize_bundle(bundle, state)
-        spread = pose_covariance(bundle, solved.state, solved.equations)[6:, 6:]
-        error = se3.difference(solved.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
+        solution = minimize_bundle(bundle, state)
+        spread = pose_covariance(bundle, solution.state, solution.equations)[6:, 6:]
+        error = se3.difference(solution.state.T_root_sensor[1], exact.truth.T_root_sensor[1])
         nees.append(error @ np.linalg.solve(spread, error) / 6)
         stated.append(np.sqrt(np.diag(spread)))
         without = pose_covariance(measured, exact.truth, linearize_bundle(measured, exact.truth))[6:, 6:]

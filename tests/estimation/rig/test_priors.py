@@ -84,7 +84,7 @@ def test_a_group_makes_its_sensors_more_certain_and_more_right() -> None:
     assert shared < 0.85 * separate
 
 
-def test_right_priors_and_groups_are_not_doubted() -> None:
+def test_correct_priors_and_groups_pass_their_test() -> None:
     # Chance would have it once in ten thousand for each.
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
@@ -95,7 +95,7 @@ def test_right_priors_and_groups_are_not_doubted() -> None:
         assert find_contradicted_priors(bundle, grouped(bundle, group), [group]) == {}
 
 
-def test_a_wrong_prior_is_called_out_with_its_size(rng: np.random.Generator) -> None:
+def test_a_wrong_prior_is_reported_with_its_size(rng: np.random.Generator) -> None:
     bundle = with_prior(EXACT.measured(rng), 1, np.array([0, 0, 0.2, 0, 0, 0]))
     doubts = find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), [])
     assert set(doubts) == {"camera"}
@@ -105,7 +105,7 @@ def test_a_wrong_prior_is_called_out_with_its_size(rng: np.random.Generator) -> 
     assert 185 < float(said[3].lstrip("(")) < 210
 
 
-def test_a_wrong_group_is_called_out_by_its_sensors(rng: np.random.Generator) -> None:
+def test_a_wrong_group_is_reported_by_its_sensors(rng: np.random.Generator) -> None:
     group = group_of(EXACT, PAIR, wrong=np.array([0.03, 0, 0, 0, 0, 0]))
     bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
     doubts = find_contradicted_priors(bundle, grouped(bundle, group), [group])
@@ -120,20 +120,23 @@ def test_of_sensors_fixed_to_the_root_the_one_that_is_not_is_named(rng: np.rando
     assert "that camera is fixed to lidar, laser as rig says" in doubts["camera"]
 
 
-def test_a_sensor_that_no_capture_ties_says_so() -> None:
+def test_a_sensor_without_captures_is_reported() -> None:
     bundle = EXACT.bundle
     blind = replace(bundle, views=(*bundle.views[:3], bundle.views[3].select(np.zeros(8, dtype=bool))))
     blind = with_prior(blind, 3, np.zeros(6))
-    solved = minimize_bundle(blind, EXACT.truth)
-    assert find_contradicted_priors(blind, solved, []) == {
+    solution = minimize_bundle(blind, EXACT.truth)
+    assert find_contradicted_priors(blind, solution, []) == {
         "laser_2": "no capture ties laser_2 to another sensor: it is where it was said to be"
     }
     np.testing.assert_allclose(
-        pose_covariance(blind, solved.state, solved.equations)[18:, 18:], np.diag(STDDEV**2), rtol=1e-4, atol=1e-12
+        pose_covariance(blind, solution.state, solution.equations)[18:, 18:],
+        np.diag(STDDEV**2),
+        rtol=1e-4,
+        atol=1e-12,
     )
 
 
-def test_without_what_is_known_sensors_are_free_but_those_without_views() -> None:
+def test_without_priors_all_sensors_with_views_are_free() -> None:
     bundle = EXACT.bundle
     blind = replace(
         bundle, views=(*bundle.views[:1], bundle.views[1].select(np.zeros(8, bool)), *bundle.views[2:])
@@ -174,7 +177,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_priors_are_of_all_sensors_that_the_file_knows(rig: Rig, captured: CaptureSet, file: Path) -> None:
+def test_priors_are_of_all_sensors_in_the_file(rig: Rig, captured: CaptureSet, file: Path) -> None:
     priors, groups = resolve_prior_poses(rig, captured, PriorFile(read_extrinsics(file), (0.01, 0.1)), [])
     assert [prior.sensor for prior in priors] == ["camera", "laser"]
     np.testing.assert_array_equal(np.array(priors[1].T_root_sensor)[:3, 3], [1, 1, 0])
@@ -203,7 +206,7 @@ def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, fi
         ("none", [], "does not say how sure it is of camera"),
     ],
 )
-def test_what_cannot_be_known_so_is_refused(
+def test_inconsistent_priors_are_refused(
     rig: Rig, captured: CaptureSet, file: Path, prior: object, rigid: list[tuple[str, ...]], message: str
 ) -> None:
     poses = read_extrinsics(file)
@@ -224,20 +227,20 @@ def estimate(a: str, b: str, x: float) -> PairwiseEstimate:
     return PairwiseEstimate(a, b, T, 1e4 * np.eye(6), matches, np.ones(1, bool), np.zeros(1))
 
 
-def test_a_prior_ties_what_captures_tie_to_its_sensor() -> None:
+def test_a_prior_connects_sensors_with_captures_in_common() -> None:
     root = SpanningTree("lidar", {}, {"lidar": np.eye(4)})
     tree = attach_by_priors(root, [estimate("camera", "laser", 2.0)], [prior_of("camera", 1.0)], [])
     assert dict(tree.parents) == {"camera": "lidar", "laser": "camera"}
     np.testing.assert_array_equal(tree.T_root_sensor["laser"][:3, 3], [3, 0, 0])
 
 
-def test_a_group_ties_a_sensor_to_the_one_that_captures_tie() -> None:
+def test_a_group_connects_its_sensors_to_the_tree() -> None:
     tree = SpanningTree("lidar", {"laser": "lidar"}, {"lidar": np.eye(4), "laser": EXACT.truth.T_root_sensor[2]})
     tied = attach_by_priors(tree, [], [], [group_of(EXACT, PAIR)])
     assert tied.parents["laser_2"] == "laser"
     np.testing.assert_allclose(tied.T_root_sensor["laser_2"], EXACT.truth.T_root_sensor[3], atol=1e-12)
 
 
-def test_what_captures_tie_hangs_where_it_did() -> None:
+def test_connected_sensors_keep_their_place_in_the_tree() -> None:
     tree = SpanningTree("lidar", {"camera": "lidar"}, {"lidar": np.eye(4), "camera": np.eye(4)})
     assert attach_by_priors(tree, [], [prior_of("camera", 1.0)], []) is tree

@@ -23,7 +23,7 @@ def placed(points: Array, turn: float, shift: Array) -> tuple[Array, Array]:
     return se3.apply(T, np.column_stack([points, np.zeros(len(points))]))[:, :2], T
 
 
-def test_sheets_lie_where_their_outlines_were_seen(rng: np.random.Generator) -> None:
+def test_rectangles_are_registered_to_their_outlines(rng: np.random.Generator) -> None:
     turns, shifts = rng.uniform(0, np.pi, 50), rng.uniform(-0.2, 0.2, (50, 2))
     seen = [placed(on_outline(rng, HALF, 30), turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
     found, certain = register_rectangles([points for points, _ in seen], HALF)
@@ -36,24 +36,24 @@ def test_sheets_lie_where_their_outlines_were_seen(rng: np.random.Generator) -> 
     assert np.degrees(turned[certain].max()) < 2.5
 
 
-def test_a_square_allows_two_ways_so_it_is_not_laid(rng: np.random.Generator) -> None:
+def test_a_square_is_ambiguous(rng: np.random.Generator) -> None:
     square = np.array([0.35, 0.35])
     points, _ = placed(on_outline(rng, square, 40), 0.4, np.zeros(2))
     assert register_rectangles([points], square)[1].tolist() == [False]
 
 
 @pytest.mark.parametrize("count", [0, 5])
-def test_few_points_lay_nothing(rng: np.random.Generator, count: int) -> None:
+def test_few_points_do_not_suffice(rng: np.random.Generator, count: int) -> None:
     found, certain = register_rectangles([on_outline(rng, HALF, count)], HALF)
     np.testing.assert_array_equal(found, np.eye(4)[None])
     assert not certain.any()
 
 
-def test_a_sheet_of_another_size_is_not_laid(rng: np.random.Generator) -> None:
+def test_a_rectangle_of_another_size_is_not_registered(rng: np.random.Generator) -> None:
     points, _ = placed(on_outline(rng, 0.6 * HALF, 40), 1.0, np.zeros(2))
     assert register_rectangles([points], HALF)[1].tolist() == [False]
 
 
-def test_no_sheets_are_none() -> None:
+def test_no_rectangles_are_none() -> None:
     found, certain = register_rectangles([], HALF)
     assert (found.shape, certain.shape) == ((0, 4, 4), (0,))

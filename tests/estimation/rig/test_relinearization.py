@@ -1,4 +1,4 @@
-"""Sums moved along are those that looking at every beam gives, and solutions do not depend on what was moved."""
+"""Extrapolated normal equations against exact ones, and solutions with extrapolation."""
 
 from dataclasses import replace
 
@@ -13,85 +13,91 @@ from calgraph.estimation.rig.observations import RangeObservations, relative_pos
 from calgraph.estimation.rig.relinearization import linearize_views
 from calgraph.geometry import Array, se3, so3
 
-STILL, SWAY = np.zeros(0), np.zeros(6)
+STILL, NO_BIAS = np.zeros(0), np.zeros(6)
 
 
-def seen(rng: np.random.Generator) -> tuple[RangeObservations, Array]:
-    """What a 3-D scanner measures of boards, and their poses before it."""
+def lidar_views(rng: np.random.Generator) -> tuple[RangeObservations, Array]:
+    """Views of boards by a 3-D scanner, and their poses before it."""
     exact = scene(("lidar",), boards=6)
     (views,) = exact.measured(rng).views
     assert isinstance(views, RangeObservations)
     return views, relative_poses(exact.truth.T_root_sensor[0], exact.truth.T_root_board)
 
 
-def gradients(sums: ViewNormalEquations) -> Array:
-    """(V, p) in standard deviations of what each view tells best."""
-    return np.asarray(sums.gradient / np.sqrt(np.trace(sums.information, axis1=-2, axis2=-1))[:, None])
+def gradients(equations: ViewNormalEquations) -> Array:
+    """(V, p) in standard deviations of the best measured direction of each view."""
+    return np.asarray(equations.gradient / np.sqrt(np.trace(equations.information, axis1=-2, axis2=-1))[:, None])
 
 
-def test_sums_moved_by_a_step_of_the_solver_are_those_of_all_beams(rng: np.random.Generator) -> None:
-    views, T = seen(rng)
+def test_extrapolation_by_a_solver_step_is_accurate(rng: np.random.Generator) -> None:
+    views, T = lidar_views(rng)
     near = se3.retract(T, 3e-4 * rng.normal(size=(6, 6)))
-    moved = linearize_views(views, T, STILL, SWAY).extrapolate(views, near, STILL)
-    anew = linearize_views(views, near, STILL, SWAY).equations
-    assert moved is not None
+    extrapolated = linearize_views(views, T, STILL, NO_BIAS).extrapolate(views, near, STILL)
+    exact_equations = linearize_views(views, near, STILL, NO_BIAS).equations
+    assert extrapolated is not None
     np.testing.assert_allclose(
-        moved.squared_residuals + 2 * moved.robust_cost_offset,
-        anew.squared_residuals + 2 * anew.robust_cost_offset,
+        extrapolated.squared_residuals + 2 * extrapolated.robust_cost_offset,
+        exact_equations.squared_residuals + 2 * exact_equations.robust_cost_offset,
         rtol=1e-3,
     )
-    assert np.abs(gradients(moved) - gradients(anew)).max() < 0.1
+    assert np.abs(gradients(extrapolated) - gradients(exact_equations)).max() < 0.1
 
 
-def test_the_smaller_the_step_the_nearer_are_sums_to_those_of_all_beams(rng: np.random.Generator) -> None:
-    views, T = seen(rng)
+def test_the_error_of_extrapolation_shrinks_with_the_step(rng: np.random.Generator) -> None:
+    views, T = lidar_views(rng)
     off = []
     for size in (1e-3, 1e-4):
         near = se3.retract(T, np.full((6, 6), size))
-        moved = linearize_views(views, T, STILL, SWAY).extrapolate(views, near, STILL)
-        assert moved is not None
-        off.append(np.abs(gradients(moved) - gradients(linearize_views(views, near, STILL, SWAY).equations)).max())
+        extrapolated = linearize_views(views, T, STILL, NO_BIAS).extrapolate(views, near, STILL)
+        assert extrapolated is not None
+        off.append(
+            np.abs(
+                gradients(extrapolated) - gradients(linearize_views(views, near, STILL, NO_BIAS).equations)
+            ).max()
+        )
     assert off[1] < 0.15 * off[0]
 
 
-def test_a_board_that_slides_and_turns_in_its_plane_has_not_moved(rng: np.random.Generator) -> None:
-    views, T = seen(rng)
+def test_motion_within_the_plane_does_not_change_ranges(rng: np.random.Generator) -> None:
+    views, T = lidar_views(rng)
     slid = T @ se3.pose(so3.exp(np.array([0, 0, 1.0])), np.array([0.4, -0.3, 0]))
-    moved = linearize_views(views, T, STILL, SWAY).extrapolate(views, slid, STILL)
-    assert moved is not None
+    extrapolated = linearize_views(views, T, STILL, NO_BIAS).extrapolate(views, slid, STILL)
+    assert extrapolated is not None
     np.testing.assert_allclose(
-        moved.gradient, linearize_views(views, slid, STILL, SWAY).equations.gradient, atol=1e-6
+        extrapolated.gradient, linearize_views(views, slid, STILL, NO_BIAS).equations.gradient, atol=1e-6
     )
 
 
-@pytest.mark.parametrize("step", [[0, 0.02, 0, 0, 0, 0], [0, 0, 0, 0.03, 0, 0]], ids=["moved", "turned"])
-def test_sums_are_not_moved_far(step: list[float], rng: np.random.Generator) -> None:
-    views, T = seen(rng)
+@pytest.mark.parametrize("step", [[0, 0.02, 0, 0, 0, 0], [0, 0, 0, 0.03, 0, 0]], ids=["extrapolated", "turned"])
+def test_extrapolation_is_limited(step: list[float], rng: np.random.Generator) -> None:
+    views, T = lidar_views(rng)
     far = T.copy()
     far[2] = T[2] @ se3.retract(np.eye(4), np.array(step)[[0, 2, 1, 3, 4, 5]])
-    assert linearize_views(views, T, STILL, SWAY).extrapolate(views, far, STILL) is None
+    assert linearize_views(views, T, STILL, NO_BIAS).extrapolate(views, far, STILL) is None
 
 
-def test_an_unknown_bias_is_moved_along(rng: np.random.Generator) -> None:
-    views, T = seen(rng)
+def test_a_range_bias_is_extrapolated(rng: np.random.Generator) -> None:
+    views, T = lidar_views(rng)
     views, zero, biased = replace(views, extra_count=1), np.zeros(1), np.array([0.002])
-    moved = linearize_views(views, T, zero, np.zeros(7)).extrapolate(views, T, biased)
-    anew = linearize_views(views, T, biased, np.zeros(7)).equations
-    assert moved is not None
-    assert np.abs(gradients(moved) - gradients(anew)).max() < 0.1
+    extrapolated = linearize_views(views, T, zero, np.zeros(7)).extrapolate(views, T, biased)
+    exact_equations = linearize_views(views, T, biased, np.zeros(7)).equations
+    assert extrapolated is not None
+    assert np.abs(gradients(extrapolated) - gradients(exact_equations)).max() < 0.1
 
 
-@pytest.mark.parametrize("sway", [0.0, 0.002])
-def test_solutions_are_those_of_all_measurements_to_a_thousandth_of_their_errors(sway: float) -> None:
+@pytest.mark.parametrize("view_bias", [0.0, 0.002])
+def test_extrapolation_changes_solutions_by_less_than_a_thousandth_of_their_errors(view_bias: float) -> None:
     exact: Scene = scene(boards=12)
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        bundle = replace(exact.measured(rng, noise=1.2, sway=sway), bias_variance=np.full(3, sway**2))
+        bundle = replace(
+            exact.measured(rng, noise=1.2, view_bias=view_bias), bias_variance=np.full(3, view_bias**2)
+        )
         start = replace(
             exact.truth, T_root_board=se3.retract(exact.truth.T_root_board, 0.02 * rng.normal(size=(12, 6)))
         )
-        solved = minimize_bundle(bundle, start)
-        system = linearize_bundle(bundle, solved.state)
-        P, (_, g, _) = parameter_covariance(system), system.eliminate_boards()
-        assert solved.converged
+        solution = minimize_bundle(bundle, start)
+        equations = linearize_bundle(bundle, solution.state)
+        P, (_, g, _) = parameter_covariance(equations), equations.eliminate_boards()
+        assert solution.converged
         assert np.all(np.abs(P @ g) < 1e-3 * np.sqrt(np.diag(P)))

@@ -1,4 +1,4 @@
-"""What scatter tells: noise, sway and wrong views, over many seeds; intervals hold with 99 % and more."""
+"""Estimated noise, view bias and outlier views, over many seeds; intervals hold with 99 % and more."""
 
 from dataclasses import replace
 
@@ -18,31 +18,33 @@ SEEDS = 20
 
 
 def settled(exact: Scene, bundle: Bundle, rounds: int = 4) -> tuple[Bundle, MinimizedBundle]:
-    """The bundle after rounds of solving and measuring both noise and sway."""
-    solved = minimize_bundle(bundle, exact.truth)
+    """The bundle after rounds of solving and estimating noise and view bias."""
+    solution = minimize_bundle(bundle, exact.truth)
     for _ in range(rounds):
-        spreads = view_covariance_factors(bundle, solved.equations)
-        bundle = update_variance_components(bundle, solved, spreads)
-        solved = minimize_bundle(bundle, solved.state, iterations=3)
-    return bundle, solved
+        factors = view_covariance_factors(bundle, solution.equations)
+        bundle = update_variance_components(bundle, solution, factors)
+        solution = minimize_bundle(bundle, solution.state, iterations=3)
+    return bundle, solution
 
 
-def contradicting(bundle: Bundle, solved: MinimizedBundle) -> list[NDArray[np.bool_]]:
-    return find_outlier_views(bundle, solved.equations, view_covariance_factors(bundle, solved.equations))
+def contradicting(bundle: Bundle, solution: MinimizedBundle) -> list[NDArray[np.bool_]]:
+    return find_outlier_views(bundle, solution.equations, view_covariance_factors(bundle, solution.equations))
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.5, 1.0, 2.0])
-def test_noise_stated_wrongly_is_measured(noise: float) -> None:
+def test_wrongly_stated_noise_is_estimated(noise: float) -> None:
     exact = scene(boards=6)
     found = []
     for seed in range(SEEDS):
         bundle = exact.measured(np.random.default_rng(seed), noise)
-        solved = minimize_bundle(bundle, exact.truth)
+        solution = minimize_bundle(bundle, exact.truth)
         for _ in range(3):
-            bundle = update_variance_components(bundle, solved, view_covariance_factors(bundle, solved.equations))
-            solved = minimize_bundle(bundle, solved.state, iterations=3)
+            bundle = update_variance_components(
+                bundle, solution, view_covariance_factors(bundle, solution.equations)
+            )
+            solution = minimize_bundle(bundle, solution.state, iterations=3)
         found.append([views.noise_scale for views in bundle.views])
-    # Corners leave 6 x 24 - 6 x 6 numbers to scatter; the stated noise counts as three more.
+    # Corners have 6 x 24 - 6 x 6 degrees of freedom; the stated noise counts as three more.
     freedom = np.array([6 * 108 - 18, 108, len(exact.bundle.views[2].start) * 50])
     spread = noise / np.sqrt(2 * freedom * SEEDS)
     pull = 3 / freedom * abs(np.log(noise)) * noise
@@ -50,18 +52,18 @@ def test_noise_stated_wrongly_is_measured(noise: float) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
-def test_noise_is_measured_where_no_view_tells_it_alone(noise: float) -> None:
+def test_noise_is_estimated_from_the_scatter_among_views(noise: float) -> None:
     exact = scene(("lidar", "camera", "laser"), boards=15)
     found = []
     for seed in range(SEEDS):
         measured = exact.measured(np.random.default_rng(seed), noise)
-        # Two beams on a board fit it, however wrong they are.
+        # Two beams on a board always fit it.
         bundle = replace(measured, views=(*measured.views[:2], with_two_beams(measured.views[2])))
         found.append(settled(exact, bundle, rounds=6)[0].views[2].noise_scale)
     freedom = 2 * 15 - 6
     spread = noise / np.sqrt(2 * freedom * SEEDS)
     pull = 3 / freedom * abs(np.log(noise)) * noise
-    # There is no sway, and none can be less: in every other run, some is taken from the noise (half a normal).
+    # The true view bias is 0, and estimates are not negative: in every other run, they take from the noise.
     taken = np.std(found) / np.sqrt(2 * np.pi)
     assert abs(np.mean(found) - noise) < 3 * spread + pull + taken
 
@@ -79,7 +81,7 @@ def with_two_beams(views: BoardViews) -> BoardViews:
     )
 
 
-def test_the_noise_of_one_sensor_is_not_anothers() -> None:
+def test_noise_is_attributed_to_its_sensor() -> None:
     exact = scene(boards=6)
     loud = exact.measured(np.random.default_rng(0), 3.0)
     quiet = exact.measured(np.random.default_rng(1), 1.0)
@@ -88,38 +90,38 @@ def test_the_noise_of_one_sensor_is_not_anothers() -> None:
     assert scales == pytest.approx([1, 3, 1], rel=0.25)
 
 
-@pytest.mark.parametrize("sway", [0.003, 0.01])
-def test_sway_is_measured_as_large_as_it_is_on_average(sway: float) -> None:
+@pytest.mark.parametrize("view_bias", [0.003, 0.01])
+def test_view_bias_is_estimated_without_bias(view_bias: float) -> None:
     exact = scene(("lidar", "camera", "laser", "camera"), boards=15)
     variances = np.array(
         [
-            settled(exact, exact.measured(np.random.default_rng(seed), sway=sway))[0].bias_variance
+            settled(exact, exact.measured(np.random.default_rng(seed), view_bias=view_bias))[0].bias_variance
             for seed in range(SEEDS)
         ]
     )
     # Each sensor's variance over the true one: its mean over seeds against their own scatter.
-    relative_size = variances / sway**2
+    relative_size = variances / view_bias**2
     standard_error = relative_size.std(axis=0, ddof=1) / np.sqrt(SEEDS)
     assert np.all(np.abs(relative_size.mean(axis=0) - 1) < 3.5 * standard_error + 0.02)
 
 
-def test_without_sway_hardly_any_is_measured() -> None:
+def test_without_view_bias_its_estimate_is_small() -> None:
     exact = scene(boards=15)
-    sways = np.sqrt([
+    biases = np.sqrt([
         settled(exact, exact.measured(np.random.default_rng(seed)))[0].bias_variance for seed in range(SEEDS)
     ])  # fmt: skip
-    # Scatter of some views is larger by chance; even then it is a small part of the noise.
-    assert np.median(sways) < 5e-4
-    assert sways.max() < 2.5e-3
+    # Larger by chance for some; still a small part of the noise.
+    assert np.median(biases) < 5e-4
+    assert biases.max() < 2.5e-3
 
 
-def test_with_sway_errors_are_as_the_covariance_says() -> None:
+def test_with_view_bias_errors_are_consistent_with_the_covariance() -> None:
     exact = scene(boards=20)
     nees = []
     for seed in range(2 * SEEDS):
-        bundle, solved = settled(exact, exact.measured(np.random.default_rng(seed), sway=0.005))
-        spread = pose_covariance(bundle, solved.state, solved.equations)[6:, 6:]
-        error = se3.difference(solved.state.T_root_sensor, exact.truth.T_root_sensor)[1:].ravel()
+        bundle, solution = settled(exact, exact.measured(np.random.default_rng(seed), view_bias=0.005))
+        spread = pose_covariance(bundle, solution.state, solution.equations)[6:, 6:]
+        error = se3.difference(solution.state.T_root_sensor, exact.truth.T_root_sensor)[1:].ravel()
         nees.append(error @ np.linalg.solve(spread, error))
     low, high = chi2.ppf([0.005, 0.995], 12 * len(nees)) / (12 * len(nees))
     # Sway measured from twenty views of a sensor is itself uncertain, which Student's t would make wider.
@@ -127,7 +129,7 @@ def test_with_sway_errors_are_as_the_covariance_says() -> None:
 
 
 def moved_views(exact: Scene, bundle: Bundle, sensor: int, wrong: list[int], rng: np.random.Generator) -> Bundle:
-    """The bundle in which one sensor saw some boards 5 cm and 3 degrees off."""
+    """The bundle with outlier views of one sensor, 5 cm and 3 degrees off."""
     off = np.zeros((len(exact.truth.T_root_board), 6))
     off[wrong] = 0.05 * rng.choice([-1, 1], (len(wrong), 6))
     T = relative_poses(exact.truth.T_root_sensor[sensor], exact.truth.T_root_board)
@@ -137,7 +139,7 @@ def moved_views(exact: Scene, bundle: Bundle, sensor: int, wrong: list[int], rng
 
 
 def named(exact: Scene, bundle: Bundle, rounds: int = 3) -> list[tuple[int, int]]:
-    """Sensors and boards of the views called wrong, left out round by round."""
+    """Sensors and boards of the outlier views, rejected round by round."""
     found = []
     for _ in range(rounds):
         wrong = contradicting(bundle, minimize_bundle(bundle, exact.truth))
@@ -148,8 +150,8 @@ def named(exact: Scene, bundle: Bundle, rounds: int = 3) -> list[tuple[int, int]
 
 
 @pytest.mark.parametrize("sensor", [0, 1])
-def test_wrong_views_are_the_ones_named(sensor: int) -> None:
-    # Three sensors that see the board as a plane: two that agree outvote the third.
+def test_outlier_views_are_found(sensor: int) -> None:
+    # Three sensors measure the board's plane, so that an outlier of one is identified.
     exact = scene(("lidar", "camera", "lidar2", "laser"), boards=15)
     right, others = 0, 0
     for seed in range(SEEDS):
@@ -161,17 +163,17 @@ def test_wrong_views_are_the_ones_named(sensor: int) -> None:
     assert others - right <= 0.1 * right
 
 
-def test_right_views_are_not_called_wrong() -> None:
+def test_inlier_views_are_kept() -> None:
     exact = scene(boards=20)
     wrong = 0
     for seed in range(SEEDS):
-        bundle, solved = settled(exact, exact.measured(np.random.default_rng(seed)))
-        wrong += sum(int(bad.sum()) for bad in contradicting(bundle, solved))
-    # One in 100,000 by chance, of 1,200 that were looked at.
+        bundle, solution = settled(exact, exact.measured(np.random.default_rng(seed)))
+        wrong += sum(int(bad.sum()) for bad in contradicting(bundle, solution))
+    # One in 100,000 by chance, of 1,200.
     assert wrong <= 1
 
 
-def test_of_one_board_only_the_worst_view_is_called_wrong() -> None:
+def test_of_one_board_only_the_worst_view_is_an_outlier() -> None:
     exact, rng = scene(("lidar", "camera", "lidar2", "laser"), boards=10), np.random.default_rng(0)
     bundle = moved_views(exact, moved_views(exact, exact.measured(rng), 1, [3], rng), 3, [3], rng)
     found = contradicting(bundle, minimize_bundle(bundle, exact.truth))
