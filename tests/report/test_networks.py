@@ -118,7 +118,7 @@ def test_walks_are_drawn_when_they_were(html: str) -> None:
     used, unused = figure_of(html, "captures")["data"]
     assert used["x"] == [0, 4, None, 0.5, 4.5, None]
     assert unused["x"] == [2, 3, None]
-    assert unused["text"][0].endswith("2.0 – 3.0 s<br>no other scanner saw anybody meanwhile")
+    assert unused["text"][0].endswith("2.0 – 3.0 s<br>no other scanner detected a person at that time")
 
 
 def test_walks_at_the_same_time_lie_beside_each_other(html: str) -> None:
@@ -148,7 +148,7 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
         network.sensors[0],
         *(dataclasses.replace(network.sensors[1], name=f"s{k}", parent="hall") for k in range(29)),
     )
-    reason = "other scanners saw somebody meanwhile, but not within 0.5 m of it"
+    reason = "other scanners detected people at that time, but not within 0.5 m of it"
     rows = tuple(CaptureRow(n, n / 7, n / 7 + 5, f"s{n % 29}", n % 2 == 0, reason) for n in range(20_000))
     large = dataclasses.replace(network, sensors=sensors, floor=floor, captures=rows)
     html = report_html(large, network_rig)

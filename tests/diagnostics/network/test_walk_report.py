@@ -72,8 +72,8 @@ def test_a_shared_walk_is_used(samples: dict[str, TrackSamples]) -> None:
 def test_a_walk_of_one_scanner_is_rejected_with_a_reason(samples: dict[str, TrackSamples]) -> None:
     rows = rows_of("west", samples, ("west", "east"))
     assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
-        (False, "other scanners saw somebody meanwhile, but not within 0.5 m of it", None),
-        (False, "no other scanner saw anybody meanwhile", None),
+        (False, "other scanners detected people at that time, but not within 0.5 m of it", None),
+        (False, "no other scanner detected a person at that time", None),
     ]
 
 
@@ -88,7 +88,7 @@ def test_a_short_overlap_is_rejected(rng: np.random.Generator) -> None:
         "east": resample_tracks(build_tracks("east", [simulate_walk(2, 2.35, 0)], rng)),
     }
     (row,) = rows_of("west", samples, ("west", "east"))
-    assert (row.used, row.reason) == (False, "another scanner saw it for less than 0.5 s")
+    assert (row.used, row.reason) == (False, "another scanner detected it for less than 0.5 s")
 
 
 def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSamples]) -> None:

@@ -18,7 +18,7 @@ from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, SensorPose
 from calgraph.tracking import ScannerTracks
 
-_ADVICE = "let people walk farther across, and to and fro, where {name} and others both see them"
+_ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
 
 NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
@@ -162,4 +162,4 @@ def _explain_unconnected(name: str, followed: Mapping[str, ScannerTracks | Rejec
         if name in (a, b) and isinstance(found, Rejected):
             partners_by_reason.setdefault(found.reason, []).append(b if a == name else a)
     reasons = "; ".join(f"{', '.join(partners)}: {reason}" for reason, partners in partners_by_reason.items())
-    return f"followed {len(tracks.tracks)} tracks, but {reasons or 'no other scanner did'}"
+    return f"has {len(tracks.tracks)} tracks, but {reasons or 'no other scanner has any'}"

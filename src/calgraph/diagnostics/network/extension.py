@@ -119,7 +119,7 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
 
 def _mark_kept(sensor: SensorPose) -> SensorPose:
     """The sensor with a remark that its pose is the earlier one."""
-    remark = "its pose is that of the earlier calibration: this recording does not tell it"
+    remark = "its pose is that of the earlier calibration: this recording does not determine it"
     before = sensor.verdict.reason
     reason = before if remark in before else f"{before}; {remark}" if before else remark
     return replace(sensor, verdict=Verdict(sensor.verdict.grade, reason))

@@ -110,10 +110,10 @@ def _assess_walk(
     if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner saw it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
+        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
-        return False, f"other scanners saw somebody meanwhile, but not within {_MAX_DISTANCE:g} m of it", None
-    return False, "no other scanner saw anybody meanwhile", None
+        return False, f"other scanners detected people at that time, but not within {_MAX_DISTANCE:g} m of it", None
+    return False, "no other scanner detected a person at that time", None
 
 
 def _split_walks(samples: TrackSamples) -> Iterator[NDArray[np.intp]]:
