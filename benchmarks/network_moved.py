@@ -1,7 +1,7 @@
-"""Whether a scanner that was moved is named, and none in a network that stayed.
+"""Whether a moved scanner is named, and no scanner in an unchanged network.
 
-An office is calibrated from one minute of two people, and checked by the next minute: as it is, and with one
-scanner, any of them, the root included, moved by 3 cm (even seeds) or turned by half a degree.
+An office is calibrated from one minute of two people, and compared with the next minute: unchanged, and with a
+random scanner, the root included, moved by 3 cm (even seeds) or rotated by half a degree.
 
     python benchmarks/lrf_network.py --seeds 20 --jobs 2 --tables moved
 """
@@ -22,7 +22,7 @@ from calgraph.geometry import se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, build_network, network_rig, simulate_scans
-from network_runs import JOINT, USUAL_PEOPLE, follow, solved
+from network_runs import JOINT, USUAL_PEOPLE, solve_poses, track_scanners
 
 MINUTE = 60.0
 STEP = (0.03, np.radians(0.5))
@@ -30,16 +30,16 @@ STEP = (0.03, np.radians(0.5))
 
 
 class Outcome(NamedTuple):
-    """What two checks of one network said."""
+    """Result of two checks of one network."""
 
     moved: str
-    """The scanner that was."""
+    """The scanner that was moved."""
     named: tuple[str, ...]
-    """As moved, when it was."""
-    off: tuple[float, ...]
-    """How far it is said to have moved, m and rad."""
+    """Scanners that the check names."""
+    displacement: tuple[float, ...]
+    """Its estimated displacement, m and rad."""
     alarms: tuple[str, ...]
-    """Named as moved when none was."""
+    """Scanners named in the unchanged network."""
 
 
 def print_moved(seeds: Sequence[int], jobs: int) -> None:
@@ -49,7 +49,7 @@ def print_moved(seeds: Sequence[int], jobs: int) -> None:
     print("\nMoved: office, 2 people, a minute; even seeds: by 3 cm, odd seeds: by 0.5 degrees")
     print(f"{'seed':>6} {'moved':12}{'named':24}{'mm':>8}{'deg':>8} {'named where none was'}")
     for seed, one in zip(seeds, outcomes, strict=True):
-        metres, turn = one.off or (np.nan, np.nan)
+        metres, turn = one.displacement or (np.nan, np.nan)
         size = f"{1000 * metres:8.1f}{np.degrees(turn):8.2f}"
         print(f"{seed:6d} {one.moved:12}{' '.join(one.named):24}{size} {' '.join(one.alarms)}")
     right = sum(one.named == (one.moved,) for one in outcomes)
@@ -72,19 +72,21 @@ def check(seed: int) -> Outcome:
     pushed = replace(network.scanners[k], T_world_scanner=se2.retract(network.scanners[k].T_world_scanner, step))
     shifted = replace(network, scanners=(*network.scanners[:k], pushed, *network.scanners[k + 1 :]))
     scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
-    before = found(rig, {name: [scan for scan in own if scan.stamp < middle] for name, own in scans.items()})
-    later = {name: [scan for scan in own if scan.stamp >= middle] for name, own in scans.items()}
-    _, alarms = find_moved_scanners(before, found(rig, later), CHANCE)
-    own = [scan for scan in simulate_scans(shifted, pushed) if scan.stamp >= middle]
-    _, named = find_moved_scanners(before, found(rig, {**later, pushed.name: own}), CHANCE)
-    off = next(((one.distance, one.rotation) for one in named if one.name == pushed.name), ())
-    return Outcome(pushed.name, tuple(one.name for one in named), off, tuple(one.name for one in alarms))
+    before = solve_recording(
+        rig, {name: [scan for scan in one if scan.stamp < middle] for name, one in scans.items()}
+    )
+    later = {name: [scan for scan in one if scan.stamp >= middle] for name, one in scans.items()}
+    _, alarms = find_moved_scanners(before, solve_recording(rig, later), CHANCE)
+    moved_scans = [scan for scan in simulate_scans(shifted, pushed) if scan.stamp >= middle]
+    _, named = find_moved_scanners(before, solve_recording(rig, {**later, pushed.name: moved_scans}), CHANCE)
+    displacement = next(((one.distance, one.rotation) for one in named if one.name == pushed.name), ())
+    return Outcome(pushed.name, tuple(one.name for one in named), displacement, tuple(one.name for one in alarms))
 
 
-def found(rig: Rig, scans: Mapping[str, list[LaserScan]]) -> PlanarPoses:
+def solve_recording(rig: Rig, scans: Mapping[str, list[LaserScan]]) -> PlanarPoses:
     """The joint solution of a recording."""
-    tracked, rng = follow(rig, scans, "nls"), np.random.default_rng(0)
+    tracked, rng = track_scanners(rig, scans, "nls"), np.random.default_rng(0)
     estimates = estimate_scanner_pairs(tracked, rng, depth_stddev=DEPTHS["nls"])
     pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
-    one = solved(rig, tracked, pairs, JOINT, rng)
+    one = solve_poses(rig, tracked, pairs, JOINT, rng)
     return PlanarPoses(one.names, one.T_root_scanner, one.covariance)

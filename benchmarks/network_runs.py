@@ -70,7 +70,7 @@ class Cell(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """One way to calibrate a recording."""
+    """A method of calibration."""
 
     feature: CenterFeature
     icp: bool
@@ -87,7 +87,7 @@ OURS = {"averaging": AVERAGING, "joint": JOINT}
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What came of one way to calibrate a recording."""
+    """Result of one setup."""
 
     names: tuple[str, ...]
     """Scanners that are connected, the root first."""
@@ -101,7 +101,7 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What came of one recording."""
+    """Errors of one recording."""
 
     errors: Mapping[Setup, Array]
     """(S, 2) degrees and metres of each scanner but the root; NaN where there is no pose."""
@@ -110,10 +110,10 @@ class Run:
     clocks: Array
     """(S,) errors of the clock offsets that the joint solution has, s."""
     pairs: Array
-    """(P, 2) of the published pairs: whether right, and the root mean square distance of what both saw, m."""
+    """(P, 2) of the published pairs: whether right, and the RMS distance of simultaneous positions, m."""
 
 
-def cells_of(scenario: str, people: Sequence[int]) -> list[Cell]:
+def list_cells(scenario: str, people: Sequence[int]) -> list[Cell]:
     """The recordings of a scenario: office and lab with any number of people, the usual one in all conditions."""
     if scenario in CYLINDER:
         counts: Sequence[int] = (1,)
@@ -121,23 +121,23 @@ def cells_of(scenario: str, people: Sequence[int]) -> list[Cell]:
         counts = people if scenario in ("office", "lab") else (1, USUAL_PEOPLE)
     cells = [Cell(scenario, count) for count in counts]
     others = [name for name in CONDITIONS.get(scenario, ()) if name != "as is"]
-    return cells + [cell._replace(condition=name) for cell in cells if usual(cell) for name in others]
+    return cells + [cell._replace(condition=name) for cell in cells if is_usual(cell) for name in others]
 
 
-def usual(cell: Cell) -> bool:
-    """Whether so many people are usual in this scenario."""
+def is_usual(cell: Cell) -> bool:
+    """Whether the number of people is the usual one of this scenario."""
     return cell.people == USUAL_PEOPLE or cell.scenario in CYLINDER
 
 
 def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
-    """Simulates one recording and calibrates it in all these ways, each stage once."""
-    network = build_network(scenario_of(cell), seed)
-    rig, truth = stated(network_rig(network), cell, seed), planar(network_truth(network))
+    """Simulates one recording and calibrates it with all setups, each stage once."""
+    network = build_network(build_scenario(cell), seed)
+    rig, truth = apply_condition(network_rig(network), cell, seed), project_poses(network_truth(network))
     scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
-    found: dict[Setup, Solved] = {}
+    results: dict[Setup, Solved] = {}
     judged = np.zeros((0, 2))
     for feature in {setup.feature for setup in setups}:
-        tracked = follow(rig, scans, feature)
+        tracked = track_scanners(rig, scans, feature)
         for icp in {setup.icp for setup in setups if setup.feature == feature}:
             rng = np.random.default_rng(seed)
             estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=DEPTHS[feature])
@@ -145,19 +145,19 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
             if feature == "com" and icp:
                 judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)
             for setup in (s for s in setups if (s.feature, s.icp) == (feature, icp)):
-                found[setup] = solved(rig, tracked, pairs, setup, rng)
+                results[setup] = solve_poses(rig, tracked, pairs, setup, rng)
     off = {scanner.name: scanner.clock_offset for scanner in network.scanners}
-    joint = found.get(JOINT)
+    joint = results.get(JOINT)
     return Run(
-        {setup: errors_of(one, truth) for setup, one in found.items()},
-        {setup: nees_of(one, truth) for setup, one in found.items()},
+        {setup: compute_errors(one, truth) for setup, one in results.items()},
+        {setup: compute_nees(one, truth) for setup, one in results.items()},
         joint.offset[1:] - [off[name] for name in joint.names[1:]] if joint else np.zeros(0),
         judged,
     )
 
 
-def scenario_of(cell: Cell) -> NetworkScenario:
-    """What is simulated."""
+def build_scenario(cell: Cell) -> NetworkScenario:
+    """The scenario of a recording."""
     knobs: dict[str, Any] = {**SCENARIOS[cell.scenario], "people": {"count": cell.people}}
     if cell.condition == "clocks":
         knobs["scanner"] = {"clock_offset": CLOCKS}
@@ -166,8 +166,8 @@ def scenario_of(cell: Cell) -> NetworkScenario:
     return NetworkScenario(**knobs)
 
 
-def stated(rig: Rig, cell: Cell, seed: int) -> Rig:
-    """The rig with the size that is stated of its bodies."""
+def apply_condition(rig: Rig, cell: Cell, seed: int) -> Rig:
+    """The rig with the stated radii of its bodies."""
     if cell.condition != "radii":
         return rig
     target, off = rig.target, SIZES[seed % 2]
@@ -176,8 +176,10 @@ def stated(rig: Rig, cell: Cell, seed: int) -> Rig:
     return rig.model_copy(update={"target": People(kind="people", axes=(across / off, along / off))})
 
 
-def follow(rig: Rig, scans: Mapping[str, list[LaserScan]], feature: CenterFeature) -> dict[str, ScannerTracks]:
-    """What each scanner followed, of those that followed anything."""
+def track_scanners(
+    rig: Rig, scans: Mapping[str, list[LaserScan]], feature: CenterFeature
+) -> dict[str, ScannerTracks]:
+    """The tracks of each scanner that has any."""
     assert isinstance(rig.target, People | Cylinder)
     tracked: dict[str, ScannerTracks] = {}
     for name, spec in rig.sensors.items():
@@ -188,22 +190,22 @@ def follow(rig: Rig, scans: Mapping[str, list[LaserScan]], feature: CenterFeatur
     return tracked
 
 
-def planar(truth: GroundTruth) -> dict[str, Array]:
+def project_poses(truth: GroundTruth) -> dict[str, Array]:
     """T_root_sensor (3, 3) by sensor."""
     in_plane = np.ix_((0, 1, 3), (0, 1, 3))
     return {name: T[in_plane] for name, T in truth.T_root_sensor.items()}
 
 
-def solved(
+def solve_poses(
     rig: Rig,
     tracked: Mapping[str, ScannerTracks],
     pairs: Sequence[ScannerPairEstimate],
     setup: Setup,
     rng: np.random.Generator,
 ) -> Solved:
-    """Poses of the connected scanners; the published way has one estimate a pair, and doubts none."""
+    """Poses of the connected scanners; the published method has one estimate per pair, and rejects none."""
     if setup.average == "consensus":
-        sights = {name: ScannerObservations.from_tracks(known) for name, known in tracked.items()}
+        sights = {name: ScannerObservations.from_tracks(tracks) for name, tracks in tracked.items()}
         ends = {(pair.sensor_a, pair.sensor_b): pair for pair in pairs}
         sure = initialize_network(rig.root, ends, sights, rng, weighted=setup.weighted)
         graph, names, averaged = sure.graph, sure.names, sure.solution
@@ -211,7 +213,7 @@ def solved(
         pairs = [replace(pair, hypotheses=pair.hypotheses[:1]) for pair in pairs]
         graph, names = build_network_graph(rig.root, pairs)
         if setup.average == "none":
-            averaged = chained(graph, pairs, names)
+            averaged = chain_pairs(graph, pairs, names)
         else:
             weights = edge_weights(names, pairs) if setup.weighted else None
             averaged, graph = average_network(graph, rng, setup.average, weights)
@@ -223,13 +225,13 @@ def solved(
     return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.clock_offset)
 
 
-def chained(graph: PoseGraph, pairs: Sequence[ScannerPairEstimate], names: Sequence[str]) -> PoseGraphSolution:
+def chain_pairs(graph: PoseGraph, pairs: Sequence[ScannerPairEstimate], names: Sequence[str]) -> PoseGraphSolution:
     """The pair with the root where there is one, otherwise the fewest and best pairs."""
     costs = np.array([1 + pair.hypotheses[0].cost for pair in pairs if pair.sensor_a in names])
     return PoseGraphSolution(compute_tree_poses(graph, costs[None])[0], np.ones(len(costs), dtype=np.bool_))
 
 
-def errors_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
+def compute_errors(solved: Solved, truth: Mapping[str, Array]) -> Array:
     """(S, 2) degrees and metres of all scanners but the root, NaN without a pose."""
     found = dict(zip(solved.names, solved.T_root_scanner, strict=True))
     nowhere = np.full((3, 3), np.nan)
@@ -238,25 +240,25 @@ def errors_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
     return np.column_stack([np.degrees(np.abs(off[:, 2])), np.hypot(off[:, 0], off[:, 1])])
 
 
-def nees_of(solved: Solved, truth: Mapping[str, Array]) -> Array:
+def compute_nees(solved: Solved, truth: Mapping[str, Array]) -> Array:
     """(S,) normalised estimation errors squared per degree of freedom of all scanners found but the root."""
     off = se2.difference(solved.T_root_scanner, np.array([truth[name] for name in solved.names]))
-    own = [solved.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(off))]
-    return np.array([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off[1:], own[1:], strict=True)])
+    blocks = [solved.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(off))]
+    return np.array([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off[1:], blocks[1:], strict=True)])
 
 
 def judge(
     pair: ScannerPairEstimate, tracked: Mapping[str, ScannerTracks], truth: Mapping[str, Array]
 ) -> tuple[bool, float]:
-    """Whether a pair is right, and the root mean square distance of all that a saw from what b did, m."""
+    """Whether a pair is right, and the RMS distance of simultaneous positions of both scanners, m."""
     true = se2.inverse(truth[pair.sensor_a]) @ truth[pair.sensor_b]
     off = se2.difference(pair.T_a_b, true)
     right = np.degrees(abs(off[2])) < GROSS[0] and np.hypot(off[0], off[1]) < GROSS[1]
-    met = pair_samples(resample_tracks(tracked[pair.sensor_a]), resample_tracks(tracked[pair.sensor_b]))
-    squared = np.sum((se2.apply(pair.T_a_b, met.x_b) - met.x_a) ** 2, axis=1)
-    return bool(right), float(np.sqrt(np.mean(np.minimum.reduceat(squared, met.run_starts_a))))
+    simultaneous = pair_samples(resample_tracks(tracked[pair.sensor_a]), resample_tracks(tracked[pair.sensor_b]))
+    squared = np.sum((se2.apply(pair.T_a_b, simultaneous.x_b) - simultaneous.x_a) ** 2, axis=1)
+    return bool(right), float(np.sqrt(np.mean(np.minimum.reduceat(squared, simultaneous.run_starts_a))))
 
 
-def gross(errors: Array) -> NDArray[np.bool_]:
+def find_gross_errors(errors: Array) -> NDArray[np.bool_]:
     """(S,) whether errors (S, 2) are grossly wrong or missing."""
     return np.asarray(~(errors < np.array(GROSS)).all(axis=1))

@@ -19,7 +19,7 @@ from calgraph.recording import open_recordings
 from calgraph.report import write_report
 from calgraph.result import Calibration, save_calibration, save_captures, save_scene
 from calgraph.simulation import NetworkScenario, simulate_network
-from network_times import WALKERS, peak
+from network_times import WALKERS, measure_peak_memory
 
 STAGES = ("reading", "following", "pairing", "averaging", "solving", "assembling", "writing")
 SIZES = ("6x1", "30x1", "100x1", "6x10")
@@ -33,14 +33,14 @@ def print_stages(sizes: Iterable[str]) -> None:
         count, minutes = (int(part) for part in size.split("x"))
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder)
-            # Processes of their own: the peak of memory is then of this network's calibration alone.
-            for step in (simulated, calibrated):
+            # Separate processes, so that the peak memory is that of this calibration.
+            for step in (simulate, calibrate):
                 with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
                     row = pool.submit(step, place, count, minutes).result()
         print(f"{size:9}{row}", flush=True)
 
 
-def simulated(place: Path, count: int, minutes: int) -> str:
+def simulate(place: Path, count: int, minutes: int) -> str:
     """Writes the recording."""
     scenario = NetworkScenario(
         layout="grid",
@@ -53,7 +53,7 @@ def simulated(place: Path, count: int, minutes: int) -> str:
     return ""
 
 
-def calibrated(place: Path, _count: int, _minutes: int) -> str:
+def calibrate(place: Path, _count: int, _minutes: int) -> str:
     """Calibrates and writes all files; the row of the table."""
     rig = load_rig(place / "rig.yaml")
     clock = Stopwatch()
@@ -65,11 +65,11 @@ def calibrated(place: Path, _count: int, _minutes: int) -> str:
     right = sum(edge.inliers > 0 for edge in found.edges)
     seconds = [clock.seconds.get(stage, 0.0) for stage in STAGES]
     numbers = "".join(f"{value:11.1f}" for value in (*seconds, sum(seconds)))
-    return f"{len(found.edges):7d}{right:7d}{numbers}{peak():11.0f}"
+    return f"{len(found.edges):7d}{right:7d}{numbers}{measure_peak_memory():11.0f}"
 
 
 class Stopwatch:
-    """Seconds of the processor by stage: what passes before a stage reports anything is its own."""
+    """Processor seconds by stage; time before the first report of a stage counts for that stage."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

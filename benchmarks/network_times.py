@@ -47,7 +47,7 @@ def print_times() -> None:
     print("\nTime and memory of the joint solution")
     print(f"{'scanners':>9}{'minutes':>9}{'seconds':>9}{'MB':>7}{'MB before':>11}")
     for count in SCANNERS:
-        # A process of its own: the peak of its memory is then of this network alone.
+        # A separate process, so that the peak memory is that of this network.
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
             before, measured = pool.submit(measure, count).result()
         for one in measured:
@@ -55,7 +55,7 @@ def print_times() -> None:
 
 
 def measure(count: int) -> tuple[float, list[Measured]]:
-    """Solves networks of so many scanners; the memory before, MB, and what each number of minutes takes."""
+    """Solves networks of ``count`` scanners; memory before, MB, and time and memory by duration."""
     walkers = max(2, round(WALKERS * count))
     scenario = NetworkScenario(
         layout="grid",
@@ -79,17 +79,17 @@ def measure(count: int) -> tuple[float, list[Measured]]:
     start = PoseGraphSolution(se2.retract(T, off), np.zeros(0, dtype=np.bool_))
     graph = PoseGraph(len(T), np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
     assert isinstance(rig.target, People)
-    before, measured = peak(), []
+    before, measured = measure_peak_memory(), []
     for minutes in MINUTES:
-        repeated = [again(one, minutes) for one in tracked.values()]
+        repeated = [repeat_tracks(one, minutes) for one in tracked.values()]
         begin = time.process_time()
         solve_network(rig.target, repeated, start, graph)
-        measured.append(Measured(minutes, time.process_time() - begin, peak()))
+        measured.append(Measured(minutes, time.process_time() - begin, measure_peak_memory()))
     return before, measured
 
 
-def again(tracked: ScannerTracks, times: int) -> ScannerTracks:
-    """The same tracks so many times, one after the other."""
+def repeat_tracks(tracked: ScannerTracks, times: int) -> ScannerTracks:
+    """The tracks repeated one after the other."""
     tracks = [
         replace(track, times=track.times + k * PAUSE, hits=replace(track.hits, times=track.hits.times + k * PAUSE))
         for k in range(times)
@@ -98,6 +98,6 @@ def again(tracked: ScannerTracks, times: int) -> ScannerTracks:
     return replace(tracked, tracks=tuple(tracks))
 
 
-def peak() -> float:
-    """Most memory that this process ever held, MB."""
+def measure_peak_memory() -> float:
+    """Peak memory of this process, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

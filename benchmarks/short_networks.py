@@ -1,8 +1,8 @@
 """How many scanners short recordings of networks connect, and how many of these are grossly wrong.
 
 Eight to thirty seconds of one to five people in buildings of five kinds, drawn at random with all that matters to
-pairs: fields of view, resolutions, noise, clocks, arms. Nobody would record so little; whoever does is to be told
-that scanners are not connected, rather than given poses that are wrong.
+pairs: fields of view, resolutions, noise, clocks, arms. From such short recordings, unconnected scanners
+are acceptable; wrong poses are not.
 
     python benchmarks/short_networks.py --seeds 150
     python benchmarks/short_networks.py --seeds 150 --first 150
@@ -17,7 +17,7 @@ import numpy as np
 from calgraph.calibrate import NetworkOptions, calibrate_tracks
 from calgraph.geometry import Array, se2
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
-from network_runs import follow, gross, planar
+from network_runs import find_gross_errors, project_poses, track_scanners
 
 LAYOUTS = {"office": 0.3, "lab": 0.25, "halls": 0.2, "semicircle": 0.1, "grid": 0.15}
 """How often each is drawn."""
@@ -43,7 +43,7 @@ def main() -> None:
     with ProcessPoolExecutor(args.jobs) as pool:
         found = list(pool.map(outcome, range(args.first, args.first + args.seeds)))
     errors, nees = (np.concatenate(columns) for columns in list(zip(*found, strict=True))[:2])
-    wrong = gross(errors)
+    wrong = find_gross_errors(errors)
     print(f"{args.seeds} recordings: {np.sum(~wrong)} scanners right, {np.sum(wrong)} grossly wrong, ", end="")
     print(f"{sum(one.unconnected for one in found)} not connected")
     print(f"NEES per degree of freedom of the right ones {np.mean(nees[~wrong]):.2f}")
@@ -52,8 +52,8 @@ def main() -> None:
 def outcome(seed: int) -> Outcome:
     """Simulates and calibrates one recording."""
     network = build_network(NetworkScenario(**knobs(np.random.default_rng(10000 + seed))), seed)
-    rig, truth = network_rig(network), planar(network_truth(network))
-    followed = follow(
+    rig, truth = network_rig(network), project_poses(network_truth(network))
+    followed = track_scanners(
         rig, {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}, "nls"
     )
     found = calibrate_tracks(rig, followed, NetworkOptions(seed=seed))

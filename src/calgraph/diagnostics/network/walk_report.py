@@ -112,7 +112,11 @@ def _assess_walk(
     if len(d):
         return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
-        return False, f"other scanners detected people at that time, but not within {_MAX_DISTANCE:g} m of it", None
+        return (
+            False,
+            f"other scanners detected people at that time, but not within {_MAX_DISTANCE:g} m of it",
+            None,
+        )
     return False, "no other scanner detected a person at that time", None
 
 
