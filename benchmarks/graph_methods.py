@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from calgraph.baselines import RotationAveraging, average_poses_by_rotations
 from calgraph.geometry import Array, se_n
-from calgraph.graph import AveragingMethod, PoseGraph, average_poses
+from calgraph.graph import PoseGraph, average_poses
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 NEAR, TURNED = 0.5, np.radians(5)
@@ -95,10 +96,14 @@ def table(n: int, seeds: int) -> None:
             count = int(rng.integers(6, 9))
             graphs.append(random_graph(count, count * (count - 1) // 2, n, wrong, 10.0, rng))
         clear = np.array([decidable(graph, bad) for graph, _, bad in graphs])
-        for method in get_args(AveragingMethod):
+        for method in ("consensus", *get_args(RotationAveraging)):
             start = time.process_time()
             poses = [
-                average_poses(graph, np.random.default_rng(seed), method).T_root_node
+                (
+                    average_poses(graph, np.random.default_rng(seed))
+                    if method == "consensus"
+                    else average_poses_by_rotations(graph, None, method)
+                ).T_root_node
                 for seed, (graph, _, _) in enumerate(graphs)
             ]
             each = 1000 * (time.process_time() - start) / seeds

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.calibrate import DEPTHS
+from calgraph.calibrate.strategies import select_averaging
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.estimation import solve_network
 from calgraph.geometry import Array, se2
@@ -216,7 +217,7 @@ def solve_poses(
             averaged = chain_pairs(graph, pairs, names)
         else:
             weights = edge_weights(names, pairs) if setup.weighted else None
-            averaged, graph = average_network(graph, rng, setup.average, weights)
+            averaged, graph = average_network(graph, rng, weights, select_averaging(setup.average))
     if not setup.joint:
         spread = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))

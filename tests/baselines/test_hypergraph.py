@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -10,11 +11,11 @@ import pytest
 import scipy.stats
 
 from board_scenes import SIZE, detect_boards, make_boards
-from calgraph.baselines import solve_hypergraph
+from calgraph.baselines import RotationAveraging, average_poses_by_rotations, solve_hypergraph
 from calgraph.errors import Rejected
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3, so3
-from calgraph.graph import AveragingMethod, Initialization, SpanningTree, find_spanning_tree, initialize_rig
+from calgraph.graph import Initialization, SpanningTree, find_spanning_tree, initialize_rig
 from calgraph.pairwise import Candidates, PairwiseEstimate, estimate_pair
 
 World = tuple[dict[str, Array], dict[str, Candidates], list[PairwiseEstimate], SpanningTree]
@@ -97,7 +98,15 @@ def test_covariances_between_sensors_hold_what_they_promise(
     assert low < np.mean(values) / 6 < high
 
 
-@pytest.mark.parametrize("start", ["identity", *get_args(AveragingMethod)])
+@pytest.mark.parametrize(
+    "start",
+    [
+        "identity",
+        "consensus",
+        *(partial(average_poses_by_rotations, method=m) for m in get_args(RotationAveraging)),
+    ],
+    ids=["identity", "consensus", *get_args(RotationAveraging)],
+)
 def test_every_start_finds_the_same(start: Initialization, rng: np.random.Generator) -> None:
     """Although the estimate of one pair, which is a branch of the tree, is wrong by 0.2 m and 11 degrees."""
     _, seen, pairs, tree = world(3)

@@ -12,9 +12,9 @@ from typing import get_args
 import numpy as np
 from typer.testing import Result
 
+from calgraph.calibrate.options import AveragingMethod
 from calgraph.cli.calibrate import StartChoice
 from calgraph.config import load_rig
-from calgraph.graph import AveragingMethod
 from calgraph.result import load_calibration
 from calgraph.simulation import load_truth
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures, collect_captures, solve_problem
+from calgraph.calibrate.options import RigStart
 from calgraph.config import Board, Checkerboard, Rig
-from calgraph.graph import Initialization
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan, Message
@@ -94,7 +94,7 @@ def recorded_rig() -> Staged:
 def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:
     rig, recording, _ = recorded_rig
     captured = collect_captures(rig, recording, RigOptions(), np.random.default_rng(0))
-    starts: tuple[Initialization, ...] = ("tree", "consensus")
+    starts: tuple[RigStart, ...] = ("tree", "consensus")
     along_tree, consensus = (
         solve_problem(
             build_problem_from_captures(rig, captured, RigOptions(start=start), np.random.default_rng(0))

@@ -53,7 +53,7 @@ def test_nothing_is_in_doubt_where_all_agrees() -> None:
 def test_a_scanner_is_in_doubt_if_better_evidence_puts_it_elsewhere() -> None:
     said = doubts(AB, BC, CD, ScannerPairEstimate("b", "d", (found("b", "d", 40, 8.0),)))
     assert list(said) == ["d"]
-    assert said["d"] == "b and d put it 8.0 m elsewhere, with better evidence than c and d have for its place"
+    assert said["d"] == "b and d put it 8.0 m elsewhere, with better evidence than c and d have"
 
 
 def test_so_is_all_that_hangs_from_it() -> None:

@@ -1,10 +1,16 @@
 import numpy as np
 import pytest
 
-from calgraph.geometry import se2
-from calgraph.graph import average_network, build_network_graph, compute_pose_covariances, edge_weights
+from calgraph.geometry import Array, se2
+from calgraph.graph import average_network, build_network_graph, compute_joint_covariance, edge_weights
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+
+
+def pose_covariances(graph: PoseGraph, T_root_node: Array) -> Array:
+    """The (N, 3, 3) blocks on the diagonal of the joint covariance."""
+    joint = compute_joint_covariance(graph, T_root_node).reshape(graph.count, 3, graph.count, 3)
+    return np.asarray(np.einsum("iaib->iab", joint))
 
 
 def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, share: float = 1.0) -> PoseHypothesis:
@@ -61,7 +67,7 @@ def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:
 
 def test_covariance_adds_up_along_a_chain() -> None:
     graph, poses = chain(0.01, 0.02)
-    spread = compute_pose_covariances(graph, poses)
+    spread = pose_covariances(graph, poses)
     np.testing.assert_allclose(spread[0], 0)
     np.testing.assert_allclose(np.diag(spread[1]), [0.01**2, 0.01**2, 0.02**2], rtol=1e-6)
     # The first turn moves the last scanner sideways by its arm of one metre.
@@ -72,7 +78,7 @@ def test_covariance_agrees_with_composition() -> None:
     graph, poses = chain(0.01, 0.02)
     pair = np.diag([0.01**2, 0.01**2, 0.02**2])
     composed = se2.compose_covariance(poses[1], pair, pair, np.array([1.0, 0.0]))
-    np.testing.assert_allclose(compute_pose_covariances(graph, poses)[2], composed, rtol=1e-6)
+    np.testing.assert_allclose(pose_covariances(graph, poses)[2], composed, rtol=1e-6)
 
 
 def complete(error: float, sigma: float, rng: np.random.Generator) -> tuple[PoseGraph, np.ndarray]:
@@ -93,7 +99,7 @@ def test_covariances_grow_with_what_pairs_are_off_beyond_their_own(error: float,
         rng = np.random.default_rng(seed)
         graph, T = complete(error, sigma, rng)
         found, loosened = average_network(graph, rng)
-        spread = compute_pose_covariances(loosened.select_edges(found.inliers), found.T_root_node)
+        spread = pose_covariances(loosened.select_edges(found.inliers), found.T_root_node)
         off = se2.difference(found.T_root_node, T)[1:]
         values.append(np.mean([e @ np.linalg.solve(C, e) / 3 for e, C in zip(off, spread[1:], strict=True)]))
     # Errors of all nodes share the root's: the mean over 30 graphs has a standard deviation of about 0.1.
@@ -103,5 +109,5 @@ def test_covariances_grow_with_what_pairs_are_off_beyond_their_own(error: float,
 def test_a_single_pair_is_given_the_usual_error_beyond_its_noise() -> None:
     graph, _ = build_network_graph("a", [ScannerPairEstimate("a", "b", (hypothesis(1, sigma=0.001),))])
     found, loosened = average_network(graph, np.random.default_rng(0))
-    sd = np.sqrt(np.diag(compute_pose_covariances(loosened, found.T_root_node)[1]))
+    sd = np.sqrt(np.diag(pose_covariances(loosened, found.T_root_node)[1]))
     np.testing.assert_allclose(sd, [0.02, 0.02, 0.004], rtol=0.05)

@@ -1,5 +1,6 @@
-"""The papers' estimators, as published."""
+"""The papers' estimators, as published. Nothing on the default path imports from here."""
 
 from calgraph.baselines.hypergraph import solve_hypergraph
+from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 
-__all__ = ["solve_hypergraph"]
+__all__ = ["RotationAveraging", "average_poses_by_rotations", "solve_hypergraph"]

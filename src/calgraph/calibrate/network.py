@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
+from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.config import Rig
 from calgraph.diagnostics import (
@@ -79,7 +80,12 @@ def calibrate_tracks(
     )
     observations = {name: ScannerObservations.from_tracks(scanner) for name, scanner in tracked.items()}
     initialization = initialize_network(
-        rig.root, pairs, observations, rng, options.average, weighted=options.weights == "weighted"
+        rig.root,
+        pairs,
+        observations,
+        rng,
+        averaging=select_averaging(options.average),
+        weighted=options.weights == "weighted",
     )
     graph, names, averaged = initialization.graph, initialization.names, initialization.solution
     joint = prior = None

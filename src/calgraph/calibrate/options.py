@@ -8,12 +8,13 @@ from typing import Literal, get_args
 from calgraph.detection import Averaging
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, SolverOptions
-from calgraph.graph import AveragingMethod, Initialization
 from calgraph.pairwise import MatchFilter
 from calgraph.result import Calibration
 from calgraph.tracking import CenterFeature
 
 NetworkEstimator = Literal["joint", "averaging"]
+AveragingMethod = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
+RigStart = Literal["tree", "identity"] | AveragingMethod
 Weights = Literal["uniform", "weighted"]
 Progress = Callable[[str, float], None]
 """Called with the name of the step under way and how much of it is done, 0..1."""
@@ -43,7 +44,7 @@ class RigOptions:
     """Which matches of two sensors to use: inliers (ransac), or all (none)."""
     folds: int = SolverOptions().folds
     """Number of folds of the cross-validation over captures; 0 for none."""
-    start: Initialization = "tree"
+    start: RigStart = "tree"
     """Initialization of the joint solution: spanning tree, identity, or a method that averages all pairs."""
     tags: Averaging = "pnp"
     """A camera's plane: one PnP over all corners of tags, or the paper's average over tags (mean_plane)."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
+from calgraph.calibrate.strategies import select_initialization
 from calgraph.captures import (
     ActivityMeter,
     CaptureSet,
@@ -147,12 +148,13 @@ def build_problem_from_captures(
     """From detections to the joint problem: every pair, and the tree they span."""
     detections = captures.detections
     pairs = estimate_pairs(detections, rig.board_size, rng, lambda done: progress("pairing", done))
-    tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
+    start = select_initialization(options.start)
+    tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under a joint solution.
         joint = solve_hypergraph(tree, select_successful(pairs), detections, keep=options.keep)
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size)
-        tree = initialize_rig(rig.root, select_successful(pairs), options.start, rng)
+        tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     solver = SolverOptions(
         estimator=options.estimator, keep=options.keep, folds=options.folds, estimate=options.estimate
     )

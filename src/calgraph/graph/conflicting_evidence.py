@@ -1,7 +1,8 @@
-"""Scanners whose place in a network is not the only one that fits: better evidence would put them elsewhere.
+"""Scanners whose pose is contradicted by hypotheses with more evidence than those that it rests on.
 
-People who walk alike are taken for one by several scanners at once, so that wrong pairs agree with each other:
-their number says little. Whether a part of the network is held by the best that is known of it says more.
+People who walk side by side are associated wrongly by several scanners alike, so that wrong pairs agree with each
+other, and the number of agreeing pairs is a weak test. The test here compares evidence: the best hypothesis that
+supports the pose of a part of the network against the best one that contradicts it.
 """
 
 from collections.abc import Sequence
@@ -16,73 +17,72 @@ from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
 from calgraph.pairwise import ScannerPairEstimate
 
-# A hypothesis farther from the pose that was found puts the scanner elsewhere, m and rad.
-_ELSEWHERE = (0.5, np.radians(8))
+# A hypothesis farther than this from the estimated relative pose contradicts it, m and rad.
+_SAME_POSE = (0.5, np.radians(8))
 
 
 @dataclass(frozen=True, eq=False)
 class ConflictingEvidence:
-    """A part of a network that better evidence would put elsewhere."""
+    """A part of a network whose pose better evidence contradicts."""
 
     part: NDArray[np.bool_]
-    """(N,) its scanners; the root is not among them."""
+    """(N,) its scanners, without the root."""
     T_root_node: Array
-    """(N, 3, 3) all poses, with the part where the better evidence puts it."""
+    """(N, 3, 3) all poses, with the part moved to where the better evidence puts it."""
     weaker_edges: NDArray[np.bool_]
-    """(E,) edges between the part and the rest that contradict this, with less evidence."""
+    """(E,) edges between the part and the rest that contradict the moved poses and have less evidence."""
     reason: str
-    """The reason."""
+    """Why the estimated pose is in conflict."""
 
 
 def find_conflicting_evidence(
-    graph: PoseGraph, names: Sequence[str], pairs: Sequence[ScannerPairEstimate], averaged: PoseGraphSolution
+    graph: PoseGraph, names: Sequence[str], pairs: Sequence[ScannerPairEstimate], solution: PoseGraphSolution
 ) -> ConflictingEvidence | None:
-    """The largest part of a network that better evidence would put elsewhere, if there is any.
+    """The largest part of a network that a hypothesis with more evidence would put elsewhere; None without one.
 
-    Every tie of the tree of best evidence cuts the network in two, and is the best that holds the two together. If
-    a hypothesis across the cut has more evidence and contradicts, the part without the root is in doubt.
+    Each edge of the maximum spanning tree by evidence defines a fundamental cut, across which it is the edge of
+    most evidence among the inliers. An outlier across the cut that has more evidence, and contradicts the poses,
+    is a conflict of the part without the root.
 
     Args:
-        graph: of :func:`network_graph`.
+        graph: of :func:`build_network_graph`.
         names: its scanners.
-        pairs: as handed to :func:`network_graph`.
-        averaged: the poses found, and the edges that agree.
+        pairs: as given to :func:`build_network_graph`.
+        solution: the estimated poses and their inliers.
     """
-    worth = edge_evidence(names, pairs)
+    evidence = edge_evidence(names, pairs)
     i, j = graph.edges.T
-    elsewhere, apart = _contradicting_edges(graph, averaged.T_root_node)
-    rivals = ~averaged.inliers & elsewhere
-    by_size = sorted(
-        fundamental_cuts(graph, np.where(averaged.inliers, worth, 0.0)), key=lambda cut: -int(cut[1].sum())
-    )
-    for tie, part in by_size:
+    contradicts, distance = _contradicting_edges(graph, solution.T_root_node)
+    conflicting = ~solution.inliers & contradicts
+    cuts = fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0))
+    for tree_edge, part in sorted(cuts, key=lambda cut: -int(cut[1].sum())):
         across = part[i] != part[j]
-        against = np.flatnonzero(rivals & across & (worth > worth[tie]))
-        if not len(against):
+        stronger = np.flatnonzero(conflicting & across & (evidence > evidence[tree_edge]))
+        if not len(stronger):
             continue
-        best = against[np.argmax(worth[against])]
-        T = _move_part(graph, averaged.T_root_node, part, int(best))
-        rival, own = (" and ".join(names[int(k)] for k in graph.edges[edge]) for edge in (best, tie))
-        said = f"{rival} put it {apart[best]:.1f} m elsewhere, with better evidence than {own} have for its place"
-        weaker = across & _contradicting_edges(graph, T)[0] & (worth < worth[best])
-        weaker[tie] = True  # even if it is so far from the poses that it hardly contradicts
-        return ConflictingEvidence(part, T, weaker, said)
+        best = stronger[np.argmax(evidence[stronger])]
+        T = _move_part(graph, solution.T_root_node, part, int(best))
+        against, supporting = (" and ".join(names[int(k)] for k in graph.edges[e]) for e in (best, tree_edge))
+        reason = f"{against} put it {distance[best]:.1f} m elsewhere, with better evidence than {supporting} have"
+        weaker = across & _contradicting_edges(graph, T)[0] & (evidence < evidence[best])
+        weaker[tree_edge] = True  # also where it differs from the moved poses by less than the limits
+        return ConflictingEvidence(part, T, weaker, reason)
     return None
 
 
 def _contradicting_edges(graph: PoseGraph, T_root_node: Array) -> tuple[NDArray[np.bool_], Array]:
-    """(E,) which edges put their scanners elsewhere than poses do, and by how many metres."""
+    """(E,) which edges contradict poses, and by what distance, m."""
     i, j = graph.edges.T
-    off = se2.difference(se2.inverse(T_root_node[i]) @ T_root_node[j], graph.T_i_j)
-    apart = np.linalg.norm(off[:, :2], axis=1)
-    return (apart > _ELSEWHERE[0]) | (np.abs(off[:, 2]) > _ELSEWHERE[1]), apart
+    error = se2.difference(se2.inverse(T_root_node[i]) @ T_root_node[j], graph.T_i_j)
+    distance = np.linalg.norm(error[:, :2], axis=1)
+    return (distance > _SAME_POSE[0]) | (np.abs(error[:, 2]) > _SAME_POSE[1]), distance
 
 
 def _move_part(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: int) -> Array:
     """The poses (N, 3, 3) with a part moved as a whole to where an edge puts it."""
     i, j = graph.edges[edge]
     T_i_j = graph.T_i_j[edge]
-    here, there, T_here_there = (i, j, T_i_j) if part[j] else (j, i, se2.inverse(T_i_j))
+    fixed, inside, T_fixed_inside = (i, j, T_i_j) if part[j] else (j, i, se2.inverse(T_i_j))
     moved = T_root_node.copy()
-    moved[part] = T_root_node[here] @ T_here_there @ se2.inverse(T_root_node[there]) @ T_root_node[part]
+    moved[part] = T_root_node[fixed] @ T_fixed_inside @ se2.inverse(T_root_node[inside]) @ T_root_node[part]
     return moved

@@ -5,27 +5,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.graph.averaging import AveragingMethod, average_poses
 from calgraph.graph.graph_optimization import optimize_poses
-from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
+from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
+from calgraph.graph.tree_consensus import average_poses
 from calgraph.pairwise import ScannerPairEstimate
 
-# What pairs are wrong by beyond their noise: bodies are not ellipses, clocks not equal; m and rad.
-_BEYOND_NOISE = (0.02, 0.004)
-# How many residuals a prior is worth that takes this for right; scales tried, and how often the range is halved.
-_PRIOR = 3.0
-_SCALES = (0.05, 20.0)
-_HALVINGS = 16
-# Positions that agree (every 0.1 s), times their share of those that should, at which a pair is half trusted.
-_DOUBTFUL = 50.0
-# Such positions that matching walls are worth.
-_WALLS = 100.0
+# Model error of pairs beyond their noise (bodies are not ellipses, clocks differ), m and rad.
+_ERROR_FLOOR = (0.02, 0.004)
+# Weight of the prior that this floor is right, in residuals.
+_FLOOR_PRIOR = 3.0
+# Bounds of the scale of the floor; bisections, which give it to 0.1 %.
+_SCALE_BOUNDS = (0.05, 20.0)
+_BISECTIONS = 16
+# Evidence at which an edge has half the full weight: agreeing positions (every 0.1 s) times the share that agrees.
+_HALF_WEIGHT_EVIDENCE = 50.0
+# Evidence of matching walls.
+_WALL_EVIDENCE = 100.0
 
 
 def build_network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
-    """The graph of what is connected to the root, which is node 0; and the scanners' names in the order of nodes.
+    """The graph of the scanners that are connected to the root, and their names in the order of nodes.
 
-    Every hypothesis of a pair is an edge: the graph as a whole decides which of them is right.
+    The root is node 0. Every hypothesis of a pair is an edge: averaging selects at most one of them.
     """
     names = _connected_scanners(root, pairs)
     node = {name: k for k, name in enumerate(names)}
@@ -37,95 +38,92 @@ def build_network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tupl
 
 
 def average_network(
-    graph: PoseGraph, rng: np.random.Generator, method: AveragingMethod = "consensus", weights: Array | None = None
+    graph: PoseGraph,
+    rng: np.random.Generator,
+    weights: Array | None = None,
+    averaging: PoseAveraging | None = None,
 ) -> tuple[PoseGraphSolution, PoseGraph]:
-    """Poses of a network's scanners, as :func:`average` finds them, and the graph with errors as they are.
+    """Poses of a network's scanners by :func:`average_poses`, and the graph with the estimated error floor.
 
-    What pairs are wrong by beyond their noise is not known of one pair alone. Those that agree show it when put
-    together: by as much every pair is loosened, and the consensus' poses are adjusted once more.
+    The model error of pairs shows in the residuals of their cycles. The floor estimated from these is added to all
+    edges, and the poses of the consensus are optimized once more.
 
     Args:
-        graph: of :func:`network_graph`.
-        rng: used by ``consensus``.
-        method: as for :func:`average`.
-        weights: (E,) trust in each edge; uniform without.
+        graph: of :func:`build_network_graph`.
+        rng: source of the random trees of the consensus.
+        weights: (E,) of the edges, 0..1; uniform if None.
+        averaging: in place of the consensus; its poses are taken as they are.
     """
-    averaged = average_poses(graph.with_error_floor(*_BEYOND_NOISE), rng, method, weights)
-    scale = _estimate_floor_scale(graph.select_edges(averaged.inliers), averaged.T_root_node)
-    loosened = graph.with_error_floor(*(scale * floor for floor in _BEYOND_NOISE))
-    if method != "consensus":
-        return averaged, loosened
-    T = optimize_poses(loosened, averaged.T_root_node, averaged.inliers.astype(np.float64))
-    return PoseGraphSolution(T, averaged.inliers), loosened
+    initial = graph.with_error_floor(*_ERROR_FLOOR)
+    solution = averaging(initial, weights) if averaging else average_poses(initial, rng, weights)
+    scale = _estimate_floor_scale(graph.select_edges(solution.inliers), solution.T_root_node)
+    inflated = graph.with_error_floor(*(scale * floor for floor in _ERROR_FLOOR))
+    if averaging:
+        return solution, inflated
+    T = optimize_poses(inflated, solution.T_root_node, solution.inliers.astype(np.float64))
+    return PoseGraphSolution(T, solution.inliers), inflated
 
 
-def _estimate_floor_scale(right: PoseGraph, T_root_node: Array) -> float:
-    """How many times what is usual the pairs' errors exceed their noise, where cycles tell; elsewhere once.
+def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array) -> float:
+    """Scale of the error floor at which chi-squared equals the degrees of freedom, those of a prior included.
 
-    The scale at which the squared residuals are as large as they should be, their number and a prior's together.
+    The prior keeps the scale near 1 where the graph has few cycles.
     """
-    freedom = right.information.shape[-1] * (len(right.edges) - right.count + 1)
-    low, high = _SCALES
-    for _ in range(_HALVINGS):
+    degrees_of_freedom = inliers.information.shape[-1] * (len(inliers.edges) - inliers.count + 1)
+    low, high = _SCALE_BOUNDS
+    for _ in range(_BISECTIONS):
         scale = float(np.sqrt(low * high))
         chi2 = float(
-            chi_squared(right.with_error_floor(*(scale * floor for floor in _BEYOND_NOISE)), T_root_node).sum()
+            chi_squared(inliers.with_error_floor(*(scale * floor for floor in _ERROR_FLOOR)), T_root_node).sum()
         )
-        too_small = chi2 + _PRIOR / scale**2 > freedom + _PRIOR
+        too_small = chi2 + _FLOOR_PRIOR / scale**2 > degrees_of_freedom + _FLOOR_PRIOR
         low, high = (scale, high) if too_small else (low, scale)
     return float(np.sqrt(low * high))
 
 
 def edge_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
-    """Weights (E,) of the edges of :func:`network_graph`, 0..1: how likely each is right, by its own evidence.
+    """Weights (E,) of the edges of :func:`build_network_graph`, 0..1, from the evidence of each.
 
-    Wrong estimates come about where people who walked alike were taken for one. They last for seconds, and leave
-    open why most of what both scanners saw does not agree. Quenzel et al. weigh likewise, after Schenk et al.,
-    "Automatic calibration of a stationary network of laser range finders by matching movement trajectories",
-    IROS 2012.
+    Wrong estimates arise where two people were associated as one. These agree for seconds only, and most of what
+    both scanners observe does not agree. Quenzel et al. weight likewise, after Schenk et al., "Automatic
+    calibration of a stationary network of laser range finders by matching movement trajectories", IROS 2012.
 
     Args:
         names: the scanners of the graph.
-        pairs: as handed to :func:`network_graph`.
+        pairs: as given to :func:`build_network_graph`.
     """
-    known = edge_evidence(names, pairs)
-    return np.asarray(known / (known + _DOUBTFUL))
+    evidence = edge_evidence(names, pairs)
+    return np.asarray(evidence / (evidence + _HALF_WEIGHT_EVIDENCE))
 
 
 def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
-    """Evidence (E,) of the edges of :func:`network_graph`: what agrees, times its share of what should.
+    """Evidence (E,) of the edges of :func:`build_network_graph`: agreeing positions times the share that agrees.
 
-    Walls that match, too, are worth as much as many of these: of wrong poses hardly one brings them together.
+    Matching walls add a constant: hardly any wrong pose aligns them.
 
     Args:
         names: the scanners of the graph.
-        pairs: as handed to :func:`network_graph`.
+        pairs: as given to :func:`build_network_graph`.
     """
     kept = [h for p in pairs if p.sensor_a in names for h in p.hypotheses]
-    return np.array([h.observations * h.matched_share + _WALLS * h.uses_background for h in kept])
+    return np.array([h.observations * h.matched_share + _WALL_EVIDENCE * h.uses_background for h in kept])
 
 
 def _connected_scanners(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:
+    """The root and all scanners that some chain of pairs connects to it, in breadth-first order."""
     reached = [root]
     for name in reached:
         for pair in pairs:
-            for here, there in ((pair.sensor_a, pair.sensor_b), (pair.sensor_b, pair.sensor_a)):
-                if here == name and there not in reached:
-                    reached.append(there)
+            for start, end in ((pair.sensor_a, pair.sensor_b), (pair.sensor_b, pair.sensor_a)):
+                if start == name and end not in reached:
+                    reached.append(end)
     return tuple(reached)
 
 
-def compute_pose_covariances(graph: PoseGraph, T_root_node: Array) -> Array:
-    """Covariances (N, 3, 3) of node poses: the blocks on the diagonal of :func:`joint_covariance`."""
-    own = np.arange(graph.count)
-    joint = compute_joint_covariance(graph, T_root_node).reshape(graph.count, 3, graph.count, 3)
-    return np.asarray(joint[own, :, own])
-
-
 def compute_joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
-    """Covariance (3N, 3N) of node poses in the root's fixed axes, from edges in the plane that are all right.
+    """Covariance (3N, 3N) of node poses in the root's fixed axes, from edges in the plane that are all inliers.
 
-    Zero for the root. Directions that no edge fixes get a standard deviation of a kilometre or a thousand radians.
+    Zero for the root. Unobservable directions get a standard deviation of 1000 m or rad.
     """
     i, j = graph.edges.T
     R = T_root_node[i, :2, :2]

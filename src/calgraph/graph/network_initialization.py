@@ -1,4 +1,4 @@
-"""Where the scanners of a network are, as far as their places are not in doubt."""
+"""Start poses of the scanners of a network, without scanners whose pose is contradicted."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import Rejected
-from calgraph.graph.averaging import AveragingMethod
 from calgraph.graph.conflicting_evidence import find_conflicting_evidence
 from calgraph.graph.network_graph import average_network, build_network_graph, edge_evidence, edge_weights
-from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
 from calgraph.graph.visibility_check import find_visibility_conflict, is_confirmed_by_visibility
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate
 
@@ -19,72 +18,74 @@ Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 @dataclass(frozen=True, eq=False)
 class NetworkInitialization:
-    """Scanners of a network whose places are not in doubt."""
+    """Start poses of those scanners of a network whose poses nothing contradicts."""
 
     pairs: Pairs
-    """Those that were handed in, without hypotheses that the network refutes, and without scanners in doubt."""
+    """The given pairs without hypotheses that the network contradicts; rejected where none is left."""
     graph: PoseGraph
-    """Of what is left, with errors as they are."""
+    """Of the remaining hypotheses, with their model error as estimated."""
     names: tuple[str, ...]
-    """The scanners of its nodes, the root first."""
+    """Scanner of each node, the root first."""
     solution: PoseGraphSolution
 
 
 def initialize_network(
     root: str,
     pairs: Pairs,
-    sights: Mapping[str, ScannerObservations],
+    observations: Mapping[str, ScannerObservations],
     rng: np.random.Generator,
-    method: AveragingMethod = "consensus",
     *,
+    averaging: PoseAveraging | None = None,
     weighted: bool = True,
 ) -> NetworkInitialization:
-    """Averages a network's pairs, until nothing speaks against any scanner's place.
+    """Averages a network's pairs, and removes hypotheses and scanners until no contradiction is left.
 
-    Hypotheses are dropped under which people would have passed unnoticed (:func:`unnoticed`). Scanners that better
-    evidence would put elsewhere (:func:`doubtful`) are put there if what others saw there confirms it; they are
-    left out otherwise.
+    Hypotheses under which scanners miss people in their open view are removed (:func:`find_visibility_conflict`).
+    Where better evidence contradicts the pose of a part of the network (:func:`find_conflicting_evidence`), the
+    weaker edges are removed if detections confirm the moved poses; the part is left out otherwise.
 
     Args:
         root: name of the root.
         pairs: with all their hypotheses.
-        sights: by scanner.
-        rng: used by ``consensus``.
-        method: as for :func:`average`.
-        weighted: whether pairs count by their evidence; all alike otherwise.
+        observations: by scanner.
+        rng: source of the random trees of the consensus.
+        averaging: in place of the consensus.
+        weighted: whether pairs are weighted by their evidence; uniformly otherwise.
     """
     while True:
-        known = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
-        graph, names = build_network_graph(root, known)
-        weights = edge_weights(names, known) if weighted else None
-        averaged, graph = average_network(graph, rng, method, weights)
-        # A root that nothing is connected to may have seen nothing at all.
-        seen = [sights[name] for name in names if name in sights]
-        wrong = find_visibility_conflict(graph, seen, averaged, edge_evidence(names, known))
-        if wrong:
-            why = f"under its pose, scanners miss {wrong.missed_share:.0%} of the people in their open view"
-            pairs = _reject_edges(pairs, names, wrong.edges, Rejected(why))
+        estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
+        graph, names = build_network_graph(root, estimates)
+        weights = edge_weights(names, estimates) if weighted else None
+        solution, graph = average_network(graph, rng, weights, averaging)
+        # A root without any connection may have no observations.
+        of_nodes = [observations[name] for name in names if name in observations]
+        missed = find_visibility_conflict(graph, of_nodes, solution, edge_evidence(names, estimates))
+        if missed:
+            why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
+            pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
-        doubt = find_conflicting_evidence(graph, names, known, averaged)
-        if not doubt:
-            return NetworkInitialization(pairs, graph, names, averaged)
-        if is_confirmed_by_visibility(seen, doubt.T_root_node, doubt.part):
-            pairs = _reject_edges(pairs, names, doubt.weaker_edges, Rejected("contradicts better evidence"))
+        conflict = find_conflicting_evidence(graph, names, estimates, solution)
+        if not conflict:
+            return NetworkInitialization(pairs, graph, names, solution)
+        if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):
+            pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))
         else:
-            pairs = _reject_scanners(pairs, {names[k] for k in np.flatnonzero(doubt.part)}, Rejected(doubt.reason))
+            part = {names[k] for k in np.flatnonzero(conflict.part)}
+            pairs = _reject_scanners(pairs, part, Rejected(conflict.reason))
 
 
-def _reject_scanners(pairs: Pairs, scanners: Set[str], why: Rejected) -> Pairs:
-    return {ends: why if scanners & set(ends) else found for ends, found in pairs.items()}
+def _reject_scanners(pairs: Pairs, scanners: Set[str], reason: Rejected) -> Pairs:
+    """The pairs with all those of some scanners rejected."""
+    return {ends: reason if scanners & set(ends) else found for ends, found in pairs.items()}
 
 
-def _reject_edges(pairs: Pairs, names: Sequence[str], dropped: NDArray[np.bool_], why: Rejected) -> Pairs:
-    """The pairs without the hypotheses (E,) that are dropped, in the order of :func:`network_graph`."""
-    edges = iter(dropped)
-    left: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}
+def _reject_edges(pairs: Pairs, names: Sequence[str], edges: NDArray[np.bool_], reason: Rejected) -> Pairs:
+    """The pairs without the hypotheses of some edges (E,), in the order of :func:`build_network_graph`."""
+    rejected = iter(edges)
+    kept_pairs: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}
     for ends, found in pairs.items():
-        left[ends] = found
+        kept_pairs[ends] = found
         if isinstance(found, ScannerPairEstimate) and found.sensor_a in names:
-            kept = tuple(h for h in found.hypotheses if not next(edges))
-            left[ends] = replace(found, hypotheses=kept) if kept else why
-    return left
+            kept = tuple(h for h in found.hypotheses if not next(rejected))
+            kept_pairs[ends] = replace(found, hypotheses=kept) if kept else reason
+    return kept_pairs

@@ -1,5 +1,6 @@
-"""Relative poses between nodes, some of them wrong, and what averaging makes of them: in the plane or in space."""
+"""Graphs of relative poses with outliers, in the plane or in space, and their solutions."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +17,7 @@ Edges = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class PoseGraph:
-    """Relative poses; several edges of one pair are alternatives of which at most one is right."""
+    """Relative poses between nodes; several edges of one pair are alternatives, at most one of which is right."""
 
     count: int
     """Nodes are 0 ... count - 1."""
@@ -41,7 +42,7 @@ class PoseGraph:
 
     @cached_property
     def pair_of_edge(self) -> NDArray[np.intp]:
-        """(E,) number of each edge's pair of nodes, the same for alternatives, whichever way round they are."""
+        """(E,) index of each edge's pair of nodes, the same for alternatives, in either direction."""
         ordered = np.sort(self.edges, axis=1)
         return np.asarray(
             np.unique(ordered[:, 0] * self.count + ordered[:, 1], return_inverse=True)[1], dtype=np.intp
@@ -69,34 +70,38 @@ class PoseGraph:
         return PoseGraph(self.count, self.edges[keep], self.T_i_j[keep], self.information[keep], self.root)
 
     def with_error_floor(self, position: float, angle: float) -> "PoseGraph":
-        """The graph with so much more error in every edge, m and rad, than its information knows of.
+        """The graph with a model error (standard deviations, m and rad) added to the covariance of every edge.
 
-        Consensus takes edges for wrong whose errors exceed their information, which is often too confident. What
-        edges leave open, with singular information, stays open.
+        Consensus rejects edges whose errors exceed their covariance, which is often optimistic. Directions that an
+        edge does not observe, with singular information, stay unobserved.
         """
         n, dof = self.dimension, self.information.shape[-1]
         floor = np.diag([position**2] * n + [angle**2] * (dof - n))
         # (I + information · floor)⁻¹ information is (information⁻¹ + floor)⁻¹, without inverting what is singular.
-        loose = np.linalg.solve(np.eye(dof) + self.information @ floor, self.information)
-        information = (loose + np.swapaxes(loose, -1, -2)) / 2
+        inflated = np.linalg.solve(np.eye(dof) + self.information @ floor, self.information)
+        information = (inflated + np.swapaxes(inflated, -1, -2)) / 2
         return PoseGraph(self.count, self.edges, self.T_i_j, information, self.root)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGraphSolution:
-    """Poses that fit most of a graph's edges, and which."""
+    """Node poses, and the edges that agree with them."""
 
     T_root_node: Array
     """(N, n+1, n+1)."""
     inliers: NDArray[np.bool_]
-    """(E,) the edges that agree with the poses: at most one of a pair."""
+    """(E,) the edges that agree with the poses, at most one of a pair."""
+
+
+PoseAveraging = Callable[[PoseGraph, Array | None], PoseGraphSolution]
+"""From a connected graph and the weights (E,) of its edges to poses; None for uniform weights."""
 
 
 def residuals(graph: PoseGraph, T_root_node: Array) -> Array:
-    """Errors (..., E, d) of the relative poses that node poses (..., N, n+1, n+1) imply, in i's fixed axes."""
+    """Errors (..., E, d) of the predicted relative poses for node poses (..., N, n+1, n+1), in i's fixed axes."""
     i, j = graph.edges.T
-    implied = se_n.inverse(T_root_node[..., i, :, :]) @ T_root_node[..., j, :, :]
-    return se_n.difference(implied, graph.T_i_j)
+    predicted = se_n.inverse(T_root_node[..., i, :, :]) @ T_root_node[..., j, :, :]
+    return se_n.difference(predicted, graph.T_i_j)
 
 
 def chi_squared(graph: PoseGraph, T_root_node: Array) -> Array:

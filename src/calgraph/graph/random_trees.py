@@ -1,4 +1,4 @@
-"""Random spanning trees of a graph, many at once, and moves of single nodes to where more edges agree."""
+"""Random spanning trees of a graph, in batches, and moves of single nodes to poses that more edges support."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,19 +6,20 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph
 
-# A node moves if that makes so many more edges agree.
-_GAIN = 0.5
-_SWEEPS = 20
-# Proposals tried for one node at most, and (proposal, edge) combinations judged in one go.
-_PROPOSALS = 30
+# A node moves if the votes for its pose increase by more than this, in edges of full weight.
+_MIN_GAIN = 0.5
+# Sweeps end when no node moves; this cap is not reached in practice.
+_MAX_SWEEPS = 20
+# Most proposals for one node; (proposal, edge) combinations evaluated in one batch, which bounds memory.
+_MAX_PROPOSALS = 30
 _CHUNK = 200_000
 
 
 def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
-    """Node poses along the trees of cheapest paths from the root (Dijkstra), for many sets of costs at once.
+    """Node poses along the shortest-path trees from the root (Dijkstra), for a batch of edge costs.
 
-    Every spanning tree is the one of some costs, so random costs make random trees, shallow ones more often: noise
-    adds up along few edges.
+    Every spanning tree is the shortest-path tree of some costs, so random costs make random trees. Shallow trees
+    are more frequent, along whose few edges less noise accumulates.
 
     Args:
         graph: connected.
@@ -44,8 +45,8 @@ def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
         rows = sets[:, None]
         # Padding points one past the last edge.
         out_edge = np.minimum(out, len(start) - 1)
-        fresh = (out < len(start)) & np.isinf(distance[rows, end[out_edge]])
-        k, at = np.nonzero(fresh)
+        enters = (out < len(start)) & np.isinf(distance[rows, end[out_edge]])
+        k, at = np.nonzero(enters)
         e = out[k, at]
         arrival[k, e] = distance[k, start[e]] + both_ways[k, e]
         k, at = np.nonzero(into < len(start))
@@ -58,59 +59,59 @@ def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
 
 
 def improve_by_votes(
-    graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator
+    graph: PoseGraph, weights: Array, T_root_node: Array, gate: float, rng: np.random.Generator
 ) -> Array:
-    """Moves nodes, one by one, to where a neighbour's edge puts them if more of their edges then agree.
+    """Moves single nodes to the pose that an edge of a neighbour predicts where more of their edges then agree.
 
     Args:
         graph: any.
-        trust: (E,) how much each edge's agreement counts.
+        weights: (E,) of the edges.
         T_root_node: (N, n+1, n+1).
         gate: squared Mahalanobis distance up to which an edge agrees.
-        rng: decides which of two neighbours that both would move goes first.
+        rng: selects the nodes that move in a sweep.
     """
-    ballot = _Voting(graph, trust, rng)
+    voting = _Voting(graph, weights, rng)
     T = T_root_node.copy()
-    for _ in range(_SWEEPS):
-        proposals, gains = ballot.count_votes(T, gate)
-        movers = np.flatnonzero(gains > _GAIN)
+    for _ in range(_MAX_SWEEPS):
+        proposals, gains = voting.count_votes(T, gate)
+        movers = np.flatnonzero(gains > _MIN_GAIN)
         if not len(movers):
             break
-        # Neighbours that move together would miss each other: about half go, the clearest one always.
-        going = movers[(rng.random(len(movers)) < 0.5) | (movers == movers[np.argmax(gains[movers])])]
-        T[going] = proposals[going]
+        # The gain of a node assumes that its neighbours stay: about half move, the one of largest gain always.
+        moving = movers[(rng.random(len(movers)) < 0.5) | (movers == movers[np.argmax(gains[movers])])]
+        T[moving] = proposals[moving]
     return T
 
 
 class _Voting:
-    """Which edges vote on which proposals: fixed by the graph, whatever the poses."""
+    """Which edges vote on which proposals, which depends on the graph alone."""
 
-    def __init__(self, graph: PoseGraph, trust: Array, rng: np.random.Generator) -> None:
-        self.graph, self.trust = graph, trust
+    def __init__(self, graph: PoseGraph, weights: Array, rng: np.random.Generator) -> None:
+        self.graph, self.weights = graph, weights
         edges = len(graph.edges)
         self.start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
         self.end = np.concatenate([graph.edges[:, 1], graph.edges[:, 0]])
         self.T_start_end = np.concatenate([graph.T_i_j, se_n.inverse(graph.T_i_j)])
         self.edge = np.tile(np.arange(edges), 2)
-        self.degree = np.bincount(self.end, trust[self.edge], minlength=graph.count)
+        self.degree = np.bincount(self.end, weights[self.edge], minlength=graph.count)
         into = _group_by_node(self.end, graph.count, rng)
-        node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], _PROPOSALS))
-        voter = np.repeat(into, min(into.shape[1], _PROPOSALS), axis=1).ravel()
-        proposal = np.tile(into[:, :_PROPOSALS], (1, into.shape[1])).ravel()
+        node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], _MAX_PROPOSALS))
+        voter = np.repeat(into, min(into.shape[1], _MAX_PROPOSALS), axis=1).ravel()
+        proposal = np.tile(into[:, :_MAX_PROPOSALS], (1, into.shape[1])).ravel()
         real = (voter < 2 * edges) & (proposal < 2 * edges)
         self.voter, self.proposal, self.node = voter[real], proposal[real], node[real]
 
     def count_votes(self, T: Array, gate: float) -> tuple[Array, Array]:
-        """For every node the best proposal (N, n+1, n+1) and by how much more edges agree with it (N,)."""
+        """The best proposal for every node (N, n+1, n+1), and its gain of votes over the current pose (N,)."""
         ends = np.arange(len(self.start))
         current = np.bincount(self.end, self._agreement(T, T[self.end], ends, gate), minlength=len(T))
-        # Where most edges agree already, fewer are left to agree with anything else.
+        # A node with the majority of its edges keeps its pose: no other pose can have more votes.
         contested = current < 0.5 * self.degree
         contested[self.graph.root] = False
         proposals = T[self.start] @ self.T_start_end
         votes = np.zeros(len(self.start))
-        ask = np.flatnonzero(contested[self.node])
-        for chunk in np.array_split(ask, len(ask) // _CHUNK + 1):
+        open_votes = np.flatnonzero(contested[self.node])
+        for chunk in np.array_split(open_votes, len(open_votes) // _CHUNK + 1):
             voter, proposal = self.voter[chunk], self.proposal[chunk]
             agreement = self._agreement(T, proposals[proposal], voter, gate)
             votes += np.bincount(proposal, agreement, minlength=len(votes))
@@ -122,20 +123,20 @@ class _Voting:
         return proposals[best], gains
 
     def _agreement(self, T: Array, T_end: Array, voter: NDArray[np.intp], gate: float) -> Array:
-        """(V,) how well directed edges agree with poses of their end: their trust at best, 0 at the gate."""
+        """(V,) agreement of directed edges with poses of their end: the weight if exact, 0 at the gate."""
         e = self.edge[voter]
         forwards = (voter < len(self.graph.edges))[:, None, None]
         T_start = T[self.start[voter]]
-        implied = se_n.inverse(np.where(forwards, T_start, T_end)) @ np.where(forwards, T_end, T_start)
-        r = se_n.difference(implied, self.graph.T_i_j[e])
+        predicted = se_n.inverse(np.where(forwards, T_start, T_end)) @ np.where(forwards, T_end, T_start)
+        r = se_n.difference(predicted, self.graph.T_i_j[e])
         chi2 = np.einsum("vi,vi->v", r, (self.graph.information[e] @ r[..., None])[..., 0])
-        return np.asarray(self.trust[e] * np.maximum(1 - chi2 / gate, 0.0))
+        return np.asarray(self.weights[e] * np.maximum(1 - chi2 / gate, 0.0))
 
 
 def _group_by_node(
     nodes: NDArray[np.intp], count: int, rng: np.random.Generator | None = None
 ) -> NDArray[np.intp]:
-    """(N, D) numbers of the entries of ``nodes`` that are each node, in random order; padded with len(nodes)."""
+    """(N, D) indices of the entries of ``nodes`` equal to each node, in random order; padded with len(nodes)."""
     order = np.arange(len(nodes)) if rng is None else rng.permutation(len(nodes))
     order = order[np.argsort(nodes[order], kind="stable")]
     degrees = np.bincount(nodes, minlength=count)

@@ -1,4 +1,4 @@
-"""The graph of sensors: what is connected to the root, and start poses along its minimum spanning tree."""
+"""The minimum spanning tree of a rig's pairs: which sensors are connected to the root, and start poses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,13 +8,13 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
 
-# A pair whose weakest direction is known worse than this (m or rad) is a branch only where nothing else reaches.
-_WEAK = 0.1
+# A pair with a larger standard deviation (m or rad) along some direction leaves that direction unobserved.
+_UNOBSERVABLE_STDDEV = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class SpanningTree:
-    """Sensors hung from the root, each from its parent."""
+    """A tree of sensors with the start pose of each."""
 
     root: str
     parents: Mapping[str, str]
@@ -23,14 +23,14 @@ class SpanningTree:
     """Start pose (4, 4) of every connected sensor, the root included."""
 
     def has_edge(self, a: str, b: str) -> bool:
-        """Whether one of the two sensors hangs from the other."""
+        """Whether one of the two sensors is the parent of the other."""
         return self.parents.get(a) == b or self.parents.get(b) == a
 
 
 def find_spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
     """Grows the minimum spanning tree from the root (Prim), by summed squared error (MSG-Cal, V).
 
-    Pairs that leave a direction open are taken only where no other pair reaches a sensor.
+    Pairs with an unobserved direction are used only where no other pair reaches a sensor.
 
     Args:
         root: name of the root sensor.
@@ -43,7 +43,7 @@ def find_spanning_tree(root: str, estimates: Sequence[PairwiseEstimate]) -> Span
 
 
 def grow_tree(tree: SpanningTree, estimates: Sequence[PairwiseEstimate]) -> SpanningTree:
-    """The tree with all sensors that estimates tie to it, as :func:`spanning_tree` grows it."""
+    """The tree with all sensors that estimates connect to it, extended as :func:`find_spanning_tree` does."""
     poses, parents = dict(tree.T_root_sensor), dict(tree.parents)
     directed = [*estimates, *(e.inverse() for e in estimates)]
     while True:
@@ -56,6 +56,6 @@ def grow_tree(tree: SpanningTree, estimates: Sequence[PairwiseEstimate]) -> Span
 
 
 def unobservable_stddev(estimate: PairwiseEstimate) -> float:
-    """Standard deviation along the weakest direction where that is open; 0 where it is not."""
+    """Standard deviation (m or rad) along the weakest direction if that is unobserved; 0 otherwise."""
     weakest = max(float(np.linalg.eigvalsh(estimate.information)[0]), 1e-12)
-    return 0.0 if weakest >= _WEAK**-2 else weakest**-0.5
+    return 0.0 if weakest >= _UNOBSERVABLE_STDDEV**-2 else weakest**-0.5

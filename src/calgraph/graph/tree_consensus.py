@@ -1,7 +1,7 @@
-"""Consensus over spanning trees: the poses that most edges agree with, however wrong the others are.
+"""Consensus over spanning trees: the node poses that most edges agree with, whatever the error of the others.
 
-One tree of right edges alone gives all poses, and all right edges agree with them. Trees are drawn at random,
-those of edges that fit into cycles more often; the best by truncated residuals of whole transforms are improved.
+A tree of inliers gives all poses, and all inliers agree with them. Trees are drawn at random, edges of consistent
+cycles more often. The best trees by truncated residuals of whole transforms are refined.
 """
 
 import numpy as np
@@ -17,44 +17,39 @@ from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
 from calgraph.ransac import select_best_of_groups
 
-# An edge agrees unless its error is larger than by chance once in a thousand times.
-_CHANCE = 0.001
-# Noise adds up along a tree: its squared distances may be this many times larger before refinement.
-_TREE_SCALE = 9.0
-# Trees drawn: as many as make this many edges together, within limits.
+# An edge is an inlier unless a right one would have an error as large with this probability only.
+_OUTLIER_PROBABILITY = 0.001
+# Noise accumulates along a tree: the gate is wider by this factor before refinement.
+_TREE_GATE_FACTOR = 9.0
+# Trees are drawn until they have this number of edges in total, within limits.
 _TREE_EDGES = 100_000
-_FEWEST_TREES, _MOST_TREES = 8, 600
-# Trees that are improved and judged again, likewise.
-_FINAL_EDGES = 5_000
-_FEWEST_FINALISTS, _MOST_FINALISTS = 1, 6
-# Shortest cycles through every edge, on which the chances of being drawn rest.
+_MIN_TREES, _MAX_TREES = 8, 600
+# The number of trees that are refined, likewise.
+_REFINED_EDGES = 5_000
+_MIN_REFINED, _MAX_REFINED = 1, 6
+# Shortest cycles through every edge that its support is computed from.
 _CYCLE_ROUNDS = 6
-# An edge's cost is its support to this power, inverted, in the first trees; to ever lower powers in the next.
-_BIAS = 2.0
-# No path goes over an edge that costs so many times more, if there is another one.
-_CLOSED = 1e9
-# Whatever nobody trusts still holds together what nothing else does.
-_LEAST_TRUST = 1e-3
-# Rounds of least squares over the inliers, until they stay the same.
-_ROUNDS = 5
+# The cost of an edge is its inverse support to this power in the first tree, to 0 in the last.
+_SUPPORT_EXPONENT = 2.0
+# Cost factor that excludes an edge from a tree wherever there is another path.
+_EXCLUDED = 1e9
+# Minimum edge weight; keeps the graph connected.
+_MIN_WEIGHT = 1e-3
+# Most rounds of least squares over the inliers; they usually stay the same after two.
+_MAX_ROUNDS = 5
 
 
-def average_by_tree_consensus(
+def average_poses(
     graph: PoseGraph,
     rng: np.random.Generator,
     weights: Array | None = None,
-    *,
-    trees: int | None = None,
-    finalists: int | None = None,
 ) -> PoseGraphSolution:
-    """The poses that most pairs agree with, from no start, refined over the edges that agree.
+    """The node poses that most pairs agree with, without start values, optimized over the inliers.
 
     Args:
-        graph: connected; several edges of a pair are alternatives, of which the best counts.
+        graph: connected; several edges of a pair are alternatives, of which the best is scored.
         rng: source of the trees.
-        weights: (E,) how much each edge's agreement counts, 0..1; all alike without.
-        trees: how many spanning trees to draw; without, as many as suit the graph's size.
-        finalists: how many of them to improve and to judge again; likewise.
+        weights: (E,) of the edges, 0..1; uniform if None.
 
     Raises:
         CalibrationError: some node is not connected to the root; it is named.
@@ -62,91 +57,90 @@ def average_by_tree_consensus(
     graph.require_connected()
     if graph.count == 1:
         return PoseGraphSolution(np.eye(graph.dimension + 1)[None], np.zeros(len(graph.edges), dtype=np.bool_))
-    trust = np.ones(len(graph.edges)) if weights is None else np.maximum(weights, _LEAST_TRUST)
-    gate = float(chdtri(graph.information.shape[-1], _CHANCE))
+    weights = np.ones(len(graph.edges)) if weights is None else np.maximum(weights, _MIN_WEIGHT)
+    gate = float(chdtri(graph.information.shape[-1], _OUTLIER_PROBABILITY))
     edges = max(len(graph.edges), 1)
-    count = trees or int(np.clip(_TREE_EDGES // edges, _FEWEST_TREES, _MOST_TREES))
-    final = finalists or int(np.clip(_FINAL_EDGES // edges, _FEWEST_FINALISTS, _MOST_FINALISTS))
-    starts = compute_tree_poses(graph, _draw_edge_costs(graph, trust, count, rng))
-    scores, agreeing = _score(graph, trust, starts, gate * _TREE_SCALE)
+    count = int(np.clip(_TREE_EDGES // edges, _MIN_TREES, _MAX_TREES))
+    to_refine = int(np.clip(_REFINED_EDGES // edges, _MIN_REFINED, _MAX_REFINED))
+    starts = compute_tree_poses(graph, _draw_edge_costs(graph, weights, count, rng))
+    scores, inliers_of_tree = _score(graph, weights, starts, gate * _TREE_GATE_FACTOR)
     best: PoseGraphSolution | None = None
-    best_score, seen = np.inf, set[bytes]()
+    best_score, refined_inliers = np.inf, set[bytes]()
     for k in np.argsort(scores, kind="stable"):
-        if agreeing[k].tobytes() in seen:
+        if inliers_of_tree[k].tobytes() in refined_inliers:
             continue
-        seen.add(agreeing[k].tobytes())
-        T = _refine(graph, trust, starts[k], gate, rng)
-        (score,), (inliers,) = _score(graph, trust, T[None], gate)
+        refined_inliers.add(inliers_of_tree[k].tobytes())
+        T = _refine(graph, weights, starts[k], gate, rng)
+        (score,), (inliers,) = _score(graph, weights, T[None], gate)
         if best is None or score < best_score:
             best, best_score = PoseGraphSolution(T, inliers), float(score)
-        if len(seen) >= final:
+        if len(refined_inliers) >= to_refine:
             break
     assert best is not None  # there is at least one tree
     return best
 
 
-def _draw_edge_costs(graph: PoseGraph, trust: Array, count: int, rng: np.random.Generator) -> Array:
-    """(count, E) costs of edges: at first small for trusted ones that cycles support, at last blindly random.
+def _draw_edge_costs(graph: PoseGraph, weights: Array, count: int, rng: np.random.Generator) -> Array:
+    """(count, E) random costs of edges, which depend on weight and support in the first sets, and not in the last.
 
-    Wrong edges that agree with each other in a triangle look better than right ones in a long cycle. The first
-    tree is the one of the best edges, however long its paths: in a large graph, paths of few edges lead over wrong
-    ones.
+    Support is biased: outliers that agree with each other in a triangle have more of it than inliers in a long
+    cycle. The first tree is the one of least total cost: in a large graph, the shortest paths contain outliers.
     """
     cycles = (*find_cycle_basis(graph.count, graph.edges), *find_cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
-    chance = np.linspace(0, 1, count)[:, None]
-    expensive = (trust * edge_support(graph, cycles)) ** (-_BIAS * (1 - chance))
-    costs = np.asarray(expensive * (1 - chance + chance * rng.exponential(size=(count, len(graph.edges)))))
-    costs[0] *= np.where(_cheapest_tree(graph, 1 / trust), 1.0, _CLOSED)
+    randomness = np.linspace(0, 1, count)[:, None]
+    cost = (weights * edge_support(graph, cycles)) ** (-_SUPPORT_EXPONENT * (1 - randomness))
+    costs = np.asarray(cost * (1 - randomness + randomness * rng.exponential(size=(count, len(graph.edges)))))
+    costs[0] *= np.where(_cheapest_tree(graph, 1 / weights), 1.0, _EXCLUDED)
     return costs
 
 
 def _cheapest_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
-    """(E,) the edges of the tree of least costs (E,) in all."""
-    # Of alternatives of one pair the cheapest; SciPy would add them up.
+    """(E,) the edges of the spanning tree of least total cost."""
+    # The cheapest alternative of each pair; SciPy would sum them.
     best = select_best_of_groups(costs / costs.max(), graph.pair_of_edge)
     i, j = graph.edges[best].T
     tree = minimum_spanning_tree(coo_array((costs[best], (i, j)), shape=(graph.count, graph.count))).tocoo()
     chosen = np.isin(i * graph.count + j, tree.row * graph.count + tree.col)
-    within = np.zeros(len(costs), dtype=np.bool_)
-    within[np.flatnonzero(best)[chosen]] = True
-    return within
+    in_tree = np.zeros(len(costs), dtype=np.bool_)
+    in_tree[np.flatnonzero(best)[chosen]] = True
+    return in_tree
 
 
-def _refine(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
-    """Poses near a tree's that fit the edges which agree: by votes and robust least squares, or as the tree is.
+def _refine(graph: PoseGraph, weights: Array, T_root_node: Array, gate: float, rng: np.random.Generator) -> Array:
+    """Poses that fit the inliers of a tree, after votes and robust least squares or directly: the better set.
 
-    Votes and a forgiving loss repair a large graph's tree, but may lead a small graph's right one astray.
+    Votes and a robust loss repair the tree of a large graph, but may move the right one of a small graph away.
     """
-    T = improve_by_votes(graph, trust, T_root_node, gate * _TREE_SCALE, rng)
+    T = improve_by_votes(graph, weights, T_root_node, gate * _TREE_GATE_FACTOR, rng)
     T = optimize_poses_robustly(graph, T, gate)
-    T = improve_by_votes(graph, trust, T, gate, rng)
-    settled = np.stack([_fit_inliers(graph, trust, start, gate) for start in (T, T_root_node)])
-    return np.asarray(settled[np.argmin(_score(graph, trust, settled, gate)[0])])
+    T = improve_by_votes(graph, weights, T, gate, rng)
+    candidates = np.stack([_fit_inliers(graph, weights, start, gate) for start in (T, T_root_node)])
+    return np.asarray(candidates[np.argmin(_score(graph, weights, candidates, gate)[0])])
 
 
-def _fit_inliers(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> Array:
-    """The least squares poses over the edges that agree, until they stay the same."""
-    T, inliers = T_root_node, _score(graph, trust, T_root_node[None], gate * _TREE_SCALE)[1][0]
-    for _ in range(_ROUNDS):
+def _fit_inliers(graph: PoseGraph, weights: Array, T_root_node: Array, gate: float) -> Array:
+    """Least-squares poses over the inliers, repeated until the inliers stay the same."""
+    T, inliers = T_root_node, _score(graph, weights, T_root_node[None], gate * _TREE_GATE_FACTOR)[1][0]
+    for _ in range(_MAX_ROUNDS):
         if not graph.select_edges(inliers).find_reachable().all():
             break
         T = optimize_poses(graph, T, inliers.astype(np.float64))
-        before, inliers = inliers, _score(graph, trust, T[None], gate)[1][0]
-        if np.array_equal(before, inliers):
+        previous, inliers = inliers, _score(graph, weights, T[None], gate)[1][0]
+        if np.array_equal(previous, inliers):
             break
     return T
 
 
-def _score(graph: PoseGraph, trust: Array, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Scores of K sets of node poses: truncated squared residuals, summed over pairs, and who agrees.
+def _score(graph: PoseGraph, weights: Array, T_root_node: Array, gate: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Scores of K sets of node poses by truncated squared residuals, and the inliers.
 
     Returns:
-        (K,) scores, the less the better: 0 without any agreement, and minus its trust for an edge that agrees
-        exactly; and (K, E) the best edge of each pair where it is within the gate.
+        (K,) scores, lower is better: 0 without inliers, minus its weight for an edge without error; and (K, E) the
+        best edge of each pair where it is within the gate.
     """
-    gains = trust * np.maximum(1 - chi_squared(graph, T_root_node) / gate, 0.0)
+    agreement = weights * np.maximum(1 - chi_squared(graph, T_root_node) / gate, 0.0)
     order = np.argsort(graph.pair_of_edge, kind="stable")
     sizes = np.bincount(graph.pair_of_edge)
-    best = np.maximum.reduceat(gains[:, order], np.cumsum(sizes) - sizes, axis=1) if len(sizes) else gains
-    agree = (gains > 0) & (gains == best[:, graph.pair_of_edge])
-    return -best.sum(axis=1), agree
+    best = np.maximum.reduceat(agreement[:, order], np.cumsum(sizes) - sizes, axis=1) if len(sizes) else agreement
+    inliers = (agreement > 0) & (agreement == best[:, graph.pair_of_edge])
+    return -best.sum(axis=1), inliers

@@ -1,8 +1,8 @@
-"""Pairs that a network as a whole refutes: were they right, people would have passed its scanners unnoticed.
+"""Contradictions between the poses of a whole network and what its scanners detect of each other's people.
 
-What two scanners should have seen of each other's people refutes most wrong poses of a pair, but not all: they
-may share a few seconds only, in which people walk alike. A part of a network at a wrong place stands among many
-scanners, each of which saw others there than it did.
+The same test of a single pair rejects most wrong hypotheses, but not all: the two scanners may share a few seconds
+only, in which people move alike. A part of a network at a wrong pose is among many scanners, whose detections it
+should share.
 """
 
 from collections.abc import Sequence
@@ -19,102 +19,104 @@ from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_de
 
 Flags = NDArray[np.bool_]
 
-# A scanner sees somebody within this distance of where another one saw him, m.
-_THERE = 0.5
-# A place is refuted if more than this share of what should have been seen was not, of so many positions at least
+# A detection within this distance of another scanner's is of the same person, m.
+_DETECTION_RADIUS = 0.5
+# A pose is contradicted if more than this share of the expected detections is missing, of at least this number
 # (every 0.1 s, of each scanner).
-_MISSED, _EXPECTED = 0.5, 50
-# Of so many ticks at most positions are compared.
-_TICKS = 1000
+_MAX_MISSED_SHARE, _MIN_EXPECTED = 0.5, 50
+# Longer recordings are subsampled to this number of ticks, which bounds the time of the comparison.
+_MAX_TICKS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class VisibilityConflict:
-    """A part of a network that is not where it was put."""
+    """A part of a network whose pose the detections contradict."""
 
     part: Flags
-    """(N,) its scanners; the root is not among them."""
+    """(N,) its scanners, without the root."""
     edges: Flags
-    """(E,) those that hold it there."""
+    """(E,) the inlier edges between the part and the rest."""
     missed_share: float
-    """Which share of what it and the others should have seen of each other's people they did not."""
+    """Share of the expected detections between the part and the rest that are missing."""
 
 
 def find_visibility_conflict(
-    graph: PoseGraph, sights: Sequence[ScannerObservations], averaged: PoseGraphSolution, worth: Array
+    graph: PoseGraph, observations: Sequence[ScannerObservations], solution: PoseGraphSolution, evidence: Array
 ) -> VisibilityConflict | None:
-    """The part of a network whose place is refuted most clearly; None where no place is.
+    """The part of a network with the largest share of missed detections; None if no part misses too many.
 
-    Every tie of the tree of best evidence cuts the network in two. All that one side saw where the other one has
-    an open view, some scanner of the other side should have seen, too.
+    The parts are those beyond the edges of the maximum spanning tree by evidence. What one side detects within the
+    open view of the other, some scanner of the other side should detect, too.
 
     Args:
         graph: of the network.
-        sights: of its scanners, node by node.
-        averaged: the poses found, and the edges that agree.
-        worth: (E,) evidence of each edge.
+        observations: of its scanners, node by node.
+        solution: the estimated poses and their inliers.
+        evidence: (E,) of each edge.
     """
-    seen = _compare_detections(sights, averaged.T_root_node)
+    detections = _compare_detections(observations, solution.T_root_node)
     i, j = graph.edges.T
     worst: VisibilityConflict | None = None
-    for _, part in fundamental_cuts(graph, np.where(averaged.inliers, worth, 0.0)):
-        expected, missed = seen.count_across(part)
+    for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
+        expected, missed = detections.count_across(part)
         share = missed / max(expected, 1)
-        if expected >= _EXPECTED and share > (worst.missed_share if worst else _MISSED):
-            worst = VisibilityConflict(part, averaged.inliers & (part[i] != part[j]), share)
+        if expected >= _MIN_EXPECTED and share > (worst.missed_share if worst else _MAX_MISSED_SHARE):
+            worst = VisibilityConflict(part, solution.inliers & (part[i] != part[j]), share)
     return worst
 
 
-def is_confirmed_by_visibility(sights: Sequence[ScannerObservations], T_root_node: Array, part: Flags) -> bool:
-    """Whether a part (N,) of a network is at its place by what it and the others saw of each other's people.
+def is_confirmed_by_visibility(
+    observations: Sequence[ScannerObservations], T_root_node: Array, part: Flags
+) -> bool:
+    """Whether enough detections are expected between a part (N,) and the rest, and most of them were made.
 
     Args:
-        sights: of the scanners, node by node.
+        observations: of the scanners, node by node.
         T_root_node: (N, 3, 3) their poses.
         part: (N,) some of them.
     """
-    expected, missed = _compare_detections(sights, T_root_node).count_across(part)
-    return expected >= _EXPECTED and missed <= _MISSED * expected
+    expected, missed = _compare_detections(observations, T_root_node).count_across(part)
+    return expected >= _MIN_EXPECTED and missed <= _MAX_MISSED_SHARE * expected
 
 
 @dataclass(frozen=True, eq=False)
 class _MutualDetections:
-    """Of all samples, scanner by scanner, what others should have seen of them and what they did."""
+    """Which samples of the scanners other scanners should have detected, and which they did."""
 
     count: int
     """Samples of all scanners."""
     step: int
-    """Which are of every so many ticks."""
+    """Each sample stands for this number of ticks."""
     pairs: tuple[tuple[int, int, NDArray[np.intp], Flags, Flags], ...]
-    """Two scanners, numbers (M,) of their samples, and whether the other one should have seen each, and did."""
+    """Two scanners, indices (M,) of their samples, whether the other one should have detected each, and did."""
 
-    def count_across(self, far: Flags) -> tuple[int, int]:
-        """How many of each other's positions a part (N,) and the rest should have seen, and how many none did."""
-        expected, noticed = np.zeros((2, self.count), dtype=np.bool_)
-        for a, b, samples, should, did in self.pairs:
-            if far[a] != far[b]:
-                expected[samples] |= should
-                noticed[samples] |= did
-        return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~noticed))
+    def count_across(self, part: Flags) -> tuple[int, int]:
+        """Number of detections expected between a part (N,) and the rest, and number of those that none made."""
+        expected, detected = np.zeros((2, self.count), dtype=np.bool_)
+        for a, b, samples, pair_expected, pair_detected in self.pairs:
+            if part[a] != part[b]:
+                expected[samples] |= pair_expected
+                detected[samples] |= pair_detected
+        return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~detected))
 
 
-def _compare_detections(sights: Sequence[ScannerObservations], T_root_node: Array) -> _MutualDetections:
-    ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(own.samples.tick for own in sights)])
-    step = max(1, int(np.ptp(ticks)) // _TICKS) if len(ticks) else 1
-    sights = [own.subsample(step) for own in sights]
-    sizes = [len(own.samples.tick) for own in sights]
-    begin = np.cumsum(sizes) - sizes
-    numbers = [first + np.arange(size) for first, size in zip(begin, sizes, strict=True)]
-    reach = np.array([own.visibility.max_range for own in sights])
-    at = T_root_node[:, :2, 2]
-    near = np.linalg.norm(at[:, None] - at, axis=-1) < reach[:, None] + reach
+def _compare_detections(observations: Sequence[ScannerObservations], T_root_node: Array) -> _MutualDetections:
+    ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(scanner.samples.tick for scanner in observations)])
+    step = max(1, int(np.ptp(ticks)) // _MAX_TICKS) if len(ticks) else 1
+    observations = [scanner.subsample(step) for scanner in observations]
+    sizes = [len(scanner.samples.tick) for scanner in observations]
+    starts = np.cumsum(sizes) - sizes
+    indices = [start + np.arange(size) for start, size in zip(starts, sizes, strict=True)]
+    max_range = np.array([scanner.visibility.max_range for scanner in observations])
+    t = T_root_node[:, :2, 2]
+    in_reach = np.linalg.norm(t[:, None] - t, axis=-1) < max_range[:, None] + max_range
     pairs = []
-    for a, b in np.argwhere(np.triu(near, 1)).tolist():
-        met = pair_samples(sights[a].samples, sights[b].samples)
+    for a, b in np.argwhere(np.triu(in_reach, 1)).tolist():
+        simultaneous = pair_samples(observations[a].samples, observations[b].samples)
         T_a_b = se2.inverse(T_root_node[a]) @ T_root_node[b]
-        (should,), (did,) = find_missed_detections(
-            T_a_b[None], met, sights[a].visibility, sights[b].visibility, _THERE
+        (expected,), (detected,) = find_missed_detections(
+            T_a_b[None], simultaneous, observations[a].visibility, observations[b].visibility, _DETECTION_RADIUS
         )
-        if should.any():
-            pairs.append((a, b, np.concatenate([numbers[a], numbers[b]]), should, did))
+        if expected.any():
+            pairs.append((a, b, np.concatenate([indices[a], indices[b]]), expected, detected))
     return _MutualDetections(sum(sizes), step, tuple(pairs))

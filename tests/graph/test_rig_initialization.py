@@ -1,27 +1,27 @@
-"""Start poses of a rig from all its pairs at once."""
+"""Start poses of a rig by consensus and by the published averaging of all pairs."""
 
 import itertools
 from dataclasses import replace
-from typing import get_args
+from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from calgraph.baselines import RotationAveraging, average_poses_by_rotations
 from calgraph.geometry import Array, se3
-from calgraph.graph import (
-    AveragingMethod,
-    Initialization,
-    build_rig_graph,
-    initialize_by_averaging,
-    initialize_rig,
-)
+from calgraph.graph import Initialization, build_rig_graph, initialize_rig
 from calgraph.pairwise import PairwiseEstimate
 
 NAMES = ("lidar", "camera", "laser", "rear", "top")
 TANGENTS = np.random.default_rng(3).uniform(-1, 1, size=(5, 6)) * [1, 1, 1, 2, 2, 2]
 TRUTH = dict(zip(NAMES, se3.retract(np.eye(4), TANGENTS), strict=True))
-METHODS = pytest.mark.parametrize("method", get_args(AveragingMethod))
+METHODS = pytest.mark.parametrize(
+    "method",
+    ["consensus", *(partial(average_poses_by_rotations, method=name) for name in get_args(RotationAveraging))],
+    ids=["consensus", *get_args(RotationAveraging)],
+)
 
 
 def pair(a: str, b: str, error: Array | None = None, residual: float = 0.01) -> PairwiseEstimate:
@@ -44,8 +44,8 @@ def true_pose(root: str, name: str) -> Array:
 
 @METHODS
 @pytest.mark.parametrize("root", ["lidar", "rear"])
-def test_true_pairs_give_true_poses(method: AveragingMethod, root: str, rng: np.random.Generator) -> None:
-    tree = initialize_by_averaging(root, pairs_of(NAMES), rng, method)
+def test_true_pairs_give_true_poses(method: Initialization, root: str, rng: np.random.Generator) -> None:
+    tree = initialize_rig(root, pairs_of(NAMES), method, rng)
     assert tree.root == root
     for name in NAMES:
         assert_allclose(tree.T_root_sensor[name], true_pose(root, name), atol=1e-5)
@@ -53,14 +53,14 @@ def test_true_pairs_give_true_poses(method: AveragingMethod, root: str, rng: np.
 
 def test_a_wrong_pair_with_the_least_error_is_no_branch(rng: np.random.Generator) -> None:
     wrong = pair("lidar", "camera", np.array([0.3, 0, 0, 0, 1.0, 0]), residual=0.0001)
-    tree = initialize_by_averaging("lidar", [wrong, *pairs_of(NAMES)[1:]], rng)
+    tree = initialize_rig("lidar", [wrong, *pairs_of(NAMES)[1:]], "consensus", rng)
     assert not tree.has_edge("lidar", "camera")
     assert_allclose(tree.T_root_sensor["camera"], true_pose("lidar", "camera"), atol=1e-5)
 
 
 @METHODS
-def test_a_rig_in_a_chain_has_only_one_answer(method: AveragingMethod, rng: np.random.Generator) -> None:
-    tree = initialize_by_averaging("lidar", [pair(a, b) for a, b in itertools.pairwise(NAMES)], rng, method)
+def test_a_rig_in_a_chain_has_only_one_answer(method: Initialization, rng: np.random.Generator) -> None:
+    tree = initialize_rig("lidar", [pair(a, b) for a, b in itertools.pairwise(NAMES)], method, rng)
     assert dict(tree.parents) == dict(zip(NAMES[1:], NAMES[:-1], strict=True))
     assert_allclose(tree.T_root_sensor["top"], true_pose("lidar", "top"), atol=1e-5)
 
@@ -71,20 +71,20 @@ OPEN = np.diag([1e6, 1e6, 1e6, 1e6, 1e6, 0.0])
 
 @METHODS
 def test_a_pair_open_about_one_axis_leaves_that_to_the_others(
-    method: AveragingMethod, rng: np.random.Generator
+    method: Initialization, rng: np.random.Generator
 ) -> None:
     hinge = replace(pair("lidar", "camera", np.array([0, 0, 0, 0, 0, 0.6])), information=OPEN)
-    tree = initialize_by_averaging("lidar", [hinge, *pairs_of(NAMES)[1:]], rng, method)
+    tree = initialize_rig("lidar", [hinge, *pairs_of(NAMES)[1:]], method, rng)
     assert_allclose(tree.T_root_sensor["camera"], true_pose("lidar", "camera"), atol=1e-4)
     assert not tree.has_edge("lidar", "camera")
 
 
 @METHODS
 def test_where_nothing_else_reaches_an_open_pair_is_a_branch(
-    method: AveragingMethod, rng: np.random.Generator
+    method: Initialization, rng: np.random.Generator
 ) -> None:
     hinges = [replace(pair(a, "top", np.array([0, 0, 0, 0, 0, 0.6])), information=OPEN) for a in ("rear", "laser")]
-    tree = initialize_by_averaging("lidar", [*hinges, *pairs_of(NAMES[:4])], rng, method)
+    tree = initialize_rig("lidar", [*hinges, *pairs_of(NAMES[:4])], method, rng)
     assert tree.parents["top"] in ("rear", "laser")
     parent = tree.parents["top"]
     (branch,) = (e for e in hinges if e.sensor_a == parent)
@@ -93,7 +93,7 @@ def test_where_nothing_else_reaches_an_open_pair_is_a_branch(
 
 def test_a_wrong_branch_misleads_the_tree_but_not_the_consensus() -> None:
     """In each of eight rigs of noisy pairs (3 mm, 3 mrad), one pair of the tree is wrong by 0.5 m and 0.5 rad."""
-    off: dict[Initialization, list[float]] = {"tree": [], "consensus": []}
+    off: dict[Literal["tree", "consensus"], list[float]] = {"tree": [], "consensus": []}
     for seed in range(8):
         rng = np.random.default_rng(seed)
         noisy = {e: pair(*e, rng.normal(0, 0.003, 6)) for e in itertools.combinations(NAMES, 2)}
@@ -119,12 +119,14 @@ def test_all_sensors_may_start_at_the_root(rng: np.random.Generator) -> None:
 
 
 def test_what_is_not_connected_is_left_out(rng: np.random.Generator) -> None:
-    tree = initialize_by_averaging("lidar", [*pairs_of(("lidar", "camera", "laser")), pair("rear", "top")], rng)
+    tree = initialize_rig(
+        "lidar", [*pairs_of(("lidar", "camera", "laser")), pair("rear", "top")], "consensus", rng
+    )
     assert list(tree.T_root_sensor) == ["lidar", "camera", "laser"]
 
 
 def test_a_rig_without_pairs_is_its_root_alone(rng: np.random.Generator) -> None:
-    assert list(initialize_by_averaging("lidar", [], rng).T_root_sensor) == ["lidar"]
+    assert list(initialize_rig("lidar", [], "consensus", rng).T_root_sensor) == ["lidar"]
 
 
 def test_the_root_is_the_first_node() -> None:

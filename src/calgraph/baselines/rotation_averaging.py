@@ -1,46 +1,48 @@
-"""Rotations of all nodes from relative ones, without poses: L1MC, spectral relaxation, iteratively reweighted L1.
+"""Published rotation averaging: L1MC, spectral relaxation, iteratively reweighted L1.
 
-These are the published methods, for comparison; :func:`calgraph.graph.consensus_trees` is the default.
+The default is :func:`calgraph.graph.average_poses`, which averages whole poses.
 """
 
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.sparse import block_array, csr_array, eye_array
+from scipy.sparse import block_array, coo_array, csc_array, csr_array, eye_array
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.sparse.linalg import eigsh
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se_n
-from calgraph.graph.cycles import Cycle, find_cycle_basis, find_triangles, incidence_matrix
-from calgraph.graph.graph_optimization import solve_differences
+from calgraph.graph.cycles import Cycle, find_cycle_basis, incidence_matrix, list_incident_edges
+from calgraph.graph.graph_optimization import solve_sparse
 from calgraph.graph.pose_graph import Edges, PoseGraph
 
-# Up to so many rows all eigenvectors are found at once; above, only the leading ones.
-_DENSE = 300
-# Residuals (rad) below this weigh alike in reweighted L1; steps below a tenth of it are the last.
-_FLOOR = 1e-6
-_ITERATIONS = 100
-# How often the constraints of rotations in space are linearised.
-_LINEARISATIONS = 4
+# Up to this number of rows, all eigenvectors are computed by a dense solver; above, the leading ones only.
+_MAX_DENSE = 300
+# Residuals (rad) below this have the same weight in reweighted L1, which ends with steps of a tenth of it.
+_MIN_RESIDUAL = 1e-6
+_MAX_ITERATIONS = 100
+# Linearizations of the constraints of rotations in space.
+_LINEARIZATIONS = 4
+# Relative residual of the linear systems.
+_TOLERANCE = 1e-10
 
 
 def average_rotations_l1mc(
     graph: PoseGraph, weights: Array | None = None, transitivity: Literal["cycles", "triangles"] = "cycles"
 ) -> Array:
-    """Robust rotation averaging without a start (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
+    """Robust rotation averaging without start values (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
 
-    Relative rotations are corrected so that they agree around cycles, with the least weighted sum of absolute
-    corrections: a linear program. Corrected ones are then chained. Each pair is one unknown here, and alternatives
-    of a pair make a cycle of two, so that the paper's symmetry (eq. 20) holds by construction.
+    Relative rotations are corrected so that they are consistent around cycles, with the least weighted sum of
+    absolute corrections: a linear program. Corrected rotations are then chained. Each pair is one unknown, and
+    alternatives of a pair make a cycle of two, so that the symmetry of the paper (eq. 20) holds by construction.
 
     Args:
-        graph: connected. In space, constraints are linearised at the corrected rotations, a few times: they are
+        graph: connected. In space, constraints are linearized at the corrected rotations, a few times: they are
             the paper's sums of rotation vectors, each turned into the axes of the node where its cycle starts.
-        weights: (E,) trust in each edge; uniform without.
-        transitivity: ``triangles`` as published, as soft rows of weight 1; ``cycles`` takes a basis of all
-            cycles, so that rings are covered, and holds them exactly.
+        weights: (E,) of the edges; uniform if None.
+        transitivity: ``triangles`` as published, as soft rows of weight 1; ``cycles`` uses a basis of all
+            cycles, which covers rings, as exact constraints.
 
     Returns:
         (N, n, n) rotations from each node to the root.
@@ -49,19 +51,19 @@ def average_rotations_l1mc(
         CalibrationError: some node is not connected to the root.
     """
     graph.require_connected()
-    trust = np.ones(len(graph.edges)) if weights is None else weights
+    weights = np.ones(len(graph.edges)) if weights is None else weights
     if transitivity == "cycles":
         cycles, soft = find_cycle_basis(graph.count, graph.edges), False
     else:
         cycles, soft = find_triangles(graph.count, graph.edges), True
     d = 1 if graph.dimension == 2 else 3
     corrections, R_i_j = np.zeros((len(graph.edges), d)), graph.R_i_j
-    for _ in range(1 if d == 1 else _LINEARISATIONS):
+    for _ in range(1 if d == 1 else _LINEARIZATIONS):
         A, errors = _linearize_cycles(R_i_j, cycles)
         b = A @ corrections.ravel() - errors
-        corrections = _minimize_absolute_sum(A, b, np.repeat(trust, d), soft).reshape(-1, d)
+        corrections = _minimize_absolute_sum(A, b, np.repeat(weights, d), soft).reshape(-1, d)
         R_i_j = graph.R_i_j @ se_n.exp(corrections)
-    # Where cycles are not held exactly, the least corrected edges are the ones to follow.
+    # With soft constraints, the least corrected edges are the most consistent.
     return _chain_along_tree(graph, R_i_j, np.linalg.norm(corrections, axis=1))
 
 
@@ -73,7 +75,7 @@ def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -
 
     Args:
         graph: connected.
-        weights: (E,) trust in each edge; uniform without.
+        weights: (E,) of the edges; uniform if None.
 
     Returns:
         (N, n, n) rotations from each node to the root.
@@ -86,7 +88,7 @@ def average_rotations_spectral(graph: PoseGraph, weights: Array | None = None) -
     i, j = graph.edges.T
     blocks = (w / (scale[i] * scale[j]))[:, None, None] * graph.R_i_j
     G = _block_matrix(graph, blocks)
-    vectors = np.linalg.eigh(G.toarray())[1][:, -n:] if count * n <= _DENSE else _leading_eigenvectors(G, n)
+    vectors = np.linalg.eigh(G.toarray())[1][:, -n:] if count * n <= _MAX_DENSE else _leading_eigenvectors(G, n)
     # Rows of the eigenvectors are R_node_root times one unknown orthogonal matrix, which may be a reflection.
     M = vectors.reshape(count, n, n)
     if np.sum(np.sign(np.linalg.det(M))) < 0:
@@ -100,8 +102,8 @@ def average_rotations_irls(graph: PoseGraph, start: Array, weights: Array | None
 
     Args:
         graph: connected.
-        start: (N, n, n) rotations from each node to the root, near enough.
-        weights: (E,) trust in each edge; uniform without.
+        start: (N, n, n) rotations from each node to the root, near the solution.
+        weights: (E,) of the edges; uniform if None.
 
     Returns:
         (N, n, n) rotations from each node to the root.
@@ -110,26 +112,54 @@ def average_rotations_irls(graph: PoseGraph, start: Array, weights: Array | None
     w = np.ones(len(graph.edges)) if weights is None else weights
     i, j = graph.edges.T
     R = start
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         errors = se_n.log(R[i] @ graph.R_i_j @ se_n.transpose(R[j]))
-        reweighted = w / np.maximum(np.linalg.norm(errors, axis=1), _FLOOR)
-        delta = solve_differences(graph.count, graph.edges, errors, reweighted, graph.root)
+        reweighted = w / np.maximum(np.linalg.norm(errors, axis=1), _MIN_RESIDUAL)
+        delta = solve_differences(graph, errors, reweighted)
         R = se_n.exp(delta) @ R
-        if np.max(np.abs(delta), initial=0.0) < _FLOOR / 10:
+        if np.max(np.abs(delta), initial=0.0) < _MIN_RESIDUAL / 10:
             break
     return np.asarray(R[graph.root].T @ R)
 
 
 def chain_rotations(graph: PoseGraph) -> Array:
-    """(N, n, n) rotations from each node to the root along few edges each: a start for others."""
+    """(N, n, n) rotations from each node to the root along shallow trees, as start values."""
     graph.require_connected()
     return _chain_along_tree(graph, graph.R_i_j, np.zeros(len(graph.edges)))
 
 
-def _linearize_cycles(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, Array]:
-    """What corrections do to the cycles' errors: sparse (C d, E d), and the errors (C d,) themselves, rad.
+def find_triangles(count: int, edges: Edges) -> tuple[Cycle, ...]:
+    """All cycles of three edges, the constraints of the paper."""
+    adjacency = list_incident_edges(count, edges)
+    triangles = []
+    for a in range(count):
+        for b, ab, ab_direction in adjacency[a]:
+            for c, bc, bc_direction in adjacency[b] if b > a else ():
+                closing = (edge for edge in adjacency[c] if edge[0] == a) if c > b else ()
+                triangles += [
+                    np.array([(ab, ab_direction), (bc, bc_direction), (ca, direction)], dtype=np.intp)
+                    for _, ca, direction in closing
+                ]
+    return tuple(triangles)
 
-    The errors are wrapped, which takes the multiples of 2π out (Algorithm 1, last rows of b).
+
+def solve_differences(graph: PoseGraph, differences: Array, weights: Array) -> Array:
+    """(N, k) with ``x[j] - x[i] ≈ differences`` (E, k) in least squares with weights (E,), zero at the root."""
+    i, j = graph.edges.T
+    rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+    values = np.concatenate([weights, weights, -weights, -weights])
+    H = csc_array(coo_array((values, (rows, columns)), shape=(graph.count, graph.count)))
+    g = np.zeros((graph.count, differences.shape[1]))
+    np.add.at(g, i, -weights[:, None] * differences)
+    np.add.at(g, j, weights[:, None] * differences)
+    free = np.arange(graph.count) != graph.root
+    return np.concatenate([solve_sparse(H, column[:, None], free, _TOLERANCE) for column in g.T], axis=1)
+
+
+def _linearize_cycles(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_array, Array]:
+    """Derivatives of the cycles' errors by the corrections, sparse (C d, E d), and the errors (C d,), rad.
+
+    The errors are wrapped, which removes multiples of 2π (Algorithm 1, last rows of b).
     """
     d = 1 if R_i_j.shape[-1] == 2 else 3
     if d == 1:
@@ -139,12 +169,13 @@ def _linearize_cycles(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_arra
     rows, columns, blocks, errors = [], [], [], np.zeros((len(cycles), d))
     for c, cycle in enumerate(cycles):
         R = np.eye(3)
-        for e, way in cycle:
-            # Corrected edges are R_i_j exp(x), about j's axes: there a walk forwards ends, a backward one begins.
-            after = R @ (R_i_j[e] if way > 0 else R_i_j[e].T)
+        for e, direction in cycle:
+            # Corrected edges are R_i_j exp(x), about the axes of j: the end of a forward edge, the start of a
+            # reversed one.
+            after = R @ (R_i_j[e] if direction > 0 else R_i_j[e].T)
             rows.append(c)
             columns.append(int(e))
-            blocks.append(after if way > 0 else -R)
+            blocks.append(after if direction > 0 else -R)
             R = after
         errors[c] = se_n.log(R)
     where = np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
@@ -153,13 +184,13 @@ def _linearize_cycles(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_arra
 
 
 def _minimize_absolute_sum(A: csr_array, b: Array, weights: Array, soft: bool) -> Array:
-    """The x of least weighted sum of |x| with ``A x = b``, or of that and |A x - b| where soft.
+    """The x of least weighted sum of |x| subject to ``A x = b``, or with |A x - b| added to the sum if soft.
 
     Args:
         A: (M, V) sparse.
         b: (M,).
         weights: (V,) not negative.
-        soft: whether rows may be missed, at weight 1.
+        soft: whether the rows are soft constraints of weight 1.
     """
     if not A.shape[0]:
         return np.zeros(A.shape[1])
@@ -175,11 +206,11 @@ def _minimize_absolute_sum(A: csr_array, b: Array, weights: Array, soft: bool) -
     return np.asarray(solution.x[: A.shape[1]] - solution.x[A.shape[1] : 2 * A.shape[1]], dtype=np.float64)
 
 
-def _chain_along_tree(graph: PoseGraph, R_i_j: Array, distrust: Array) -> Array:
-    """Rotations (N, n, n) along the spanning tree of the least distrusted edges (E,)."""
+def _chain_along_tree(graph: PoseGraph, R_i_j: Array, cost: Array) -> Array:
+    """Rotations (N, n, n) along the spanning tree of least costs (E,) of the edges."""
     i, j = graph.edges.T
-    # The tree routine takes stored zeros for missing edges, and keeps one value for alternatives: their best.
-    value = 1.0 + distrust
+    # SciPy treats stored zeros as missing edges, and sums alternatives: only the best one is given.
+    value = 1.0 + cost
     order = np.lexsort((value, graph.pair_of_edge))
     best = order[np.unique(graph.pair_of_edge[order], return_index=True)[1]]
     edge_of = {(int(a), int(b)): int(e) for e in best for a, b in ((i[e], j[e]), (j[e], i[e]))}
