@@ -29,7 +29,7 @@ class Scene:
     truth: BundleState
 
     def measured(self, rng: np.random.Generator, noise: float = 1.0, view_bias: float = 0.0) -> Bundle:
-        """The bundle with noise of ``noise`` times the stated one, and a bias of each view of ``view_bias`` (m)."""
+        """The bundle with ``noise`` times the stated noise, and a bias of each view of ``view_bias`` (m)."""
         with_bias = replace(self.bundle, bias_variance=np.full(len(self.bundle.sensors), view_bias**2))
         views = []
         for s, views_of_sensor in enumerate(self.bundle.views):

@@ -235,7 +235,7 @@ def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_
     ("options", "message"),
     [
         (["--prior-stddev", "1", "1"], "--prior-stddev: goes with --prior"),
-        (["--prior", "POSES"], "does not say how sure it is of camera: give standard deviations"),
+        (["--prior", "POSES"], "states no covariance of camera: give standard deviations"),
         (["--prior", "POSES", "--prior-stddev", "0", "1"], "--prior-stddev: must be two numbers above 0"),
         (["--rigid", "POSES"], "--rigid: must be a file and sensors, as in robot.urdf:camera,laser, got"),
         (["--rigid", "POSES:camera,sonar"], "there is no sensor sonar to be in a rigid group"),

@@ -32,7 +32,7 @@ def test_a_camera_and_a_lidar_agree_with_the_published_answer(vlp16: Calibration
 
 def test_outlines_that_would_turn_the_camera_away_are_remarked(vlp16: Calibration) -> None:
     (remark,) = vlp16.remarks
-    assert "contradicts planes and prints: outlines are not used" in remark
+    assert "contradict the fitted planes and tags: edge observations are not used" in remark
 
 
 def test_an_upright_board_fixes_three_of_six_directions_and_the_verdict_names_the_others(

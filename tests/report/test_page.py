@@ -139,9 +139,11 @@ def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibrati
 
 
 def test_what_was_not_used_is_remarked_beside_the_verdicts(calibration: Calibration, rig: Rig) -> None:
-    remarked = dataclasses.replace(calibration, remarks=("lidar sees the board's edges <40 mm inside",))
+    remarked = dataclasses.replace(calibration, remarks=("board edges in scans of lidar are <40 mm inside",))
     words = Page(report_html(remarked, rig)).words
-    assert "Not used lidar sees the board's edges <40 mm inside" in words[: words.index("Sensor graph A line")]
+    assert (
+        "Not used board edges in scans of lidar are <40 mm inside" in words[: words.index("Sensor graph A line")]
+    )
     assert "Not used" not in Page(report_html(calibration, rig)).words
 
 

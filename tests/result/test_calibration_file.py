@@ -73,7 +73,7 @@ def test_root_estimator_unconnected_and_rms_come_back(calibration: Calibration, 
 
 
 def test_remarks_come_back(calibration: Calibration, tmp_path: Path) -> None:
-    remarks = ("lidar sees the board's edges 40 mm inside the target's size: they are not used",)
+    remarks = ("board edges in scans of lidar are 40 mm inside the target's size: they are not used",)
     save_calibration(dataclasses.replace(calibration, remarks=remarks), tmp_path / "calibration.yaml")
     assert load_calibration(tmp_path / "calibration.yaml").remarks == remarks
 

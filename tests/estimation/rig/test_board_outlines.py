@@ -58,7 +58,7 @@ def test_boards_of_a_wrong_size_are_remarked_and_their_outlines_not_used() -> No
     wrong = replace(one, rig=one.rig.model_copy(update={"target": large}))
     joint = wrong.solve()
     assert any(
-        remark.startswith("lidar sees the board's edges 40 mm inside the target's size on average")
+        remark.startswith("board edges in scans of lidar are 40 mm inside the target's size on average")
         for remark in joint.remarks
     )
     # Sway is relative to the stated size, too: nothing else differs.
@@ -85,5 +85,5 @@ def test_outlines_that_contradict_the_print_are_not_used() -> None:
     blunt = one.map_detections(without_edges).solve()
     joint = one.solve()
     (remark,) = joint.remarks
-    assert "contradicts planes and prints" in remark
+    assert "contradict the fitted planes and tags" in remark
     np.testing.assert_allclose(joint.T_root_sensor["camera"], blunt.T_root_sensor["camera"], atol=1e-9)

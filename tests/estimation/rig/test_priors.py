@@ -203,7 +203,7 @@ def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, fi
         (None, [("camera",)], "a rigid group needs two sensors at least, got camera"),
         (None, [("camera", "laser"), ("laser", "lidar")], "laser is in 2 rigid groups"),
         ((0, 0), [("camera", "laser")], "camera is in 2 rigid groups"),
-        ("none", [], "does not say how sure it is of camera"),
+        ("none", [], "states no covariance of camera"),
     ],
 )
 def test_inconsistent_priors_are_refused(

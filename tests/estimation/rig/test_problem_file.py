@@ -288,7 +288,7 @@ def test_a_missing_column_is_named(saved: Path) -> None:
         ({"sensors": ["lidar", "x", "camera", "blind"]}, r"sensors and frames: must be those of the rig, lidar"),
         ({"cameras": {}}, r"cameras: must have a row for each of the 0 cameras, has 1"),
         ({"cameras": {"cam": "pinhole"}}, r"cameras: must be those of the rig, camera"),
-        ({"misses": []}, r"misses: must say why .* has no detection in capture 0"),
+        ({"misses": []}, r"misses: must state why .* has no detection in capture 0"),
         ({"pairs": []}, r"estimates: must have a row for each of the 0 pairs that are not rejected, has 1"),
         ({"pairs": [{"sensors": ["lidar", "blind"]}]}, r"estimates/matches: .* of blind in capture .* not exist"),
         ({"parents": {"laser ä/1": "moon"}}, r"parents: must be among lidar, laser ä/1, got moon"),

@@ -100,9 +100,9 @@ def drop_wrong_outlines(bundle: Bundle, solution: MinimizedBundle) -> tuple[Bund
             where = "outside" if offset > 0 else "inside"
             why = f"{1000 * abs(offset):.0f} mm {where} the target's size on average"
         elif outline.noise_scale > _MAX_OUTLINE_NOISE_SCALE:
-            why = f"{outline.noise_scale:.1f} times as far from its sides as their noise explains"
+            why = f"{outline.noise_scale:.1f} times as far from its sides as expected from their noise"
         if why:
-            remarks.append(f"{name} sees the board's edges {why}: they are not used; is size the sheet's?")
+            remarks.append(f"board edges in scans of {name} are {why}: not used; is `size` the board's?")
         outlines.append(outline.select(np.full(len(outline.board), not why)))
     return bundle.with_views([*bundle.views, *outlines]), tuple(remarks)
 

@@ -42,7 +42,7 @@ _MAX_ROUNDS, _MAX_OUTLINE_ROUNDS = 12, 4
 _STEPS_PER_ROUND = 4
 # Rounds stop where noise and view bias change by less than these shares of their standard deviations.
 _NOISE_TOLERANCE, _BIAS_TOLERANCE = 0.02, 0.05
-_OUTLIER_VIEW = "lies elsewhere than the other sensors have the board in this capture"
+_OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 
 
 def solve_bundle(
@@ -84,8 +84,8 @@ def solve_bundle(
     outlined, outlined_solution, more = _solve_with_outlines(bundle, solution, rig, captured, boards)
     if outlines_contradict((bundle, solution), (outlined, outlined_solution)):
         remarks: tuple[str, ...] = (
-            "where scanners see the board end contradicts planes and prints: outlines are not used; is size the "
-            "sheet's, and does nothing but the sheet stand out beside it?",
+            "board edges in scans contradict the fitted planes and tags: edge observations are not used; is `size` "
+            "the board's, and is nothing attached beside it?",
         )
     else:
         bundle, solution, rejected = outlined, outlined_solution, rejected | more

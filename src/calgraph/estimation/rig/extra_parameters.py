@@ -86,8 +86,8 @@ def summarize_extra_parameters(
     for one in estimated:
         if not one.measured:
             _log.warning(
-                "%s of %s is told by no capture: %.4g ± %.2g %s; do not rely on it", one.quantity, one.of,
-                one.value, one.stddev, one.unit,
+                "%s of %s is not observable from these captures: %.4g ± %.2g %s; do not rely on it",
+                one.quantity, one.of, one.value, one.stddev, one.unit,
             )  # fmt: skip
     return estimated
 
@@ -143,7 +143,7 @@ def _add_tag_displacements(bundle: Bundle, rig: Rig, board_of: Index) -> Bundle:
         for name in names
         for quantity, unit, stddev in (("x", "m", _TAG), ("y", "m", _TAG), ("rotation", "rad", _TAG_ANGLE))
     ]
-    return _extend(bundle, views, parameters, "tags: no camera saw two tags of one board")
+    return _extend(bundle, views, parameters, "tags: no camera detected two tags of one board")
 
 
 def _tag_corners(board: int, marks: Landmarks) -> TagCorners:

@@ -173,7 +173,7 @@ def _resolve_prior(file: PriorFile, name: str, root: str, frame: str) -> PosePri
         covariance = np.diag(np.repeat(np.square(file.stddev), 3))
     if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0:
         raise InputError(
-            f"{file.poses.path}: does not say how sure it is of {name}: give standard deviations in m and "
+            f"{file.poses.path}: states no covariance of {name}: give standard deviations in m and "
             "degrees, both above 0, or 0 0 for poses that are exact"
         )
     T_root_sensor = file.poses.transform(root, frame).tolist()

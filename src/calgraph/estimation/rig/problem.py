@@ -84,7 +84,7 @@ def check_problem(problem: Problem) -> None:
     for hold in captured.holds:
         for name, by_capture in captured.detections.items():
             if hold.index not in by_capture and (hold.index, name) not in captured.rejections:
-                raise InputError(f"misses: must say why {name} has no detection in capture {hold.index}")
+                raise InputError(f"misses: must state why {name} has no detection in capture {hold.index}")
     for estimate in select_successful(problem.pairs):
         _check_matches(estimate, captured.detections)
 
