@@ -84,8 +84,8 @@ def solve_bundle(
     outlined, outlined_solution, more = _solve_with_outlines(bundle, solution, rig, captured, boards)
     if outlines_contradict((bundle, solution), (outlined, outlined_solution)):
         remarks: tuple[str, ...] = (
-            "board edges in scans contradict the fitted planes and tags: edge observations are not used; is `size` "
-            "the board's, and is nothing attached beside it?",
+            "board edges in scans contradict the fitted planes and tags: edge observations are not used; is "
+            "`size` the board's, and is nothing attached beside it?",
         )
     else:
         bundle, solution, rejected = outlined, outlined_solution, rejected | more
