@@ -126,7 +126,7 @@ def test_a_scanner_that_saw_nobody_is_named(tmp_path: Path) -> None:
     with open_recording(tmp_path / "empty/recording") as recording:
         found = calibrate(load_rig(tmp_path / "empty/rig.yaml"), recording, NetworkOptions())
     assert [sensor.name for sensor in found.sensors] == [found.root]
-    assert all("nothing of the target's size" in reason for reason in found.unconnected.values())
+    assert all("no object of the target's size" in reason for reason in found.unconnected.values())
 
 
 def test_a_camera_in_a_network_is_bad_input(data_dir: Path) -> None:
