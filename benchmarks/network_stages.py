@@ -62,10 +62,10 @@ def calibrate(place: Path, _count: int, _minutes: int) -> str:
     clock.lap("assembling")
     write(found, rig, place)
     clock.lap("writing")
-    right = sum(edge.inliers > 0 for edge in found.edges)
+    right = sum(edge.inliers > 0 for edge in found.evidence.edges)
     seconds = [clock.seconds.get(stage, 0.0) for stage in STAGES]
     numbers = "".join(f"{value:11.1f}" for value in (*seconds, sum(seconds)))
-    return f"{len(found.edges):7d}{right:7d}{numbers}{measure_peak_memory():11.0f}"
+    return f"{len(found.evidence.edges):7d}{right:7d}{numbers}{measure_peak_memory():11.0f}"
 
 
 class Stopwatch:
@@ -91,4 +91,4 @@ def write(found: Calibration, rig: Rig, place: Path) -> None:
     save_calibration(found, place / "calibration.yaml")
     save_captures(found, place / "captures.csv")
     write_report(found, rig, place / "report.html")
-    save_scene(found, place / "scene.npz")
+    save_scene(found.pictures, place / "scene.npz")

@@ -107,7 +107,7 @@ def main() -> None:
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else beside
     with TemporaryDirectory() as folder:
         found = vlp16(data, Path(folder))
-    camera, edge = found["camera"], found.edges[0]
+    camera, edge = found["camera"], found.evidence.edges[0]
     difference = se3.difference(camera.T_root_sensor, published(data))
     spread = np.sqrt(np.diag(camera.covariance))
     print(f"acfr-vlp16-checkerboard: {agreement(edge)}")
@@ -117,10 +117,10 @@ def main() -> None:
     )
     print(f"  standard deviations {(1000 * spread[:3]).round(1).tolist()} mm,", end=" ")
     print(f"{np.degrees(spread[3:]).round(2).tolist()} degrees; {camera.verdict.grade}")
-    print("".join(f"  {remark}\n" for remark in found.remarks), end="")
+    print("".join(f"  {remark}\n" for remark in found.evidence.remarks), end="")
     with TemporaryDirectory() as folder:
         found = wall(data, Path(folder))
-    laser, edge = found["laser"], found.edges[0]
+    laser, edge = found["laser"], found.evidence.edges[0]
     lateral, _, forward = laser.T_root_sensor[:3, 3]
     yaw = np.degrees(np.arctan2(-laser.T_root_sensor[0, 0], laser.T_root_sensor[2, 0]))
     print(f"acfr-rpg-camera-2dlidar: {agreement(edge)}")

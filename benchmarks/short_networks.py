@@ -64,7 +64,7 @@ def outcome(seed: int) -> Outcome:
     spread = [sensor.covariance[np.ix_((0, 1, 5), (0, 1, 5))] for sensor in others]
     nees = [e @ np.linalg.solve(C, e) / 3 for e, C in zip(off, spread, strict=True)]
     errors = np.column_stack([np.degrees(np.abs(off[:, 2])), np.hypot(off[:, 0], off[:, 1])])
-    return Outcome(errors, np.array(nees), len(found.unconnected))
+    return Outcome(errors, np.array(nees), len(found.evidence.unconnected))
 
 
 def knobs(rng: np.random.Generator) -> dict[str, Any]:

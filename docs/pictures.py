@@ -167,7 +167,7 @@ def height_deviation(tilt: float, samples: int, seed: int) -> float:
     rig, captured, _ = simulate_detections(build_world(scenario, seed), seed)
     problem = calgraph.build_problem_from_captures(rig, captured, calgraph.RigOptions(folds=0), rng)
     calibration = calgraph.solve_problem(problem)
-    if "laser_front" in calibration.unconnected:
+    if "laser_front" in calibration.evidence.unconnected:
         return np.inf
     return float(1000 * np.sqrt(calibration["laser_front"].covariance[2, 2]))
 

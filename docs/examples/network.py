@@ -47,7 +47,7 @@ for sensor in calibration.sensors:
 import plotly.graph_objects as go
 
 figure = go.Figure()
-for view in calibration.floor:
+for view in calibration.pictures.floor_views:
     x, y = view.background.T
     figure.add_scattergl(x=x, y=y, mode="markers", marker={"size": 3}, name=view.sensor, legendgroup=view.sensor)
     for walk in view.tracks:

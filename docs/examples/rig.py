@@ -69,7 +69,7 @@ print("± mm:", (1000 * stddev[:3]).round(2), " ± degrees:", np.degrees(stddev[
 # %%
 # Why should you believe it? What the sensors saw in captures that were left out, against what the others
 # predict of it: the ratio of errors to what is expected is about 1 if standard deviations hold.
-for name, left_out in calibration.cross_validation.items():
+for name, left_out in calibration.evidence.cross_validation.items():
     print(f"{name:12} {left_out.views} captures, ratio {left_out.ratio:.2f}")
 
 # %%
@@ -87,7 +87,7 @@ for sensor in calibration.sensors:
 import plotly.graph_objects as go
 
 figure = go.Figure()
-for outline in calibration.outlines:
+for outline in calibration.pictures.board_outlines:
     x, y, z = outline.corners[[0, 1, 2, 3, 0]].T
     figure.add_scatter3d(x=x, y=y, z=z, mode="lines", line={"color": "#999"}, showlegend=False)
 for sensor in calibration.sensors:

@@ -141,7 +141,7 @@ def test_network_is_calibrated_from_own_tracks(rng: np.random.Generator) -> None
 def test_scanner_without_tracks_is_said_to_have_none(rng: np.random.Generator) -> None:
     own = walks({"scanner_1": np.eye(4), "scanner_2": np.eye(4)}, rng)
     found = calibrate_tracks(SCANNERS, own, NetworkOptions(estimator="averaging"))
-    assert "no tracks were given" in found.unconnected["scanner_3"]
+    assert "no tracks were given" in found.evidence.unconnected["scanner_3"]
 
 
 def test_tracks_of_a_scanner_that_the_rig_lacks_are_an_error(rng: np.random.Generator) -> None:

@@ -97,7 +97,12 @@ def test_verdicts_are_said_in_words(calibration: Calibration, capsys: pytest.Cap
 def test_remarks_are_printed_below_the_verdicts(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    remarked = replace(calibration, remarks=("board edges in scans of lidar are 40 mm inside: they are not used",))
+    remarked = replace(
+        calibration,
+        evidence=replace(
+            calibration.evidence, remarks=("board edges in scans of lidar are 40 mm inside: they are not used",)
+        ),
+    )
     lines = printed(lambda: print_calibration(remarked), capsys)
     assert lines[-1] == "! board edges in scans of lidar are 40 mm inside: they are not used"
 

@@ -81,7 +81,7 @@ def test_both_estimators_repeat_to_the_last_bit(
     rig, recording, name = simulated / "rig.yaml", simulated / "recording", "calibration.yaml"
     run("calibrate", rig, recording, "-o", tmp_path / "a", "--estimator", estimator)
     run("solve", dumped / "problem.npz", "-o", tmp_path / "b", "--estimator", estimator)
-    assert load_calibration(tmp_path / "b" / name).estimator == estimator
+    assert load_calibration(tmp_path / "b" / name).evidence.estimator == estimator
     assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 

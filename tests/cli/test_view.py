@@ -52,13 +52,13 @@ def test_the_page_is_opened(run: Run, out: Path, interrupted: list[int], monkeyp
 
 def test_calibrate_keeps_what_every_sensor_saw(out: Path) -> None:
     """Of the nine captures of the simulated recording: a picture of the camera's size, scans and clouds."""
-    calibration = load_scene(out / "scene.npz", load_calibration(out / "calibration.yaml"))
-    captures = {row.capture for row in calibration.captures}
-    seen = {(s.capture, s.sensor) for s in calibration.snapshots}
+    calibration, pictures = load_calibration(out / "calibration.yaml"), load_scene(out / "scene.npz")
+    captures = {row.capture for row in calibration.evidence.captures}
+    seen = {(s.capture, s.sensor) for s in pictures.snapshots}
     assert seen == {(capture, sensor.name) for capture in captures for sensor in calibration.sensors}
-    assert {s.picture.shape for s in calibration.snapshots if s.sensor == "camera"} == {(360, 480, 3)}
-    assert min(len(s.points) for s in calibration.snapshots if s.sensor != "camera") > 100
-    assert {view.sensor for view in calibration.board_views} == {sensor.name for sensor in calibration.sensors}
+    assert {s.picture.shape for s in pictures.snapshots if s.sensor == "camera"} == {(360, 480, 3)}
+    assert min(len(s.points) for s in pictures.snapshots if s.sensor != "camera") > 100
+    assert {view.sensor for view in pictures.board_views} == {sensor.name for sensor in calibration.sensors}
 
 
 def test_a_folder_that_is_none_is_named(run: Run, tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def scenario(**knobs: object) -> RigScenario:
 
 
 def assert_true(calibration: Calibration, truth: GroundTruth, millimetres: float) -> None:
-    assert not calibration.unconnected
+    assert not calibration.evidence.unconnected
     for name, error in pose_errors(calibration, truth).items():
         assert 1000 * np.linalg.norm(error[:3]) < millimetres, name
         assert np.degrees(np.linalg.norm(error[3:])) < 0.3, name
@@ -65,7 +65,7 @@ def assert_true(calibration: Calibration, truth: GroundTruth, millimetres: float
 
 
 def used(calibration: Calibration, sensor: str) -> int:
-    return sum(row.used for row in calibration.captures if row.sensor == sensor)
+    return sum(row.used for row in calibration.evidence.captures if row.sensor == sensor)
 
 
 @pytest.mark.parametrize("lens", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
@@ -92,5 +92,5 @@ def test_boards_shown_at_once_are_all_used() -> None:
     rig, recording, truth = simulate_scenario(shown, seed=3)
     calibration = calibrate(rig, recording)
     assert_true(calibration, truth, 25)
-    (edge,) = calibration.edges
+    (edge,) = calibration.evidence.edges
     assert edge.inliers > len(bearings)

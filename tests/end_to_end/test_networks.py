@@ -72,7 +72,7 @@ def test_all_formats_of_a_recording_give_the_same_network(data_dir: Path) -> Non
 
 def test_an_office_is_calibrated_within_centimetres(office: tuple[Calibration, GroundTruth]) -> None:
     found, truth = office
-    assert not found.unconnected
+    assert not found.evidence.unconnected
     errors = [se3.difference(s.T_root_sensor, truth.T_root_sensor[s.name]) for s in found.sensors]
     assert np.mean([np.linalg.norm(e[:2]) for e in errors[1:]]) < 0.03
     assert np.degrees(np.mean([abs(e[5]) for e in errors[1:]])) < 0.2
@@ -88,7 +88,7 @@ def test_deviations_of_an_office_cover_its_errors(office: tuple[Calibration, Gro
 
 def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibration, GroundTruth]) -> None:
     """Two people in the views of six scanners are hardly ever seen by one alone."""
-    walks = office[0].captures
+    walks = office[0].evidence.captures
     assert {row.sensor for row in walks} == {sensor.name for sensor in office[0].sensors}
     assert all(row.used or row.reason for row in walks)
     assert np.mean([row.used for row in walks]) > 0.9
@@ -96,13 +96,13 @@ def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibr
 
 
 def test_walks_of_an_office_lie_on_each_other(office: tuple[Calibration, GroundTruth]) -> None:
-    distances = [row.residual for row in office[0].captures if row.residual is not None]
+    distances = [row.residual for row in office[0].evidence.captures if row.residual is not None]
     assert np.median(distances) < 0.04
 
 
 def test_the_floor_of_an_office_is_that_of_all_scanners(office: tuple[Calibration, GroundTruth]) -> None:
     """Half of the static points of each scanner lie within 3 cm of another's: they see the same walls."""
-    floor = office[0].floor
+    floor = office[0].pictures.floor_views
     assert [view.sensor for view in floor] == [sensor.name for sensor in office[0].sensors]
     for view in floor:
         others = np.concatenate([other.background for other in floor if other is not view])
@@ -126,7 +126,7 @@ def test_a_scanner_that_saw_nobody_is_named(tmp_path: Path) -> None:
     with open_recording(tmp_path / "empty/recording") as recording:
         found = calibrate(load_rig(tmp_path / "empty/rig.yaml"), recording, NetworkOptions())
     assert [sensor.name for sensor in found.sensors] == [found.root]
-    assert all("no object of the target's size" in reason for reason in found.unconnected.values())
+    assert all("no object of the target's size" in reason for reason in found.evidence.unconnected.values())
 
 
 def test_a_camera_in_a_network_is_bad_input(data_dir: Path) -> None:

@@ -25,13 +25,13 @@ def test_a_camera_and_a_lidar_agree_with_the_published_answer(vlp16: Calibration
     difference = se3.difference(vlp16["camera"].T_root_sensor, real_recordings.published(data_dir))
     assert np.linalg.norm(difference[:3]) < 0.03
     assert np.degrees(np.linalg.norm(difference[3:])) < 0.5
-    assert vlp16.edges[0].inliers >= 15
-    assert vlp16.edges[0].residuals.max() < 0.02
+    assert vlp16.evidence.edges[0].inliers >= 15
+    assert vlp16.evidence.edges[0].residuals.max() < 0.02
     assert vlp16["camera"].verdict.grade == "good"
 
 
 def test_outlines_that_would_turn_the_camera_away_are_remarked(vlp16: Calibration) -> None:
-    (remark,) = vlp16.remarks
+    (remark,) = vlp16.evidence.remarks
     assert "contradict the fitted planes and tags: edge observations are not used" in remark
 
 

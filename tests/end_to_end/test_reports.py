@@ -32,7 +32,7 @@ def test_it_shows_every_capture_and_what_cameras_and_scanners_saw(
 ) -> None:
     write_report(*found, tmp_path / "report.html")
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert html.count('<article class="capture">') == len({row.capture for row in found[0].captures})
+    assert html.count('<article class="capture">') == len({row.capture for row in found[0].evidence.captures})
     for section in ("images", "cloud", "coverage"):
         assert f'<section id="{section}">' in html
     assert "is not part of this result" not in html

@@ -138,8 +138,8 @@ def test_a_scanner_that_never_sees_the_board_is_named_and_the_rest_is_calibrated
     rig, recording, truth = recorded_rig
     blind = alter_messages(recording, LASER, partial(flat, at=9.0))
     calibration = calibrate(rig, blind)
-    assert list(calibration.unconnected) == ["laser_front"]
-    assert "none of 12 captures" in calibration.unconnected["laser_front"]
+    assert list(calibration.evidence.unconnected) == ["laser_front"]
+    assert "none of 12 captures" in calibration.evidence.unconnected["laser_front"]
     assert_true(calibration, truth)
 
 
@@ -147,7 +147,7 @@ def test_a_dead_scanner_is_named_and_the_rest_is_calibrated(recorded_rig: Staged
     rig, recording, truth = recorded_rig
     dead = alter_messages(recording, LASER, partial(flat, at=np.nan))
     calibration = calibrate(without(rig, "camera"), dead)
-    assert list(calibration.unconnected) == ["laser_front"]
+    assert list(calibration.evidence.unconnected) == ["laser_front"]
     assert_true(calibration, truth)
 
 
@@ -157,7 +157,7 @@ def test_tags_that_are_not_on_the_board_leave_only_the_camera_out(recorded_rig: 
     calibration = calibrate(
         rig.model_copy(update={"target": board_of(rig).model_copy(update={"tags": tags})}), recording
     )
-    assert "which are not on the board; ids 10 to 12 expected" in calibration.unconnected["camera"]
+    assert "which are not on the board; ids 10 to 12 expected" in calibration.evidence.unconnected["camera"]
     assert_true(calibration, truth)
 
 
@@ -181,7 +181,7 @@ def test_messages_that_arrive_late_and_twice_change_nothing_much(recorded_rig: S
     rng = np.random.default_rng(3)
     late = [replace(r, arrival=r.arrival + rng.uniform(0, 1)) for r in [*recording.messages, *recording.messages]]
     calibration = calibrate(without(rig, "camera"), build_recording(late))
-    assert {row.capture for row in calibration.captures} == set(range(12))
+    assert {row.capture for row in calibration.evidence.captures} == set(range(12))
     assert_true(calibration, truth, 50, 2)
 
 

@@ -144,9 +144,9 @@ def test_sensors_that_see_nothing_each_say_why(staged_rig: tuple[Rig, SimulatedR
         recording = alter_messages(recording, topic, empty)
     calibration = calibrate(rig, recording)
     assert [sensor.name for sensor in calibration.sensors] == [rig.root]
-    assert "found the board in none of 3 captures" in calibration.unconnected["camera"]
-    assert "too dark" in calibration.unconnected["camera"]
-    assert "the root lidar found the board in none of 3 captures" in calibration.unconnected["camera"]
+    assert "found the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
+    assert "too dark" in calibration.evidence.unconnected["camera"]
+    assert "the root lidar found the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
 
 
 def test_sensors_that_see_nothing_without_trigger_are_named(
@@ -156,7 +156,7 @@ def test_sensors_that_see_nothing_without_trigger_are_named(
     for topic in (FRONT, CLOUD, CAMERA):
         recording = alter_messages(recording, topic, empty)
     blind = changed(changed(rig, "capture.trigger", None), "capture.background", None)
-    assert set(calibrate(blind, recording).unconnected) == set(rig.sensors) - {rig.root}
+    assert set(calibrate(blind, recording).evidence.unconnected) == set(rig.sensors) - {rig.root}
 
 
 def test_a_board_stated_in_millimetres_is_told_from_the_one_that_was_seen(
@@ -164,4 +164,6 @@ def test_a_board_stated_in_millimetres_is_told_from_the_one_that_was_seen(
 ) -> None:
     rig, recording = staged_rig
     calibration = calibrate(changed(rig, "target.size", [1200.0, 900.0]), recording)
-    assert re.search(r"the longest is .* m, the board 1200 x 900 m", calibration.unconnected["laser_front"])
+    assert re.search(
+        r"the longest is .* m, the board 1200 x 900 m", calibration.evidence.unconnected["laser_front"]
+    )

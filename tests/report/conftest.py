@@ -17,7 +17,9 @@ from calgraph.result import (
     Calibration,
     CaptureRow,
     Edge,
+    Evidence,
     FloorView,
+    Pictures,
     SensorPose,
     Snapshot,
     Verdict,
@@ -126,7 +128,14 @@ def calibration(rng: np.random.Generator) -> Calibration:
         "plane-point 3-D": rng.standard_t(5, 9000),
         "plane-point 2-D": rng.normal(0, 0.8, 1200),
     }
-    return Calibration("lidar", sensors, edges, tuple(captures), {}, residuals, tuple(outlines), "bundle")
+    return Calibration(
+        "lidar",
+        sensors,
+        evidence=Evidence(
+            edges=edges, captures=tuple(captures), unconnected={}, residuals=residuals, estimator="bundle"
+        ),
+        pictures=Pictures(board_outlines=tuple(outlines)),
+    )
 
 
 PIXEL, RANGE = 0.4, 0.008
@@ -138,11 +147,17 @@ def pictured(calibration: Calibration, rig: Rig, rng: np.random.Generator) -> Ca
     """The rig with what its sensors saw of the boards, and pictures of the first twelve captures."""
     sheet = np.array([[-0.5, -0.4, 0], [0.5, -0.4, 0], [0.5, 0.4, 0], [-0.5, 0.4, 0]])
     outlines = tuple(
-        BoardOutline(o.capture, se3.apply(board_pose(o), sheet), board=0) for o in calibration.outlines
+        BoardOutline(o.capture, se3.apply(board_pose(o), sheet), board=0)
+        for o in calibration.pictures.board_outlines
     )
     views = tuple(view for o in outlines for sensor in calibration.sensors for view in _view(o, sensor, rig, rng))
     taken = tuple(_snapshot(n, s, outlines[n], rng) for n in range(12) for s in calibration.sensors)
-    return dataclasses.replace(calibration, outlines=outlines, board_views=views, snapshots=taken)
+    return dataclasses.replace(
+        calibration,
+        pictures=dataclasses.replace(
+            calibration.pictures, board_outlines=outlines, board_views=views, snapshots=taken
+        ),
+    )
 
 
 def board_pose(outline: BoardOutline) -> Array:
@@ -210,7 +225,18 @@ def ugly() -> Calibration:
         "zero": np.zeros(4),
     }  # fmt: skip
     outlines = (BoardOutline(0, np.full((4, 3), np.nan)),)
-    return Calibration(root, sensors, edges, captures, {"gone": EVIL, EVIL + "2": ""}, residuals, outlines, EVIL)
+    return Calibration(
+        root,
+        sensors,
+        evidence=Evidence(
+            edges=edges,
+            captures=captures,
+            unconnected={"gone": EVIL, EVIL + "2": ""},
+            residuals=residuals,
+            estimator=EVIL,
+        ),
+        pictures=Pictures(board_outlines=outlines),
+    )
 
 
 @pytest.fixture
@@ -258,6 +284,15 @@ def network() -> Calibration:
         name: se2.to_se3(se2.pose(yaw + 0.1, np.array([x, y + 0.5]))) for name, (x, y, yaw) in SCANNERS.items()
     }
     return Calibration(
-        "hall", sensors, edges, rows, {"attic": ""}, {"positions": np.zeros(9)}, estimator="averaging",
-        floor=floor, start=start,
-    )  # fmt: skip
+        "hall",
+        sensors,
+        evidence=Evidence(
+            edges=edges,
+            captures=rows,
+            unconnected={"attic": ""},
+            residuals={"positions": np.zeros(9)},
+            estimator="averaging",
+            initial_poses=start,
+        ),
+        pictures=Pictures(floor_views=floor),
+    )

@@ -15,7 +15,9 @@ from calgraph.result import BoardView, Calibration
 
 def with_views(calibration: Calibration, sensor: str, *seen: Array) -> Calibration:
     views = tuple(BoardView(k, sensor, True, one) for k, one in enumerate(seen))
-    return dataclasses.replace(calibration, board_views=views, outlines=())
+    return dataclasses.replace(
+        calibration, pictures=dataclasses.replace(calibration.pictures, board_views=views, board_outlines=())
+    )
 
 
 def around(low: float, high: float, distance: float, height: float = 0.0) -> Array:
@@ -59,7 +61,7 @@ def test_distances_and_tilts_are_those_of_the_boards(pictured: Calibration, rig:
 def test_a_scanner_names_the_sectors_that_are_missing(calibration: Calibration, rig: Rig) -> None:
     """Three quarters of a turn are seen, by the background of other captures."""
     seen = with_views(calibration, "laser", around(-60, 60, 2.0), around(-135, 135, 1.0)[:1])
-    whole = dataclasses.replace(seen, snapshots=())
+    whole = dataclasses.replace(seen, pictures=dataclasses.replace(seen.pictures, snapshots=()))
     said = remarks(whole, rig, "laser")
     assert said == "The board was in all directions in which it sees. The board was 1.0 to 2.0 m away."
 
@@ -68,9 +70,12 @@ def test_sectors_behind_are_one(pictured: Calibration, rig: Rig) -> None:
     """A LiDAR that sees all around, and boards in front only."""
     ahead = with_views(pictured, "lidar", around(-60, 60, 2.0))
     taken = tuple(
-        dataclasses.replace(s, points=around(-180, 180, 5.0).astype(np.float32)) for s in pictured.snapshots
+        dataclasses.replace(s, points=around(-180, 180, 5.0).astype(np.float32))
+        for s in pictured.pictures.snapshots
     )
-    said = remarks(dataclasses.replace(ahead, snapshots=taken), rig, "lidar")
+    said = remarks(
+        dataclasses.replace(ahead, pictures=dataclasses.replace(ahead.pictures, snapshots=taken)), rig, "lidar"
+    )
     assert "The board was in 33 % of the directions in which it sees. Missing: 60° to −60° (behind)." in said
 
 

@@ -70,10 +70,12 @@ def test_poses_are_those_in_the_plane(html: str) -> None:
 def test_walls_and_walks_lie_where_they_were_seen(html: str, network: Calibration) -> None:
     floor = figure_of(html, "floor")
     points = next(t for t in floor["data"] if t["legendgroup"] == "hall" and t["mode"] == "markers")
-    np.testing.assert_allclose(np.array([points["x"], points["y"]]).T, network.floor[0].background, atol=1e-5)
+    np.testing.assert_allclose(
+        np.array([points["x"], points["y"]]).T, network.pictures.floor_views[0].background, atol=1e-5
+    )
     walked = lines_of(floor, "hall")[0]
     np.testing.assert_allclose(
-        walked[np.isfinite(walked[:, 0])], np.concatenate(network.floor[0].tracks), atol=1e-5
+        walked[np.isfinite(walked[:, 0])], np.concatenate(network.pictures.floor_views[0].tracks), atol=1e-5
     )
 
 
@@ -127,14 +129,24 @@ def test_walks_at_the_same_time_lie_beside_each_other(html: str) -> None:
 
 
 def test_a_result_without_a_floor_still_has_its_scanners(network: Calibration, network_rig: Rig) -> None:
-    html = report_html(dataclasses.replace(network, floor=(), captures=()), network_rig)
+    html = report_html(
+        dataclasses.replace(
+            network,
+            evidence=dataclasses.replace(network.evidence, captures=()),
+            pictures=dataclasses.replace(network.pictures, floor_views=()),
+        ),
+        network_rig,
+    )
     assert len([t for t in figure_of(html, "floor")["data"] if "text" in t]) == 3
     assert "There are no walks" in words_of(html)
 
 
 def test_what_is_not_known_has_no_ellipse(network: Calibration, network_rig: Rig) -> None:
     lost = tuple(dataclasses.replace(s, covariance=np.full((6, 6), np.nan)) for s in network.sensors)
-    html = report_html(dataclasses.replace(network, sensors=lost, floor=()), network_rig)
+    html = report_html(
+        dataclasses.replace(network, sensors=lost, pictures=dataclasses.replace(network.pictures, floor_views=())),
+        network_rig,
+    )
     assert all(len(line) == 5 for line in lines_of(figure_of(html, "floor"), "stairs"))
 
 
@@ -150,7 +162,12 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
     )
     reason = "other scanners detected people at that time, but not within 0.5 m of it"
     rows = tuple(CaptureRow(n, n / 7, n / 7 + 5, f"s{n % 29}", n % 2 == 0, reason) for n in range(20_000))
-    large = dataclasses.replace(network, sensors=sensors, floor=floor, captures=rows)
+    large = dataclasses.replace(
+        network,
+        sensors=sensors,
+        evidence=dataclasses.replace(network.evidence, captures=rows),
+        pictures=dataclasses.replace(network.pictures, floor_views=floor),
+    )
     html = report_html(large, network_rig)
     assert len(html.encode()) < 10e6
     assert "Shown are 5000 of 20000 rows; captures.csv has them all." in words_of(html)
@@ -160,7 +177,14 @@ def test_in_a_crowd_boxes_do_not_hide_each_other(network: Calibration, network_r
     """Each of thirty boxes shows at least two thirds of its width or half of its height beside any other."""
     door = network.sensors[1]
     others = (dataclasses.replace(door, name=f"s{k}", parent=f"s{k - 1}" if k else "hall") for k in range(29))
-    html = report_html(dataclasses.replace(network, sensors=(network.sensors[0], *others), edges=()), network_rig)
+    html = report_html(
+        dataclasses.replace(
+            network,
+            sensors=(network.sensors[0], *others),
+            evidence=dataclasses.replace(network.evidence, edges=()),
+        ),
+        network_rig,
+    )
     found = re.findall(r'<g class="node [^"]*"><title>[^<]*</title><rect x="([\d.]+)" y="([\d.]+)"', html)
     corners = np.array(found, dtype=np.float64)[:30]
     apart = np.abs(corners[:, None] - corners) / [150, 44]

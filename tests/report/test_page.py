@@ -15,7 +15,7 @@ from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.report import write_report
 from calgraph.report.page import report_html
-from calgraph.result import Calibration, CaptureRow, Edge, Verdict
+from calgraph.result import Calibration, CaptureRow, Edge, Pictures, Verdict
 
 VOID = {"meta", "br", "input", "link", "img"}
 
@@ -132,14 +132,22 @@ def test_cards_state_the_worst_deviation(page: Page) -> None:
 
 
 def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibration, rig: Rig) -> None:
-    lost = dataclasses.replace(calibration, unconnected={"sonar": "saw no board at all"})
+    lost = dataclasses.replace(
+        calibration,
+        evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "saw no board at all"}),
+    )
     page = Page(report_html(lost, rig))
     assert "sonar ✕ not connected no pose Saw no board at all" in page.words
     assert "1 not connected." in page.words
 
 
 def test_what_was_not_used_is_remarked_beside_the_verdicts(calibration: Calibration, rig: Rig) -> None:
-    remarked = dataclasses.replace(calibration, remarks=("board edges in scans of lidar are <40 mm inside",))
+    remarked = dataclasses.replace(
+        calibration,
+        evidence=dataclasses.replace(
+            calibration.evidence, remarks=("board edges in scans of lidar are <40 mm inside",)
+        ),
+    )
     words = Page(report_html(remarked, rig)).words
     assert (
         "Not used board edges in scans of lidar are <40 mm inside" in words[: words.index("Sensor graph A line")]
@@ -176,7 +184,12 @@ def test_tree_edges_are_bold_and_failed_ones_dashed(page: Page) -> None:
 
 def test_edges_carry_captures_and_residuals(calibration: Calibration, rig: Rig) -> None:
     edge = Edge("lidar", "camera", 41, 40, True, np.full(40, 0.0039))
-    page = Page(report_html(dataclasses.replace(calibration, edges=(edge,)), rig))
+    page = Page(
+        report_html(
+            dataclasses.replace(calibration, evidence=dataclasses.replace(calibration.evidence, edges=(edge,))),
+            rig,
+        )
+    )
     assert "40 of 41 · 3.9 mm" in page.words
 
 
@@ -185,7 +198,7 @@ def test_pairs_that_could_not_be_used_say_why(page: Page) -> None:
 
 
 def test_histograms_hold_every_residual(page: Page, calibration: Calibration) -> None:
-    for i, values in enumerate(calibration.residuals.values()):
+    for i, values in enumerate(calibration.evidence.residuals.values()):
         assert sum(page.figures[f"residuals-{i}"]["data"][0]["y"]) == values.size
 
 
@@ -195,7 +208,10 @@ def test_histograms_say_what_they_left_out(ugly: Calibration, rig: Rig) -> None:
 
 
 def test_a_result_read_back_shows_its_rms(calibration: Calibration, rig: Rig) -> None:
-    read_back = dataclasses.replace(calibration, residuals={}, residual_rms={"plane-plane": 1.034})
+    read_back = dataclasses.replace(
+        calibration,
+        evidence=dataclasses.replace(calibration.evidence, residuals={}, residual_rms={"plane-plane": 1.034}),
+    )
     page = Page(report_html(read_back, rig))
     assert "Only the root mean squares of the residuals are known: plane-plane 1.03." in page.words
 
@@ -203,11 +219,11 @@ def test_a_result_read_back_shows_its_rms(calibration: Calibration, rig: Rig) ->
 def test_the_matrix_has_a_cell_for_each_sensor_and_capture(page: Page, calibration: Calibration) -> None:
     cells = np.array(page.figures["captures"]["data"][0]["z"])
     assert cells.shape == (5, 48)
-    assert np.sum(cells == 2) == sum(row.used for row in calibration.captures)
+    assert np.sum(cells == 2) == sum(row.used for row in calibration.evidence.captures)
 
 
 def test_the_matrix_tells_why_on_hover(page: Page, calibration: Calibration) -> None:
-    row = next(row for row in calibration.captures if row.sensor == "laser" and not row.used)
+    row = next(row for row in calibration.evidence.captures if row.sensor == "laser" and not row.used)
     words = page.figures["captures"]["data"][0]["text"][3][row.capture]
     assert (
         words
@@ -217,19 +233,30 @@ def test_the_matrix_tells_why_on_hover(page: Page, calibration: Calibration) -> 
 
 def test_the_table_lists_every_row(page: Page, calibration: Calibration) -> None:
     rows = [a for t, a in page.elements if t == "tr" and "data-outcome" in a]
-    assert len(rows) == len(calibration.captures)
-    assert sum(a["data-outcome"] == "used" for a in rows) == sum(row.used for row in calibration.captures)
+    assert len(rows) == len(calibration.evidence.captures)
+    assert sum(a["data-outcome"] == "used" for a in rows) == sum(row.used for row in calibration.evidence.captures)
 
 
 def test_the_commonest_reasons_are_counted(calibration: Calibration, rig: Rig) -> None:
     rows = [CaptureRow(i, 0.0, 1.0, "laser", i == 0, "" if i == 0 else "misses the board") for i in range(4)]
-    page = Page(report_html(dataclasses.replace(calibration, captures=tuple(rows)), rig))
+    page = Page(
+        report_html(
+            dataclasses.replace(
+                calibration, evidence=dataclasses.replace(calibration.evidence, captures=tuple(rows))
+            ),
+            rig,
+        )
+    )
     assert "laser 1 of 4 misses the board (3)" in page.words
 
 
-@pytest.mark.parametrize("part", ["captures", "edges", "outlines"])
+@pytest.mark.parametrize("part", ["captures", "edges", "board_outlines"])
 def test_parts_may_be_missing(calibration: Calibration, rig: Rig, part: str) -> None:
-    without: Calibration = dataclasses.replace(calibration, **{part: ()})  # type: ignore[arg-type]
+    if part == "board_outlines":
+        without = dataclasses.replace(calibration, pictures=Pictures())
+    else:
+        evidence = dataclasses.replace(calibration.evidence, **{part: ()})  # type: ignore[arg-type]
+        without = dataclasses.replace(calibration, evidence=evidence)
     assert "Verdict" in Page(report_html(without, rig)).words
 
 

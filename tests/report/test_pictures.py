@@ -38,13 +38,13 @@ def decoded(url: str) -> Any:
 
 def seen_by(pictured: Calibration, camera: str) -> int:
     """The first capture in which a camera saw the board."""
-    return next(view.capture for view in pictured.board_views if view.sensor == camera)
+    return next(view.capture for view in pictured.pictures.board_views if view.sensor == camera)
 
 
 def test_the_sheet_is_drawn_where_the_joint_solution_has_it(pictured: Calibration, rig: Rig) -> None:
     camera, capture = calibrated_cameras(pictured, rig)["camera"], seen_by(pictured, "camera")
     drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
-    corners = next(o.corners for o in pictured.outlines if o.capture == capture)
+    corners = next(o.corners for o in pictured.pictures.board_outlines if o.capture == capture)
     expected = camera.project(se3.apply(se3.inverse(pictured["camera"].T_root_sensor), corners))
     (sheet,) = drawn.sheets
     inside = camera.contains(expected)
@@ -62,7 +62,7 @@ def test_marks_are_drawn_where_corners_are_predicted(pictured: Calibration, rig:
 def test_points_of_all_scanners_lie_on_the_board(pictured: Calibration, rig: Rig) -> None:
     """In captures with odd numbers, which three scanners saw."""
     camera = calibrated_cameras(pictured, rig)["camera"]
-    odd = [v.capture for v in pictured.board_views if v.sensor == "camera" and v.capture % 2]
+    odd = [v.capture for v in pictured.pictures.board_views if v.sensor == "camera" and v.capture % 2]
     every = [overlay(pictured, rig, pictured["camera"], camera, capture) for capture in odd]
     drawn = next(one for one in every if np.isfinite(one.sheets[0]).all())
     assert len(drawn.points) == 3 * 80
@@ -84,7 +84,7 @@ def test_differences_are_drawn_as_many_times_larger_as_is_said(pictured: Calibra
     capture, factor = re.findall(r"Capture (\d+)</b>.*?drawn (\d+) ×", html)[0]
     path = re.findall(r'<path class="error" d="(.*?)"', html)[0]
     ends = np.array([[float(x) for x in pair.split()] for pair in re.findall(r"[ML]([-\d. ]+)", path)])
-    view = next(v for v in pictured.board_views if (v.capture, v.sensor) == (int(capture), "camera"))
+    view = next(v for v in pictured.pictures.board_views if (v.capture, v.sensor) == (int(capture), "camera"))
     assert view.residuals is not None
     np.testing.assert_allclose(ends[1::2] - ends[::2], int(factor) * view.residuals, atol=0.11)
 
@@ -95,15 +95,19 @@ def test_points_are_coloured_by_their_distance(pictured: Calibration, rig: Rig) 
         v
         if v.residuals is None or v.residuals.ndim > 1
         else dataclasses.replace(v, residuals=np.where(np.arange(len(v.residuals)) % 2, 1.0, -1.0))
-        for v in pictured.board_views
+        for v in pictured.pictures.board_views
     )
-    html = camera_images(dataclasses.replace(pictured, board_views=split), rig)
+    html = camera_images(
+        dataclasses.replace(pictured, pictures=dataclasses.replace(pictured.pictures, board_views=split)), rig
+    )
     assert set(re.findall(r'class="points" style="stroke:(#\w+)"', html)) == {"#d1e5f0", "#fddbc7"}
     assert "2 m before the board" in html.replace("2.0 m", "2 m")
 
 
 def test_without_pictures_the_boards_are_drawn_all_the_same(pictured: Calibration, rig: Rig) -> None:
-    html = camera_images(dataclasses.replace(pictured, snapshots=()), rig)
+    html = camera_images(
+        dataclasses.replace(pictured, pictures=dataclasses.replace(pictured.pictures, snapshots=())), rig
+    )
     assert "pictures themselves are not part of this result" in html
     assert "<img" not in html
     assert 'class="sheet"' in html
@@ -148,7 +152,7 @@ def test_every_capture_can_be_chosen_and_shows_only_itself(pictured: Calibration
 
 
 def test_a_picture_is_shrunk_and_keeps_its_shape(pictured: Calibration) -> None:
-    taken = next(s for s in pictured.snapshots if s.image)
+    taken = next(s for s in pictured.pictures.snapshots if s.image)
     assert decoded(thumbnail(taken, np.empty((0, 3)))).shape == (90, 160, 3)
 
 
@@ -182,7 +186,7 @@ def test_every_capture_has_a_card_with_what_became_of_each_sensor(pictured: Cali
     html = gallery(pictured)
     assert html.count('<article class="capture">') == 12
     cards = re.findall(r'<article class="capture">.*?</article>', html, re.DOTALL)
-    row = next(row for row in pictured.captures if row.capture == 3 and not row.used)
+    row = next(row for row in pictured.evidence.captures if row.capture == 3 and not row.used)
     assert row.reason in cards[3].replace("&#x27;", "'")
     assert cards[3].count("<img") == 5
 

@@ -86,8 +86,8 @@ def test_every_sensor_is_named_at_its_place(calibration: Calibration, rig: Rig) 
 
 def test_all_boards_are_drawn(calibration: Calibration, rig: Rig) -> None:
     boards = traces(calibration, rig)["boards"]
-    assert len(boards["x"]) == 6 * len(calibration.outlines)
-    np.testing.assert_allclose(boards["z"][:4], calibration.outlines[0].corners[:, 2], rtol=1e-5)
+    assert len(boards["x"]) == 6 * len(calibration.pictures.board_outlines)
+    np.testing.assert_allclose(boards["z"][:4], calibration.pictures.board_outlines[0].corners[:, 2], rtol=1e-5)
 
 
 def test_lines_of_different_things_are_not_joined(calibration: Calibration, rig: Rig) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, SensorPose, Verdict
+from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, Evidence, Pictures, SensorPose, Verdict
 
 
 def random_pose(rng: np.random.Generator) -> Array:
@@ -38,20 +38,22 @@ def calibration(rng: np.random.Generator) -> Calibration:
     return Calibration(
         root="lidar",
         sensors=(root, camera, second, laser),
-        edges=(
-            Edge("lidar", "camera", 40, 38, True, rng.normal(0, 0.004, 38)),
-            Edge("lidar", "laser", 30, 25, True, rng.normal(0, 0.006, 25)),
-            Edge("camera", "camera_2", 20, 20, True, rng.normal(0, 0.002, 20)),
-            Edge("camera", "laser", 3, 0, False, np.empty(0), "needs 5 captures, has 3"),
+        evidence=Evidence(
+            edges=(
+                Edge("lidar", "camera", 40, 38, True, rng.normal(0, 0.004, 38)),
+                Edge("lidar", "laser", 30, 25, True, rng.normal(0, 0.006, 25)),
+                Edge("camera", "camera_2", 20, 20, True, rng.normal(0, 0.002, 20)),
+                Edge("camera", "laser", 3, 0, False, np.empty(0), "needs 5 captures, has 3"),
+            ),
+            captures=(
+                CaptureRow(0, 1.5, 4.0, "lidar", True, "", 0.004),
+                CaptureRow(0, 1.5, 4.0, "camera", False, 'no tag found, "glare", maybe'),
+                CaptureRow(1, 6.25, 8.0, "lidar", True, "", 0.002),
+                CaptureRow(1, 6.25, 8.0, "camera", True, "", 0.003),
+            ),
+            unconnected={"sonar": "never saw the board together with another sensor"},
+            residuals={"plane-plane": rng.normal(0, 1.1, 300), "plane-line": rng.normal(0, 0.9, 200)},
+            estimator="bundle",
         ),
-        captures=(
-            CaptureRow(0, 1.5, 4.0, "lidar", True, "", 0.004),
-            CaptureRow(0, 1.5, 4.0, "camera", False, 'no tag found, "glare", maybe'),
-            CaptureRow(1, 6.25, 8.0, "lidar", True, "", 0.002),
-            CaptureRow(1, 6.25, 8.0, "camera", True, "", 0.003),
-        ),
-        unconnected={"sonar": "never saw the board together with another sensor"},
-        residuals={"plane-plane": rng.normal(0, 1.1, 300), "plane-line": rng.normal(0, 0.9, 200)},
-        outlines=(BoardOutline(0, rng.normal(0, 1, (4, 3))),),
-        estimator="bundle",
+        pictures=Pictures(board_outlines=(BoardOutline(0, rng.normal(0, 1, (4, 3))),)),
     )

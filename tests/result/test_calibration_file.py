@@ -56,26 +56,33 @@ def test_edges_come_back_with_their_rms(calibration: Calibration, saved: Path) -
     def facts(c: Calibration) -> list[object]:
         return [(e.sensor_a, e.sensor_b, e.captures, e.inliers, e.in_tree, e.note,
                  None if e.residual_rms is None else float(f"{e.residual_rms:.4g}"))
-                for e in c.edges]  # fmt: skip
+                for e in c.evidence.edges]  # fmt: skip
 
     assert facts(load_calibration(saved)) == facts(calibration)
 
 
 def test_captures_come_back_without_their_residuals(calibration: Calibration, saved: Path) -> None:
-    expected = {dataclasses.replace(row, residual=None) for row in calibration.captures}
-    assert set(load_calibration(saved).captures) == expected
+    expected = {dataclasses.replace(row, residual=None) for row in calibration.evidence.captures}
+    assert set(load_calibration(saved).evidence.captures) == expected
 
 
 def test_root_estimator_unconnected_and_rms_come_back(calibration: Calibration, saved: Path) -> None:
     loaded = load_calibration(saved)
-    assert (loaded.root, loaded.estimator, loaded.unconnected) == ("lidar", "bundle", calibration.unconnected)
-    assert loaded.residual_rms == pytest.approx(calibration.residual_rms, rel=1e-3)
+    assert (loaded.root, loaded.evidence.estimator, loaded.evidence.unconnected) == (
+        "lidar",
+        "bundle",
+        calibration.evidence.unconnected,
+    )
+    assert loaded.evidence.residual_rms == pytest.approx(calibration.evidence.residual_rms, rel=1e-3)
 
 
 def test_remarks_come_back(calibration: Calibration, tmp_path: Path) -> None:
     remarks = ("board edges in scans of lidar are 40 mm inside the target's size: they are not used",)
-    save_calibration(dataclasses.replace(calibration, remarks=remarks), tmp_path / "calibration.yaml")
-    assert load_calibration(tmp_path / "calibration.yaml").remarks == remarks
+    save_calibration(
+        dataclasses.replace(calibration, evidence=dataclasses.replace(calibration.evidence, remarks=remarks)),
+        tmp_path / "calibration.yaml",
+    )
+    assert load_calibration(tmp_path / "calibration.yaml").evidence.remarks == remarks
 
 
 def test_writing_what_was_read_gives_the_same_file(saved: Path, tmp_path: Path) -> None:
@@ -229,13 +236,17 @@ def test_captures_csv_has_a_row_for_each_capture_and_sensor(calibration: Calibra
 
 def test_captures_csv_without_captures_has_its_header(tmp_path: Path, calibration: Calibration) -> None:
     path = tmp_path / "captures.csv"
-    save_captures_csv(dataclasses.replace(calibration, captures=()), path)
+    save_captures_csv(
+        dataclasses.replace(calibration, evidence=dataclasses.replace(calibration.evidence, captures=())), path
+    )
     assert path.read_text(encoding="utf-8").split() == ["capture,start,end,sensor,used,reason,residual"]
 
 
 def test_a_reason_may_hold_line_breaks(tmp_path: Path, calibration: Calibration) -> None:
     row = CaptureRow(0, 0.0, 1.0, "lidar", False, "two\nlines")
     path = tmp_path / "captures.csv"
-    save_captures_csv(dataclasses.replace(calibration, captures=(row,)), path)
+    save_captures_csv(
+        dataclasses.replace(calibration, evidence=dataclasses.replace(calibration.evidence, captures=(row,))), path
+    )
     with path.open(encoding="utf-8", newline="") as file:
         assert next(csv.DictReader(file))["reason"] == "two\nlines"

@@ -12,7 +12,7 @@ import scipy.stats
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, se3, so3
-from calgraph.result import Calibration, SensorPose, Verdict, export, load_calibration, save_calibration
+from calgraph.result import Calibration, Evidence, SensorPose, Verdict, export, load_calibration, save_calibration
 
 
 def hung(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
@@ -25,7 +25,9 @@ def hung(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
         )
         for k, name in enumerate(names)
     )  # fmt: skip
-    return Calibration(names[0], sensors, joint_covariance=joint, unconnected={"sonar": "never saw the board"})
+    return Calibration(
+        names[0], sensors, joint_covariance=joint, evidence=Evidence(unconnected={"sonar": "never saw the board"})
+    )
 
 
 @pytest.fixture

@@ -384,15 +384,24 @@ def test_json_has_the_whole_result(calibration: Calibration) -> None:
     assert content["root"] == "lidar"
     np.testing.assert_allclose(content["sensors"]["laser"]["T_root_sensor"], calibration["laser"].T_root_sensor)
     np.testing.assert_allclose(content["sensors"]["laser"]["covariance"], calibration["laser"].covariance)
-    np.testing.assert_allclose(content["residuals"]["plane-line"], calibration.residuals["plane-line"], rtol=1e-5)
+    np.testing.assert_allclose(
+        content["residuals"]["plane-line"], calibration.evidence.residuals["plane-line"], rtol=1e-5
+    )
     assert len(content["captures"]) == 4
-    assert content["unconnected"] == dict(calibration.unconnected)
+    assert content["unconnected"] == dict(calibration.evidence.unconnected)
     assert content["sensors"]["laser"]["verdict"]["grade"] == "weak"
 
 
 def test_json_has_what_was_seen_on_the_floor(calibration: Calibration, rng: np.random.Generator) -> None:
     view = FloorView("laser", rng.normal(size=(5, 2)), (rng.normal(size=(3, 2)), rng.normal(size=(2, 2))))
-    (seen,) = json.loads(export(dataclasses.replace(calibration, floor=(view,)), "json"))["floor"]
+    (seen,) = json.loads(
+        export(
+            dataclasses.replace(
+                calibration, pictures=dataclasses.replace(calibration.pictures, floor_views=(view,))
+            ),
+            "json",
+        )
+    )["floor"]
     assert seen["sensor"] == "laser"
     np.testing.assert_allclose(seen["background"], view.background)
     np.testing.assert_allclose(seen["walks"][1], view.tracks[1])

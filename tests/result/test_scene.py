@@ -13,12 +13,10 @@ from calgraph.errors import InputError
 from calgraph.result import (
     BoardOutline,
     BoardView,
-    Calibration,
     FloorView,
+    Pictures,
     Snapshot,
-    load_calibration,
     load_scene,
-    save_calibration,
     save_scene,
 )
 
@@ -29,31 +27,30 @@ GRADIENT = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 48
 
 
 @pytest.fixture
-def shown(calibration: Calibration, rng: np.random.Generator) -> Calibration:
+def shown(rng: np.random.Generator) -> Pictures:
     jpeg = cv2.imencode(".jpg", GRADIENT)[1].tobytes()
     walk = rng.normal(0, 3, (40, 2))
-    return dataclasses.replace(
-        calibration,
+    return Pictures(
         snapshots=(
             Snapshot(3, "camera", 12.25, jpeg, 1280, 960),
             Snapshot(3, "lidar", 12.5, points=rng.normal(0, 9, (500, 3)).astype(np.float32)),
             Snapshot(4, "lidar", 15.5),
         ),
-        outlines=(BoardOutline(3, rng.normal(0, 1, (4, 3)), 1), BoardOutline(4, rng.normal(0, 1, (4, 3)))),
+        board_outlines=(BoardOutline(3, rng.normal(0, 1, (4, 3)), 1), BoardOutline(4, rng.normal(0, 1, (4, 3)))),
         board_views=(
             BoardView(3, "camera", True, rng.uniform(0, 999, (12, 2)), rng.normal(0, 0.1, (12, 2))),
             BoardView(3, "lidar", True, rng.normal(0, 1, (30, 3)), rng.normal(0, 0.01, 30)),
             BoardView(4, "lidar", False, rng.normal(0, 1, (30, 3))),
         ),
-        floor=(
+        floor_views=(
             FloorView("laser", rng.normal(0, 9, (70, 2)), (walk, walk[:7]), (np.arange(40.0), np.arange(7.0))),
             FloorView("lidar", rng.normal(0, 9, (7, 2)), ()),
         ),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
-def saved(shown: Calibration, tmp_path: Path) -> Path:
+def saved(shown: Pictures, tmp_path: Path) -> Path:
     save_scene(shown, tmp_path / "scene.npz")
     return tmp_path / "scene.npz"
 
@@ -69,34 +66,32 @@ def _same(a: object, b: object) -> bool:
     return a == b
 
 
-@pytest.mark.parametrize("part", ["snapshots", "outlines", "board_views", "floor"])
-def test_what_was_shown_comes_back(shown: Calibration, saved: Path, part: str) -> None:
-    save_calibration(shown, saved.with_name("calibration.yaml"))
-    back = load_scene(saved, load_calibration(saved.with_name("calibration.yaml")))
-    assert _same(getattr(shown, part), getattr(back, part))
+def test_pictures_come_back(shown: Pictures, saved: Path) -> None:
+    assert _same(load_scene(saved), shown)
 
 
-def test_pictures_are_red_green_blue(saved: Path, calibration: Calibration) -> None:
-    picture = load_scene(saved, calibration).snapshots[0].picture
+def test_pictures_are_red_green_blue(saved: Path) -> None:
+    picture = load_scene(saved).snapshots[0].picture
     assert picture.shape == (48, 64, 3)
     assert np.abs(picture[..., 2].astype(int) - GRADIENT[..., 0]).mean() < 5
     assert picture[..., 0].mean() < 5
 
 
-def test_walks_of_unknown_times_come_back_with_as_many(calibration: Calibration, tmp_path: Path) -> None:
-    timeless = dataclasses.replace(calibration, floor=(FloorView("laser", np.zeros((1, 2)), (np.ones((5, 2)),)),))
-    save_scene(timeless, tmp_path / "scene.npz")
-    (view,) = load_scene(tmp_path / "scene.npz", calibration).floor
+def test_walks_of_unknown_times_come_back_with_as_many(tmp_path: Path) -> None:
+    save_scene(
+        Pictures(floor_views=(FloorView("laser", np.zeros((1, 2)), (np.ones((5, 2)),)),)), tmp_path / "scene.npz"
+    )
+    (view,) = load_scene(tmp_path / "scene.npz").floor_views
     assert np.isnan(view.times[0]).tolist() == [True] * 5
 
 
-def test_the_same_scene_gives_the_same_bytes(shown: Calibration, saved: Path) -> None:
+def test_the_same_scene_gives_the_same_bytes(shown: Pictures, saved: Path) -> None:
     again = saved.with_name("again.npz")
     save_scene(shown, again)
     assert again.read_bytes() == saved.read_bytes()
 
 
-def test_numpy_alone_can_read_it(shown: Calibration, saved: Path) -> None:
+def test_numpy_alone_can_read_it(shown: Pictures, saved: Path) -> None:
     scene = np.load(saved, allow_pickle=False)
     np.testing.assert_array_equal(scene["snapshots/points"], shown.snapshots[1].points)
     assert json.loads(scene["scene.json"])["sensors"] == ["camera", "lidar", "laser"]
@@ -113,16 +108,16 @@ def _without(saved: Path, member: str) -> Path:
 @pytest.mark.parametrize(
     ("member", "said"), [("snapshots/points.npy", "snapshots/points: is missing"), ("scene.json", "scene.json")]
 )
-def test_what_is_missing_is_named(saved: Path, calibration: Calibration, member: str, said: str) -> None:
+def test_what_is_missing_is_named(saved: Path, member: str, said: str) -> None:
     other = _without(saved, member)
     with pytest.raises(InputError, match=f"other.npz: .*{said}"):
-        load_scene(other, calibration)
+        load_scene(other)
 
 
-def test_half_a_file_is_no_scene(saved: Path, calibration: Calibration) -> None:
+def test_half_a_file_is_no_scene(saved: Path) -> None:
     saved.write_bytes(saved.read_bytes()[: saved.stat().st_size // 2])
     with pytest.raises(InputError, match=r"scene\.npz: is truncated"):
-        load_scene(saved, calibration)
+        load_scene(saved)
 
 
 def test_a_damaged_picture_says_whose_it_is() -> None:

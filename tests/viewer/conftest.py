@@ -10,7 +10,9 @@ from calgraph.result import (
     BoardView,
     Calibration,
     CaptureRow,
+    Evidence,
     FloorView,
+    Pictures,
     SensorPose,
     Snapshot,
     Verdict,
@@ -89,9 +91,11 @@ def rig() -> Calibration:
         ]
         rows += [CaptureRow(k, 10.0 * k, 10.0 * k + 2, s.name, True, "", 0.0) for s in sensors]
     return Calibration(
-        "lidar", sensors, captures=tuple(rows), unconnected={"sonar": "saw nothing"}, outlines=tuple(outlines),
-        snapshots=tuple(snapshots), board_views=tuple(views), estimator="bundle",
-    )  # fmt: skip
+        "lidar",
+        sensors,
+        evidence=Evidence(captures=tuple(rows), unconnected={"sonar": "saw nothing"}, estimator="bundle"),
+        pictures=Pictures(board_outlines=tuple(outlines), snapshots=tuple(snapshots), board_views=tuple(views)),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -117,4 +121,4 @@ def network() -> Calibration:
         FloorView("a", hall, (walk,), (times,)),
         FloorView("b", hall + 0.01, (walk, walk), (times, times + 5)),
     )
-    return Calibration("a", sensors, estimator="joint", floor=floor)
+    return Calibration("a", sensors, evidence=Evidence(estimator="joint"), pictures=Pictures(floor_views=floor))

@@ -21,16 +21,21 @@ Cameras = dict[str, CameraModel]
 def test_one_capture_shows_what_was_measured_in_it(rig: Calibration, cameras: Cameras) -> None:
     shown = clouds(rig, cameras, Choice(2.0), HEIGHTS)
     assert set(shown) == {"lidar", "laser"}
-    np.testing.assert_array_equal(shown["lidar"].points, rig.snapshots[8].points)
+    np.testing.assert_array_equal(shown["lidar"].points, rig.pictures.snapshots[8].points)
 
 
 def test_all_captures_together_are_all_their_points(rig: Calibration, cameras: Cameras) -> None:
     shown = clouds(rig, cameras, Choice(None), HEIGHTS)
-    assert len(shown["lidar"].points) == sum(len(s.points) for s in rig.snapshots if s.sensor == "lidar")
+    assert len(shown["lidar"].points) == sum(len(s.points) for s in rig.pictures.snapshots if s.sensor == "lidar")
 
 
 def test_a_long_recording_is_thinned(rig: Calibration, cameras: Cameras) -> None:
-    many = replace(rig, snapshots=tuple(replace(rig.snapshots[0], capture=k) for k in range(200)))
+    many = replace(
+        rig,
+        pictures=replace(
+            rig.pictures, snapshots=tuple(replace(rig.pictures.snapshots[0], capture=k) for k in range(200))
+        ),
+    )
     shown = clouds(many, cameras, Choice(None), HEIGHTS)["lidar"]
     assert 75_000 < len(shown.points) <= 150_000
     assert len(shown.colors) == len(shown.points)
@@ -94,7 +99,7 @@ def test_heights_tell_nearly_all_points_apart(rig: Calibration) -> None:
 
 
 def test_without_anything_measured_heights_are_still_a_range(rig: Calibration) -> None:
-    low, high = heights_of(replace(rig, snapshots=()))
+    low, high = heights_of(replace(rig, pictures=replace(rig.pictures, snapshots=())))
     assert high > low
 
 
@@ -113,12 +118,18 @@ def test_height_of_a_rig_whose_root_is_a_camera_is_against_its_y(rig: Calibratio
 def test_without_pictures_or_points_nothing_breaks(
     rig: Calibration, coloring: Coloring, moment: float | None
 ) -> None:
-    bare = replace(rig, snapshots=tuple(replace(s, image=b"", points=s.points[:0]) for s in rig.snapshots))
+    bare = replace(
+        rig,
+        pictures=replace(
+            rig.pictures,
+            snapshots=tuple(replace(s, image=b"", points=s.points[:0]) for s in rig.pictures.snapshots),
+        ),
+    )
     assert clouds(bare, {}, Choice(moment, coloring), HEIGHTS) == {}
 
 
 def test_a_network_shows_what_stood_still_where_its_scanners_saw_it(network: Calibration) -> None:
     shown = clouds(network, {}, Choice(3.0), HEIGHTS)["b"]
     x_root = se3.apply(network["b"].T_root_sensor, shown.points.astype(float))
-    np.testing.assert_allclose(x_root[:, :2], network.floor[1].background, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(x_root[:, :2], network.pictures.floor_views[1].background, rtol=0, atol=1e-5)
     assert np.abs(x_root[:, 2]).max() < 1e-9

@@ -40,12 +40,15 @@ def test_a_camera_moved_sideways_sees_corners_elsewhere(rig: Calibration, camera
 
 
 def test_noise_is_told_as_it_is(rig: Calibration, cameras: Cameras, rng: np.random.Generator) -> None:
-    views = [view for view in rig.board_views if view.sensor == CAMERA]
+    views = [view for view in rig.pictures.board_views if view.sensor == CAMERA]
     off = [rng.normal(0, 0.3, view.measured.shape) for view in views]
     noisy = replace(
         rig,
-        board_views=tuple(
-            replace(v, measured=v.measured + o, residuals=o) for v, o in zip(views, off, strict=True)
+        pictures=replace(
+            rig.pictures,
+            board_views=tuple(
+                replace(v, measured=v.measured + o, residuals=o) for v, o in zip(views, off, strict=True)
+            ),
         ),
     )
     expected = np.sqrt(np.mean(np.sum(np.concatenate(off) ** 2, axis=1)))
@@ -53,11 +56,21 @@ def test_noise_is_told_as_it_is(rig: Calibration, cameras: Cameras, rng: np.rand
 
 
 def test_of_two_boards_each_view_belongs_to_its_own(rig: Calibration, cameras: Cameras) -> None:
-    other = tuple(BoardOutline(o.capture, o.corners + np.array([1, 2, 0.5]), 1) for o in rig.outlines)
-    found = misfits(replace(rig, outlines=(*other, *rig.outlines)), cameras, Choice())
+    other = tuple(
+        BoardOutline(o.capture, o.corners + np.array([1, 2, 0.5]), 1) for o in rig.pictures.board_outlines
+    )
+    found = misfits(
+        replace(rig, pictures=replace(rig.pictures, board_outlines=(*other, *rig.pictures.board_outlines))),
+        cameras,
+        Choice(),
+    )
     assert max(fit.rms for fit in found.values()) < 1e-6
 
 
 def test_views_that_were_not_used_do_not_count(rig: Calibration, cameras: Cameras) -> None:
-    unused = tuple(replace(v, used=False, residuals=None) if v.sensor == "laser" else v for v in rig.board_views)
-    assert "laser" not in misfits(replace(rig, board_views=unused), cameras, Choice())
+    unused = tuple(
+        replace(v, used=False, residuals=None) if v.sensor == "laser" else v for v in rig.pictures.board_views
+    )
+    assert "laser" not in misfits(
+        replace(rig, pictures=replace(rig.pictures, board_views=unused)), cameras, Choice()
+    )

@@ -43,7 +43,9 @@ def test_a_network_lasts_until_the_last_walk_ends(network: Calibration) -> None:
 
 
 def test_walks_of_unknown_times_are_shown_at_once(network: Calibration) -> None:
-    floor = tuple(replace(v, times=tuple(np.full(len(w), np.nan) for w in v.tracks)) for v in network.floor)
-    timeless = replace(network, floor=floor)
+    floor = tuple(
+        replace(v, times=tuple(np.full(len(w), np.nan) for w in v.tracks)) for v in network.pictures.floor_views
+    )
+    timeless = replace(network, pictures=replace(network.pictures, floor_views=floor))
     assert duration(timeless) == 0
     assert len(trails(timeless, Choice(None))["a"].segments) == 90

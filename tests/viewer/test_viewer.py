@@ -177,9 +177,12 @@ def test_what_is_not_there_is_not_shown(rig: Calibration, left: str) -> None:
     """As of a problem solved again, which has no pictures; and without intrinsics."""
     bare = replace(
         rig,
-        snapshots=rig.snapshots if left == "snapshots" else (),
-        outlines=rig.outlines if left == "outlines" else (),
-        board_views=rig.board_views if left == "board_views" else (),
+        pictures=replace(
+            rig.pictures,
+            snapshots=rig.pictures.snapshots if left == "snapshots" else (),
+            board_outlines=rig.pictures.board_outlines if left == "outlines" else (),
+            board_views=rig.pictures.board_views if left == "board_views" else (),
+        ),
     )
     with Viewer(bare, {}) as viewer:
         assert viewer.panel.choice().moment in (None, 0.0)

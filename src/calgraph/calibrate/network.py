@@ -132,7 +132,7 @@ def _first_time(tracked: Mapping[str, ScannerTracks]) -> float:
 
 def _merge_with_earlier(calibration: Calibration, earlier: Calibration, prior: ScannerPrior | None) -> Calibration:
     if prior is None:
-        why = "; ".join(f"{name}: {reason}" for name, reason in calibration.unconnected.items())
+        why = "; ".join(f"{name}: {reason}" for name, reason in calibration.evidence.unconnected.items())
         raise CalibrationError(
             f"nothing to extend with: no scanner is connected to the root {calibration.root} ({why})"
         )

@@ -230,7 +230,7 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_captures(calibration, folder / "captures.csv")
     save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
     write_report(calibration, rig, folder / "report.html")
-    save_scene(calibration, folder / "scene.npz")
+    save_scene(calibration.pictures, folder / "scene.npz")
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool) -> None:
@@ -253,6 +253,6 @@ def fail_if_unconnected(calibration: Calibration) -> None:
     Raises:
         CalibrationError: there is one.
     """
-    missing = [f"{name} is not calibrated: {reason}" for name, reason in calibration.unconnected.items()]
+    missing = [f"{name} is not calibrated: {reason}" for name, reason in calibration.evidence.unconnected.items()]
     if missing:
         raise CalibrationError("\n".join(missing))

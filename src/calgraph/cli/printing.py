@@ -41,7 +41,7 @@ def print_calibration(calibration: Calibration) -> None:
     output.print(table)
     if calibration.estimated_parameters:
         _print_estimated(output, calibration)
-    if calibration.cross_validation:
+    if calibration.evidence.cross_validation:
         _print_cross_validation(output, calibration)
     for sensor in calibration.sensors:
         if sensor.verdict.grade != "good" or sensor.verdict.reason:
@@ -51,13 +51,13 @@ def print_calibration(calibration: Calibration) -> None:
             )
     print_remarks(calibration)
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
-        for number, suggestion in enumerate(calibration.suggestions, start=1):
+        for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
             output.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
 
 
 def print_remarks(calibration: Calibration) -> None:
     """Prints the remarks on the whole result, one line each."""
-    for remark in calibration.remarks:
+    for remark in calibration.evidence.remarks:
         console().print(f"[yellow]![/] {escape(remark)}")
 
 
@@ -67,7 +67,7 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
     table = _table()
     for head in ("captures", "RMS", "median", "along beam", "tilt", "ratio"):
         table.add_column(head, justify="right", no_wrap=True)
-    for name, one in calibration.cross_validation.items():
+    for name, one in calibration.evidence.cross_validation.items():
         table.add_row(escape(name), str(one.views), *one.formatted, f"{one.ratio:.2f}")
     output.print(table)
 

@@ -1,6 +1,7 @@
 """``calgraph view``: a calibration in the browser, as a 3-D scene."""
 
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -27,7 +28,8 @@ def view(
 
     if not result.is_dir():
         raise InputError(f"{result}: is no folder; give the one that calibrate wrote with -o")
-    calibration = load_scene(result / "scene.npz", load_calibration(result / "calibration.yaml"))
+    calibration = load_calibration(result / "calibration.yaml")
+    calibration = replace(calibration, pictures=load_scene(result / "scene.npz"))
     rig = load_rig(result / "rig.resolved.yaml")
     with Viewer(calibration, calibrated_cameras(calibration, rig), host, port) as viewer:
         typer.echo(f"{result} is shown at {viewer.url}; Ctrl-C ends it")

@@ -121,7 +121,10 @@ class MatchedPoses:
                 parts = [part for part in (own.reason, sensor.verdict.reason) if part]
                 own = replace(own, outcome="warn", reason="; ".join(parts))
             sensors.append(replace(own, misfit=misfits.get(sensor.name)))
-        alone = [SensorComparison(name, "warn", why, float("nan")) for name, why in self.found.unconnected.items()]
+        alone = [
+            SensorComparison(name, "warn", why, float("nan"))
+            for name, why in self.found.evidence.unconnected.items()
+        ]
         return ExtrinsicsComparison(reference, (*sensors, *alone), misfits.get(reference))
 
     def _compare_sensor(self, reference: str, name: str) -> SensorComparison:

@@ -17,7 +17,7 @@ _MOST = 6000
 
 def captures(calibration: Calibration, words: Words) -> str:
     """All of it; a sentence where there are none."""
-    rows = calibration.captures
+    rows = calibration.evidence.captures
     if not rows:
         return f'<p class="empty">{words.no_rows}</p>'
     names = _names(calibration)
@@ -42,7 +42,11 @@ def captures(calibration: Calibration, words: Words) -> str:
 def _names(calibration: Calibration) -> list[str]:
     """The sensors in the order of the page, then those that only captures or the unconnected name."""
     known = [s.name for s in calibration.sensors]
-    return list(dict.fromkeys([*known, *calibration.unconnected, *(row.sensor for row in calibration.captures)]))
+    return list(
+        dict.fromkeys(
+            [*known, *calibration.evidence.unconnected, *(row.sensor for row in calibration.evidence.captures)]
+        )
+    )
 
 
 def _matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:

@@ -47,7 +47,7 @@ def coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage
         camera = calibrated_cameras(calibration, rig).get(sensor.name)
         views = _seen(calibration, sensor)
         return _of_camera(calibration, sensor, camera, views) if camera and views else None
-    if calibration.floor:
+    if calibration.pictures.floor_views:
         walks = _walks(calibration, sensor)
         field = _background(calibration, sensor)
         return _of_scanner(walks, [*field, *walks], "Somebody walked") if walks else None
@@ -61,22 +61,22 @@ def coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage
 
 def _seen(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """What was used of what the sensor saw of boards: of all, if it has no part in the solution."""
-    own = [view for view in calibration.board_views if view.sensor == sensor.name]
+    own = [view for view in calibration.pictures.board_views if view.sensor == sensor.name]
     return _finite(view.measured for view in own if view.used) or _finite(view.measured for view in own)
 
 
 def _field(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    return _finite(s.points.astype(np.float64) for s in calibration.snapshots if s.sensor == sensor.name)
+    return _finite(s.points.astype(np.float64) for s in calibration.pictures.snapshots if s.sensor == sensor.name)
 
 
 def _walks(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """Where a scanner of a network saw people, in its frame."""
-    views = [view for view in calibration.floor if view.sensor == sensor.name]
+    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
     return _finite(_in_sensor(walk, sensor) for view in views for walk in view.tracks)
 
 
 def _background(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    views = [view for view in calibration.floor if view.sensor == sensor.name]
+    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
     return _finite(_in_sensor(view.background, sensor) for view in views)
 
 
@@ -116,8 +116,8 @@ def _of_camera(
 
 def _distances(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:
     """From how far, and how much tilted, a camera saw boards."""
-    seen = {view.capture for view in calibration.board_views if view.sensor == sensor.name and view.used}
-    corners = [o.corners for o in calibration.outlines if o.capture in seen and o.board is not None]
+    seen = {view.capture for view in calibration.pictures.board_views if view.sensor == sensor.name and view.used}
+    corners = [o.corners for o in calibration.pictures.board_outlines if o.capture in seen and o.board is not None]
     if not corners:
         return ()
     boards = se3.apply(se3.inverse(sensor.T_root_sensor), np.concatenate(corners)).reshape(-1, 4, 3)

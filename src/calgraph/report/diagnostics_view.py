@@ -12,14 +12,14 @@ counts on those before it."""
 
 def left_out_table(calibration: Calibration) -> str:
     """Cross-validation by sensor; nothing where there was none."""
-    if not calibration.cross_validation:
+    if not calibration.evidence.cross_validation:
         return ""
     heads = ("sensor", "captures", "RMS", "median", "along the beam", "tilt", "ratio")
     head = "".join(f"<th>{name}</th>" for name in heads)
     rows = "".join(
         f"<tr><th scope='row'>{escaped(name)}</th><td>{one.views}</td>"
         f"{''.join(f'<td>{escaped(text)}</td>' for text in one.formatted)}<td>{digits(one.ratio)}</td></tr>"
-        for name, one in calibration.cross_validation.items()
+        for name, one in calibration.evidence.cross_validation.items()
     )
     return (
         f"<h3>Captures left out</h3><p>{_ABOUT_LEFT_OUT}</p>"
@@ -29,10 +29,13 @@ def left_out_table(calibration: Calibration) -> str:
 
 def suggestion_list(calibration: Calibration) -> str:
     """Further captures, the first one first; folded away where all is good, nothing where none would help."""
-    if not calibration.suggestions:
+    if not calibration.evidence.suggestions:
         return ""
-    items = "".join(f"<li>{escaped(one)}</li>" for one in calibration.suggestions)
+    items = "".join(f"<li>{escaped(one)}</li>" for one in calibration.evidence.suggestions)
     said = f"<p>{_ABOUT_SUGGESTIONS}</p><ol>{items}</ol>"
-    if all(sensor.verdict.grade == "good" for sensor in calibration.sensors) and not calibration.unconnected:
+    if (
+        all(sensor.verdict.grade == "good" for sensor in calibration.sensors)
+        and not calibration.evidence.unconnected
+    ):
         return f"<details><summary>Captures that would make it better still</summary>{said}</details>"
     return f'<div class="next"><h3>Next captures</h3>{said}</div>'

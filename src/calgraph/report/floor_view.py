@@ -22,7 +22,7 @@ def floor_plan(calibration: Calibration) -> str:
     """The figure, with a sentence on how large uncertainties are drawn."""
     extent = _extent(calibration)
     factor = _exaggeration(calibration.sensors, extent)
-    drawn = {view.sensor: view for view in calibration.floor}
+    drawn = {view.sensor: view for view in calibration.pictures.floor_views}
     traces = [
         trace | {"meta": k}
         for k, sensor in enumerate(calibration.sensors)
@@ -42,10 +42,14 @@ def floor_plan(calibration: Calibration) -> str:
 
 def _states(calibration: Calibration) -> dict[str, list[list[float]]]:
     """By what they are called, how all that each scanner saw moves to where it was thought to be before."""
-    if not calibration.floor:
+    if not calibration.pictures.floor_views:
         return {}
     nowhere = {sensor.name: np.eye(4) for sensor in calibration.sensors}
-    start = {"before: pairs averaged": calibration.start} if calibration.start else {}
+    start = (
+        {"before: pairs averaged": calibration.evidence.initial_poses}
+        if calibration.evidence.initial_poses
+        else {}
+    )
     before: dict[str, Mapping[str, Array]] = {"not calibrated: all in one place": nowhere, **start}
     moves = {
         words: [
@@ -77,7 +81,7 @@ def _plan(traces: list[dict[str, Any]]) -> Figure:
 def _extent(calibration: Calibration) -> float:
     """The longer side of the plan, m."""
     origins = np.array([sensor.T_root_sensor[:2, 3] for sensor in calibration.sensors])
-    seen = [points for view in calibration.floor for points in (view.background, *view.tracks)]
+    seen = [points for view in calibration.pictures.floor_views for points in (view.background, *view.tracks)]
     points = np.concatenate([origins, *seen])
     points = points[np.isfinite(points).all(axis=1)]
     return max(float(np.max(np.ptp(points, axis=0), initial=0.0)), 1.0)

@@ -29,7 +29,7 @@ def fused_view(calibration: Calibration, rig: Rig) -> str:
         return ""
     traces: list[dict[str, Any]] = []
     for k, (capture, (points, colors, seen)) in enumerate(clouds.items()):
-        outlines = [o for o in calibration.outlines if o.capture == capture]
+        outlines = [o for o in calibration.pictures.board_outlines if o.capture == capture]
         traces += [trace | {"visible": k == 0} for trace in _traces(points, colors, seen, outlines)]
     origins = np.array([s.T_root_sensor[:3, 3] for s in calibration.sensors])
     x, y, z = origins.T.round(4)
@@ -71,11 +71,11 @@ def _clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
     poses = {s.name: s.T_root_sensor for s in calibration.sensors}
     cameras = calibrated_cameras(calibration, rig)
     by_capture: dict[int, list[Snapshot]] = {}
-    for taken in calibration.snapshots:
+    for taken in calibration.pictures.snapshots:
         if taken.sensor in poses and (len(taken.points) or (taken.image and taken.sensor in cameras)):
             by_capture.setdefault(taken.capture, []).append(taken)
     both = [n for n, taken in by_capture.items() if 0 < sum(bool(s.image) for s in taken) < len(taken)]
-    views = [view for view in calibration.board_views if view.used]
+    views = [view for view in calibration.pictures.board_views if view.used]
     pictured = Counter(view.capture for view in views if view.sensor in cameras)
     used = Counter(view.capture for view in views)
     # Most captures of a long recording are kept with few points only.
@@ -93,7 +93,11 @@ def _detail(taken: Sequence[Snapshot]) -> int:
 
 def _reach(calibration: Calibration, captures: Sequence[int]) -> float:
     """How far from the root it is worth looking, m: what is far behind the boards would only make them small."""
-    boards = [o.corners for o in calibration.outlines if o.capture in captures and np.isfinite(o.corners).all()]
+    boards = [
+        o.corners
+        for o in calibration.pictures.board_outlines
+        if o.capture in captures and np.isfinite(o.corners).all()
+    ]
     if not boards:
         return np.inf
     return max(_BEHIND * float(np.linalg.norm(np.concatenate(boards), axis=1).max()), _AT_LEAST)

@@ -15,16 +15,16 @@ _MOST, _OPEN = 1000, 6
 
 def gallery(calibration: Calibration) -> str:
     """A card for each capture of which there are pictures; nothing where there are none."""
-    taken = {(s.capture, s.sensor): s for s in calibration.snapshots}
+    taken = {(s.capture, s.sensor): s for s in calibration.pictures.snapshots}
     rows: dict[int, list[CaptureRow]] = {}
-    for row in calibration.captures:
+    for row in calibration.evidence.captures:
         rows.setdefault(row.capture, []).append(row)
     pictured = [capture for capture in rows if any((capture, row.sensor) in taken for row in rows[capture])]
     if not pictured:
         return ""
     each = max(len(rows[capture]) for capture in pictured)
     shown = pictured[:: len(pictured) * each // _MOST + 1]
-    boards = {(view.capture, view.sensor): view.measured for view in calibration.board_views}
+    boards = {(view.capture, view.sensor): view.measured for view in calibration.pictures.board_views}
     cards = [_card(capture, rows[capture], taken, boards) for capture in shown]
     some = "" if len(shown) == len(rows) else f" Shown are {len(shown)} of {len(rows)}, evenly."
     rest = "".join(cards[_OPEN:])

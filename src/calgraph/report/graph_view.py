@@ -36,10 +36,10 @@ def graph(calibration: Calibration, words: Words) -> str:
     names = _in_tree_order(calibration)
     growth = max(1.0, len(names) / _CROWD) ** 0.5
     width, height = _WIDTH * growth, _HEIGHT * growth**2
-    places = _places(names, list(calibration.unconnected), width, height)
+    places = _places(names, list(calibration.evidence.unconnected), width, height)
     drawn = [
         e
-        for e in calibration.edges
+        for e in calibration.evidence.edges
         if (e.inliers if len(names) > _MANY else e.captures) > 0 and e.sensor_a in places and e.sensor_b in places
     ]
     drawn.sort(key=lambda edge: edge.in_tree)
@@ -56,11 +56,13 @@ def graph(calibration: Calibration, words: Words) -> str:
 
 def edge_table(calibration: Calibration, words: Words) -> str:
     """The same in numbers."""
-    if not calibration.edges:
+    if not calibration.evidence.edges:
         return f'<p class="empty">{words.no_pairs}</p>'
     heads = "".join(f"<th>{head}</th>" for head in words.columns)
-    box = "tall" if len(calibration.edges) > _LONG else "wide"
-    ordered = sorted(calibration.edges, key=lambda edge: (not edge.in_tree, edge.inliers == 0, edge.sensor_a))
+    box = "tall" if len(calibration.evidence.edges) > _LONG else "wide"
+    ordered = sorted(
+        calibration.evidence.edges, key=lambda edge: (not edge.in_tree, edge.inliers == 0, edge.sensor_a)
+    )
     rows = "".join(
         f"<tr{_row_class(edge)}><th scope='row'>{escaped(edge.sensor_a)} – {escaped(edge.sensor_b)}</th>"
         f"<td>{'tree' if edge.in_tree else ''}</td><td>{edge.captures}</td><td>{edge.inliers}</td>"

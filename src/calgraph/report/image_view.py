@@ -10,7 +10,7 @@ from calgraph.geometry import Array
 from calgraph.report.formatting import counted, digits, escaped, length
 from calgraph.report.overlays import Overlay, overlay
 from calgraph.result import BoardView, Calibration, SensorPose, Snapshot
-from calgraph.result.calibration import rms
+from calgraph.result.evidence import rms
 from calgraph.result.used_intrinsics import calibrated_cameras
 from calgraph.sensors import CameraModel
 
@@ -34,8 +34,8 @@ def camera_images(calibration: Calibration, rig: Rig) -> str:
     known = {sensor: cameras[sensor.name] for sensor in calibration.sensors if sensor.name in cameras}
     if not known:
         return ""
-    pictures = _large(calibration.snapshots)
-    limit = _limit(calibration.board_views)
+    pictures = _large(calibration.pictures.snapshots)
+    limit = _limit(calibration.pictures.board_views)
     each = min(max(_MOST // len(known), _LEAST), _EACH)
     shown = "".join(
         _camera(calibration, rig, sensor, camera, pictures, each, limit) for sensor, camera in known.items()
@@ -54,7 +54,7 @@ def _camera(
     limit: float,
 ) -> str:
     title = f"<h3>{escaped(sensor.name)}</h3>"
-    views = _ranked([view for view in calibration.board_views if view.sensor == sensor.name], pictures)
+    views = _ranked([view for view in calibration.pictures.board_views if view.sensor == sensor.name], pictures)
     if not views:
         return f'{title}<p class="empty">It saw the board in no capture that was used.</p>'
     factor = _exaggeration(views, camera)

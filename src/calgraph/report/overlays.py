@@ -37,8 +37,10 @@ class Overlay:
 
 def overlay(calibration: Calibration, rig: Rig, sensor: SensorPose, camera: CameraModel, capture: int) -> Overlay:
     """What one camera should see in one capture, and what it and the scanners did."""
-    outlines = [o for o in calibration.outlines if o.capture == capture and np.isfinite(o.corners).all()]
-    views = [view for view in calibration.board_views if view.capture == capture]
+    outlines = [
+        o for o in calibration.pictures.board_outlines if o.capture == capture and np.isfinite(o.corners).all()
+    ]
+    views = [view for view in calibration.pictures.board_views if view.capture == capture]
     own = [view for view in views if view.sensor == sensor.name]
     points, distance = _scanned(calibration, views)
     return Overlay(

@@ -81,6 +81,6 @@ def _part(name: str) -> str:
 
 
 def _facts(calibration: Calibration, words: Words) -> str:
-    count = len({row.capture for row in calibration.captures})
-    facts = [f"root {calibration.root}", counted(count, words.row), f"estimator {calibration.estimator}"]
+    count = len({row.capture for row in calibration.evidence.captures})
+    facts = [f"root {calibration.root}", counted(count, words.row), f"estimator {calibration.evidence.estimator}"]
     return " · ".join(map(escaped, facts))

@@ -14,16 +14,18 @@ _STEP = 0.25
 
 def histograms(calibration: Calibration) -> str:
     """One histogram for each kind of residual."""
-    kinds = [(kind, np.ravel(values)) for kind, values in calibration.residuals.items()]
+    kinds = [(kind, np.ravel(values)) for kind, values in calibration.evidence.residuals.items()]
     if not any(np.isfinite(values).any() for _, values in kinds):
         return _without_values(calibration)
     return '<div class="grid">' + "".join(_histogram(i, *kind) for i, kind in enumerate(kinds)) + "</div>"
 
 
 def _without_values(calibration: Calibration) -> str:
-    if not calibration.residual_rms:
+    if not calibration.evidence.residual_rms:
         return '<p class="empty">There are no residuals.</p>'
-    known = ", ".join(f"{escaped(kind)} {digits(rms, 3)}" for kind, rms in calibration.residual_rms.items())
+    known = ", ".join(
+        f"{escaped(kind)} {digits(rms, 3)}" for kind, rms in calibration.evidence.residual_rms.items()
+    )
     return f'<p class="empty">Only the root mean squares of the residuals are known: {known}.</p>'
 
 
@@ -71,7 +73,7 @@ def _bars(values: Array) -> Figure:
 def spreads(calibration: Calibration, words: Words) -> str:
     """A box for each sensor with the distances of its captures or walks; nothing where none is known."""
     distances: dict[str, list[float]] = {sensor.name: [] for sensor in calibration.sensors}
-    for row in calibration.captures:
+    for row in calibration.evidence.captures:
         if row.used and row.residual is not None and np.isfinite(row.residual):
             distances.setdefault(row.sensor, []).append(1e3 * row.residual)
     known = {name: values for name, values in distances.items() if values}

@@ -41,6 +41,7 @@ _FANS = (-0.26, -0.09, 0.09, 0.26)
 def rig_view(calibration: Calibration, rig: Rig) -> str:
     """The figure, with buttons for what to look at and how large to draw uncertainties, and how large they are."""
     size = _size_of_frames(calibration)
+    outlines = calibration.pictures.board_outlines
     fixed = [
         *(_lines(f"{name} axes", [axes(s.T_root_sensor, size)[i] for s in calibration.sensors], color, 5)
           for i, (name, color) in enumerate(_AXES)),
@@ -49,7 +50,7 @@ def rig_view(calibration: Calibration, rig: Rig) -> str:
         *_discs(calibration, 1.8 * size),
         _lines("2-D scan planes", _circles(calibration, "lidar2d", 1.8 * size, (0.0,)), BROWN, 2),
         _lines("3-D LiDAR beams", _circles(calibration, "lidar3d", 1.5 * size, _FANS), SKY, 2),
-        _lines("boards", [np.concatenate([o.corners, o.corners[:1]]) for o in calibration.outlines], MUTED, 1.5),
+        _lines("boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
     ]  # fmt: skip
     fixed = [trace for trace in fixed if len(trace["x"])]
     sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.covariance[:3, :3])]

@@ -20,7 +20,7 @@ def headline(calibration: Calibration) -> str:
     """One sentence that says how it went."""
     grades = [s.verdict.grade for s in calibration.sensors if s.parent is not None]
     good, weak, lost = (grades.count(grade) for grade in ("good", "weak", "unobservable"))
-    unconnected = len(calibration.unconnected)
+    unconnected = len(calibration.evidence.unconnected)
     total = len(grades) + unconnected
     if total == 0:
         return "There is nothing to calibrate: the root is the only sensor."
@@ -42,7 +42,7 @@ def cards(calibration: Calibration, words: Words) -> str:
     lost = advice["unconnected"]
     shown = [
         *(_card("unconnected", name, "no pose", f"{why}. {lost}" if why else lost)
-          for name, why in calibration.unconnected.items()),
+          for name, why in calibration.evidence.unconnected.items()),
         *(_card(s.verdict.grade, s.name, _facts(s), s.verdict.reason or advice.get(s.verdict.grade, ""))
           for s in sensors),
     ]  # fmt: skip
@@ -51,9 +51,9 @@ def cards(calibration: Calibration, words: Words) -> str:
 
 def remark_list(calibration: Calibration) -> str:
     """What is to be known of the whole result; nothing where there is nothing."""
-    if not calibration.remarks:
+    if not calibration.evidence.remarks:
         return ""
-    items = "".join(f"<li>{escaped(remark)}</li>" for remark in calibration.remarks)
+    items = "".join(f"<li>{escaped(remark)}</li>" for remark in calibration.evidence.remarks)
     return f'<div class="next"><h3>Not used</h3><ul>{items}</ul></div>'
 
 

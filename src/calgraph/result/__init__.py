@@ -1,31 +1,48 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.board_views import BoardOutline, BoardView
-from calgraph.result.calibration import (
-    Calibration,
-    CaptureRow,
-    Edge,
-    FloorView,
-    HeldOutError,
-    SensorPose,
-    Suggestion,
-    Verdict,
-)
+from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colorize_from_snapshots
 from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, Suggestion
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
+from calgraph.result.pictures import BoardOutline, BoardView, FloorView, Pictures
 from calgraph.result.scene import load_scene, save_scene
+from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.table import to_dataframe
 from calgraph.result.transform_tree import TransformTree
 from calgraph.result.used_intrinsics import calibrated_cameras
 
 __all__ = [
-    "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
-    "ExtrinsicsFile", "FloorView", "HeldOutError", "SensorPose", "Snapshot", "Suggestion", "TransformTree",
-    "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "load_calibration", "load_scene",
-    "read_extrinsics", "save_calibration", "save_captures", "save_scene", "to_dataframe", "to_json",
+    "FORMATS",
+    "BoardOutline",
+    "BoardView",
+    "Calibration",
+    "CaptureRow",
+    "Edge",
+    "EstimatedParameter",
+    "Evidence",
+    "ExtrinsicsFile",
+    "FloorView",
+    "HeldOutError",
+    "Pictures",
+    "SensorPose",
+    "Snapshot",
+    "Suggestion",
+    "TransformTree",
+    "Verdict",
+    "calibrated_cameras",
+    "colorize_from_snapshots",
+    "export",
+    "load_calibration",
+    "load_scene",
+    "read_extrinsics",
+    "save_calibration",
+    "save_captures",
+    "save_scene",
+    "to_dataframe",
+    "to_json",
 ]  # fmt: skip

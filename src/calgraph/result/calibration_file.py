@@ -12,8 +12,10 @@ from ruamel.yaml.comments import CommentedSeq
 from calgraph.geometry import Array, so3
 from calgraph.io import format_yaml, write_atomically, write_text
 from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
-from calgraph.result.calibration import Calibration, CaptureRow, Edge, HeldOutError, SensorPose, Suggestion
+from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.result.evidence import CaptureRow, Edge, HeldOutError, Suggestion
+from calgraph.result.sensor_pose import SensorPose
 
 FORMAT = "calgraph/1"
 _HEADER = """\
@@ -40,7 +42,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
-    text = format_yaml(content, _HEADER) + _edges(calibration.edges)
+    text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
     if calibration.estimated_parameters:
         text += format_yaml({"estimated": [_estimated_parameter(one) for one in calibration.estimated_parameters]})
     if calibration.joint_covariance is not None:
@@ -59,7 +61,7 @@ def save_captures(calibration: Calibration, path: Path) -> None:
     with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(_CAPTURE_COLUMNS)
-        writer.writerows(_capture_row(row) for row in calibration.captures)
+        writer.writerows(_capture_row(row) for row in calibration.evidence.captures)
 
 
 def _capture_row(row: CaptureRow) -> tuple[object, ...]:
@@ -92,14 +94,18 @@ def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
 
 def _quality(calibration: Calibration) -> dict[str, Any]:
     return {
-        "estimator": calibration.estimator,
+        "estimator": calibration.evidence.estimator,
         "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
-        "unconnected": dict(calibration.unconnected),
-        **({"remarks": list(calibration.remarks)} if calibration.remarks else {}),
-        "residual_rms": {kind: _round_digits([value], 4)[0] for kind, value in calibration.residual_rms.items()},
-        "cross_validation": {name: _held_out_error(one) for name, one in calibration.cross_validation.items()},
-        "suggestions": [_suggestion(one) for one in calibration.suggestions],
-        "captures": _captures(calibration.captures),
+        "unconnected": dict(calibration.evidence.unconnected),
+        **({"remarks": list(calibration.evidence.remarks)} if calibration.evidence.remarks else {}),
+        "residual_rms": {
+            kind: _round_digits([value], 4)[0] for kind, value in calibration.evidence.residual_rms.items()
+        },
+        "cross_validation": {
+            name: _held_out_error(one) for name, one in calibration.evidence.cross_validation.items()
+        },
+        "suggestions": [_suggestion(one) for one in calibration.evidence.suggestions],
+        "captures": _captures(calibration.evidence.captures),
     }
 
 

@@ -11,17 +11,11 @@ from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.calibration import (
-    Calibration,
-    CaptureRow,
-    Edge,
-    HeldOutError,
-    SensorPose,
-    Suggestion,
-    Verdict,
-)
+from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, Suggestion
+from calgraph.result.sensor_pose import SensorPose, Verdict
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
@@ -235,19 +229,22 @@ def load_calibration(path: Path) -> Calibration:
         raise InputError(f"{path}: format: must be {FORMAT}, which this calgraph reads, got {shown}")
     file = validate_content(_File, content, path)
     names = sorted(file.sensors, key=lambda name: name != file.root)
+    quality = file.quality
     return Calibration(
         root=file.root,
-        sensors=tuple(_sensor(name, file.sensors[name], file.quality.verdicts[name]) for name in names),
-        edges=tuple(_edge(edge) for edge in file.quality.edges),
-        captures=_rows(file.quality.captures),
-        unconnected=file.quality.unconnected,
-        remarks=file.quality.remarks,
-        estimator=file.quality.estimator,
-        cross_validation={name: _held_out_error(one) for name, one in file.quality.cross_validation.items()},
-        suggestions=tuple(_suggestion(one) for one in file.quality.suggestions),
-        residual_rms=file.quality.residual_rms,
-        estimated_parameters=tuple(EstimatedParameter(**vars(one)) for one in file.estimated),
+        sensors=tuple(_sensor(name, file.sensors[name], quality.verdicts[name]) for name in names),
         joint_covariance=_joint_covariance(file.joint_covariance, names),
+        estimated_parameters=tuple(EstimatedParameter(**vars(one)) for one in file.estimated),
+        evidence=Evidence(
+            estimator=quality.estimator,
+            edges=tuple(_edge(edge) for edge in quality.edges),
+            captures=_rows(quality.captures),
+            unconnected=quality.unconnected,
+            remarks=quality.remarks,
+            residual_rms=quality.residual_rms,
+            cross_validation={name: _held_out_error(one) for name, one in quality.cross_validation.items()},
+            suggestions=tuple(_suggestion(one) for one in quality.suggestions),
+        ),
     )
 
 

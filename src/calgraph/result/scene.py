@@ -1,8 +1,7 @@
-"""scene.npz: what a calibration shows beside its numbers, for viewers; docs/formats.md describes its members."""
+"""scene.npz: the pictures of a calibration, for viewers; docs/formats.md describes its members."""
 
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.result.board_views import BoardOutline, BoardView
-from calgraph.result.calibration import Calibration, FloorView
+from calgraph.result.pictures import BoardOutline, BoardView, FloorView, Pictures
 from calgraph.result.snapshots import Snapshot
 
 FORMAT = "calgraph-scene/1"
@@ -35,13 +33,13 @@ _WALKS = Table("walks", {
 })  # fmt: skip
 
 
-def save_scene(calibration: Calibration, path: Path) -> None:
-    """Writes snapshots, outlines of boards and floor of a calibration in one step.
+def save_scene(pictures: Pictures, path: Path) -> None:
+    """Writes the pictures of a calibration in one step.
 
     Raises:
         InputError: ``path`` cannot be written.
     """
-    number = {name: i for i, name in enumerate(_sensors_with_pictures(calibration))}
+    number = {name: i for i, name in enumerate(_sensors_with_pictures(pictures))}
     views = [
         {
             **vars(view),
@@ -49,23 +47,23 @@ def save_scene(calibration: Calibration, path: Path) -> None:
             "seen": view.measured,
             "off": _nan_residuals(view) if view.residuals is None else view.residuals,
         }
-        for view in calibration.board_views
+        for view in pictures.board_views
     ]
     arrays = (
         _SNAPSHOTS.pack([
             {**vars(s), "sensor": number[s.sensor], "image": np.frombuffer(s.image, dtype=np.uint8)}
-            for s in calibration.snapshots
+            for s in pictures.snapshots
         ])
         | _OUTLINES.pack([
             {**vars(outline), "board": _NO_BOARD if outline.board is None else outline.board}
-            for outline in calibration.outlines
+            for outline in pictures.board_outlines
         ])
         | _CORNERS.pack([view for view in views if view["seen"].shape[1] == 2])
         | _BEAMS.pack([view for view in views if view["seen"].shape[1] == 3])
-        | _FLOOR.pack([{**vars(view), "sensor": number[view.sensor]} for view in calibration.floor])
+        | _FLOOR.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.floor_views])
         | _WALKS.pack([
             {"sensor": number[view.sensor], "positions": positions, "times": times}
-            for view in calibration.floor
+            for view in pictures.floor_views
             for positions, times in zip(view.tracks, view.times or map(_nan_times, view.tracks), strict=True)
         ])
     )  # fmt: skip
@@ -74,8 +72,8 @@ def save_scene(calibration: Calibration, path: Path) -> None:
     write_archive(path, _STRUCTURE, content, arrays, compression=zipfile.ZIP_STORED)
 
 
-def load_scene(path: Path, calibration: Calibration) -> Calibration:
-    """A calibration read back, with what :func:`save_scene` wrote of it.
+def load_scene(path: Path) -> Pictures:
+    """The pictures that :func:`save_scene` wrote.
 
     Raises:
         InputError: the file is missing, is something else, or is damaged; the message names it.
@@ -94,13 +92,13 @@ def load_scene(path: Path, calibration: Calibration) -> Calibration:
         floor = _floor(arrays, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return replace(calibration, snapshots=snapshots, outlines=outlines, board_views=views, floor=floor)
+    return Pictures(snapshots, outlines, views, floor)
 
 
-def _sensors_with_pictures(calibration: Calibration) -> dict[str, None]:
-    """The sensors of which there is something to show, in order."""
+def _sensors_with_pictures(pictures: Pictures) -> dict[str, None]:
+    """The sensors that have pictures, in order."""
     shown: tuple[Snapshot | BoardView | FloorView, ...]
-    shown = (*calibration.snapshots, *calibration.board_views, *calibration.floor)
+    shown = (*pictures.snapshots, *pictures.board_views, *pictures.floor_views)
     return dict.fromkeys(view.sensor for view in shown)
 
 

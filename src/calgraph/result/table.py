@@ -7,8 +7,9 @@ import numpy as np
 
 from calgraph.errors import CalgraphError
 from calgraph.geometry import so3
-from calgraph.result.calibration import Calibration, SensorPose
+from calgraph.result.calibration import Calibration
 from calgraph.result.exports import roll_pitch_yaw
+from calgraph.result.sensor_pose import SensorPose
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,5 +62,5 @@ def _number(value: float | None) -> float:
 
 def _unconnected(calibration: Calibration) -> Iterator[dict[str, Any]]:
     """Rows of the sensors without a pose."""
-    for name, reason in calibration.unconnected.items():
+    for name, reason in calibration.evidence.unconnected.items():
         yield {"sensor": name, "verdict": "unconnected", "reason": reason}

@@ -53,7 +53,7 @@ def clouds(
     """
     T_root_sensor = poses(calibration, choice)
     shown: dict[str, list[Cloud]] = {}
-    for captured in _by_capture(calibration.snapshots, choice.moment):
+    for captured in _by_capture(calibration.pictures.snapshots, choice.moment):
         scans = [s for s in captured if s.sensor in T_root_sensor and len(s.points)]
         if not scans:
             continue
@@ -69,7 +69,7 @@ def clouds(
         cuts = np.cumsum([len(s.points) for s in scans])[:-1]
         for scan, own in zip(scans, np.split(colors, cuts), strict=True):
             shown.setdefault(scan.sensor, []).append(Cloud(scan.points, own))
-    for view in calibration.floor:
+    for view in calibration.pictures.floor_views:
         points = on_floor(calibration, view.sensor, view.background)
         shown[view.sensor] = [Cloud(points, _plain(color_of(calibration, view.sensor), len(points)))]
     return {name: _joined(parts) for name, parts in shown.items()}
@@ -78,7 +78,7 @@ def clouds(
 def heights_of(calibration: Calibration) -> tuple[float, float]:
     """Between which heights nearly all that the scanners measured lies, m."""
     T = poses(calibration, Choice())
-    z = [in_root(s, T) @ up(calibration) for s in calibration.snapshots if s.sensor in T]
+    z = [in_root(s, T) @ up(calibration) for s in calibration.pictures.snapshots if s.sensor in T]
     together = np.concatenate([np.zeros(1), *z])
     low, high = np.percentile(together, [2, 98])
     return float(low), float(max(high, low + 0.1))

@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, Calibration
-from calgraph.result.calibration import rms
+from calgraph.result.evidence import rms
 from calgraph.sensors import CameraModel
 from calgraph.viewer.view_state import Choice, poses
 
@@ -30,10 +30,10 @@ def misfits(calibration: Calibration, cameras: Mapping[str, CameraModel], choice
     """By sensor, at the moment chosen; none of those of which nothing was used then."""
     T_root_moved = poses(calibration, choice)
     sheets: dict[int, list[BoardOutline]] = {}
-    for outline in calibration.outlines:
+    for outline in calibration.pictures.board_outlines:
         sheets.setdefault(outline.capture, []).append(outline)
     off: dict[str, list[Array]] = {}
-    for view in calibration.board_views:
+    for view in calibration.pictures.board_views:
         name, boards = view.sensor, sheets.get(view.capture, [])
         if boards and name in T_root_moved and choice.moment in (None, view.capture):
             T, T_moved = calibration[name].T_root_sensor, T_root_moved[name]

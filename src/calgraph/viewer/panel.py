@@ -78,7 +78,7 @@ class Panel:
         self._closed.set()
 
     def _add_time(self) -> None:
-        network, several = bool(self._calibration.floor), len(self.moments) > 1
+        network, several = bool(self._calibration.pictures.floor_views), len(self.moments) > 1
         self._step = _TICK if network else 1
         last = self._step * (len(self.moments) - 1 if several else 1)
         self.time: GuiInputHandle[float] = self._gui.add_slider(
@@ -127,7 +127,7 @@ class Panel:
         self.refresh()
 
     def _add_looks(self) -> None:
-        network = bool(self._calibration.floor)
+        network = bool(self._calibration.pictures.floor_views)
         usable = {words: c for words, c in _COLORINGS.items() if c == "sensor" or not network}
         if not self._cameras:
             usable.pop("as cameras see it", None)
@@ -165,12 +165,12 @@ class Panel:
         return "\n".join(lines)
 
     def _moment_in_words(self, choice: Choice) -> str:
-        network = bool(self._calibration.floor)
+        network = bool(self._calibration.pictures.floor_views)
         if choice.moment is None:
             return "All walks" if network else "All captures"
         if network:
             return f"{choice.moment:.1f} s"
-        row = next((row for row in self._calibration.captures if row.capture == choice.moment), None)
+        row = next((row for row in self._calibration.evidence.captures if row.capture == choice.moment), None)
         return f"Capture {choice.moment:.0f}" + (f", {row.start:.1f} to {row.end:.1f} s" if row else "")
 
 
@@ -181,9 +181,11 @@ def _set(control: "GuiInputHandle[Any]", value: bool | float) -> None:
 
 def moments(calibration: Calibration) -> list[float]:
     """At which moments there is something to show: a rig's captures, or times of a network."""
-    if calibration.floor:
+    if calibration.pictures.floor_views:
         return np.arange(0, duration(calibration), _TICK).round(1).tolist()
-    shown = {s.capture for s in calibration.snapshots} | {o.capture for o in calibration.outlines}
+    shown = {s.capture for s in calibration.pictures.snapshots} | {
+        o.capture for o in calibration.pictures.board_outlines
+    }
     return [float(capture) for capture in sorted(shown)]
 
 

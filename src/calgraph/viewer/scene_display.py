@@ -30,7 +30,7 @@ class Stage:
         self._scene, self._calibration, self._cameras = scene, calibration, cameras
         self._heights = heights_of(calibration)
         self.size = size_of_axes(calibration)
-        self._point_size = 0.035 if calibration.floor else 0.012
+        self._point_size = 0.035 if calibration.pictures.floor_views else 0.012
         self._number = {sensor.name: k for k, sensor in enumerate(calibration.sensors)}
         self._drawn: dict[str, Cloud] = {}
         self._moment: tuple[float | None, ...] = ()
@@ -105,7 +105,7 @@ class Stage:
     def _lay_ground(self) -> None:
         """A grid of metres at the height of the floor: of lines, as viser's is slow without a graphics card."""
         vertical = up(self._calibration)
-        level = 0.0 if self._calibration.floor else self._heights[0]
+        level = 0.0 if self._calibration.pictures.floor_views else self._heights[0]
         self._scene.add_line_segments(
             "/ground", ground(vertical) + level * vertical, (52, 55, 62), thickness=1.0, thickness_units="screen"
         )
@@ -126,7 +126,11 @@ class Stage:
 
     def _draw_cloud(self, name: str, cloud: Cloud) -> None:
         # Scans are thin lines, and would be lost among a cloud's many points.
-        wide = 1.6 if self._calibration[name].kind == "lidar2d" and not self._calibration.floor else 1.0
+        wide = (
+            1.6
+            if self._calibration[name].kind == "lidar2d" and not self._calibration.pictures.floor_views
+            else 1.0
+        )
         self._nodes["clouds"][name] = self._scene.add_point_cloud(
             f"{self._at(name)}/cloud", cloud.points, cloud.colors, point_size=wide * self._point_size,
             point_shape="circle", precision="float32", point_shading="flat", visible="clouds" not in self._hidden,
@@ -136,7 +140,11 @@ class Stage:
         """Lines to what a 2-D scanner measured; of all captures at once there would be too many."""
         if name in self._nodes["beams"]:
             self._nodes["beams"].pop(name).remove()
-        if cloud is not None and self._calibration[name].kind == "lidar2d" and not self._calibration.floor:
+        if (
+            cloud is not None
+            and self._calibration[name].kind == "lidar2d"
+            and not self._calibration.pictures.floor_views
+        ):
             red, green, blue = color_of(self._calibration, name)
             self._nodes["beams"][name] = self._scene.add_line_segments(
                 f"{self._at(name)}/beams", beams(cloud.points), (red // 3, green // 3, blue // 3), thickness=1.0,
@@ -144,7 +152,7 @@ class Stage:
             )  # fmt: skip
 
     def _show_pictures(self, moment: float | None) -> None:
-        pictures = {s.sensor: s for s in self._calibration.snapshots if s.image and s.capture == moment}
+        pictures = {s.sensor: s for s in self._calibration.pictures.snapshots if s.image and s.capture == moment}
         for name in self._nodes["camera views"]:
             picture = pictures.get(name)
             self._draw_view(name, through_window(picture.picture, self._cameras[name]) if picture else None)
@@ -159,7 +167,9 @@ class Stage:
 
     def _show_boards(self, moment: float | None) -> None:
         """Sheets with a rim: faint if they are those of all captures."""
-        corners = np.array([o.corners for o in self._calibration.outlines if moment in (None, o.capture)])
+        corners = np.array(
+            [o.corners for o in self._calibration.pictures.board_outlines if moment in (None, o.capture)]
+        )
         corners = corners.reshape(-1, 4, 3)
         visible, color = "boards" not in self._hidden, _BOARD if moment is None else _NOW
         rims = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)

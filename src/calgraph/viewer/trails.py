@@ -28,12 +28,12 @@ class Trail:
 
 def trails(calibration: Calibration, choice: Choice) -> dict[str, Trail]:
     """By scanner, the walks of the moment chosen."""
-    return {view.sensor: _trail(calibration, view, choice.moment) for view in calibration.floor}
+    return {view.sensor: _trail(calibration, view, choice.moment) for view in calibration.pictures.floor_views}
 
 
 def duration(calibration: Calibration) -> float:
     """When the last of those was seen who walked, s from the start of the recording; 0 if times are not known."""
-    times = [times for view in calibration.floor for times in view.times]
+    times = [times for view in calibration.pictures.floor_views for times in view.times]
     return float(np.nanmax(np.concatenate([np.zeros(1), *times])))
 
 

@@ -74,13 +74,15 @@ def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
     """Where to look from (3,) and to (3,), m: all of a network from above, or a rig from behind and above."""
     origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
     vertical = up(calibration)
-    if calibration.floor:
-        seen = np.concatenate([origins[:, :2], *(view.background for view in calibration.floor)])
+    if calibration.pictures.floor_views:
+        seen = np.concatenate([origins[:, :2], *(view.background for view in calibration.pictures.floor_views)])
         low, high = np.percentile(seen, [1, 99], axis=0)
         middle, extent = np.append((low + high) / 2, 0.0), float(np.max(high - low))
         return middle + extent * np.array([0.0, -0.45, 0.85]), middle
     middle = origins.mean(axis=0)
-    boards = np.array([outline.corners.mean(axis=0) for outline in calibration.outlines]).reshape(-1, 3)
+    boards = np.array([outline.corners.mean(axis=0) for outline in calibration.pictures.board_outlines]).reshape(
+        -1, 3
+    )
     reach = float(np.percentile(np.linalg.norm(boards - middle, axis=1), 80)) if len(boards) else 2.0
     ahead = boards.mean(axis=0) - middle if len(boards) else np.array([1.0, 0, 0])
     ahead -= (ahead @ vertical) * vertical

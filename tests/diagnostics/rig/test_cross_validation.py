@@ -80,5 +80,5 @@ def test_sensors_without_views_in_the_other_captures_are_not_predicted() -> None
 
 def test_one_fold_is_refused() -> None:
     exact = scene()
-    with pytest.raises(InputError, match="--folds: must be 0 for none, or 2 and more, got 1"):
+    with pytest.raises(InputError, match="`folds`: must be 0 for none, or 2 and more, got 1"):
         left_out(exact, exact.bundle, folds=1)

@@ -185,5 +185,9 @@ def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
 
 def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
     found, adjusted = calibrated()
-    result = compare_rig_poses(replace(found, unconnected={"sonar": "saw nothing"}), adjusted, true_poses())
+    result = compare_rig_poses(
+        replace(found, evidence=replace(found.evidence, unconnected={"sonar": "saw nothing"})),
+        adjusted,
+        true_poses(),
+    )
     assert (result.sensors[-1].sensor, result.sensors[-1].outcome) == ("sonar", "warn")

@@ -15,7 +15,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
-from calgraph.result import Calibration, Edge, SensorPose
+from calgraph.result import Calibration, Edge, Evidence, Pictures, SensorPose
 from calgraph.tracking import ScannerTracks
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
@@ -82,16 +82,18 @@ def assemble_network(
             )
             for k, name in enumerate(names)
         ),
-        edges=tuple(_build_edge(pair, found, inlier_poses, parents) for pair, found in pairs.items()),
-        captures=build_walk_rows(samples, matches, start),
-        unconnected={
-            name: _explain_unconnected(name, followed, pairs) for name in rig.sensors if name not in names
-        },
-        residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
-        estimator="averaging" if joint is None else "joint",
-        floor=build_floor_views(tracked, samples, planar, start),
         joint_covariance=covariance,
-        start={} if joint is None else dict(zip(names, se2.to_se3(averaged.T_root_node), strict=True)),
+        evidence=Evidence(
+            estimator="averaging" if joint is None else "joint",
+            edges=tuple(_build_edge(pair, found, inlier_poses, parents) for pair, found in pairs.items()),
+            captures=build_walk_rows(samples, matches, start),
+            unconnected={
+                name: _explain_unconnected(name, followed, pairs) for name in rig.sensors if name not in names
+            },
+            residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
+            initial_poses={} if joint is None else dict(zip(names, se2.to_se3(averaged.T_root_node), strict=True)),
+        ),
+        pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start)),
     )
 
 

@@ -54,8 +54,15 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
             replace(sensor, parent=earlier.root) if sensor.parent in moved else sensor
             for sensor in (earlier.sensors[k] for k in kept)
         ),
-        edges=tuple(edge for edge in earlier.edges if edge.sensor_a not in moved and edge.sensor_b not in moved),
         joint_covariance=None if joint is None else joint[np.ix_(rows, rows)],
+        evidence=replace(
+            earlier.evidence,
+            edges=tuple(
+                edge
+                for edge in earlier.evidence.edges
+                if edge.sensor_a not in moved and edge.sensor_b not in moved
+            ),
+        ),
     )
 
 
@@ -106,14 +113,17 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
     cross = gain @ before.covariance[np.ix_(before.covariance_rows(shared), kept_rows)]
     covariance = np.block([[now.covariance, cross], [cross.T, before.covariance[np.ix_(kept_rows, kept_rows)]]])
     names = (*now.names, *(sensor.name for sensor in kept))
-    pairs = {frozenset((edge.sensor_a, edge.sensor_b)) for edge in found.edges}
-    edges = (e for e in earlier.edges if frozenset((e.sensor_a, e.sensor_b)) not in pairs)
+    pairs = {frozenset((edge.sensor_a, edge.sensor_b)) for edge in found.evidence.edges}
+    edges = (e for e in earlier.evidence.edges if frozenset((e.sensor_a, e.sensor_b)) not in pairs)
     return replace(
         found,
         sensors=(*found.sensors, *(_mark_kept(sensor) for sensor in kept)),
-        edges=(*found.edges, *(e for e in edges if {e.sensor_a, e.sensor_b} <= set(names))),
-        unconnected={name: why for name, why in found.unconnected.items() if name not in names},
         joint_covariance=lift_covariance(covariance),
+        evidence=replace(
+            found.evidence,
+            edges=(*found.evidence.edges, *(e for e in edges if {e.sensor_a, e.sensor_b} <= set(names))),
+            unconnected={name: why for name, why in found.evidence.unconnected.items() if name not in names},
+        ),
     )
 
 

@@ -16,7 +16,7 @@ from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
-from calgraph.result import Calibration, CaptureRow, Edge, SensorPose
+from calgraph.result import Calibration, CaptureRow, Edge, Evidence, Pictures, SensorPose
 
 
 def assemble_rig(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibration:
@@ -46,19 +46,23 @@ def assemble_rig(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Ca
             _assemble_sensor(name, rig, captured, tree, joint, doubted.get(name, ""), ambiguous.get(name, 0.0))
             for name in root_first
         ),
-        edges=tuple(_assemble_edge(names, pair, tree, captured) for names, pair in pairs.items()),
-        captures=tuple(
-            _assemble_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors
-        ),
-        unconnected=_explain_unconnected(rig, captured, pairs, connected),
-        remarks=joint.remarks,
-        residuals=joint.residuals,
-        outlines=collect_board_outlines(rig, captured, used, joint),
-        board_views=collect_board_views(captured, used, joint),
-        estimator=joint.estimator,
-        estimated_parameters=joint.extra_parameters,
         joint_covariance=_reorder_covariance(joint, root_first),
-        snapshots=captured.snapshots,
+        estimated_parameters=joint.extra_parameters,
+        evidence=Evidence(
+            estimator=joint.estimator,
+            edges=tuple(_assemble_edge(names, pair, tree, captured) for names, pair in pairs.items()),
+            captures=tuple(
+                _assemble_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors
+            ),
+            unconnected=_explain_unconnected(rig, captured, pairs, connected),
+            remarks=joint.remarks,
+            residuals=joint.residuals,
+        ),
+        pictures=Pictures(
+            snapshots=captured.snapshots,
+            board_outlines=collect_board_outlines(rig, captured, used, joint),
+            board_views=collect_board_views(captured, used, joint),
+        ),
     )
 
 

@@ -34,9 +34,12 @@ def add_assessment(
     suggestions = suggest_board_poses(adjusted, kinds, size, rng)
     return replace(
         calibration,
-        cross_validation=cross_validate(adjusted, folds) if folds else {},
-        suggestions=suggestions,
         sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),
+        evidence=replace(
+            calibration.evidence,
+            cross_validation=cross_validate(adjusted, folds) if folds else {},
+            suggestions=suggestions,
+        ),
     )
 
 

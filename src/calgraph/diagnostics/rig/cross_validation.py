@@ -33,7 +33,7 @@ from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.result import HeldOutError
-from calgraph.result.calibration import rms
+from calgraph.result.evidence import rms
 
 # Directions in which the others place a board worse than this are taken from the sensor's own view, m.
 _PLACED = 0.02

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import so3
-from calgraph.result.calibration import Calibration, CaptureRow, Edge, SensorPose
+from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT
+from calgraph.result.evidence import CaptureRow, Edge
+from calgraph.result.sensor_pose import SensorPose
 
 
 def to_json(calibration: Calibration) -> str:
@@ -19,22 +21,23 @@ def to_json(calibration: Calibration) -> str:
     content = {
         "format": FORMAT,
         "root": calibration.root,
-        "estimator": calibration.estimator,
+        "estimator": calibration.evidence.estimator,
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "estimated": [asdict(one) for one in calibration.estimated_parameters],
         "joint_covariance": _joint_covariance(calibration),
-        "unconnected": dict(calibration.unconnected),
-        "remarks": list(calibration.remarks),
-        "cross_validation": {name: asdict(one) for name, one in calibration.cross_validation.items()},
+        "unconnected": dict(calibration.evidence.unconnected),
+        "remarks": list(calibration.evidence.remarks),
+        "cross_validation": {name: asdict(one) for name, one in calibration.evidence.cross_validation.items()},
         "suggestions": [
-            {**vars(one), "T_root_board": _plain(one.T_root_board)} for one in calibration.suggestions
+            {**vars(one), "T_root_board": _plain(one.T_root_board)} for one in calibration.evidence.suggestions
         ],
-        "edges": [_edge(edge) for edge in calibration.edges],
-        "residual_rms": _plain(dict(calibration.residual_rms)),
-        "residuals": {kind: _plain(_rounded(values)) for kind, values in calibration.residuals.items()},
-        "captures": [_capture(row) for row in calibration.captures],
+        "edges": [_edge(edge) for edge in calibration.evidence.edges],
+        "residual_rms": _plain(dict(calibration.evidence.residual_rms)),
+        "residuals": {kind: _plain(_rounded(values)) for kind, values in calibration.evidence.residuals.items()},
+        "captures": [_capture(row) for row in calibration.evidence.captures],
         "outlines": [
-            {"capture": outline.capture, "corners": _plain(outline.corners)} for outline in calibration.outlines
+            {"capture": outline.capture, "corners": _plain(outline.corners)}
+            for outline in calibration.pictures.board_outlines
         ],
         "floor": [
             {
@@ -42,7 +45,7 @@ def to_json(calibration: Calibration) -> str:
                 "background": _plain(view.background),
                 "walks": [_plain(walk) for walk in view.tracks],
             }
-            for view in calibration.floor
+            for view in calibration.pictures.floor_views
         ],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False)

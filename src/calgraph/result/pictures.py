@@ -1,8 +1,9 @@
-"""Measurements of the board by each sensor, and its estimated outline: for pictures."""
+"""What pictures of a calibration show: images and scans, outlines of boards, measurements, floor plans."""
 
 from dataclasses import dataclass
 
 from calgraph.geometry import Array
+from calgraph.result.snapshots import Snapshot
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,3 +31,28 @@ class BoardView:
     residuals: Array | None = None
     """Measured minus predicted by the joint solution: (M, 2) px of a camera; of a scanner (M,) distances from the
     board's plane, m, positive beyond it. None where it was not used, or the estimator has no boards."""
+
+
+@dataclass(frozen=True, eq=False)
+class FloorView:
+    """What one scanner of a network saw, for pictures."""
+
+    sensor: str
+    background: Array
+    """(M, 2) what stood still, thinned, root frame, m."""
+    tracks: tuple[Array, ...]
+    """(N, 2) each, where somebody walked, root frame, m."""
+    times: tuple[Array, ...] = ()
+    """(N,) each, when they were there by the root's clock, s from the start of the recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """What pictures of a calibration show, kept in scene.npz; empty in a result read back without it."""
+
+    snapshots: tuple[Snapshot, ...] = ()
+    """Images, scans and clouds of captures."""
+    board_outlines: tuple[BoardOutline, ...] = ()
+    board_views: tuple[BoardView, ...] = ()
+    floor_views: tuple[FloorView, ...] = ()
+    """Static background and tracks of each connected scanner of a network."""

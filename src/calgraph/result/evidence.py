@@ -1,0 +1,155 @@
+"""The evidence for and against a calibration: pairs, captures, residuals, cross-validation, suggestions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from calgraph.geometry import Array
+
+_UNINFORMATIVE_STDDEV: Mapping[Literal["m", "rad"], float] = {"m": 0.2, "rad": np.radians(10)}
+"""Standard deviations beyond which there is no saying where along an axis a sensor is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """The evidence between two sensors."""
+
+    sensor_a: str
+    sensor_b: str
+    captures: int
+    """How many captures both sensors found the board in; in a network, how many positions of walkers, ten a
+    second, both should have seen."""
+    inliers: int
+    """How many of them the pairwise consensus kept; 0 if the pair could not be calibrated."""
+    in_tree: bool
+    """Whether the start values of the joint solution came along this edge."""
+    residuals: Array
+    """(inliers,) distances between the two detections under the final poses, m; in a network the one between the
+    pair's own pose and the final one. Empty in a result read back."""
+    note: str = ""
+    """Why the pair was not used, where it was not."""
+    residual_rms: float | None = None
+    """Root mean square of ``residuals``, m, taken from them if left out; None where there are none."""
+
+    def __post_init__(self) -> None:
+        if self.residual_rms is None:
+            object.__setattr__(self, "residual_rms", rms(self.residuals))
+
+
+@dataclass(frozen=True)
+class CaptureRow:
+    """What became of one sensor in one capture, or of one walk that a scanner saw: a row of captures.csv."""
+
+    capture: int
+    """Its number; a walk's is of one scanner alone."""
+    start: float
+    """s from the start of the recording."""
+    end: float
+    sensor: str
+    used: bool
+    reason: str
+    """Why not, where it was not used."""
+    residual: float | None = None
+    """Distance to what the other sensors saw, m, where it was used."""
+
+
+@dataclass(frozen=True)
+class HeldOutError:
+    """How far what a sensor saw is from what the others predict, in captures left out of the solution."""
+
+    views: int
+    """How many captures were predicted for it."""
+    unit: Literal["px", "m"]
+    """Of ``rms`` and ``median``: distances between corners, or of beam ends from the board's plane."""
+    rms: float
+    median: float
+    ratio: float
+    """Errors over what noise and the poses' covariances let expect: about 1 if those hold."""
+    along: float | None = None
+    """RMS along the beam, m; None for cameras."""
+    tilt: float | None = None
+    """RMS angle between the board's normal as predicted and as seen, rad; None where no view knows it."""
+
+    @property
+    def formatted(self) -> tuple[str, str, str, str]:
+        """RMS, median, RMS along the beam and tilt as a person reads them; empty where there is none."""
+        size = "{:.2f} px".format if self.unit == "px" else _format_millimetres
+        along = "" if self.along is None else _format_millimetres(self.along)
+        tilt = "" if self.tilt is None else f"{np.degrees(self.tilt):.2f}°"
+        return size(self.rms), size(self.median), along, tilt
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """A further capture that would make the least certain sensor more certain."""
+
+    hold: str
+    """Where and how to hold the board, in words."""
+    sensor: str
+    """The sensor that is least certain before it."""
+    axis: str
+    """Along or about which of its axes."""
+    unit: Literal["m", "rad"]
+    stddev: float
+    """Standard deviation along that axis without the capture, but with those suggested before."""
+    expected: float
+    """And with it."""
+    T_root_board: Array
+    """(4, 4)."""
+
+    def __str__(self) -> str:
+        """The suggestion as a sentence."""
+        if self.expected > _UNINFORMATIVE_STDDEV[self.unit]:
+            return f"{self.hold}: a step towards {self.axis} of {self.sensor}, which takes more than one"
+        before, after = (_format_stddev(value, self.unit) for value in (self.stddev, self.expected))
+        return f"{self.hold}: {self.axis} of {self.sensor} {before} → {after}"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What supports a calibration, and what contradicts it."""
+
+    estimator: str = "hypergraph"
+    """The joint estimator of the poses."""
+    edges: tuple[Edge, ...] = ()
+    captures: tuple[CaptureRow, ...] = ()
+    """Captures of a rig, or tracks of a network, with how each sensor's measurements were used."""
+    unconnected: Mapping[str, str] = field(default_factory=dict)
+    """Sensors without a path of edges to the root, each with the reason."""
+    remarks: tuple[str, ...] = ()
+    """Warnings about the whole result, such as observations that were not used, with the reason."""
+    residuals: Mapping[str, Array] = field(default_factory=dict)
+    """Whitened residuals of the joint solution by sensor or kind of edge; empty in a result read back."""
+    residual_rms: Mapping[str, float] = field(default_factory=dict)
+    """Root mean square of ``residuals``, computed from them if left out."""
+    cross_validation: Mapping[str, HeldOutError] = field(default_factory=dict)
+    """Errors on held-out captures by sensor; none for sensors that no other sensor predicts."""
+    suggestions: tuple[Suggestion, ...] = ()
+    """Further captures that would reduce uncertainty most, best first."""
+    initial_poses: Mapping[str, Array] = field(default_factory=dict)
+    """(4, 4) ``T_root_sensor`` at the start of a network's joint solution; empty in a result read back."""
+
+    def __post_init__(self) -> None:
+        if not self.residual_rms:
+            by_kind = {kind: rms(values) for kind, values in self.residuals.items()}
+            finite = {kind: value for kind, value in by_kind.items() if value is not None}
+            object.__setattr__(self, "residual_rms", finite)
+
+
+def _format_millimetres(metres: float) -> str:
+    return f"{1000 * metres:.1f} mm"
+
+
+def _format_stddev(stddev: float, unit: Literal["m", "rad"]) -> str:
+    if stddev > _UNINFORMATIVE_STDDEV[unit]:
+        return "unknown"
+    return f"±{1000 * stddev:.2g} mm" if unit == "m" else f"±{np.degrees(stddev):.2g}°"
+
+
+def rms(values: Array) -> float | None:
+    """Root mean square of the finite values; None where there are none."""
+    finite = np.asarray(values, dtype=np.float64)
+    finite = finite[np.isfinite(finite)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else None
