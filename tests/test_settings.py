@@ -42,14 +42,18 @@ def test_every_setting_is_read_outside_the_configuration() -> None:
 
 
 def functions_with_settings() -> set[str]:
-    """Names of functions, methods and classes that have a parameter or field ``settings``."""
+    """Names of functions and methods, and of classes whose constructor, have a parameter ``settings``."""
     names = set()
     for tree in TREES.values():
+        functions = {n: n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name != "__init__"}
         for node in ast.walk(tree):
-            if isinstance(node, ast.FunctionDef):
-                arguments = [*node.args.args, *node.args.kwonlyargs]
-                if any(argument.arg == "settings" for argument in arguments):
-                    names.add(node.name)
+            if isinstance(node, ast.ClassDef):
+                constructors = [n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"]
+                functions |= dict.fromkeys(constructors, node.name)
+        for function, name in functions.items():
+            arguments = [*function.args.args, *function.args.kwonlyargs]
+            if any(argument.arg == "settings" for argument in arguments):
+                names.add(name)
     return names
 
 

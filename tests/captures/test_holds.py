@@ -69,7 +69,7 @@ def test_excluded_times_and_background_have_no_holds() -> None:
 def test_single_shots_are_grouped_by_pose() -> None:
     snapshots = timeline(camera=times(0, 100, 10), lidar=times(0.05, 100, 10))
     holds = find_holds(snapshots, Capture())
-    assert is_snapshot_recording(snapshots)
+    assert is_snapshot_recording(snapshots, max_gap=1.0)
     assert len(holds) == 10
     assert all(len(hold.stamps[name]) == 1 for hold in holds for name in ("camera", "lidar"))
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, RangeNoise
+from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.detection import find_segments
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.errors import Rejected
@@ -12,6 +13,7 @@ from calgraph.sensors import LaserScan
 
 STEP = np.radians(0.5)
 BEAMS = np.arange(40)
+SETTINGS = ScannerDetectionSettings()
 SHEET, WALL, HAND = 2.0, 5.0, 1.8
 
 
@@ -28,7 +30,7 @@ def angles_of(edges: Array) -> Array:
 def edges_of(ranges: Array, beams: Index = BEAMS, line: Index | None = None, parallax: float = 0.0) -> Array:
     """Edges of a board at the same distance in all directions, in steps of beams."""
     line = np.zeros(len(beams), dtype=np.intp) if line is None else line
-    edges = find_board_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, parallax)
+    edges = find_board_edges(directions_of(STEP * beams), ranges - SHEET, line, 0.05, SETTINGS, parallax)
     return np.asarray(angles_of(edges) / STEP)
 
 
@@ -86,7 +88,7 @@ def test_edges_do_not_span_scan_lines() -> None:
 def test_with_parallax_directions_of_the_background_do_not_count() -> None:
     angles = STEP * BEAMS + np.where(scene() == WALL, 0.6 * STEP, 0.0)
     edges = find_board_edges(
-        directions_of(angles), scene() - SHEET, np.zeros(40, dtype=np.intp), 0.05, parallax=0.03
+        directions_of(angles), scene() - SHEET, np.zeros(40, dtype=np.intp), 0.05, SETTINGS, parallax=0.03
     )
     np.testing.assert_allclose(angles_of(edges) / STEP, [[10, 9], [29, 30]], atol=1e-3)
 

@@ -10,7 +10,7 @@ from calgraph.calibrate.strategies import select_initialization
 from calgraph.captures import (
     ActivityMeter,
     CaptureSet,
-    DetectionResult,
+    GivenDetections,
     RecordingTimeline,
     build_timeline,
     captures_from_detections,
@@ -67,7 +67,7 @@ def calibrate_rig(
 
 def calibrate_detections(
     rig: Rig,
-    detections: Mapping[str, Mapping[int, DetectionResult]],
+    detections: Mapping[str, Mapping[int, GivenDetections]],
     options: RigOptions,
     cameras: Mapping[str, CameraModel] | None = None,
     progress: Progress = no_progress,
@@ -128,7 +128,7 @@ def collect_captures(
     cameras = read_cameras(rig, recording)
     timeline = _read_timeline(rig, recording, progress)
     check_timeline(rig, timeline, recording.end)
-    holds = limit_messages(find_holds(timeline, rig.capture), rig)
+    holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
     detect = make_detectors(rig, cameras, backgrounds, options.tags, rng)
 
@@ -201,9 +201,9 @@ def _read_timeline(rig: Rig, recording: Recording, progress: Progress) -> Record
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
     timeline = build_timeline(recording.records(topics), recording.start, rig.topics, trigger, progress=reading)
-    if trigger or is_snapshot_recording(timeline):
+    if trigger or is_snapshot_recording(timeline, rig.settings.captures.max_snapshot_gap):
         return timeline
-    meters = {name: ActivityMeter() for name in rig.sensors}
+    meters = {name: ActivityMeter(rig.settings.captures.motion) for name in rig.sensors}
     return build_timeline(
         recording.records(topics), recording.start, rig.topics, None, meters=meters, progress=reading
     )

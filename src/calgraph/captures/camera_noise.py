@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from calgraph.config.settings import CameraNoiseSettings
 from calgraph.detection import BoardCorners, Detection
-
-# Least noise of a corner, px: an error of the distortion model shifts all corners of a board alike, which the
-# residuals of one PnP do not show.
-_FLOOR = 0.05
-# Least degrees of freedom for an estimate: the relative standard deviation of a noise is 1 / sqrt(2 x 24) = 14 %.
-_ENOUGH = 24
 
 
 def scale_by_measured_noise(
-    detections: Mapping[int, Sequence[Detection]], stated: float
+    detections: Mapping[int, Sequence[Detection]],
+    stated: float,
+    settings: CameraNoiseSettings = CameraNoiseSettings(),
 ) -> dict[int, tuple[Detection, ...]]:
     """Scales the covariances of one camera's detections to the noise estimated from all their residuals.
 
@@ -21,6 +18,7 @@ def scale_by_measured_noise(
         detections: one camera's detections by capture; each covariance is for the larger of the stated noise and
             the RMS of its residuals.
         stated: standard deviation of a corner in x and in y, pixels.
+        settings: of the estimate.
 
     Returns:
         The same detections, each with a covariance for the larger of the estimated noise and the RMS of its
@@ -28,10 +26,10 @@ def scale_by_measured_noise(
     """
     boards = [d for found in detections.values() for d in found if isinstance(d, BoardCorners)]
     freedom = sum(2 * len(d.pixels) - 6 for d in boards)
-    if freedom < _ENOUGH:
+    if freedom < settings.min_degrees_of_freedom:
         return {capture: tuple(found) for capture, found in detections.items()}
     squares = sum(2 * len(d.pixels) * d.rms**2 for d in boards)
-    variance = max(squares / freedom, _FLOOR**2)
+    variance = max(squares / freedom, settings.min_noise**2)
 
     def rescale(detection: Detection) -> Detection:
         if not isinstance(detection, BoardCorners):

@@ -11,17 +11,14 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Rig
-from calgraph.detection import Detection
+from calgraph.detection import Detection, DetectionResult
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
 from calgraph.sensors import CameraModel, Message, RecordedMessage
 
-Detector = Callable[[Sequence[Any]], tuple[Detection, ...] | Rejected]
+Detector = Callable[[Sequence[Any]], DetectionResult]
 """Finds the board in the messages that one sensor sent during one hold."""
-
-# More messages of a resting board sharpen the detection only slowly; images also cost the most time.
-_MAX_MESSAGES = {"camera": 2, "lidar2d": 20, "lidar3d": 5}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +27,7 @@ class SensorCapture:
 
     capture: int
     sensor: str
-    detections: tuple[Detection, ...] | Rejected
+    detections: DetectionResult
     snapshot: Snapshot | None = None
     """A preview of its messages, where one is kept."""
 
@@ -73,7 +70,9 @@ def collect_detections(
         else:
             detections[sensor_capture.sensor][sensor_capture.capture] = sensor_capture.detections
     for name, spec in rig.cameras().items():
-        detections[name] = scale_by_measured_noise(detections[name], spec.noise.pixel)
+        detections[name] = scale_by_measured_noise(
+            detections[name], spec.noise.pixel, rig.settings.captures.camera_noise
+        )
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
     return CaptureSet(timeline.start, frames, tuple(holds), detections, rejections, cameras, tuple(snapshots))
 
@@ -137,7 +136,7 @@ def detect_in_holds(
 
 def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
     """The same holds with the messages of each sensor that sharpen a detection, spread over the hold."""
-    limits = {name: _MAX_MESSAGES[spec.kind] for name, spec in rig.sensors.items()}
+    limits = {name: rig.settings.captures.max_messages.of(spec.kind) for name, spec in rig.sensors.items()}
     return tuple(
         replace(hold, stamps={name: _sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
         for hold in holds

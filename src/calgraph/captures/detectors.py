@@ -8,8 +8,16 @@ import numpy as np
 
 from calgraph.captures.detect import Detector
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection import Averaging, CameraDetector, CloudBackground, Detection, find_patches, find_segments
-from calgraph.errors import InputError, Rejected
+from calgraph.config.settings import DetectionSettings
+from calgraph.detection import (
+    Averaging,
+    CameraDetector,
+    CloudBackground,
+    DetectionResult,
+    find_patches,
+    find_segments,
+)
+from calgraph.errors import InputError
 from calgraph.sensors import (
     CameraModel,
     LaserScan,
@@ -23,9 +31,6 @@ from calgraph.sensors import (
 _log = logging.getLogger(__name__)
 
 Background = CloudBackground | ScanBackground
-
-# Most messages that a background is learned from: a fast scanner sends them in a second or two.
-_MAX_BACKGROUND_MESSAGES = 60
 
 
 def learn_backgrounds(
@@ -47,23 +52,27 @@ def learn_backgrounds(
         if progress:
             progress(record.arrival)
         messages = messages_by_sensor.setdefault(by_topic[record.topic], [])
-        if len(messages) < _MAX_BACKGROUND_MESSAGES:
+        if len(messages) < rig.settings.captures.max_background_messages:
             messages.append(record.decode())
     backgrounds: dict[str, Background] = {}
     for name in by_topic.values() if rig.capture.background else ():
         try:
-            backgrounds[name] = learn_background(messages_by_sensor.get(name, []), rig.sensors[name])
+            backgrounds[name] = learn_background(
+                messages_by_sensor.get(name, []), rig.sensors[name], rig.settings.detection
+            )
         except InputError as error:
             # A scanner without measurements does not keep the others from being calibrated.
             _log.warning("%s: %s; it looks for the board by size and shape", name, error)
     return backgrounds
 
 
-def learn_background(messages: Sequence[Message], spec: object) -> Background:
+def learn_background(
+    messages: Sequence[Message], spec: object, settings: DetectionSettings = DetectionSettings()
+) -> Background:
     """The background model of one scanner."""
     if isinstance(spec, Lidar2dSpec):
         return ScanBackground.build(to_scans(messages))
-    return CloudBackground.build([m for m in messages if isinstance(m, PointCloud)])
+    return CloudBackground.learn([m for m in messages if isinstance(m, PointCloud)], settings)
 
 
 def to_scans(messages: Iterable[Message]) -> list[LaserScan]:
@@ -96,7 +105,9 @@ def make_detectors(
     for (name, spec), seed in zip(rig.sensors.items(), seeds, strict=True):
         background = backgrounds.get(name)
         if isinstance(spec, CameraSpec):
-            detectors[name] = CameraDetector(rig.boards, cameras[name], spec.noise, averaging).find
+            detectors[name] = CameraDetector(
+                rig.boards, cameras[name], spec.noise, averaging, rig.settings.detection.camera
+            ).find
         elif isinstance(spec, Lidar3dSpec):
             cloud_background = background if isinstance(background, CloudBackground) else None
             detectors[name] = partial(_detect_patches, rig=rig, spec=spec, background=cloud_background, seed=seed)
@@ -108,15 +119,19 @@ def make_detectors(
 
 def _detect_patches(
     messages: Sequence[PointCloud], rig: Rig, spec: Lidar3dSpec, background: CloudBackground | None, seed: int
-) -> tuple[Detection, ...] | Rejected:
-    return find_patches(messages, rig.boards, spec.noise, background, _make_generator(seed, messages))
+) -> DetectionResult:
+    return find_patches(
+        messages, rig.boards, spec.noise, background, _make_generator(seed, messages), rig.settings.detection
+    )
 
 
 def _detect_segments(
     messages: Sequence[Message], rig: Rig, spec: Lidar2dSpec, background: ScanBackground | None, seed: int
-) -> tuple[Detection, ...] | Rejected:
+) -> DetectionResult:
     scans = to_scans(messages)
-    return find_segments(scans, rig.boards, spec.noise, background, _make_generator(seed, scans))
+    return find_segments(
+        scans, rig.boards, spec.noise, background, _make_generator(seed, scans), rig.settings.detection
+    )
 
 
 def _make_generator(seed: int, messages: Sequence[PointCloud | LaserScan]) -> np.random.Generator:

@@ -8,11 +8,11 @@ from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detectio
 from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
+from calgraph.detection import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.errors import InputError, Rejected
 from calgraph.sensors import CameraModel
 
-DetectionResult = Detection | Sequence[Detection] | Rejected
+GivenDetections = Detection | Sequence[Detection] | Rejected
 """Of one sensor in one capture: the board, several candidates of which one is the board, or why there is none."""
 
 _DETECTION_TYPES = {"camera": BoardCorners, "lidar2d": Segment, "lidar3d": PlanePatch}
@@ -20,7 +20,7 @@ _DETECTION_TYPES = {"camera": BoardCorners, "lidar2d": Segment, "lidar3d": Plane
 
 def captures_from_detections(
     rig: Rig,
-    detections: Mapping[str, Mapping[int, DetectionResult]],
+    detections: Mapping[str, Mapping[int, GivenDetections]],
     cameras: Mapping[str, CameraModel] | None = None,
 ) -> CaptureSet:
     """Builds the captures of a rig from detections made outside calgraph.
@@ -54,9 +54,7 @@ def captures_from_detections(
     return collect_detections(rig, RecordingTimeline(0.0, times, no_times), holds, sensor_captures, cameras)
 
 
-def _to_candidates(
-    rig: Rig, name: str, capture: int, result: DetectionResult | None
-) -> tuple[Detection, ...] | Rejected:
+def _to_candidates(rig: Rig, name: str, capture: int, result: GivenDetections | None) -> DetectionResult:
     if result is None:
         return Rejected("no detection was given")
     if isinstance(result, Rejected):

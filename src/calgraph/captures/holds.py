@@ -8,13 +8,9 @@ import numpy as np
 from calgraph.captures.motion_detection import find_still_spans
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Capture
+from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-
-# Most time between messages of one pose in a recording of snapshots; poses are farther apart, s.
-_SNAPSHOT = 1.0
-# Longest period of a sensor, s, for which its messages show when the board moves.
-_SLOW = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +25,15 @@ class Hold:
     """By sensor, the stamps of the messages measured entirely within the hold."""
 
 
-def find_holds(timeline: RecordingTimeline, capture: Capture) -> tuple[Hold, ...]:
+def find_holds(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> tuple[Hold, ...]:
     """Finds the holds: by trigger, from separate snapshots, or by stillness.
 
     Args:
         timeline: when the sensors measured, and when captures were triggered.
         capture: the trigger if there is one, and the windows in which no hold may lie.
+        settings: of the search.
 
     Returns:
         The holds in order of time, each with the messages to use.
@@ -42,13 +41,13 @@ def find_holds(timeline: RecordingTimeline, capture: Capture) -> tuple[Hold, ...
     Raises:
         CalibrationError: there is none.
     """
-    snapshots = capture.trigger is None and is_snapshot_recording(timeline)
+    snapshots = capture.trigger is None and is_snapshot_recording(timeline, settings.max_snapshot_gap)
     if capture.trigger:
         spans = _find_spans_by_trigger(timeline)
     elif snapshots:
-        spans = _find_spans_of_snapshots(timeline)
+        spans = _find_spans_of_snapshots(timeline, settings.max_snapshot_gap)
     else:
-        spans = _find_spans_by_stillness(timeline)
+        spans = _find_spans_by_stillness(timeline, settings)
     excluded = [*capture.exclude, *([capture.background] if capture.background else [])]
     allowed = [
         (start, end)
@@ -91,21 +90,21 @@ def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, flo
     return spans
 
 
-def is_snapshot_recording(timeline: RecordingTimeline) -> bool:
-    """Whether the recording is a series of snapshots: no two messages of a sensor belong to one pose."""
+def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
+    """Whether no two messages of a sensor lie within twice ``max_gap``, s: each pose has one of each."""
     gaps = [np.diff(times.stamps) for times in timeline.sensors.values() if len(times.stamps) > 1]
-    return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * _SNAPSHOT)
+    return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * max_gap)
 
 
-def _find_spans_of_snapshots(timeline: RecordingTimeline) -> list[tuple[float, float]]:
+def _find_spans_of_snapshots(timeline: RecordingTimeline, max_gap: float) -> list[tuple[float, float]]:
     stamps = np.sort(np.concatenate([times.stamps for times in timeline.sensors.values()]))
-    groups = np.split(stamps, np.flatnonzero(np.diff(stamps) > _SNAPSHOT) + 1)
+    groups = np.split(stamps, np.flatnonzero(np.diff(stamps) > max_gap) + 1)
     return [(float(group[0]), float(group[-1])) for group in groups if len(group) > 1]
 
 
-def _find_spans_by_stillness(timeline: RecordingTimeline) -> list[tuple[float, float]]:
+def _find_spans_by_stillness(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
     """Where no fast sensor measures a change for as long as the slowest needs for one full measurement."""
-    fast = [times for times in timeline.sensors.values() if times.period <= _SLOW]
+    fast = [times for times in timeline.sensors.values() if times.period <= settings.max_motion_period]
     if not fast:
         return []
     spans = [find_still_spans(times.stamps, times.activity) for times in fast]
@@ -113,7 +112,7 @@ def _find_spans_by_stillness(timeline: RecordingTimeline) -> list[tuple[float, f
     for other in spans[1:]:
         common = _intersect(common, other)
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
-    shortest = max(0.5, *periods)
+    shortest = max(settings.min_hold, *periods)
     return [(float(a), float(b)) for a, b in common if b - a >= shortest]
 
 

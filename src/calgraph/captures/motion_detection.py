@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 
 Signature = NDArray[np.float64] | NDArray[np.int64]
 """What is compared of a message: grey values, ranges, or the keys of occupied cells."""
 
-# Clouds are compared by their occupied cells of this size, m. A point in a cell next to one that was occupied has
-# not moved: noise alone takes points across borders of cells.
-_CELL = 0.2
+# Ranges of beams without return, m: farther than any wall.
+_NO_RETURN = 100.0
 _PACK = np.array([1, 2**21, 2**42])
 _WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
 
@@ -20,12 +20,13 @@ _WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
 class ActivityMeter:
     """Compares each message of one sensor with the one before."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: MotionDetectionSettings = MotionDetectionSettings()) -> None:
+        self._settings = settings
         self._previous: Signature | None = None
 
     def measure_change(self, message: Message) -> float:
         """Share of the view, in 0..1, that differs from the message before; 0 for the first."""
-        current = _compute_signature(message)
+        current = _compute_signature(message, self._settings.cell)
         previous, self._previous = self._previous, current
         if previous is None:
             return 0.0
@@ -38,11 +39,13 @@ class ActivityMeter:
         if not current.size:
             return 0.0
         if isinstance(message, Image):
-            return float(np.mean(np.abs(current - previous) > 12))
-        return float(np.mean(np.abs(current - previous) > np.maximum(0.05, 0.02 * np.minimum(current, previous))))
+            return float(np.mean(np.abs(current - previous) > self._settings.min_gray_change))
+        min_change = self._settings.min_range_change_ratio * np.minimum(current, previous)
+        min_change = np.maximum(self._settings.min_range_change, min_change)
+        return float(np.mean(np.abs(current - previous) > min_change))
 
 
-def _compute_signature(message: Message) -> Signature:
+def _compute_signature(message: Message, cell: float) -> Signature:
     if isinstance(message, Image):
         height, width = message.gray.shape
         return np.asarray(
@@ -51,9 +54,9 @@ def _compute_signature(message: Message) -> Signature:
         )
     if isinstance(message, LaserScan):
         # A beam without return counts as far: a return that appears or vanishes is a change.
-        return np.where(message.valid, message.ranges, 100.0)
+        return np.where(message.valid, message.ranges, _NO_RETURN)
     if isinstance(message, PointCloud):
-        cells = np.floor(message.points / _CELL).astype(np.int64) + 2**20
+        cells = np.floor(message.points / cell).astype(np.int64) + 2**20
         return np.unique(cells @ _PACK)
     return np.zeros(0)
 

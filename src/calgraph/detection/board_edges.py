@@ -7,17 +7,11 @@ begins (a hand, an occluder), or the field of view ends, the board may continue.
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.geometry import Array, Index
 
-EDGE_BLUR = 0.002
-"""Sheets are not cut, and beams not bundled, more sharply than this, m (standard deviation)."""
-# What is farther behind the sheet than this, m, is certainly not part of it.
-_BEHIND = 0.10
-# A beam that hits the edge averages both depths: this much before the next beam, m, it is taken for one.
-_MIXED = 0.3
+# Bound of ranges before the plane, m: beams that do not intersect it have an infinite one.
 _FAR = 1e3
-# Beams of one scan line that are farther apart than so many steps have something unknown between them.
-_STEPS = 4.0
 
 
 def select_beams_with_margin(near: NDArray[np.bool_]) -> Index:
@@ -26,7 +20,12 @@ def select_beams_with_margin(near: NDArray[np.bool_]) -> Index:
 
 
 def find_board_edges(
-    directions: Array, excess: Array, scan_line: Index, thickness: float, parallax: float = 0.0
+    directions: Array,
+    excess: Array,
+    scan_line: Index,
+    thickness: float,
+    settings: ScannerDetectionSettings,
+    parallax: float = 0.0,
 ) -> Array:
     """Pairs of beams between which the board ends.
 
@@ -36,6 +35,7 @@ def find_board_edges(
             does not intersect it.
         scan_line: (N,) scan line of each beam.
         thickness: a beam ends on the board up to this distance from its plane along the beam, m.
+        settings: of the detection.
         parallax: error of the directions of beams that miss the board, as they do not start in the sensor's
             origin, rad. If it is not zero, directions do not show how many beams without return lie between two.
 
@@ -51,14 +51,18 @@ def find_board_edges(
         return np.empty((0, 2, 3))
     step = float(np.median(steps))
     orders = (np.arange(len(scan_line)), np.arange(len(scan_line))[::-1])
-    edges = [
-        _find_trailing_edges(directions[w], excess[w], on_board[w], scan_line[w], step, parallax) for w in orders
-    ]
-    return np.concatenate(edges)
+    beams = [(directions[o], excess[o], on_board[o], scan_line[o]) for o in orders]
+    return np.concatenate([_find_trailing_edges(*ordered, step, settings, parallax) for ordered in beams])
 
 
 def _find_trailing_edges(
-    directions: Array, excess: Array, on_board: NDArray[np.bool_], scan_line: Index, step: float, parallax: float
+    directions: Array,
+    excess: Array,
+    on_board: NDArray[np.bool_],
+    scan_line: Index,
+    step: float,
+    settings: ScannerDetectionSettings,
+    parallax: float,
 ) -> Array:
     """Edges at which beams, in this order, leave the board."""
     # One beam off the board, on another scan line, ends the last one.
@@ -67,31 +71,26 @@ def _find_trailing_edges(
     if len(scan_line) < 4:
         return np.empty((0, 2, 3))
     previous, last, next_beam, after_next = (slice(i, len(scan_line) - 3 + i) for i in range(4))
+    max_step = settings.edges.max_step_ratio * step
     gap = np.linalg.norm(directions[next_beam] - directions[last], axis=1)
     last_step = directions[last] - directions[previous]
     step_length = np.linalg.norm(last_step, axis=1)
     same_line = (scan_line[previous] == scan_line[last]) & (scan_line[last] == scan_line[next_beam])
-    board_ends = (
-        same_line
-        & on_board[previous]
-        & on_board[last]
-        & ~on_board[next_beam]
-        & (step_length < _STEPS * step)
-        & (step_length > 0)
-    )
+    board_ends = same_line & on_board[previous] & on_board[last] & ~on_board[next_beam]
+    board_ends &= (step_length < max_step) & (step_length > 0)
     # Beams without return between others did not hit the board.
-    near = gap < _STEPS * step + parallax
+    near = gap < max_step + parallax
     no_return = ~near & (parallax == 0)
+    behind = excess > settings.min_depth_jump
     # A beam between two depths is a mixed pixel: the edge may be on either side of it.
-    background_follows = near & (scan_line[after_next] == scan_line[next_beam]) & (excess[after_next] > _BEHIND)
-    mixed_pixel = background_follows & (excess[next_beam] > 0) & (excess[after_next] - excess[next_beam] > _MIXED)
-    is_edge = board_ends & (no_return | (near & (excess[next_beam] > _BEHIND)) | mixed_pixel)
+    mixed_pixel = near & (scan_line[after_next] == scan_line[next_beam]) & behind[after_next]
+    mixed_pixel &= (excess[next_beam] > 0) & (
+        excess[after_next] - excess[next_beam] > settings.edges.min_mixed_jump
+    )
+    is_edge = board_ends & (no_return | (near & behind[next_beam]) | mixed_pixel)
     steps = np.where(near, np.maximum(np.rint(gap / step), 1.0), 1.0) if parallax == 0 else np.ones(len(gap))
     angle_past = step * (steps + mixed_pixel)
-    outside = (
-        directions[last]
-        + last_step
-        * np.divide(angle_past, step_length, out=np.zeros_like(angle_past), where=step_length > 0)[:, None]
-    )
+    ratio = np.divide(angle_past, step_length, out=np.zeros_like(angle_past), where=step_length > 0)
+    outside = directions[last] + last_step * ratio[:, None]
     pairs = np.stack([directions[last], outside / np.linalg.norm(outside, axis=1)[:, None]], axis=1)
     return np.asarray(pairs[is_edge])

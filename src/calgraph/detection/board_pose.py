@@ -7,21 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
 
-_OUTLIER = 5.0
-"""Corners further than this many standard deviations from where the pose puts them are not the board's."""
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a 2-D normal error, in standard deviations of one coordinate."""
-_AGREEMENT = 1e-4
-"""Chance that a true tag is taken for a false one."""
-_AMBIGUOUS = 9.0
-"""Two tilts whose squared errors differ by fewer variances (odds of about 1 : 90) cannot be told apart."""
-_HOPELESS = 10.0
-"""A fit with residuals of so many standard deviations is of another board, or through other intrinsics."""
 _ITERATIONS = 30
+"""Most iterations of Levenberg–Marquardt: from the start values of IPPE it converges in fewer than ten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +44,12 @@ class _PoseFit:
 
 
 def fit_pose(
-    ids: NDArray[np.intp], corners: Array, pixels: Array, camera: CameraModel, sigma: float
+    ids: NDArray[np.intp],
+    corners: Array,
+    pixels: Array,
+    camera: CameraModel,
+    sigma: float,
+    settings: BoardPoseSettings = BoardPoseSettings(),
 ) -> BoardPose | Rejected:
     """One PnP over all corners of all marks, with rejection of outliers.
 
@@ -64,11 +63,12 @@ def fit_pose(
         pixels: (M, k, 2) where they were detected, as measured (distorted).
         camera: the intrinsics.
         sigma: standard deviation of a corner in x and in y, pixels.
+        settings: of the rejection of outliers.
 
     """
     has_ray = np.isfinite(camera.rays(pixels.reshape(-1, 2)))
     in_view = np.asarray(has_ray.reshape(len(pixels), -1).all(axis=1))
-    consistent = _select_consistent_marks(ids, corners, pixels, in_view, camera, sigma)
+    consistent = _select_consistent_marks(ids, corners, pixels, in_view, camera, sigma, settings)
     if isinstance(consistent, Rejected):
         return consistent
     marks, minima = consistent
@@ -80,7 +80,7 @@ def fit_pose(
         distance = _compute_reprojection_errors(minima[0].T, corners, pixels, camera)
         # In a blurred image the noise is larger than stated: it is estimated from the residuals.
         noise = max(sigma, float(np.median(distance[inliers])) / _RAYLEIGH_MEDIAN)
-        near = distance < _OUTLIER * noise
+        near = distance < settings.outlier_sigmas * noise
         # A tag with one wrong corner fails as a whole; with three inliers it is readmitted.
         new_inliers = near & (marks | (readmittable & (near.sum(axis=1) >= 3)))[:, None]
         if (new_inliers == inliers).all():
@@ -91,13 +91,13 @@ def fit_pose(
         return Rejected("the corners detected contradict each other")
     best = minima[0]
     rms = float(np.sqrt(best.cost / (2 * inliers.sum())))
-    if rms > _HOPELESS * sigma:
+    if rms > settings.max_rms_sigmas * sigma:
         return Rejected(
             f"its corners fit a board of the stated size only to {rms:.1f} px, {sigma:g} px expected: "
             "wrong sizes, or wrong intrinsics"
         )
     variance = max(sigma, rms) ** 2
-    if len(minima) > 1 and _is_ambiguous(best, minima[1], variance):
+    if len(minima) > 1 and _is_ambiguous(best, minima[1], settings.ambiguity_chi2 * variance):
         tilt = np.degrees(np.arccos(np.clip(minima[1].T[:3, 2] @ best.T[:3, 2], -1, 1)))
         return Rejected(f"too small in the image: two poses {tilt:.0f}° apart fit its corners equally well")
     return BoardPose(best.T, np.asarray(variance * np.linalg.inv(best.information)), rms, inliers)
@@ -112,11 +112,11 @@ def plane_covariance(T_camera_board: Array, covariance: Array) -> Array:
     return np.asarray(J @ covariance @ J.T)
 
 
-def _is_ambiguous(best: _PoseFit, other: _PoseFit, variance: float) -> bool:
-    """Whether ``other`` fits about as well as ``best`` and lies outside its covariance."""
+def _is_ambiguous(best: _PoseFit, other: _PoseFit, limit: float) -> bool:
+    """Whether ``other`` fits as well as ``best`` but for ``limit``, pixels², and lies outside its covariance."""
     difference = se3.difference(other.T, best.T)
-    within_covariance = difference @ best.information @ difference < _AMBIGUOUS * variance
-    return bool(other.cost - best.cost < _AMBIGUOUS * variance and not within_covariance)
+    within_covariance = difference @ best.information @ difference < limit
+    return bool(other.cost - best.cost < limit and not within_covariance)
 
 
 def _select_consistent_marks(
@@ -126,6 +126,7 @@ def _select_consistent_marks(
     in_view: NDArray[np.bool_],
     camera: CameraModel,
     sigma: float,
+    settings: BoardPoseSettings,
 ) -> tuple[NDArray[np.bool_], list[_PoseFit]] | Rejected:
     """The largest set of marks (M,) that lie on one plane as printed, and the minima of its reprojection error."""
     unique = len(np.unique(ids[in_view])) == in_view.sum()
@@ -134,11 +135,12 @@ def _select_consistent_marks(
         return in_view, minima
     if minima:
         distance = _compute_reprojection_errors(minima[0].T, corners[in_view], pixels[in_view], camera)
-        if distance.max() < _OUTLIER * sigma:
+        if distance.max() < settings.outlier_sigmas * sigma:
             return in_view, minima
     # A blurred image has noisier corners than stated; the stated noise is tried first.
-    for scale in (1.0, 3.0):
-        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma)
+    gate = float(chdtri(2 * pixels.shape[1], settings.consensus_significance))
+    for scale in (1.0, settings.blur_noise_ratio):
+        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma, gate)
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
             return consensus, _find_minima(corners[consensus], pixels[consensus], camera)
     names = ", ".join(map(str, np.unique(ids[in_view])))
@@ -152,13 +154,13 @@ def _find_largest_consensus(
     in_view: NDArray[np.bool_],
     camera: CameraModel,
     sigma: float,
+    gate: float,
 ) -> NDArray[np.bool_]:
     """The largest set of marks (M,) that the pose of one mark predicts, within that pose's covariance.
 
     Every mark is tried with both its poses, so no sampling is needed.
     """
     best, best_score = np.zeros(len(ids), dtype=bool), -np.inf
-    gate = float(chdtri(2 * pixels.shape[1], _AGREEMENT))
     for mark in np.flatnonzero(in_view):
         for fit in _find_minima(corners[mark], pixels[mark], camera):
             d2 = np.array(

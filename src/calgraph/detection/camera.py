@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
+from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners
@@ -23,10 +24,8 @@ Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder
 
 _log = logging.getLogger(__name__)
 
-_MOVED = 5.0
-"""A board whose corners lie so many standard deviations (or pixels, if more) from their mean was moved."""
 _DARK, _FLAT = 12.0, 4.0
-"""Brightest and most varied images (99th percentile, standard deviation) that count as dark and as blank."""
+"""Largest 99th percentile of dark images and largest standard deviation of blank ones: only for the message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +47,7 @@ class CameraDetector:
         noise: start value of the corners' noise.
         averaging: ``pnp`` takes the plane from one PnP over all corners; ``mean_plane`` is MSG-Cal's: the mean
             of the normals and of the offsets of one PnP a tag (boards without tags: as ``pnp``).
+        settings: of the detection.
 
     Raises:
         InputError: two boards share a tag id.
@@ -55,10 +55,15 @@ class CameraDetector:
     """
 
     def __init__(
-        self, boards: Sequence[Board], camera: CameraModel, noise: PixelNoise, averaging: Averaging = "pnp"
+        self,
+        boards: Sequence[Board],
+        camera: CameraModel,
+        noise: PixelNoise,
+        averaging: Averaging = "pnp",
+        settings: CameraDetectionSettings = CameraDetectionSettings(),
     ) -> None:
-        self._camera, self._noise, self._averaging = camera, noise, averaging
-        self._printed = _make_finders(boards)
+        self._camera, self._noise, self._averaging, self._settings = camera, noise, averaging, settings
+        self._printed = _make_finders(boards, settings)
 
     def find(self, images: Sequence[Image]) -> tuple[BoardCorners, ...] | Rejected:
         """Every board in the images of one capture, during which the boards rested.
@@ -119,7 +124,8 @@ class CameraDetector:
             return first_rejection or Rejected("no image in this capture")
         if len(detected) == 1:
             return self._make_detection(printed, *detected[0])
-        averaged = _average_marks([marks for marks, _ in detected], _MOVED * max(self._noise.pixel, 0.2))
+        noise = max(self._noise.pixel, self._settings.min_motion_noise)
+        averaged = _average_marks([marks for marks, _ in detected], self._settings.pose.outlier_sigmas * noise)
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)
@@ -163,7 +169,7 @@ class CameraDetector:
         if undistorted:
             found = finder.find_within(gray, expected[wanted])
         else:
-            view = rectify_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted])
+            view = rectify_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted], self._settings.tags)
             if view is None:
                 return marks
             in_view = finder.find(view.image)
@@ -172,15 +178,17 @@ class CameraDetector:
         return marks.select(~np.isin(marks.ids, found.ids)) + found if len(found) else marks
 
     def _fit(self, printed: _PrintedBoard, marks: Marks) -> BoardPose | Rejected:
+        corners = printed.landmarks.corners_of(marks.ids)
         return fit_pose(
-            marks.ids, printed.landmarks.corners_of(marks.ids), marks.pixels, self._camera, self._noise.pixel
+            marks.ids, corners, marks.pixels, self._camera, self._noise.pixel, settings=self._settings.pose
         )
 
     def _make_detection(self, printed: _PrintedBoard, marks: Marks, pose: BoardPose) -> BoardCorners:
         corners = printed.landmarks.corners_of(marks.ids)
         detection = make_board_corners(pose, corners, marks.pixels, printed.number)
         if self._averaging == "mean_plane" and marks.pixels.shape[1] == 4:
-            mean = mean_plane(marks, corners, self._camera, max(self._noise.pixel, pose.rms))
+            sigma = max(self._noise.pixel, pose.rms)
+            mean = mean_plane(marks, corners, self._camera, sigma, self._settings.pose)
             if mean is not None:
                 detection = replace(detection, plane=mean[0], plane_covariance=mean[1])
         return detection
@@ -215,19 +223,22 @@ def find_boards(
     noise: PixelNoise,
     *,
     averaging: Averaging = "pnp",
+    settings: CameraDetectionSettings = CameraDetectionSettings(),
 ) -> tuple[BoardCorners, ...] | Rejected:
     """Every board in the images of one capture; :class:`CameraDetector` for many captures."""
-    return CameraDetector(boards, camera, noise, averaging).find(images)
+    return CameraDetector(boards, camera, noise, averaging, settings).find(images)
 
 
-def mean_plane(marks: Marks, corners: Array, camera: CameraModel, sigma: float) -> tuple[Array, Array] | None:
+def mean_plane(
+    marks: Marks, corners: Array, camera: CameraModel, sigma: float, settings: BoardPoseSettings
+) -> tuple[Array, Array] | None:
     """The mean of the planes of single tags (MSG-Cal, section III-C): plane (4,) and covariance (3, 3).
 
     None if no tag by itself determines its plane.
     """
     planes, covariances = [], []
     for i in range(len(marks)):
-        pose = fit_pose(marks.ids[i : i + 1], corners[i : i + 1], marks.pixels[i : i + 1], camera, sigma)
+        pose = fit_pose(marks.ids[i : i + 1], corners[i : i + 1], marks.pixels[i : i + 1], camera, sigma, settings)
         if isinstance(pose, Rejected):
             continue
         one = plane.from_pose(pose.T_camera_board)
@@ -267,7 +278,7 @@ def _average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks |
     return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
 
 
-def _make_finders(boards: Sequence[Board]) -> tuple[_PrintedBoard, ...]:
+def _make_finders(boards: Sequence[Board], settings: CameraDetectionSettings) -> tuple[_PrintedBoard, ...]:
     """The boards with a print, and their finders; boards with tags of one family share a finder."""
     shared: dict[tuple[type, str], TagFinder | GridFinder] = {}
     board_of_tag: dict[tuple[type, str, int], int] = {}
@@ -279,12 +290,17 @@ def _make_finders(boards: Sequence[Board]) -> tuple[_PrintedBoard, ...]:
         finder: Finder
         match board.pattern:
             case Checkerboard() as pattern:
-                finder = CheckerboardFinder(pattern)
+                finder = CheckerboardFinder(pattern, settings)
             case Charuco() as pattern:
                 finder = CharucoFinder(pattern)
             case None | AprilGrid():
                 kind = TagFinder if board.pattern is None else GridFinder
-                finder = shared.setdefault((kind, board.family), kind(board.family))
+                if (kind, board.family) not in shared:
+                    made = (
+                        TagFinder(board.family, settings.tags) if kind is TagFinder else GridFinder(board.family)
+                    )
+                    shared[kind, board.family] = made
+                finder = shared[kind, board.family]
                 for mark in marks.ids.tolist():
                     other = board_of_tag.setdefault((kind, board.family, mark), number)
                     if other != number:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from calgraph.config import Charuco, Checkerboard, dictionary
+from calgraph.config.settings import CameraDetectionSettings
 from calgraph.detection.tags import Gray, Marks, empty_marks
 from calgraph.geometry import Array
 
@@ -23,8 +24,10 @@ class CheckerboardFinder:
     plane is the same either way.
     """
 
-    def __init__(self, pattern: Checkerboard) -> None:
-        self.pattern = pattern
+    def __init__(
+        self, pattern: Checkerboard, settings: CameraDetectionSettings = CameraDetectionSettings()
+    ) -> None:
+        self.pattern, self._window = pattern, settings.checkerboard_window
 
     def find(self, gray: Gray) -> Marks:
         """All inner corners of the board in an image (height, width), or none."""
@@ -46,7 +49,7 @@ class CheckerboardFinder:
             if found:
                 lattice = np.reshape(corners, (rows, columns, 2)).astype(np.float64)
                 ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
-                return _refine_corners(gray, (lattice + 0.5) * ratio - 0.5)
+                return _refine_corners(gray, (lattice + 0.5) * ratio - 0.5, self._window)
         return None
 
 
@@ -71,10 +74,11 @@ class CharucoFinder:
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), np.reshape(corners, (-1, 1, 2)).astype(np.float64))
 
 
-def _refine_corners(gray: Gray, lattice: Array) -> Array:
+def _refine_corners(gray: Gray, lattice: Array, window: float) -> Array:
     """Corners (rows, columns, 2) refined to sub-pixel accuracy in the full image."""
     gaps = [np.linalg.norm(np.diff(lattice, axis=axis), axis=-1).min() for axis in (0, 1)]
-    reach = int(np.clip(0.35 * min(gaps), 2, 12))
+    # Smaller windows hold no edge, larger ones are slow and bend with the lens, pixels.
+    reach = int(np.clip(window * min(gaps), 2, 12))
     start = lattice.reshape(-1, 1, 2).astype(np.float32)
     return np.reshape(cv2.cornerSubPix(gray, start, (reach, reach), (-1, -1), _CRITERIA), lattice.shape).astype(
         np.float64

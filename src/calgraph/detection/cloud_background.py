@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import DetectionSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors import PointCloud
@@ -19,11 +20,6 @@ Mask = NDArray[np.bool_]
 # Voxel indices are packed into one 64-bit key, 21 bits an axis: ±100 km at 10 cm.
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
-
-# Width of the direction cells that remember how far the background reaches, rad.
-_DIRECTION = np.radians(1.0)
-# How much farther than anything seen before a point must be to count as "behind the background", m.
-_BEHIND = 0.10
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +31,13 @@ class CloudBackground:
     keys: NDArray[np.int64]
     """(M,) sorted keys of all voxels within half a voxel of a background point."""
     max_range: Array
-    """(elevations, azimuths) farthest background range in and around each direction cell, m; inf where unknown."""
+    """(elevations, azimuths) range, m, beyond which points are behind the background, by direction cell; inf where
+    the background has no point in or around it."""
 
     @staticmethod
-    def build(clouds: Iterable[PointCloud], voxel: float = 0.10) -> "CloudBackground":
+    def learn(
+        clouds: Iterable[PointCloud], settings: DetectionSettings = DetectionSettings()
+    ) -> "CloudBackground":
         """Accumulates the sweeps measured while neither target nor operator were in view.
 
         Every point occupies all voxels within half a voxel of it, in each axis, so that noise at the border of a
@@ -46,7 +45,7 @@ class CloudBackground:
 
         Args:
             clouds: sweeps of one sensor; memory grows with the space they cover, not with their number.
-            voxel: edge of a voxel, m; noise up to half of it is absorbed.
+            settings: of the background, and the least depth jump of the scanners.
 
         Raises:
             InputError: the clouds hold no points.
@@ -54,8 +53,9 @@ class CloudBackground:
         """
         from scipy.ndimage import maximum_filter  # takes as long to import as all of NumPy
 
+        voxel, cell = settings.background.voxel, settings.background.direction_cell
         keys = np.empty(0, dtype=np.int64)
-        max_range = np.zeros((round(np.pi / _DIRECTION), round(2 * np.pi / _DIRECTION)))
+        max_range = np.zeros((round(np.pi / cell), round(2 * np.pi / cell)))
         # Just less than half a voxel: a cube as wide as a voxel could straddle three of them by rounding.
         corners = (
             0.499 * voxel * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
@@ -63,22 +63,20 @@ class CloudBackground:
         for cloud in clouds:
             occupied = np.unique(_pack_voxel_keys((cloud.points + corners).reshape(-1, 3), voxel))
             keys = np.union1d(keys, occupied)
-            np.maximum.at(
-                max_range,
-                _find_direction_cells(cloud.points, max_range.shape),
-                np.linalg.norm(cloud.points, axis=1),
-            )
+            cells = _find_direction_cells(cloud.points, max_range.shape)
+            np.maximum.at(max_range, cells, np.linalg.norm(cloud.points, axis=1))
         if not len(keys):
             raise InputError("capture.background: no points in this window; choose one with measurements")
         max_range = maximum_filter(max_range, size=3, mode=["nearest", "wrap"])
-        return CloudBackground(voxel, keys, np.where(max_range > 0, max_range, np.inf))
+        max_range = np.where(max_range > 0, max_range + settings.scanner.min_depth_jump, np.inf)
+        return CloudBackground(voxel, keys, max_range)
 
     def foreground(self, points: Array) -> Mask:
         """Which of the points (N, 3), m, are neither at nor behind the background: (N,)."""
         keys = _pack_voxel_keys(points, self.voxel)
         in_background = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
-        farthest = self.max_range[_find_direction_cells(points, self.max_range.shape)] + _BEHIND
-        return np.asarray(~in_background & (np.linalg.norm(points, axis=1) < farthest))
+        max_range = self.max_range[_find_direction_cells(points, self.max_range.shape)]
+        return np.asarray(~in_background & (np.linalg.norm(points, axis=1) < max_range))
 
 
 def _pack_voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calgraph.errors import Rejected
 from calgraph.geometry import Array
 
 
@@ -74,6 +75,9 @@ class BoardCorners:
 
 
 Detection = PlanePatch | Segment | BoardCorners
+
+DetectionResult = tuple[Detection, ...] | Rejected
+"""Candidates for the board in one capture, the best first, or why there is none."""
 
 
 def plane_of(detection: PlanePatch | BoardCorners) -> tuple[Array, Array]:

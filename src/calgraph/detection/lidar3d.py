@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from calgraph.config import Board, RangeNoise
+from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import PlanePatch
@@ -23,27 +24,15 @@ from calgraph.geometry import Array, plane
 from calgraph.ransac import find_consensus
 from calgraph.sensors import PointCloud
 
-_MAX_CANDIDATES = 8
-_MIN_MATCH = 0.1
-_MIN_POINTS = 20
-_MIN_RINGS = 3
-_MIN_RANGE = 0.1
-# Scanners bias and scatter their rings against each other by this much, whatever their noise is said to be, m.
-_MIN_THICKNESS = 0.03
+# Samples of RANSAC, and most points that it samples from: a plane with a third of the points is drawn with 99.9 %.
+_MAX_SAMPLES = 200
 _SAMPLE_POINTS = 400
+# Least cosine of incidence in the footprint of a cell (73°): flatter, cells overlap several of their neighbours.
+_MIN_FOOTPRINT_COSINE = 0.3
+# Least share of points inside the margin: a patch of few rings is nearly all outline.
+_MIN_INTERIOR = 0.6
+# Most points of the scene, evenly chosen, that show whether a candidate stands free.
 _SCENE_POINTS = 30_000
-# From this match on the board's rectangle says which points are the board's.
-_TRUSTED = 0.5
-# Of worse matches than this share of the best one the board is none.
-_WORTH = 0.25
-# Within this of the outline a beam may have hit the edge and averaged board and background, m.
-_EDGE = 0.02
-# Around the board, so much is looked at for where it ends, m.
-_BESIDE = 0.15
-# Beams of spinning 2-D scanners start beside the origin: what is behind the board seems so far aside, rad.
-_PARALLAX = 0.03
-# Flatter than this a beam grazes the board.
-_MIN_COSINE = 0.05
 
 
 def find_patches(
@@ -52,6 +41,7 @@ def find_patches(
     noise: RangeNoise,
     background: CloudBackground | None,
     rng: np.random.Generator,
+    settings: DetectionSettings = DetectionSettings(),
 ) -> tuple[PlanePatch, ...] | Rejected:
     """Finds the board in the clouds of one capture.
 
@@ -61,19 +51,21 @@ def find_patches(
         noise: of a single beam.
         background: model of the scene without the board; without it all flat patches of the scene are candidates.
         rng: for the random sampling.
+        settings: of the detection.
 
     Returns:
-        Up to eight candidates, the best match first, or why there is none.
+        Candidates for the board, the best score first, or why there is none.
 
     """
     if not clouds:
         return Rejected("no cloud was measured while the board rested")
+    limits = settings.lidar3d
     scene = np.concatenate([cloud.points for cloud in clouds])
     rings = _join_rings(clouds)
-    foreground = np.linalg.norm(scene, axis=1) > _MIN_RANGE
+    foreground = np.linalg.norm(scene, axis=1) > limits.min_range
     if background is not None:
         foreground &= background.foreground(scene)
-    if foreground.sum() < _MIN_POINTS:
+    if foreground.sum() < limits.min_points:
         return Rejected(
             f"{foreground.sum()} foreground points: the board is not in view, or the background window contains it"
             if background is not None
@@ -81,38 +73,43 @@ def find_patches(
         )
     points = scene[foreground]
     count_text = f"{len(points)} {'points' if background is None else 'foreground points'}"
-    ring_count = _MIN_RINGS if rings is None else len(np.unique(rings[foreground]))
-    if ring_count < _MIN_RINGS:
+    ring_count = limits.min_rings if rings is None else len(np.unique(rings[foreground]))
+    if ring_count < limits.min_rings:
         return Rejected(
-            f"only {ring_count} of the rings hit the board ({count_text}), a plane needs {_MIN_RINGS}: "
+            f"only {ring_count} of the rings hit the board ({count_text}), a plane needs {limits.min_rings}: "
             "bring the board nearer or turn its longer side across the rings"
         )
-    cells = make_cells(points, None if rings is None else rings[foreground])
-    thickness = max(3 * noise.range, _MIN_THICKNESS)
-    regions = [] if cells is None else grow_flat_regions(cells, thickness)
+    cells = make_cells(points, None if rings is None else rings[foreground], settings)
+    thickness = max(settings.scanner.fit.outlier_sigmas * noise.range, settings.scanner.min_thickness)
+    regions = [] if cells is None else grow_flat_regions(cells, thickness, settings.lidar3d.regions)
     if cells is None or not regions:
         return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or seen edge-on")
     subsampled = scene[:: max(1, len(scene) // _SCENE_POINTS)]
-    candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness)
+    candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     patches = [
-        _fit_patch(points, cells, region, boards, noise, thickness, subsampled, rng) for region in candidates
+        _fit_patch(points, cells, region, boards, noise, thickness, subsampled, rng, settings)
+        for region in candidates
     ]
-    found = sorted((p for p in patches if p is not None and p.match >= _MIN_MATCH), key=lambda p: -p.match)
+    found = sorted((p for p in patches if p is not None and p.match >= limits.min_score), key=lambda p: -p.match)
     if not found:
         return _explain_no_match(cells, regions, boards)
-    lines, radius = (
-        _order_by_scan_line(clouds[0]),
-        max(0.5 * float(np.hypot(*board.size)) for board in boards) + _BESIDE,
-    )
+    lines = _order_by_scan_line(clouds[0], settings)
+    radius = max(0.5 * float(np.hypot(*board.size)) for board in boards) + settings.scanner.surroundings
+    thickness = max(settings.scanner.same_surface_sigmas * noise.range, settings.scanner.min_thickness)
     return tuple(
-        replace(p, edges=_find_edges(lines, p, max(4 * noise.range, _MIN_THICKNESS), radius))
+        replace(p, edges=_find_edges(lines, p, thickness, radius, settings))
         for p in found
-        if p.match >= _WORTH * found[0].match
+        if p.match >= limits.min_score_ratio * found[0].match
     )
 
 
 def _select_candidate_regions(
-    cells: Cells, regions: Sequence[Indices], boards: Sequence[Board], scene: Array, thickness: float
+    cells: Cells,
+    regions: Sequence[Indices],
+    boards: Sequence[Board],
+    scene: Array,
+    thickness: float,
+    settings: DetectionSettings,
 ) -> list[Indices]:
     """The regions with the best scores, from their cells alone."""
     scored = []
@@ -121,12 +118,14 @@ def _select_candidate_regions(
         surface = plane.fit(points)
         possible = [board for board in boards if _has_plausible_size(points, board, cells.spacing)]
         if possible:
-            match = max(
-                _score_patch(surface, points, board, cells.spacing, scene, thickness)[0] for board in possible
-            )
-            scored.append((match, region))
+            scores = [
+                _score_patch(surface, points, board, cells.spacing, scene, thickness, settings)[0]
+                for board in possible
+            ]
+            scored.append((max(scores), region))
     scored.sort(key=lambda s: -s[0])
-    return [region for match, region in scored[:_MAX_CANDIDATES] if match >= _MIN_MATCH]
+    best = scored[: settings.scanner.max_candidates]
+    return [region for score, region in best if score >= settings.lidar3d.min_score]
 
 
 def _fit_patch(
@@ -138,6 +137,7 @@ def _fit_patch(
     thickness: float,
     scene: Array,
     rng: np.random.Generator,
+    settings: DetectionSettings,
 ) -> PlanePatch | None:
     """The plane, points and score of one flat region."""
     surface = _find_consensus_plane(points[np.isin(cells.cell_of_point, region)], thickness, rng)
@@ -146,12 +146,12 @@ def _fit_patch(
     members = _collect_plane_points(points, cells, region, surface, thickness)
     flat = cells.points[np.unique(cells.cell_of_point[members])]
     match, rectangle = max(
-        (_score_patch(surface, flat, board, cells.spacing, scene, thickness) for board in boards),
+        (_score_patch(surface, flat, board, cells.spacing, scene, thickness, settings) for board in boards),
         key=lambda matched: matched[0],
     )
-    interior = members[_select_interior(points[members], rectangle, match)]
-    fit = fit_plane(points[interior], noise.range, noise.angle, surface)
-    if fit is None or fit.inliers.sum() < _MIN_POINTS:
+    interior = members[_select_interior(points[members], rectangle, match, settings.lidar3d)]
+    fit = fit_plane(points[interior], noise.range, noise.angle, surface, settings.scanner.fit)
+    if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
     center = rectangle.center - (n @ rectangle.center + d) * n
@@ -175,7 +175,9 @@ def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Genera
         return plane.distance(planes, points[None]) ** 2
 
     groups = np.arange(len(points))
-    consensus = find_consensus(groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=200)
+    consensus = find_consensus(
+        groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=_MAX_SAMPLES
+    )
     return None if consensus is None else consensus.model
 
 
@@ -188,14 +190,16 @@ def _collect_plane_points(
     return np.asarray(near[distance < cells.spacing * np.linalg.norm(points[near], axis=1)])
 
 
-def _select_interior(points: Array, rectangle: BoardRectangle, match: float) -> NDArray[np.bool_]:
+def _select_interior(
+    points: Array, rectangle: BoardRectangle, match: float, settings: Lidar3dDetectionSettings
+) -> NDArray[np.bool_]:
     """Selects the points (N, 3) inside the patch's outline, with a margin; all if too few would be left."""
     surface = rectangle.surface
     # The intersection of the beam with the plane, not the noisy point: on an inclined board a cut by points would
     # keep the far ones at one edge and the near ones at the other, which rotates the plane.
     flat = rectangle.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
     kept: NDArray[np.bool_] = np.ones(len(flat), dtype=np.bool_)
-    if match > _TRUSTED:
+    if match > settings.rectangle_score:
         # The rectangle excludes stand and arms.
         kept = np.asarray(np.all(np.abs(flat) < 0.5 * np.array(rectangle.size), axis=1), dtype=np.bool_)
     try:
@@ -203,21 +207,32 @@ def _select_interior(points: Array, rectangle: BoardRectangle, match: float) -> 
     except (QhullError, ValueError):
         return kept
     depth = np.max(hull.equations[:, :2] @ flat.T + hull.equations[:, 2:], axis=0)
-    clear: NDArray[np.bool_] = np.asarray(kept & (depth < -_EDGE), dtype=np.bool_)
-    return clear if clear.sum() > max(_MIN_POINTS, 0.6 * kept.sum()) else kept
+    clear: NDArray[np.bool_] = np.asarray(kept & (depth < -settings.edge_margin), dtype=np.bool_)
+    return clear if clear.sum() > max(settings.min_points, _MIN_INTERIOR * kept.sum()) else kept
 
 
 def _score_patch(
-    surface: Array, cells: Array, board: Board, spacing: float, scene: Array, thickness: float
+    surface: Array,
+    cells: Array,
+    board: Board,
+    spacing: float,
+    scene: Array,
+    thickness: float,
+    settings: DetectionSettings,
 ) -> tuple[float, BoardRectangle]:
     """Score, 0 to 1, of a patch as the board, and the rectangle of the board in it."""
     centre = cells.mean(axis=0)
     step = spacing * float(np.linalg.norm(centre))
-    cosine = max(abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre)), 0.3)
-    rectangle = fit_rectangle(surface, cells, board.size, min(0.6 * step / cosine, min(board.size) / 4))
-    if rectangle.covered * rectangle.contained < _MIN_MATCH:
+    cosine = max(abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre)), _MIN_FOOTPRINT_COSINE)
+    # Half a cell's footprint on the plane, and a tenth; at most a quarter of the board's shorter side.
+    reach = min(0.6 * step / cosine, min(board.size) / 4)
+    limits = settings.lidar3d
+    rectangle = fit_rectangle(surface, cells, board.size, reach, limits.outline_blur)
+    if rectangle.covered * rectangle.contained < limits.min_score:
         return 0.0, rectangle
-    solidity, isolation = measure_solidity_and_isolation(rectangle, scene, thickness, max(0.15, 1.5 * step))
+    # At least one cell and a half wide.
+    frame = max(settings.scanner.surroundings, 1.5 * step)
+    solidity, isolation = measure_solidity_and_isolation(rectangle, scene, thickness, frame, settings)
     # A few cells fit any outline: far walls hit by few rings are no boards.
     resolution = min(1.0, min(board.size) / (4 * step))
     return rectangle.covered * rectangle.contained * solidity * isolation * resolution, rectangle
@@ -264,32 +279,35 @@ class _ScanLines:
     """Error of directions, as beams do not start in the sensor's origin, rad."""
 
 
-def _order_by_scan_line(cloud: PointCloud) -> _ScanLines:
+def _order_by_scan_line(cloud: PointCloud, settings: DetectionSettings) -> _ScanLines:
     """Rings, each by azimuth; without rings, points as they were sent, which is as they were measured."""
-    valid = np.linalg.norm(cloud.points, axis=1) > _MIN_RANGE
+    valid = np.linalg.norm(cloud.points, axis=1) > settings.lidar3d.min_range
     points = cloud.points[valid]
     if cloud.rings is None:
-        return _ScanLines(points, np.zeros(len(points), dtype=np.intp), _PARALLAX)
+        return _ScanLines(points, np.zeros(len(points), dtype=np.intp), settings.scanner.edges.parallax)
     rings = cloud.rings[valid]
     order = np.lexsort([np.arctan2(points[:, 1], points[:, 0]), rings])
     return _ScanLines(points[order], rings[order].astype(np.intp), 0.0)
 
 
-def _find_edges(lines: _ScanLines, patch: PlanePatch, thickness: float, radius: float) -> Array:
+def _find_edges(
+    lines: _ScanLines, patch: PlanePatch, thickness: float, radius: float, settings: DetectionSettings
+) -> Array:
     """(M, 2, 3) edges of the patch within ``radius`` of its centre."""
-    n, d = patch.plane[:3], patch.plane[3]
+    n, d, min_cosine = patch.plane[:3], patch.plane[3], settings.scanner.fit.min_cosine
     ranges = np.linalg.norm(lines.points, axis=1)
     directions = lines.points / ranges[:, None]
     cosine = -(directions @ n)
-    predicted = np.where(cosine > _MIN_COSINE, d / np.maximum(cosine, _MIN_COSINE), np.inf)
+    predicted = np.where(cosine > min_cosine, d / np.maximum(cosine, min_cosine), np.inf)
     intersections = np.minimum(predicted, np.linalg.norm(patch.center) + 2 * radius)[:, None] * directions
     near = select_beams_with_margin(np.linalg.norm(intersections - patch.center, axis=1) < radius)
     # Beams of a scan line that are not consecutive are different scan lines.
     _, scan_line = np.unique(
         np.stack([lines.scan_line[near], near - np.arange(len(near))]), axis=1, return_inverse=True
     )
+    excess = (ranges - predicted)[near]
     return find_board_edges(
-        directions[near], (ranges - predicted)[near], np.ravel(scan_line), thickness, lines.parallax
+        directions[near], excess, np.ravel(scan_line), thickness, settings.scanner, lines.parallax
     )
 
 

@@ -12,16 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from calgraph.config.settings import SurfaceFitSettings
 from calgraph.geometry import Array, plane
 
 WhitenedResiduals = Callable[[Array], tuple[Array, Array]]
 """Parameters to whitened residuals (N,) and the Jacobian (N, P) of the whitened predictions."""
 
+# Rounds of rejection, and most Gauss-Newton iterations of a round: two suffice from the start values of RANSAC.
 _ROUNDS = 2
-_REJECT = 3.0
 _ITERATIONS = 6
-# Flatter than this a beam grazes the surface and its range says nothing about it.
-_MIN_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,12 @@ class SurfaceFit:
 
 
 def fit_line(
-    angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array, start: Array
+    angles: Array,
+    ranges: Array,
+    sigma_range: Array,
+    sigma_angle: Array,
+    start: Array,
+    settings: SurfaceFitSettings = SurfaceFitSettings(),
 ) -> SurfaceFit | None:
     """The line ``x cos(a) + y sin(a) = p`` through the ends of beams, in two rounds of rejection.
 
@@ -49,6 +53,7 @@ def fit_line(
         sigma_range: (N,) m.
         sigma_angle: (N,) rad.
         start: (2,) a near the solution, p > 0.
+        settings: of the robust fit.
 
     Returns:
         The fit, or None if fewer than three beams agree or the beams graze the line.
@@ -56,16 +61,30 @@ def fit_line(
     """
 
     def whitened(line: Array) -> tuple[Array, Array]:
-        cosine = np.maximum(np.cos(angles - line[0]), _MIN_COSINE)
-        tangent = np.sin(angles - line[0]) / cosine
-        sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
-        J = np.stack([-line[1] * tangent / cosine, 1 / cosine], axis=-1)  # of the predicted range
-        return (ranges - line[1] / cosine) / sigma, J / sigma[:, None]
+        return whiten_line(line, angles, ranges, sigma_range, sigma_angle, settings.min_cosine)
 
-    return _fit_robustly(whitened, lambda line, step: line + step, np.asarray(start, dtype=np.float64))
+    start = np.asarray(start, dtype=np.float64)
+    return _fit_robustly(whitened, lambda line, step: line + step, start, settings)
 
 
-def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Array) -> SurfaceFit | None:
+def whiten_line(
+    line: Array, angles: Array, ranges: Array, sigma_range: Array, sigma_angle: Array, min_cosine: float
+) -> tuple[Array, Array]:
+    """Residuals (N,) of ranges to a line, and the Jacobian (N, 2) of the prediction, both over their noise."""
+    cosine = np.maximum(np.cos(angles - line[0]), min_cosine)
+    tangent = np.sin(angles - line[0]) / cosine
+    sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
+    J = np.stack([-line[1] * tangent / cosine, 1 / cosine], axis=-1)
+    return (ranges - line[1] / cosine) / sigma, J / sigma[:, None]
+
+
+def fit_plane(
+    points: Array,
+    sigma_range: float,
+    sigma_angle: float,
+    start: Array,
+    settings: SurfaceFitSettings = SurfaceFitSettings(),
+) -> SurfaceFit | None:
     """The plane through the ends of beams from the origin, in two rounds of rejection.
 
     Args:
@@ -73,6 +92,7 @@ def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Arra
         sigma_range: of each beam, m.
         sigma_angle: of each beam's direction, about each axis, rad.
         start: (4,) near the solution, oriented towards the origin.
+        settings: of the robust fit.
 
     Returns:
         The fit, or None if fewer than four beams agree or the beams graze the plane.
@@ -83,17 +103,20 @@ def fit_plane(points: Array, sigma_range: float, sigma_angle: float, start: Arra
 
     def whitened(planes: Array) -> tuple[Array, Array]:
         n, d = planes[:3], planes[3]
-        cosine = np.minimum(directions @ n, -_MIN_COSINE)
+        cosine = np.minimum(directions @ n, -settings.min_cosine)
         tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
         sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
         J = np.column_stack([d / cosine[:, None] ** 2 * (directions @ plane.tangent_basis(n)), -1 / cosine])
         return (ranges + d / cosine) / sigma, J / sigma[:, None]
 
-    return _fit_robustly(whitened, plane.retract, start)
+    return _fit_robustly(whitened, plane.retract, start, settings)
 
 
 def _fit_robustly(
-    whitened: WhitenedResiduals, retract: Callable[[Array, Array], Array], parameters: Array
+    whitened: WhitenedResiduals,
+    retract: Callable[[Array, Array], Array],
+    parameters: Array,
+    settings: SurfaceFitSettings,
 ) -> SurfaceFit | None:
     """Gauss–Newton in rounds, each on the inliers of the round before."""
     inliers = np.ones(len(whitened(parameters)[0]), dtype=bool)
@@ -102,7 +125,7 @@ def _fit_robustly(
         for _ in range(_ITERATIONS):
             residuals, J = whitened(parameters)
             # Before the first rejection Huber weights limit the influence of outliers.
-            weights = 1.0 * inliers if round_ else _compute_huber_weights(residuals)
+            weights = 1.0 * inliers if round_ else _compute_huber_weights(residuals, settings.huber_sigmas)
             H = (J * weights[:, None]).T @ J
             if inliers.sum() <= J.shape[1] or np.linalg.cond(H) > 1e14:
                 return None
@@ -112,19 +135,20 @@ def _fit_robustly(
                 break
         residuals, J = whitened(parameters)
         scale = max(1.0, 1.4826 * float(np.median(np.abs(residuals[inliers]))))
-        inliers = np.abs(residuals) < _REJECT * scale
+        inliers = np.abs(residuals) < settings.outlier_sigmas * scale
     if inliers.sum() <= J.shape[1]:
         return None
-    covariance = np.linalg.inv(J[inliers].T @ J[inliers]) * _compute_inflation(residuals[inliers], J.shape[1])
+    inflation = _compute_inflation(residuals[inliers], J.shape[1], settings.inflation_significance)
+    covariance = np.linalg.inv(J[inliers].T @ J[inliers]) * inflation
     return SurfaceFit(parameters, np.asarray(covariance, dtype=np.float64), inliers, scale)
 
 
-def _compute_huber_weights(residuals: Array) -> Array:
-    return np.minimum(1.0, 1.5 / np.maximum(np.abs(residuals), 1e-12))
+def _compute_huber_weights(residuals: Array, threshold: float) -> Array:
+    return np.minimum(1.0, threshold / np.maximum(np.abs(residuals), 1e-12))
 
 
-def _compute_inflation(residuals: Array, parameters: int) -> float:
+def _compute_inflation(residuals: Array, parameters: int, significance: float) -> float:
     """The reduced chi-square where it is significantly above one, as the stated noise is then too small."""
     freedom = len(residuals) - parameters
     total = float(residuals @ residuals)
-    return total / freedom if total > chdtri(freedom, 0.001) else 1.0
+    return total / freedom if total > chdtri(freedom, significance) else 1.0

@@ -6,19 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from calgraph.config.settings import DetectionSettings
 from calgraph.geometry import Array, plane
 
 Mask = NDArray[np.bool_]
 
 _COARSE = np.radians(np.arange(0.0, 180.0, 15.0))
 _FINE = np.radians(np.arange(-10.0, 11.0, 5.0))
-# The outline of a sheet is blurred by noise, mixed pixels and the steps of the turn, m.
-_SLACK = 0.03
 _RASTER = 12
 # Of sums of coordinates, m.
 _ROUNDING = 1e-9
-# What lies this far behind the sheet is seen past its edge, m.
-_BEHIND = 0.10
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,9 @@ class BoardRectangle:
         return np.asarray((points - self.center) @ self.axes)
 
 
-def fit_rectangle(surface: Array, cells: Array, size: tuple[float, float], reach: float) -> BoardRectangle:
+def fit_rectangle(
+    surface: Array, cells: Array, size: tuple[float, float], reach: float, blur: float
+) -> BoardRectangle:
     """Fits the rotation and position of the rectangle that contains most cells.
 
     Args:
@@ -53,13 +52,14 @@ def fit_rectangle(surface: Array, cells: Array, size: tuple[float, float], reach
         cells: (M, 3) points of the patch, evenly spaced, m.
         size: width and height of the rectangle, m.
         reach: distance from a cell up to which the patch continues, m: half the spacing of cells.
+        blur: uncertainty of the outline, m.
 
     """
     basis = plane.tangent_basis(surface[:3])
     origin = cells.mean(axis=0)
     flat = (cells - origin) @ basis
-    angle, _, _ = _find_best_placement(flat, _COARSE, size)
-    angle, center, share = _find_best_placement(flat, angle + _FINE, size)
+    angle, _, _ = _find_best_placement(flat, _COARSE, size, blur)
+    angle, center, share = _find_best_placement(flat, angle + _FINE, size, blur)
     cosine, sine = np.cos(angle), np.sin(angle)
     rotation = np.array([[cosine, -sine], [sine, cosine]])
     axes = basis @ rotation
@@ -67,14 +67,16 @@ def fit_rectangle(surface: Array, cells: Array, size: tuple[float, float], reach
     width, height = np.ptp(np.quantile(rotated, [0.01, 0.99], axis=0), axis=0) + 2 * reach
     ticks = (np.arange(_RASTER) + 0.5) / _RASTER - 0.5
     raster = np.stack(np.meshgrid(ticks * size[0], ticks * size[1]), axis=-1).reshape(-1, 2) + center
-    distance, _ = cKDTree(rotated).query(raster, distance_upper_bound=max(reach, 0.03))
+    distance, _ = cKDTree(rotated).query(raster, distance_upper_bound=max(reach, blur))
     middle = origin + axes @ center
     middle = middle - (surface[:3] @ middle + surface[3]) * surface[:3]
     covered = float(np.isfinite(distance).mean())
     return BoardRectangle(surface, axes, middle, size, (float(width), float(height)), covered, share)
 
 
-def _find_best_placement(flat: Array, angles: Array, size: tuple[float, float]) -> tuple[float, Array, float]:
+def _find_best_placement(
+    flat: Array, angles: Array, size: tuple[float, float], blur: float
+) -> tuple[float, Array, float]:
     """The rotation, of candidates (T,), and position that contain most of the points (M, 2), in the least area.
 
     Returns:
@@ -89,7 +91,7 @@ def _find_best_placement(flat: Array, angles: Array, size: tuple[float, float]) 
         other = rotated[1 - axis]
         low, high = _compute_bounds(other, keep)
         within = (other >= low[:, None]) & (other <= high[:, None])
-        keep = within & _find_fullest_window(rotated[axis], within, size[axis] + 2 * _SLACK)
+        keep = within & _find_fullest_window(rotated[axis], within, size[axis] + 2 * blur)
     bounds = np.array([_compute_bounds(along, keep) for along in rotated])
     area = np.prod(bounds[:, 1] - bounds[:, 0], axis=0)
     share = keep.mean(axis=1)
@@ -118,7 +120,7 @@ def _find_fullest_window(values: Array, counted: Mask, width: float) -> Mask:
 
 
 def measure_solidity_and_isolation(
-    rectangle: BoardRectangle, scene: Array, thickness: float, frame: float
+    rectangle: BoardRectangle, scene: Array, thickness: float, frame: float, settings: DetectionSettings
 ) -> tuple[float, float]:
     """Shares of the beams through a rectangle that end on it, and of those around it that do not.
 
@@ -127,6 +129,7 @@ def measure_solidity_and_isolation(
         scene: (N, 3) all points of the cloud, background included, m.
         thickness: a point lies on the plane up to this distance from it, m.
         frame: width of the frame around the rectangle to evaluate, m.
+        settings: of the detection.
 
     Returns:
         Solidity: of the beams through the rectangle that do not end before it, the share that ends on it.
@@ -134,7 +137,8 @@ def measure_solidity_and_isolation(
         0 to 1, and 1 where there are no beams.
 
     """
-    scene = _crop_to_cone(rectangle, scene, frame)
+    blur = settings.lidar3d.outline_blur
+    scene = _crop_to_cone(rectangle, scene, 2 * blur + frame)
     facing = scene @ rectangle.surface[:3]
     # Ranges relative to the intersection with the plane; beams that do not intersect it are left out.
     ratio = np.where(facing < 0, -facing / max(rectangle.surface[3], 1e-9), np.inf)
@@ -144,8 +148,8 @@ def measure_solidity_and_isolation(
     distance_outside = np.abs(rectangle.coordinates(intersections)) - 0.5 * np.array(rectangle.size)
     margin = distance_outside.max(axis=1)
     on_plane = np.abs(excess) * rectangle.surface[3] / np.linalg.norm(intersections, axis=1) < thickness
-    through = (margin < -_SLACK) & (on_plane | (excess > _BEHIND))
-    around = (margin > 2 * _SLACK) & (margin < 2 * _SLACK + frame)
+    through = (margin < -blur) & (on_plane | (excess > settings.scanner.min_depth_jump))
+    around = (margin > 2 * blur) & (margin < 2 * blur + frame)
     solidity = float(on_plane[through].mean()) if through.any() else 1.0
     isolation = 1.0 - float(on_plane[around].mean()) if around.any() else 1.0
     return solidity, isolation
@@ -154,7 +158,7 @@ def measure_solidity_and_isolation(
 def _crop_to_cone(rectangle: BoardRectangle, scene: Array, frame: float) -> Array:
     """The points (N, 3) of the scene in the cone around the rectangle and its frame."""
     distance = float(np.linalg.norm(rectangle.center))
-    radius = 0.5 * float(np.hypot(*rectangle.size)) + np.sqrt(2) * (2 * _SLACK + frame)
+    radius = 0.5 * float(np.hypot(*rectangle.size)) + np.sqrt(2) * frame
     if radius >= distance:
         return scene
     squared_cosine = 1 - (radius / distance) ** 2

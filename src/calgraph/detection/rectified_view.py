@@ -9,20 +9,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from calgraph.config.settings import TagSettings
 from calgraph.detection.tags import Gray
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 
-_FINER = 1.5
-"""Resolution compared with the image's, so that resampling loses nothing."""
-_MARGIN = 0.4
-"""Around the tags, in edges of a tag."""
-_WIDEST = 4.0
-"""Tangent of the widest angle between a corner and the direction of the view."""
 _LONGEST = 2000
-"""Pixels along an edge of the view."""
+"""Most pixels along an edge of the view: bounds memory and time."""
 _STEP = 8
-"""The map from view to image is computed for so few pixels, and interpolated: it is smooth."""
+"""The map from view to image is computed every 8 pixels, and interpolated: it is smooth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,24 +45,25 @@ def is_undistorted(camera: CameraModel) -> bool:
     return camera.model == "pinhole" and not camera.distortion.any()
 
 
-def rectify_view(gray: Gray, camera: CameraModel, corners: Array) -> RectifiedView | None:
+def rectify_view(gray: Gray, camera: CameraModel, corners: Array, settings: TagSettings) -> RectifiedView | None:
     """Resamples the image of tags; None if they span too wide an angle for one view.
 
     Args:
         gray: image (height, width).
         camera: its intrinsics.
         corners: (M, 4, 3) approximate corners of the tags, camera frame, m.
+        settings: scale, margin and width of the view.
 
     """
     points = corners.reshape(-1, 3)
     R_camera_view = _compute_look_at(points.mean(axis=0))
     local = points @ R_camera_view
     flat = local[:, :2] / local[:, 2:]
-    if (local[:, 2] <= 0).any() or np.abs(flat).max() > _WIDEST:
+    if (local[:, 2] <= 0).any() or np.abs(flat).max() > settings.max_view_tangent:
         return None
     edges = _edge_lengths(flat.reshape(-1, 4, 2))
-    focal = _FINER * float(np.median(_edge_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
-    margin = _MARGIN * edges.max()
+    focal = settings.view_scale * float(np.median(_edge_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
+    margin = settings.view_margin * edges.max()
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
     focal = min(focal, _LONGEST / (high - low).max())
     width, height = np.ceil(focal * (high - low)).astype(int) + 1

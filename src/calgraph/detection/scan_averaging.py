@@ -7,8 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
-from calgraph.geometry import Array
+from calgraph.config.settings import ScannerDetectionSettings
+from calgraph.geometry import Array, Index
 from calgraph.sensors import LaserScan
+
+# Widest gap of a full turn between last and first beam, in beam spacings: some beams may have no return.
+_SEAM = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +32,10 @@ class AveragedScan:
     spacing: float
     """Angle between neighbouring beams, rad."""
 
+    def measurements(self, beams: Index) -> tuple[Array, Array, Array, Array]:
+        """Angles and ranges of some beams (N,), and the standard deviations of ranges and of angles."""
+        return self.angles[beams], self.ranges[beams], self.sigma_range[beams], self.sigma_angle[beams]
+
     @property
     def points(self) -> Array:
         """(N, 2) end points in the scan plane, m."""
@@ -35,7 +43,10 @@ class AveragedScan:
 
 
 def average_scans(
-    scans: Sequence[LaserScan], noise: RangeNoise, foreground: Sequence[NDArray[np.bool_]]
+    scans: Sequence[LaserScan],
+    noise: RangeNoise,
+    foreground: Sequence[NDArray[np.bool_]],
+    settings: ScannerDetectionSettings,
 ) -> AveragedScan | None:
     """The robust mean of every beam over scans of a scene at rest, or None if no beam measured anything.
 
@@ -46,6 +57,7 @@ def average_scans(
         scans: one or more, of one sensor; not necessarily with the same beams.
         noise: of a single beam.
         foreground: for each scan whether its beams (N,) are foreground; a beam is if it is in most scans.
+        settings: of the detection.
 
     """
     reference = max(scans, key=lambda scan: len(scan.angles))
@@ -62,7 +74,8 @@ def average_scans(
     kept = np.flatnonzero(2 * answered >= len(scans))
     kept = kept[answered[kept] > 0]
     ranges = ranges[:, kept]
-    near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max(4 * noise.range, 0.03) if len(kept) else ranges > 0
+    max_deviation = max(settings.same_surface_sigmas * noise.range, settings.min_thickness)
+    near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max_deviation if len(kept) else ranges > 0
     steady = 2 * near.sum(axis=0) > answered[kept]
     if not steady.any():
         return None
@@ -82,7 +95,7 @@ def average_scans(
 
 def _move_seam(scan: AveragedScan) -> AveragedScan:
     """Starts a scan that goes all around at its largest jump in range, so that no board lies across the seam."""
-    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - 20 * scan.spacing:
+    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - _SEAM * scan.spacing:
         return scan
     start = int(np.argmax(np.abs(np.diff(scan.ranges)))) + 1
     turned = np.roll(scan.angles, -start)

@@ -8,21 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import FAMILIES, Family, dictionary
+from calgraph.config.settings import TagSettings
 from calgraph.geometry import Array
 
 Gray = NDArray[np.uint8]
-
-_MARGINS: dict[Family, tuple[float, ...]] = {
-    "tag36h11": (5.0, 15.0),
-    "tag25h9": (5.0, 15.0),
-    "tag16h5": (15.0,),
-}
-"""Least decision margin, in grey values, by the number of corrected bits; more corrections are not believed.
-Noise reaches 2.3; in photographs the 30 codes of tag16h5 turn up by chance with 30 and one corrected bit."""
-
-_COARSE_ABOVE = 500_000
-"""Images with more pixels are searched for tags at half their resolution."""
-
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
 
@@ -55,23 +44,25 @@ def empty_marks(k: int) -> Marks:
 class TagFinder:
     """Finds tags of one family with the AprilTag library; not for concurrent use by several threads.
 
-    Half resolution with a light blur finds tags down to about 20 pixels and costs a ninth of the time; edges are
-    refined at full resolution, so its corners are as good (0.06 against 0.05 pixels RMS on rendered boards).
+    Large images are searched at half their resolution, with a light blur; edges are refined at full resolution.
     """
 
-    def __init__(self, family: Family) -> None:
-        self.family = family
-        self._margins = _MARGINS[family]
+    def __init__(self, family: Family, settings: TagSettings = TagSettings()) -> None:
+        self.family, self._settings = family, settings
+        corrected = settings.min_corrected_margin
+        # Least decision margin by the number of corrected bits; tags with more corrections are rejected.
+        self._margins = (corrected,) if family == "tag16h5" else (settings.min_decision_margin, corrected)
         self._coarse = _make_detector(family, quad_decimate=2.0, quad_sigma=0.8)
         self._fine = _make_detector(family, quad_decimate=1.0, quad_sigma=0.0)
 
     def find(self, gray: Gray) -> Marks:
         """All tags of the family in an image (height, width), of the rig's boards or not."""
-        return self._decode(self._coarse if gray.size > _COARSE_ABOVE else self._fine, gray)
+        return self._decode(self._coarse if gray.size > self._settings.half_resolution_above else self._fine, gray)
 
     def find_within(self, gray: Gray, pixels: Array) -> Marks:
         """Tags at full resolution near their predicted corners (N, 4, 2); small ones too."""
-        margin = 0.5 * np.ptp(pixels, axis=(0, 1)).max() / np.sqrt(len(pixels)) + 10
+        edge = np.ptp(pixels, axis=(0, 1)).max() / np.sqrt(len(pixels))
+        margin = self._settings.search_margin * edge + self._settings.min_search_margin
         low = np.maximum(np.floor(pixels.min(axis=(0, 1)) - margin), 0).astype(int)
         high = np.ceil(pixels.max(axis=(0, 1)) + margin).astype(int)
         found = self._decode(self._fine, gray[low[1] : high[1], low[0] : high[0]])

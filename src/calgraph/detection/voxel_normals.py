@@ -11,19 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from calgraph.config.settings import DetectionSettings, RegionSettings
 from calgraph.geometry import Array
 
 Indices = NDArray[np.intp]
 
-# Edge of a direction cell where the scanner is dense, rad.
-_STEP = np.radians(0.7)
-# Points of one direction cell that differ by more in range are two surfaces, m.
-_DEPTH = 0.10
-# Rings need more, to reach across to the next ones.
+# Neighbours of a cell: two rings of a square grid around it; where rings are sparse more, to reach the next ones.
 _NEIGHBOURS, _RING_NEIGHBOURS = 16, 24
-# Neighbours lie within this many spacings of each other.
+# Largest distance of neighbours, in spacings of cells, and least neighbours of a normal: three have one by chance.
 _REACH = 3.0
 _MIN_NEIGHBOURS = 5
+# Steps of elevation: width of a bin, and least distance of two rings, rad.
+_ELEVATION_BIN = np.radians(0.1)
+_MIN_RING_STEP = np.radians(0.05)
+# Least share of all points in a bin of a ring: rings are counted by it where they have no numbers.
+_MIN_RING_SHARE = 2e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +46,14 @@ class Cells:
     """(M,) share of the neighbours' scatter along the normal: 0 is flat, 1/3 is round, inf has no normal."""
 
 
-def make_cells(points: Array, rings: NDArray[np.int32] | None) -> Cells | None:
+def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: DetectionSettings) -> Cells | None:
     """Averages points (N, 3) in cells, removes stray cells and finds normals; None if too few are left."""
-    levels = _find_ring_elevations(points, rings)
-    across = float(np.percentile(np.diff(levels), 75)) if levels is not None else _STEP
-    along = max(np.radians(0.4), across / 3) if levels is not None else _STEP
-    cell = _assign_cells(points, levels, along)
+    regions = settings.lidar3d.regions
+    levels = _find_ring_elevations(points, rings, settings.lidar3d.regions)
+    across = float(np.percentile(np.diff(levels), 75)) if levels is not None else regions.cell_angle
+    along = max(regions.min_ring_cell_angle, across / 3) if levels is not None else regions.cell_angle
+    # Points of one direction cell whose ranges differ by a depth jump are on two surfaces.
+    cell = _assign_cells(points, levels, along, settings.scanner.min_depth_jump)
     means = _average_cells(points, cell)
     if len(means) <= _MIN_NEIGHBOURS:
         return None
@@ -59,7 +63,7 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None) -> Cells | None:
     # On a square grid the eighth neighbour is a diagonal away; the scan planes of a slow spinner are sparser.
     spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))
     near = distance <= _REACH * spacing * radius[:, None]
-    keep = _select_inlier_cells(distance / radius[:, None], near)
+    keep = _select_inlier_cells(distance / radius[:, None], near, regions.stray_sigmas)
     if keep.sum() <= _MIN_NEIGHBOURS:
         return None
     new_index = np.where(keep, np.cumsum(keep) - 1, -1)
@@ -68,25 +72,27 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None) -> Cells | None:
     return Cells(means[keep], new_index[cell], spacing, neighbours, normals, curvature)
 
 
-def _find_ring_elevations(points: Array, rings: NDArray[np.int32] | None) -> Array | None:
+def _find_ring_elevations(
+    points: Array, rings: NDArray[np.int32] | None, settings: RegionSettings
+) -> Array | None:
     """Ascending elevations of the rings of a multi-beam scanner, rad; None if the scanner has no sparse rings."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     if rings is not None:
         levels = np.sort([np.median(elevation[rings == ring]) for ring in np.unique(rings)])
     else:
         # The histogram of elevations of a multi-beam scanner has few narrow peaks.
-        bins = np.floor(elevation / np.radians(0.1)).astype(np.int64)
+        bins = np.floor(elevation / _ELEVATION_BIN).astype(np.int64)
         values, count = np.unique(bins, return_counts=True)
-        values = values[count > 2e-4 * len(points)]
+        values = values[count > _MIN_RING_SHARE * len(points)]
         peaks = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
-        levels = np.array([np.radians(0.1) * (peak.mean() + 0.5) for peak in peaks if len(peak)])
-    levels = levels[np.append(True, np.diff(levels) > np.radians(0.05))] if len(levels) else levels
-    if len(levels) < 2 or np.percentile(np.diff(levels), 75) < 1.5 * _STEP:
+        levels = np.array([_ELEVATION_BIN * (peak.mean() + 0.5) for peak in peaks if len(peak)])
+    levels = levels[np.append(True, np.diff(levels) > _MIN_RING_STEP)] if len(levels) else levels
+    if len(levels) < 2 or np.percentile(np.diff(levels), 75) < 1.5 * settings.cell_angle:
         return None
     return np.asarray(levels)
 
 
-def _assign_cells(points: Array, levels: Array | None, along: float) -> Indices:
+def _assign_cells(points: Array, levels: Array | None, along: float, depth_step: float) -> Indices:
     """Index 0..M-1 of the cell of each point."""
     radius = np.linalg.norm(points, axis=1)
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
@@ -97,7 +103,7 @@ def _assign_cells(points: Array, levels: Array | None, along: float) -> Indices:
     # Cells keep their width towards the poles.
     width = along / np.maximum(np.cos(row * along - np.pi if levels is None else levels[row]), 0.02)
     column = np.floor((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / width).astype(np.int64)
-    depth = np.floor(radius / _DEPTH).astype(np.int64)
+    depth = np.floor(radius / depth_step).astype(np.int64)
     _, cell = np.unique((row << 40) | (column << 24) | np.minimum(depth, 2**24 - 1), return_inverse=True)
     return np.asarray(cell).ravel()
 
@@ -107,13 +113,15 @@ def _average_cells(points: Array, cell: Indices) -> Array:
     return np.stack([np.bincount(cell, points[:, i]) / count for i in range(3)], axis=-1)
 
 
-def _select_inlier_cells(relative: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _select_inlier_cells(relative: Array, near: NDArray[np.bool_], stray_sigmas: float) -> NDArray[np.bool_]:
     """Statistical outlier removal (MSG-Cal, III-B) on distances relative to range, as density falls with it."""
     mean = relative.mean(axis=1)
     usual = mean[near.sum(axis=1) > _MIN_NEIGHBOURS]
     if not len(usual):
         return np.zeros(len(mean), dtype=bool)
-    return np.asarray((near.sum(axis=1) > _MIN_NEIGHBOURS) & (mean < usual.mean() + 3 * usual.std() + 1e-9))
+    return np.asarray(
+        (near.sum(axis=1) > _MIN_NEIGHBOURS) & (mean < usual.mean() + stray_sigmas * usual.std() + 1e-9)
+    )
 
 
 def _estimate_normals(points: Array, neighbours: Indices) -> tuple[Array, Array]:

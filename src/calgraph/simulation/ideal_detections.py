@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from calgraph.captures import CaptureSet, Hold, RecordingTimeline, SensorCapture, SensorTimes, collect_detections
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
-from calgraph.detection import Detection, PlanePatch, compute_landmarks
-from calgraph.detection.board_edges import EDGE_BLUR
+from calgraph.config.settings import DetectionSettings
+from calgraph.detection import DetectionResult, PlanePatch, compute_landmarks
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import make_board_corners
 from calgraph.detection.lidar2d import build_segment
@@ -37,8 +37,8 @@ _MIN_GRAZING = 1e-6
 """Minimum cosine between a beam and the board's normal; keeps divisions finite."""
 _MIN_RANGE_NOISE, _MIN_ANGLE_NOISE = 1e-4, 1e-5
 """Minimum stated noise, m and rad: a noise of zero gives no finite weight."""
-
-DetectionResult = tuple[Detection, ...] | Rejected
+_EDGE_BLUR = 0.002
+"""Standard deviation of the board's edges, m: boards are not cut, and beams not collimated, more sharply."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,8 @@ class IdealDetectorOptions:
     """Scans or sweeps of each scanner per hold."""
     stated_noise_factor: float = 1.0
     """Noise stated in rig.yaml as a multiple of the true noise."""
+    settings: DetectionSettings = DetectionSettings()
+    """Of the fits to corners and beams."""
 
 
 def simulate_detections(
@@ -145,7 +147,8 @@ def _detect_corners(
         return Rejected("no mark of the board lies fully in the image")
     pixels = (true + rng.normal(0.0, options.pixel, true.shape)).reshape(*marks.corners.shape[:2], 2)[in_view]
     corners = marks.corners[in_view]
-    pose = fit_pose(marks.ids[in_view], corners, pixels, camera, _pixel_noise(options).pixel)
+    sigma, settings = _pixel_noise(options).pixel, options.settings.camera.pose
+    pose = fit_pose(marks.ids[in_view], corners, pixels, camera, sigma, settings)
     return pose if isinstance(pose, Rejected) else (make_board_corners(pose, corners, pixels),)
 
 
@@ -164,7 +167,7 @@ def _detect_plane(
     true = plane.towards_origin(plane.from_pose(T_sensor_board))
     _, points = _simulate_ranges(scanner, hits, true, options, rng)
     noise = _range_noise(scanner, options)
-    fit = fit_plane(points, noise.range, noise.angle, true)
+    fit = fit_plane(points, noise.range, noise.angle, true, options.settings.scanner.fit)
     if fit is None:
         return Rejected("the beams graze the board")
     middle = points.mean(axis=0)
@@ -189,7 +192,8 @@ def _detect_segment(
     angles, noise = np.tile(scanner.pattern.angles[hits], options.scans_per_hold), _range_noise(scanner, options)
     # The cut of the plane n x + d = 0 with z = 0; its normal points at the scanner, the line's away from it.
     start = np.array([np.arctan2(-true[1], -true[0]), true[3] / np.hypot(true[0], true[1])])
-    fit = fit_line(angles, ranges, np.full_like(ranges, noise.range), np.full_like(ranges, noise.angle), start)
+    sigmas = np.full_like(ranges, noise.range), np.full_like(ranges, noise.angle)
+    fit = fit_line(angles, ranges, *sigmas, start, options.settings.scanner.fit)
     if fit is None:
         return Rejected("the beams graze the board")
     spacing = float(np.diff(scanner.pattern.angles[:2])[0])
@@ -232,7 +236,7 @@ def _edge_directions(
     walls = (np.sign(step) * half - hit[last]) / np.where(step == 0, np.nan, step)
     side = np.nanargmin(walls, axis=1)[:, None]
     share = np.take_along_axis(walls, side, axis=1) - rng.uniform(size=(len(ends), 1))
-    moved = share * step + rng.normal(0.0, EDGE_BLUR, (len(ends), 2))
+    moved = share * step + rng.normal(0.0, _EDGE_BLUR, (len(ends), 2))
     ends_on_board = np.stack([hit[last] + moved, hit[past] + moved], axis=1)
     at = se3.apply(T_sensor_board, np.concatenate([ends_on_board, np.zeros((len(ends), 2, 1))], axis=-1))
     return np.asarray(at / np.linalg.norm(at, axis=-1, keepdims=True))

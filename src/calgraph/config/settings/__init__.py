@@ -1,12 +1,24 @@
 """The settings of every stage: each number that influences a result, with its unit, meaning and reason."""
 
 from calgraph.config.settings.baselines import BaselineSettings
-from calgraph.config.settings.captures import CaptureSettings
+from calgraph.config.settings.captures import (
+    CameraNoiseSettings,
+    CaptureSettings,
+    MaxMessageSettings,
+    MotionDetectionSettings,
+)
 from calgraph.config.settings.detection import (
+    BoardEdgeSettings,
+    BoardPoseSettings,
     CameraDetectionSettings,
+    CloudBackgroundSettings,
     DetectionSettings,
     Lidar2dDetectionSettings,
     Lidar3dDetectionSettings,
+    RegionSettings,
+    ScannerDetectionSettings,
+    SurfaceFitSettings,
+    TagSettings,
 )
 from calgraph.config.settings.diagnostics import (
     DiagnosticsSettings,
@@ -25,21 +37,31 @@ from calgraph.config.settings.tracking import TrackingSettings
 
 __all__ = [
     "BaselineSettings",
+    "BoardEdgeSettings",
     "BoardPairSettings",
+    "BoardPoseSettings",
     "CameraDetectionSettings",
+    "CameraNoiseSettings",
     "CaptureSettings",
+    "CloudBackgroundSettings",
     "DetectionSettings",
     "DiagnosticsSettings",
     "EstimationSettings",
     "GraphSettings",
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
+    "MaxMessageSettings",
+    "MotionDetectionSettings",
     "NetworkDiagnosticsSettings",
     "NetworkEstimationSettings",
     "PairwiseSettings",
+    "RegionSettings",
     "RigDiagnosticsSettings",
     "RigEstimationSettings",
+    "ScannerDetectionSettings",
     "ScannerPairSettings",
     "Settings",
+    "SurfaceFitSettings",
+    "TagSettings",
     "TrackingSettings",
 ]

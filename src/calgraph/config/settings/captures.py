@@ -1,7 +1,60 @@
-"""Settings of the search for captures."""
+"""Settings of the search for captures. Times in s, distances in m."""
+
+from pydantic import Field
 
 from calgraph.config.strict_model import StrictModel
 
 
+class MotionDetectionSettings(StrictModel):
+    """The change of a sensor's view between two messages."""
+
+    min_gray_change: float = Field(default=12.0, gt=0)
+    """Change of a grey value, averaged over 8 x 8 pixels, that counts as motion: noise and flicker stay below."""
+    min_range_change: float = Field(default=0.05, gt=0)
+    """Change of a range, m, that counts as motion: more than twice the noise of a 2-D scanner (20 mm)."""
+    min_range_change_ratio: float = Field(default=0.02, ge=0)
+    """The same over the smaller of both ranges: noise of ranges and of angles of incidence grows with range."""
+    cell: float = Field(default=0.2, gt=0)
+    """Cell by whose occupation two clouds are compared, m: points in cells next to occupied ones have not moved,
+    as noise alone takes points across borders of cells."""
+
+
+class CameraNoiseSettings(StrictModel):
+    """The noise of a camera's corners, estimated from PnP residuals."""
+
+    min_noise: float = Field(default=0.05, gt=0)
+    """Least noise of a corner, px: errors of the distortion model shift all corners of a board alike, which the
+    residuals of one PnP do not show; corners of the AprilTag library scatter by 0.05 to 0.1 px."""
+    min_degrees_of_freedom: int = Field(default=24, gt=0)
+    """Least degrees of freedom of an estimate: its relative standard deviation is 1 / sqrt(2 x 24) = 14 %."""
+
+
+class MaxMessageSettings(StrictModel):
+    """Most messages of one hold that are used; noise that is common to all messages limits what more give."""
+
+    camera: int = Field(default=2, ge=1)
+    """Most images: each costs as much as all scans and clouds; a second one reveals motion during the hold."""
+    lidar2d: int = Field(default=20, ge=1)
+    """Most scans: noise of their average is 4 mm at 20 mm a beam, below the bias of a scanner."""
+    lidar3d: int = Field(default=5, ge=1)
+    """Most clouds: with some hundred points each on the board, biases of rings dominate."""
+
+    def of(self, kind: str) -> int:
+        """The limit of sensors of this kind."""
+        return int(getattr(self, kind))
+
+
 class CaptureSettings(StrictModel):
     """When the board rests, and which messages of a capture are used."""
+
+    motion: MotionDetectionSettings = MotionDetectionSettings()
+    camera_noise: CameraNoiseSettings = CameraNoiseSettings()
+    max_messages: MaxMessageSettings = MaxMessageSettings()
+    min_hold: float = Field(default=0.5, gt=0)
+    """Least duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
+    max_motion_period: float = Field(default=0.5, gt=0)
+    """Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds."""
+    max_snapshot_gap: float = Field(default=1.0, gt=0)
+    """Longest time between messages of one pose in a recording of snapshots, s; poses are at least twice apart."""
+    max_background_messages: int = Field(default=60, ge=1)
+    """Most messages that a background is learned from: fast scanners send them in one or two seconds."""

@@ -1,23 +1,204 @@
-"""Settings of the detection of the board."""
+"""Settings of the detection of the board. Ranges and distances in m, angles in rad, corners in pixels."""
+
+import math
+
+from pydantic import Field
 
 from calgraph.config.strict_model import StrictModel
+
+
+class BoardPoseSettings(StrictModel):
+    """One PnP over the corners of a board."""
+
+    outlier_sigmas: float = Field(default=5.0, gt=0)
+    """Corners farther from their prediction, in standard deviations, are outliers: 4e-6 of the right ones are."""
+    consensus_significance: float = Field(default=1e-4, gt=0, lt=1)
+    """Probability that a correct tag fails the χ² test against the pose of another tag: one in 10,000 is lost."""
+    blur_noise_ratio: float = Field(default=3.0, ge=1)
+    """Noise over the stated one with which tags are compared again if none agree: corners of blurred images."""
+    ambiguity_chi2: float = Field(default=9.0, gt=0)
+    """Both tilts of a planar PnP are rejected as ambiguous if their squared errors differ by fewer variances: a
+    likelihood ratio of exp(4.5) = 90."""
+    max_rms_sigmas: float = Field(default=10.0, gt=0)
+    """Largest RMS reprojection error, in stated standard deviations: beyond it size or intrinsics are wrong, as
+    motion blur triples the noise at most."""
+
+
+class TagSettings(StrictModel):
+    """AprilTags and the rectified views of them."""
+
+    min_decision_margin: float = Field(default=5.0, ge=0)
+    """Least decision margin of a tag without bit errors, grey values: image noise reaches 2.3."""
+    min_corrected_margin: float = Field(default=15.0, ge=0)
+    """Least decision margin with one corrected bit, and of any tag of tag16h5, grey values: the 30 codes of
+    tag16h5 occur by chance in photographs."""
+    half_resolution_above: int = Field(default=500_000, gt=0)
+    """Images with more pixels are searched at half their resolution, at a ninth of the time: tags down to about
+    20 pixels are found, and corners are refined at full resolution (RMS 0.06 instead of 0.05 px)."""
+    search_margin: float = Field(default=0.5, ge=0)
+    """Margin around predicted tags in the second search, in edges of a tag: the error of a prediction."""
+    min_search_margin: float = Field(default=10.0, ge=0)
+    """Least margin around predicted tags, pixels: a tag's white border must be inside the searched part."""
+    view_scale: float = Field(default=1.5, gt=0)
+    """Resolution of a rectified view over that of the image: resampling at 1 blurs edges by about half a pixel."""
+    view_margin: float = Field(default=0.4, ge=0)
+    """Margin around the tags in a rectified view, in edges of the largest tag: its white border and the error of
+    the prediction."""
+    max_view_tangent: float = Field(default=4.0, gt=0)
+    """Tangent of the largest angle between a corner and the axis of a rectified view (76°): beyond it the view is
+    stretched more than tenfold towards its edge."""
 
 
 class CameraDetectionSettings(StrictModel):
     """The board in an image."""
 
+    pose: BoardPoseSettings = BoardPoseSettings()
+    tags: TagSettings = TagSettings()
+    min_motion_noise: float = Field(default=0.2, gt=0)
+    """Least noise of a corner, pixels, in the test whether the board moved between images (by
+    ``pose.outlier_sigmas`` of it): 1 px of motion is accepted, as averaging halves its effect."""
+    checkerboard_window: float = Field(default=0.35, gt=0, lt=0.5)
+    """Half width of the window of sub-pixel refinement, in squares of the checkerboard: at half a square, it
+    reaches the next corner."""
+
+
+class SurfaceFitSettings(StrictModel):
+    """Lines and planes fitted to ranges along beams."""
+
+    outlier_sigmas: float = Field(default=3.0, gt=0)
+    """Residuals beyond this many robust standard deviations are outliers: 0.3 % of the correct ones are."""
+    huber_sigmas: float = Field(default=1.5, gt=0)
+    """Residual, in standard deviations, above which weights of the first round fall (Huber): 96 % efficient."""
+    min_cosine: float = Field(default=0.05, gt=0, lt=1)
+    """Least cosine of the angle of incidence (87°): flatter beams graze the surface, and a millimetre of its
+    offset changes their range by more than 20."""
+    inflation_significance: float = Field(default=0.001, gt=0, lt=1)
+    """The covariance is scaled by the reduced χ² where the stated noise makes that χ² less probable than this."""
+
+
+class BoardEdgeSettings(StrictModel):
+    """Edges of the board in scans."""
+
+    min_mixed_jump: float = Field(default=0.3, gt=0)
+    """Depth jump from a beam past the board to the next one, m, that makes it a mixed pixel of board and
+    background: three times ``min_depth_jump``, so that it ends clearly between both."""
+    max_step_ratio: float = Field(default=4.0, gt=1)
+    """Largest angle between beams on either side of an edge, in beam spacings: three beams may be missing."""
+    parallax: float = Field(default=0.03, ge=0)
+    """Error of directions to the background for clouds without rings, rad: beams of spinning 2-D scanners start
+    up to some centimetres beside the origin, and pass the board at one metre and more."""
+
+
+class ScannerDetectionSettings(StrictModel):
+    """What the detections in scans and in clouds have in common."""
+
+    fit: SurfaceFitSettings = SurfaceFitSettings()
+    edges: BoardEdgeSettings = BoardEdgeSettings()
+    min_depth_jump: float = Field(default=0.10, gt=0)
+    """A return this far behind a surface, m, is not on it: range noise and mixed pixels of a board stay below."""
+    min_thickness: float = Field(default=0.03, gt=0)
+    """Least distance from a surface, m, within which returns are on it: rings of a VLP-16 are biased by -13 to
+    +15 mm, boards bow by some millimetres, and fingers on the board are as thick."""
+    same_surface_sigmas: float = Field(default=4.0, gt=0)
+    """The same distance in standard deviations of a range: 6e-5 of the correct ones are beyond."""
+    surroundings: float = Field(default=0.15, gt=0)
+    """Width around the board, m, that is searched for its edges, and in which it must stand free: wider, arms and
+    body of the operator are inside."""
+    max_candidates: int = Field(default=8, gt=0)
+    """Most candidates for the board in one capture: without a background, walls and doors resemble it; the pair
+    stage tries all combinations of two sensors, 64."""
+
 
 class Lidar2dDetectionSettings(StrictModel):
     """The board in scans of a 2-D scanner."""
 
+    min_beams: int = Field(default=5, ge=3)
+    """Least beams on a line: two parameters, and three residuals to reject outliers by."""
+    min_length: float = Field(default=0.15, gt=0)
+    """Least length of the board in the scan plane, m: shorter ones are legs and arms."""
+    min_side_ratio: float = Field(default=1 / 3, gt=0, le=1)
+    """Least length over the shorter side of the board: shorter cuts pass through a corner of it."""
+    min_score: float = Field(default=0.05, ge=0, lt=1)
+    """Least score of a candidate: a continued end (0.2) at both ends and a third of the length have 0.07."""
+    max_grazing_angle: float = Field(default=math.radians(10.0), gt=0, lt=1)
+    """Neighbouring beams are on one surface if it is inclined by no less than this against them, 10° (Borges and
+    Aldon, "Line extraction in 2D range images for mobile robotics", 2004)."""
+    max_gap: float = Field(default=0.12, gt=0)
+    """Largest gap in a line, m, where beams are missing: dark print absorbs the beams of a tag's bar."""
+    gap_spacings: float = Field(default=3.5, gt=1)
+    """Beams farther apart than this many beam spacings have others missing between them: three spacings, for
+    beams left out as unsteady, and half a one for jitter."""
+    max_bulge: float = Field(default=0.01, gt=0)
+    """Bulge of a line at which its score falls to 0.6, m: legs and bodies bulge by centimetres."""
+    max_end_offset: float = Field(default=0.006, gt=0)
+    """Least offset of a block of beams at an end of the line, m, at which it is cut off: scanners bend straight
+    boards by this much. With legs beside the board, whitened errors of end points fall from 5.0 to 1.3."""
+    end_block: int = Field(default=5, gt=1)
+    """Beams whose median offset decides whether an end of the line is bent: it has 0.56 of the noise of a beam."""
+    occluded_end_score: float = Field(default=0.7, ge=0, le=1)
+    """Score of an end that something nearer occludes, or at the end of the field of view; a free end has 1."""
+    no_return_spacings: float = Field(default=10.0, gt=1)
+    """An end with no return over more beam spacings beside it counts as without return."""
+    no_return_end_score: float = Field(default=0.8, ge=0, le=1)
+    """Score of an end without return beside it: free, unless the surface absorbs beams there."""
+    continued_end_score: float = Field(default=0.2, ge=0, le=1)
+    """Score of an end behind which the surface goes on, as walls do; five times less than of a free end."""
+
+
+class RegionSettings(StrictModel):
+    """Direction cells of a cloud, and flat regions of them."""
+
+    cell_angle: float = Field(default=math.radians(0.7), gt=0)
+    """Edge of a direction cell, 0.7°: 12 mm at one metre and 8 cells across a board of 0.6 m at 6 m."""
+    min_ring_cell_angle: float = Field(default=math.radians(0.4), gt=0)
+    """Least width of a cell along a sparse ring, 0.4°; wider ones have a third of the spacing of rings."""
+    max_curvature: float = Field(default=0.08, gt=0)
+    """Largest share of the scatter along the normal at the seed of a region; a plane has 0, a sphere 1/3."""
+    max_normal_angle: float = Field(default=math.radians(35.0), gt=0)
+    """Largest angle between a cell's normal and its region's plane, 35°: normals from few rings are that noisy."""
+    min_cells: int = Field(default=8, ge=4)
+    """Least cells of a region: a plane, and five residuals."""
+    stray_sigmas: float = Field(default=3.0, gt=0)
+    """Cells whose mean distance to their neighbours exceeds the usual one by more standard deviations are stray
+    (statistical outlier removal, MSG-Cal, section III-B)."""
+
 
 class Lidar3dDetectionSettings(StrictModel):
-    """The board in sweeps of a 3-D LiDAR."""
+    """The board in clouds of a 3-D LiDAR."""
+
+    regions: RegionSettings = RegionSettings()
+    min_points: int = Field(default=20, ge=4)
+    """Least points on the board: the standard deviation of its offset is then a quarter of that of a range."""
+    min_rings: int = Field(default=3, ge=2)
+    """Least rings on the board: two determine a plane without any residual."""
+    min_range: float = Field(default=0.1, ge=0)
+    """Shorter ranges, m, are returns from the housing or the robot, or mark missing beams."""
+    min_score: float = Field(default=0.1, ge=0, lt=1)
+    """Least score of a candidate, the product of coverage, containment, solidity, isolation and resolution."""
+    min_score_ratio: float = Field(default=0.25, ge=0, le=1)
+    """Least score over that of the best candidate: worse ones only cost time in the pair stage."""
+    rectangle_score: float = Field(default=0.5, gt=0, le=1)
+    """Score from which the fitted rectangle selects the points on the board: below it the fit may be wrong."""
+    outline_blur: float = Field(default=0.03, gt=0)
+    """Uncertainty of the outline of a patch, m: noise, mixed pixels, and steps of 5° of its rotation."""
+    edge_margin: float = Field(default=0.02, ge=0)
+    """Points closer to the outline, m, may be mixed pixels of board and background, and are not fitted."""
+
+
+class CloudBackgroundSettings(StrictModel):
+    """The background model of 3-D LiDARs."""
+
+    voxel: float = Field(default=0.10, gt=0)
+    """Edge of a voxel, m: five standard deviations of a range of 20 mm; the board is half a metre from walls."""
+    direction_cell: float = Field(default=math.radians(1.0), gt=0)
+    """Edge of a direction cell that holds the largest range of the background, 1°: several beams of any LiDAR."""
 
 
 class DetectionSettings(StrictModel):
     """The target in the messages of one capture."""
 
     camera: CameraDetectionSettings = CameraDetectionSettings()
+    scanner: ScannerDetectionSettings = ScannerDetectionSettings()
     lidar2d: Lidar2dDetectionSettings = Lidar2dDetectionSettings()
     lidar3d: Lidar3dDetectionSettings = Lidar3dDetectionSettings()
+    background: CloudBackgroundSettings = CloudBackgroundSettings()

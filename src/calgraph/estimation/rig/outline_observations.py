@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.detection import PlanePatch, Segment
-from calgraph.detection.board_edges import EDGE_BLUR
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -22,6 +21,8 @@ from calgraph.estimation.rig.observations import (
 )
 from calgraph.geometry import Array, Index, se3
 
+# Least standard deviation of an edge, m: boards are not cut, and beams not collimated, more sharply.
+_EDGE_BLUR = 0.002
 # Largest distance of the two beams on the board's plane, m.
 _MAX_BEAM_SPACING = 0.05
 # Largest distance of an edge from its side, m: farther ones are of an arm or a stand.
@@ -142,7 +143,7 @@ class OutlineObservations:
         return replace(
             self,
             side=np.where(used, nearest, -1).astype(np.int8),
-            sigma=scale * np.hypot(spread, EDGE_BLUR),
+            sigma=scale * np.hypot(spread, _EDGE_BLUR),
             noise_scale=scale,
         )
 
