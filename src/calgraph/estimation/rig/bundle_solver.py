@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.errors import CalibrationError
-from calgraph.estimation.damping import Damping
 from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
 from calgraph.geometry import Array, Index, se3, so3
+from calgraph.levenberg_marquardt import minimize
 
 # Prior information on a board's pose (m⁻², rad⁻²): regularizes directions that no view measures.
 BOARD_PRIOR_INFORMATION = 1e-4
@@ -183,8 +183,19 @@ class BundleEquations:
     """(C, 6, G) between boards and sensors."""
     cache: tuple[CachedLinearization, ...]
     """(K,) the linearizations that they are extrapolated from."""
-    exact: bool
-    """Whether all of these are at this state."""
+    extrapolated: float
+    """Decrease of the cost since all of these were at this state, by extrapolation; 0 if they are."""
+
+    def solve(self, damping: float) -> tuple[tuple[Array, Array], float]:
+        """Steps (G,) of the sensors and (C, 6) of the boards, and their predicted decrease of the cost."""
+        H, g, K = self.eliminate_boards(damping)
+        step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
+        boards = -(K[..., :-1] @ step + K[..., -1])
+        decrease = damping * np.diagonal(self.H) @ step**2 - self.g @ step
+        decrease += np.sum(
+            (damping * np.diagonal(self.H_board, axis1=-2, axis2=-1) * boards - self.g_board) * boards
+        )
+        return (step, boards), 0.5 * float(decrease)
 
     def eliminate_boards(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
         """Schur complement: matrix (G, G) and gradient (G,) of the reduced problem, and ``K`` (C, 6, G + 1).
@@ -248,9 +259,9 @@ def linearize_bundle(
         H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += both[:, n:, :n]
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
-    exact = not any(new is old for new, old in zip(linearizations, cache, strict=False))
+    extrapolated = np.inf if any(new is old for new, old in zip(linearizations, cache, strict=False)) else 0.0
     return BundleEquations(
-        cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, tuple(linearizations), exact
+        cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, tuple(linearizations), extrapolated
     )
 
 
@@ -276,37 +287,28 @@ def minimize_bundle(
     Raises:
         CalibrationError: the residuals are not finite at the start.
     """
-    equations = linearize_bundle(bundle, state, cache)
-    if not np.isfinite(equations.cost):
+
+    def linearize(state: BundleState, near: BundleEquations | None) -> BundleEquations:
+        equations = linearize_bundle(bundle, state, near.cache if near else cache)
+        if near and equations.extrapolated:
+            equations = replace(equations, extrapolated=near.extrapolated + near.cost - equations.cost)
+        return equations
+
+    def refine(state: BundleState, equations: BundleEquations, settled: bool) -> BundleEquations | None:
+        limit = _EXTRAPOLATION_LIMIT * tolerance if settled else 0.0
+        return linearize_bundle(bundle, state) if equations.extrapolated > limit else None
+
+    minimum = minimize(
+        state,
+        linearize,
+        lambda state, step: retract_state(bundle, state, *step),
+        iterations=iterations,
+        tolerance=tolerance,
+        refine=refine if exact else None,
+    )
+    if not np.isfinite(minimum.linearization.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
-    # Decrease of the cost since the last exact linearization.
-    decrease_since_exact = 0.0 if equations.exact else np.inf
-    damping = Damping(1e-5)
-    for iteration in range(iterations):
-        H, g, K = equations.eliminate_boards(damping.value)
-        step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
-        boards = -(K[..., :-1] @ step + K[..., -1])
-        predicted = -0.5 * float(equations.g @ step + np.sum(equations.g_board * boards))
-        if settled := predicted <= tolerance + 1e-12 * equations.cost:
-            if not exact or decrease_since_exact <= _EXTRAPOLATION_LIMIT * tolerance:
-                return MinimizedBundle(state, equations, iteration, converged=True)
-        else:
-            trial = retract_state(bundle, state, step, boards)
-            trial_equations = linearize_bundle(bundle, trial, equations.cache)
-            decrease = equations.cost - trial_equations.cost
-        if settled or (exact and decrease < 0 and decrease_since_exact > 0):
-            # The extrapolation is too inaccurate to judge the step.
-            equations, decrease_since_exact = linearize_bundle(bundle, state), 0.0
-        elif decrease >= 0:  # False for NaN: residuals at the trial are not finite
-            state, equations, decrease_since_exact = (
-                trial,
-                trial_equations,
-                0.0 if trial_equations.exact else decrease_since_exact + decrease,
-            )
-            damping = damping.accept_step(decrease / predicted)
-        else:
-            damping = damping.reject_step()
-    return MinimizedBundle(state, equations, iterations, converged=False)
+    return MinimizedBundle(minimum.state, minimum.linearization, minimum.iterations, minimum.converged)
 
 
 def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:

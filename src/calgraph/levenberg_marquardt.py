@@ -1,0 +1,169 @@
+"""Levenberg–Marquardt, for any state and any linear solver, and for batches of small problems.
+
+Source: Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algorithm 3.16.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+
+# Minimum damping: smaller values have no effect in double precision.
+_MIN_DAMPING = 1e-12
+# Damping up to which a small step means a minimum; beyond it, steps are small because they keep failing.
+_MAX_CONVERGED_DAMPING = 1.0
+
+
+class Linearization(Protocol):
+    """A least-squares problem, linearized at a state."""
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared whitened residuals; not finite at infeasible states."""
+
+    def solve(self, damping: float) -> tuple[Any, float]:
+        """The damped step, and the decrease of the cost that the linear model predicts for it."""
+
+
+class BatchLinearization(Protocol):
+    """K independent problems, linearized at their states."""
+
+    @property
+    def cost(self) -> Array:
+        """(K,) as of :class:`Linearization`."""
+
+    def solve(self, damping: Array) -> tuple[Array, Array]:
+        """Steps (K, p) for dampings (K,), and predicted decreases (K,) of the costs."""
+
+    def replace(self, accepted: NDArray[np.bool_], trial: Self) -> Self:
+        """That of the trial where accepted (K,), this one elsewhere."""
+
+
+S = TypeVar("S")
+L = TypeVar("L", bound=Linearization)
+B = TypeVar("B", bound=BatchLinearization)
+
+
+@dataclass(frozen=True, eq=False)
+class Damping:
+    """Marquardt's parameter of one problem, or (K,) of several."""
+
+    value: Array
+    growth: Array
+    """Factor by which the next rejected step increases it."""
+
+    def update(self, gain: Array | float) -> "Damping":
+        """After a step with this ratio of the cost's decrease to the predicted one; not positive: rejected."""
+        accepted = np.greater(gain, 0)
+        eased = self.value * np.maximum(1 / 3, 1 - (2 * np.clip(gain, 0, 1) - 1) ** 3)
+        return Damping(
+            np.where(accepted, np.maximum(eased, _MIN_DAMPING), self.value * self.growth),
+            np.where(accepted, 2.0, 2 * self.growth),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum(Generic[S, L]):
+    """The result of a minimisation."""
+
+    state: S
+    linearization: L
+    """At the state."""
+    iterations: int
+    """Number of steps, rejected ones included."""
+    converged: bool
+
+
+def minimize(
+    state: S,
+    linearize: Callable[[S, L | None], L],
+    retract: Callable[[S, Any], S],
+    *,
+    iterations: int,
+    tolerance: float,
+    relative_tolerance: float = 1e-12,
+    damping: float = 1e-5,
+    refine: Callable[[S, L, bool], L | None] | None = None,
+) -> Minimum[S, L]:
+    """Minimises a cost from a start value.
+
+    Args:
+        state: start value.
+        linearize: the problem at a state, given that at the state before, from which it may be extrapolated.
+        retract: the state after a step.
+        iterations: steps at most, rejected ones included.
+        tolerance: the minimum is reached where the next step is predicted to decrease the cost by less than this,
+        relative_tolerance: or by less than this share of the cost.
+        damping: initial value.
+        refine: a more accurate linearization at the same state, or None if the given one is accurate enough to end
+            the iteration (True) or to reject a step (False); for problems that extrapolate.
+
+    Returns:
+        The minimum; without steps and not converged if the cost is not finite at the start.
+    """
+    at = linearize(state, None)
+    if not np.isfinite(at.cost):
+        return Minimum(state, at, 0, converged=False)
+    damped = Damping(np.array(damping), np.array(2.0))
+    for iteration in range(iterations):
+        step, predicted = at.solve(float(damped.value))
+        if settled := predicted <= tolerance + relative_tolerance * at.cost:
+            gain = 0.0
+        else:
+            trial = retract(state, step)
+            ahead = linearize(trial, at)
+            gain = (at.cost - ahead.cost) / predicted
+        if gain > 0:  # False for NaN: the trial is not feasible
+            state, at = trial, ahead
+        elif refined := refine(state, at, settled) if refine else None:
+            at = refined
+            continue
+        elif settled:
+            return Minimum(state, at, iteration, converged=bool(damped.value <= _MAX_CONVERGED_DAMPING))
+        damped = damped.update(gain)
+    return Minimum(state, at, iterations, converged=False)
+
+
+def minimize_batch(
+    states: Array,
+    linearize: Callable[[Array], B],
+    retract: Callable[[Array, Array], Array],
+    *,
+    iterations: int,
+    relative_tolerance: float,
+    damping: float = 1e-5,
+) -> tuple[Array, B]:
+    """Minimises the costs of K independent problems.
+
+    Args:
+        states: (K, ...) start values.
+        linearize: the problems at states (K, ...).
+        retract: states (K, ...) after steps (K, p).
+        iterations: steps at most, rejected ones included.
+        relative_tolerance: minima are reached where the next step is predicted to decrease the cost by less than
+            this share of it.
+        damping: initial value.
+
+    Returns:
+        The states (K, ...) and the problems there; start values that are not feasible are kept.
+    """
+    at = linearize(states)
+    damped = Damping(np.full(len(states), damping), np.full(len(states), 2.0))
+    for _ in range(iterations):
+        step, predicted = at.solve(damped.value)
+        active = np.isfinite(at.cost) & (predicted > relative_tolerance * at.cost)
+        if not active.any():
+            break
+        trial = retract(states, step)
+        ahead = linearize(trial)
+        gain = np.zeros(len(states))
+        gain[active] = (at.cost[active] - ahead.cost[active]) / predicted[active]
+        accepted = gain > 0
+        states = np.where(accepted.reshape(-1, *[1] * (states.ndim - 1)), trial, states)
+        at = at.replace(accepted, ahead)
+        damped = damped.update(gain)
+    return states, at
