@@ -92,7 +92,15 @@ def calibrate_tracks(
     # A root without connections may have no tracks.
     if options.estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
-        solution = partial(solve_network, moving_target(rig), [tracked[name] for name in names], averaged, graph)
+        solution = partial(
+            solve_network,
+            moving_target(rig),
+            [tracked[name] for name in names],
+            averaged,
+            graph,
+            settings=rig.settings.estimation.network,
+            acceleration_density=rig.settings.tracking.acceleration_density,
+        )
         joint = solution()
         if earlier:
             prior = build_consistent_prior(extract_earlier_poses(earlier, rig.root), names, joint)

@@ -8,10 +8,9 @@ import pytest
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
 from calgraph.estimation.network.model_error import estimate_model_error
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.scan_equations import compute_tukey_weights
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array
-from network_scenes import OFFSET, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 60.0
 INITIAL = np.array([0.005, 0.05]) ** 2
@@ -31,7 +30,7 @@ def simulate_network(
         for s in range(3)
     )
     body = BodyObservations(knots, scans, body_path.radii, 0.1 * body_path.radii, faces_forward=False)
-    return NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, 0.1), NetworkState(
+    return NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, 0.1, DENSITY, SETTINGS), NetworkState(
         T_ROOT, OFFSET, (body_path,)
     )
 
@@ -53,7 +52,7 @@ def displace_scans(
     hit = scans.ranges + ranges(pose + displacement) - ranges(pose)
     hits = np.isfinite(hit)
     hit = np.where(hits, hit, scans.ranges)
-    return replace(scans, ranges=hit, weight=compute_tukey_weights((ranges(pose) - hit) / SIGMA, hits))
+    return replace(scans, ranges=hit, weight=LOSS.compute_weights((ranges(pose) - hit) / SIGMA, hits))
 
 
 def estimate_rms(position: float, heading: float, rng: np.random.Generator) -> Array:

@@ -8,11 +8,10 @@ import pytest
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.range_noise import estimate_range_noise
-from calgraph.estimation.network.scan_equations import compute_tukey_weights
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array
-from network_scenes import OFFSET, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 BACKGROUND = np.array([0.013])
 
@@ -25,7 +24,9 @@ def simulate_solution(seconds: float, rng: np.random.Generator) -> tuple[Network
     body_path = BodyPath(path, np.array([0.25, 0.15]))
     scans = simulate_scans(0, knots, body_path, np.arange(0.05, seconds, 0.08), rng)
     body = BodyObservations(knots, (scans,), body_path.radii, 0.1 * body_path.radii, faces_forward=False)
-    network = NetworkProblem(1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0)
+    network = NetworkProblem(
+        1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0, DENSITY, SETTINGS
+    )
     state = NetworkState(T_ROOT[:1], OFFSET[:1], (body_path,))
     for _ in range(6):
         network = replace(network, bodies=(update_weights(body, state),))
@@ -39,7 +40,9 @@ def update_weights(body: BodyObservations, state: NetworkState) -> BodyObservati
     at = np.repeat(scans.times - OFFSET[scans.scanner], np.diff(scans.first_beam, append=len(scans.ranges)))
     pose, T = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2]), T_ROOT[scans.scanner]
     hits = raycast_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.radii)
-    weight = compute_tukey_weights((hits.ranges - scans.ranges) / SIGMA, hits.not_grazing)
+    weight = LOSS.compute_weights(
+        (hits.ranges - scans.ranges) / SIGMA, hits.cos_incidence > SETTINGS.beams.min_cos_incidence
+    )
     return replace(body, scans=(replace(scans, weight=weight),))
 
 

@@ -24,7 +24,7 @@ from calgraph.estimation.network.solver import (
 )
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
-from network_scenes import OFFSET, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 CLOCK_SIGMA = 0.1
 RADII = np.array([0.25, 0.15])
@@ -50,7 +50,7 @@ def build_network(
     body = BodyObservations(knots, scans, RADII * 1.1, 0.3 * RADII, faces)
     T_0_1 = se2.retract(T_ROOT[1:2], np.array([[0.01, -0.01, 0.002]]))[0]
     wall = WallConstraint(0, 1, T_0_1, np.diag([1e4, 1e2, 1e5]))
-    built = NetworkProblem(3, (body,), (wall,), np.full(3, SIGMA), NO_MODEL_ERROR, CLOCK_SIGMA)
+    built = NetworkProblem(3, (body,), (wall,), np.full(3, SIGMA), NO_MODEL_ERROR, CLOCK_SIGMA, DENSITY, SETTINGS)
     return built, NetworkState(T_ROOT, OFFSET, (body_path,))
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calgraph.config.settings import TrackGroupingSettings
 from calgraph.estimation.network.track_association import group_tracks_by_body
 from calgraph.geometry import Array, se2
 from calgraph.tracking import ScannerTracks, Track
@@ -9,6 +10,7 @@ from calgraph.tracking.track import Hits
 
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([8.0, 1.0])), se2.pose(-1.5, np.array([4.0, 6.0]))])
 NOISE = 0.02
+SETTINGS = TrackGroupingSettings()
 
 
 def simulate_path(begin: float, end: float, start: tuple[float, float], speed: tuple[float, float]) -> Array:
@@ -34,7 +36,7 @@ def track_paths(scanner: int, paths: list[Array], rng: np.random.Generator, late
 def group(tracked: list[ScannerTracks]) -> list[list[tuple[int, int]]]:
     """By body: scanner, and index of its tracks."""
     index = {id(track): (s, k) for s, scanner in enumerate(tracked) for k, track in enumerate(scanner.tracks)}
-    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)])
+    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)], SETTINGS)
     return sorted(sorted(index[id(track)] for _, track in walker.tracks) for walker in found)
 
 
@@ -96,12 +98,11 @@ def test_a_body_of_half_a_second_is_left_out(rng: np.random.Generator) -> None:
 
 
 def test_without_tracks_there_are_no_bodies() -> None:
-    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2]) == []
+    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2], SETTINGS) == []
 
 
 def test_the_tracks_of_a_body_are_grouped_by_scanner(rng: np.random.Generator) -> None:
     whole = simulate_path(0, 9, (0, 1), (1, 0.1))
-    [one] = group_tracks_by_body(
-        [track_paths(0, [whole], rng), track_paths(1, [whole[:60], whole[62:]], rng)], T_ROOT[:2]
-    )
+    tracked = [track_paths(0, [whole], rng), track_paths(1, [whole[:60], whole[62:]], rng)]
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2], SETTINGS)
     assert {scanner: len(tracks) for scanner, tracks in one.by_scanner().items()} == {0: 1, 1: 2}

@@ -25,12 +25,16 @@ from calgraph.config.settings.diagnostics import (
     NetworkDiagnosticsSettings,
     RigDiagnosticsSettings,
 )
-from calgraph.config.settings.estimation import (
-    EstimationSettings,
-    NetworkEstimationSettings,
-    RigEstimationSettings,
-)
+from calgraph.config.settings.estimation import EstimationSettings, RigEstimationSettings
 from calgraph.config.settings.graph import GraphSettings
+from calgraph.config.settings.network_estimation import (
+    BodySettings,
+    HeadingSearchSettings,
+    ModelErrorSettings,
+    NetworkEstimationSettings,
+    RangeNoiseSettings,
+    TrackGroupingSettings,
+)
 from calgraph.config.settings.pairwise import BoardPairSettings, PairwiseSettings, ScannerPairSettings
 from calgraph.config.settings.stages import Settings
 from calgraph.config.settings.tracking import TrackingSettings
@@ -40,6 +44,7 @@ __all__ = [
     "BoardEdgeSettings",
     "BoardPairSettings",
     "BoardPoseSettings",
+    "BodySettings",
     "CameraDetectionSettings",
     "CameraNoiseSettings",
     "CaptureSettings",
@@ -48,13 +53,16 @@ __all__ = [
     "DiagnosticsSettings",
     "EstimationSettings",
     "GraphSettings",
+    "HeadingSearchSettings",
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
     "MaxMessageSettings",
+    "ModelErrorSettings",
     "MotionDetectionSettings",
     "NetworkDiagnosticsSettings",
     "NetworkEstimationSettings",
     "PairwiseSettings",
+    "RangeNoiseSettings",
     "RegionSettings",
     "RigDiagnosticsSettings",
     "RigEstimationSettings",
@@ -63,5 +71,6 @@ __all__ = [
     "Settings",
     "SurfaceFitSettings",
     "TagSettings",
+    "TrackGroupingSettings",
     "TrackingSettings",
 ]

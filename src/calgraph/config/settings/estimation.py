@@ -1,14 +1,11 @@
 """Settings of the joint estimators."""
 
+from calgraph.config.settings.network_estimation import NetworkEstimationSettings
 from calgraph.config.strict_model import StrictModel
 
 
 class RigEstimationSettings(StrictModel):
     """The bundle of a rig with a board."""
-
-
-class NetworkEstimationSettings(StrictModel):
-    """The joint estimate of a network of scanners."""
 
 
 class EstimationSettings(StrictModel):

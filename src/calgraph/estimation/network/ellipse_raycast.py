@@ -3,12 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-
-# Beams with a smaller cosine of incidence are not used.
-_MIN_COS_INCIDENCE = 0.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +18,6 @@ class RaycastHits:
     jacobian: Array
     """(N, 5) of the ranges by the ellipse's position (2, m) and heading (rad) in the beams' frame, and its radii
     (2, m)."""
-
-    @property
-    def not_grazing(self) -> NDArray[np.bool_]:
-        """(N,) whether the beam hits its ellipse, and not at a grazing angle."""
-        return np.asarray(self.cos_incidence > _MIN_COS_INCIDENCE)
 
 
 def raycast_ellipses(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> RaycastHits:

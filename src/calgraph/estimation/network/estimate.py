@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, People
+from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.estimation.network.heading_search import search_headings
 from calgraph.estimation.network.model_error import estimate_model_error
@@ -22,7 +23,6 @@ from calgraph.estimation.network.problem import (
     WallConstraint,
 )
 from calgraph.estimation.network.range_noise import estimate_range_noise
-from calgraph.estimation.network.scan_equations import compute_tukey_weights
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.network.solver import (
     compute_network_covariance,
@@ -34,31 +34,11 @@ from calgraph.estimation.network.solver import (
 )
 from calgraph.estimation.network.splines import Knots
 from calgraph.estimation.network.track_association import BodyTracks, group_tracks_by_body
+from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.pairwise import icp
 from calgraph.tracking import ScannerTracks, Track
-
-# Interval of a path's control points, s: a step of a walk takes half a second.
-_KNOT_INTERVAL = 0.2
-# Prior standard deviation of people's radii, relative to them; and of a cylinder's, m.
-_PEOPLE_RADII_SIGMA, _CYLINDER_RADII_SIGMA = 0.3, 1e-4
-# Prior standard deviation of the offsets of clocks that are not synchronized, s.
-_CLOCK_SIGMA = 0.1
-# Standard deviation of paths and radii in the first rounds, m; added to the noise of ranges.
-_INITIAL_PATH_SIGMA = (0.05, 0.02)
-# Arms are in front of the torso or beside it, never behind. In the first rounds, the limit for beams that end in
-# front of the outline is divided by this: an outline that once fits arms would keep them.
-_INITIAL_NEAR_SIDE_FACTOR = 2.5
-# Start values of the model error: standard deviations of position, m, and heading, rad.
-_INITIAL_POSITION_ERROR, _INITIAL_HEADING_ERROR = 0.005, 0.05
-# Rounds of noise, weights, model error, walls and solution, until the model error changes by less than this ratio;
-# and steps of each solution.
-_MAX_ROUNDS = 5
-_MODEL_ERROR_TOLERANCE = 0.3
-_STEPS = 4
-# Noise of tracked positions for the first path, m.
-_TRACK_SIGMA = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +78,8 @@ def solve_network(
     *,
     estimate_clocks: bool = True,
     prior: ScannerPrior | None = None,
+    settings: NetworkEstimationSettings = NetworkEstimationSettings(),
+    acceleration_density: float = TrackingSettings().acceleration_density,
 ) -> NetworkSolution:
     """Solves jointly for scanner poses, clock offsets, and paths and radii of bodies.
 
@@ -108,6 +90,8 @@ def solve_network(
         graph: of these pairs.
         estimate_clocks: whether the scanners' clocks may differ.
         prior: of scanner poses, from an earlier calibration.
+        settings: of the estimate.
+        acceleration_density: spectral density of a body's acceleration, m²/s³.
     """
     T_root_scanner = averaged.T_root_node
     edges = [
@@ -117,37 +101,40 @@ def solve_network(
         )
         if inlier
     ]
-    bodies = group_tracks_by_body(tracked, T_root_scanner)
+    bodies = group_tracks_by_body(tracked, T_root_scanner, settings.grouping)
     state = NetworkState(
         T_root_scanner,
         np.zeros(len(tracked)),
-        tuple(_initialize_path(body, target, T_root_scanner) for body in bodies),
+        tuple(_initialize_path(body, target, T_root_scanner, settings, acceleration_density) for body in bodies),
     )
+    errors = settings.model_error
     background = np.array([scanner.sigma for scanner in tracked])
     network = NetworkProblem(
         len(tracked),
-        tuple(_build_observations(body, target) for body in bodies),
+        tuple(_build_observations(body, target, settings) for body in bodies),
         (),
         range_sigma=background,
-        model_error_variance=np.array([_INITIAL_POSITION_ERROR, _INITIAL_HEADING_ERROR]) ** 2,
-        clock_sigma=_CLOCK_SIGMA if estimate_clocks else 0.0,
+        model_error_variance=np.array([errors.initial_position_sigma, errors.initial_heading_sigma]) ** 2,
+        clock_sigma=settings.clock_sigma if estimate_clocks else 0.0,
+        acceleration_density=acceleration_density,
+        settings=settings,
         prior=prior,
     )
     network = replace(network, walls=_select_bridges(network, (), edges))
-    for path_sigma in _INITIAL_PATH_SIGMA:
+    for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
-        network = _update_weights(network, state, _INITIAL_NEAR_SIDE_FACTOR)
-        state, equations = optimize_network(network, state, iterations=_STEPS)
+        network = _update_weights(network, state, settings.beams.initial_near_side_factor)
+        state, equations = optimize_network(network, state, iterations=settings.iterations)
         state = search_headings(network, state)
     previous = np.full(2, np.inf)
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(settings.max_rounds):
         range_sigma = estimate_range_noise(network, state, equations, background)
         network = _update_weights(replace(network, range_sigma=range_sigma), state)
         network = replace(network, model_error_variance=estimate_model_error(network, state))
         walls = _register_walls(tracked, network, state)
         network = replace(network, walls=(*walls, *_select_bridges(network, walls, edges)))
-        state, equations = optimize_network(network, state, iterations=_STEPS)
-        if np.all(np.abs(network.model_error_variance / previous - 1) < _MODEL_ERROR_TOLERANCE):
+        state, equations = optimize_network(network, state, iterations=settings.iterations)
+        if np.all(np.abs(network.model_error_variance / previous - 1) < errors.tolerance):
             break
         previous = network.model_error_variance
     return NetworkSolution(
@@ -159,17 +146,20 @@ def solve_network(
     )
 
 
-def _build_observations(body: BodyTracks, target: People | Cylinder) -> BodyObservations:
+def _build_observations(
+    body: BodyTracks, target: People | Cylinder, settings: NetworkEstimationSettings
+) -> BodyObservations:
     radii = _prior_radii(target)
-    sigma = np.full(2, _CYLINDER_RADII_SIGMA) if isinstance(target, Cylinder) else _PEOPLE_RADII_SIGMA * radii
+    people = isinstance(target, People)
+    sigma = settings.body.people_radii_sigma * radii if people else np.full(2, settings.body.cylinder_radius_sigma)
     scans = tuple(_collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
-    return BodyObservations(_place_knots(body), scans, radii, sigma, faces_forward=isinstance(target, People))
+    return BodyObservations(_place_knots(body, settings), scans, radii, sigma, faces_forward=people)
 
 
-def _place_knots(body: BodyTracks) -> Knots:
-    """Knots that cover the body's tracks, wherever their clocks are."""
-    margin = 3 * _CLOCK_SIGMA
-    return Knots.spanning(body.start - margin, body.end + margin, _KNOT_INTERVAL)
+def _place_knots(body: BodyTracks, settings: NetworkEstimationSettings) -> Knots:
+    """Knots that cover the body's tracks for clock offsets of up to three standard deviations."""
+    margin = 3 * settings.clock_sigma
+    return Knots.spanning(body.start - margin, body.end + margin, settings.body.knot_interval)
 
 
 def _prior_radii(target: People | Cylinder) -> Array:
@@ -203,25 +193,31 @@ def _collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
     )
 
 
-def _initialize_path(body: BodyTracks, target: People | Cylinder, T_root_scanner: Array) -> BodyPath:
+def _initialize_path(
+    body: BodyTracks,
+    target: People | Cylinder,
+    T_root_scanner: Array,
+    settings: NetworkEstimationSettings,
+    acceleration_density: float,
+) -> BodyPath:
     """Smoothing spline through the positions of all tracks, with the heading along the direction of motion."""
-    knots = _place_knots(body)
+    knots = _place_knots(body, settings)
     times = np.concatenate([track.times for _, track in body.tracks])
     positions = np.concatenate([se2.apply(T_root_scanner[s], track.positions) for s, track in body.tracks])
     first, weights, _ = knots.basis_at(times)
     band, right = np.zeros((4, knots.count)), np.zeros((knots.count, 2))
     for i in range(4):
-        np.add.at(right, first + i, weights[:, i, None] * positions / _TRACK_SIGMA**2)
+        np.add.at(right, first + i, weights[:, i, None] * positions / settings.body.track_sigma**2)
         for j in range(i, 4):
-            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / _TRACK_SIGMA**2)
-    smooth = compute_smoothness_information(_KNOT_INTERVAL)
+            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / settings.body.track_sigma**2)
+    smooth = compute_smoothness_information(knots.step, acceleration_density)
     for i in range(3):
         for j in range(i, 3):
             band[j - i, i : knots.count - 2 + i] += smooth[i, j]
     band[0] += 1e-9
     control = solveh_banded(band, right, lower=True)
-    velocity = np.gradient(control, _KNOT_INTERVAL, axis=0)
-    walking = np.linalg.norm(velocity, axis=1) > 0.2
+    velocity = np.gradient(control, knots.step, axis=0)
+    walking = np.linalg.norm(velocity, axis=1) > settings.body.min_walking_speed
     heading = np.arctan2(velocity[:, 1], velocity[:, 0])
     if walking.any():
         k = np.arange(len(control))
@@ -253,7 +249,9 @@ def _compute_weights(
     _, _, pose, rate = evaluate_at(state, body, path, scans)
     hits = raycast_body(state, path, scans, pose, rate)
     residual, _ = compute_residuals(network, scans, hits)
-    return compute_tukey_weights(residual, hits.not_grazing, near_side_factor)
+    beams = network.settings.beams
+    used = hits.cos_incidence > beams.min_cos_incidence
+    return TukeyLoss(beams.tukey_limit).compute_weights(residual, used, near_side_factor)
 
 
 def _register_walls(
@@ -266,14 +264,16 @@ def _register_walls(
         for k, a in enumerate(body.scans)
         for b in body.scans[k + 1 :]
     }
+    settings = network.settings
+    prior_covariance = np.diag(
+        np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
+    )
     backgrounds = [icp.StaticBackground(scanner.background) for scanner in tracked]
     walls = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
         sigma = float(np.hypot(tracked[a].sigma, tracked[b].sigma))
-        registered = icp.align_backgrounds(
-            T_a_b, np.diag([0.05**2, 0.05**2, 0.01**2]), backgrounds[a], backgrounds[b], sigma
-        )
+        registered = icp.align_backgrounds(T_a_b, prior_covariance, backgrounds[a], backgrounds[b], sigma)
         if not isinstance(registered, Rejected):
             walls.append(WallConstraint(a, b, registered.T_a_b, registered.information))
     return tuple(walls)

@@ -16,21 +16,11 @@ from calgraph.estimation.network.problem import (
     NetworkState,
 )
 from calgraph.estimation.network.solver import (
-    TURNING_DENSITY,
     compute_heading_offsets,
     evaluate_at,
     index_scans,
 )
 from calgraph.geometry import Array, Index
-
-# Headings of the grid, rad.
-_GRID = np.pi * np.arange(18) / 18
-# Standard deviation of the path's error at this stage, m; added to the noise of ranges.
-_PATH_SIGMA = 0.01
-# Greatest cost of a beam, half squared standard deviations: some beams are of arms, or of other people.
-_MAX_BEAM_COST = 4.5
-# Weight of a beam: errors of the beams of one scan are correlated.
-_BEAM_WEIGHT = 0.2
 
 
 def search_headings(network: NetworkProblem, state: NetworkState) -> NetworkState:
@@ -43,23 +33,32 @@ def search_headings(network: NetworkProblem, state: NetworkState) -> NetworkStat
 
 
 def _search_body(network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath) -> BodyPath:
-    cost = np.zeros((body.knots.count, len(_GRID)))
+    size = network.settings.heading_search.grid_size
+    grid = np.pi * np.arange(size) / size
+    cost = np.zeros((body.knots.count, size))
     for scans in body.scans:
-        nearest, beam_cost = _compute_beam_costs(network, state, body, path, scans)
+        nearest, beam_cost = _compute_beam_costs(network, state, body, path, scans, grid)
         np.add.at(cost, nearest, beam_cost)
-    offset, weight = compute_heading_offsets(body, path.control[:, :2], _GRID)
+    offset, weight = compute_heading_offsets(body, path.control[:, :2], grid, network.settings.body)
     cost += 0.5 * weight[:, None] * offset**2
-    best = _find_cheapest_sequence(cost, body.knots.step)
-    turn = np.diff(_GRID[best])
+    turning_variance = body.knots.step * network.settings.body.turning_density
+    best = _find_cheapest_sequence(cost, grid, turning_variance)
+    turn = np.diff(grid[best])
     turn = (turn + np.pi / 2) % np.pi - np.pi / 2
-    heading = np.concatenate([_GRID[best[:1]], turn]).cumsum()
+    heading = np.concatenate([grid[best[:1]], turn]).cumsum()
     return replace(path, control=np.column_stack([path.control[:, :2], heading]))
 
 
 def _compute_beam_costs(
-    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, scans: BodyScans
+    network: NetworkProblem,
+    state: NetworkState,
+    body: BodyObservations,
+    path: BodyPath,
+    scans: BodyScans,
+    grid: Array,
 ) -> tuple[Index, Array]:
-    """The control point nearest to each beam with a weight (N,), and the beam's cost (N, G) at all headings."""
+    """The control point nearest to each beam with a weight (N,), and the beam's cost (N, G) over the grid."""
+    settings = network.settings.heading_search
     first, weights, pose, rate = evaluate_at(state, body, path, scans)
     used = scans.weight > 0
     scan = index_scans(scans)[used]
@@ -67,13 +66,13 @@ def _compute_beam_costs(
     centre = pose[scan, :2] + scans.beam_delay[used, None] * rate[scan, :2]
     T = state.T_root_scanner[scans.scanner]
     direction = scans.direction[used] @ T[:2, :2].T
-    sigma = np.hypot(network.range_sigma[scans.scanner], _PATH_SIGMA)
-    ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii)
+    sigma = np.hypot(network.range_sigma[scans.scanner], settings.path_sigma)
+    ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii, grid)
     cost = 0.5 * ((ranges - scans.ranges[used, None]) / sigma) ** 2
-    return nearest[scan], _BEAM_WEIGHT * np.fmin(cost, _MAX_BEAM_COST)
+    return nearest[scan], settings.beam_weight * np.fmin(cost, settings.max_beam_cost)
 
 
-def _raycast_grid(start: Array, direction: Array, radii: Array) -> Array:
+def _raycast_grid(start: Array, direction: Array, radii: Array, grid: Array) -> Array:
     """Ranges (N, G) along beams to an ellipse about the origin at all headings, m; NaN where they miss it.
 
     The squared norm of a vector in units of the radii is ``xᵀ Q x``, with three numbers of ``Q`` for each heading.
@@ -82,9 +81,10 @@ def _raycast_grid(start: Array, direction: Array, radii: Array) -> Array:
         start: (N, 2) of the beams, m.
         direction: (N, 2) unit vectors.
         radii: (2,) across and along the heading, m.
+        grid: (G,) headings, rad.
     """
     across, along = radii**-2
-    c, s = np.cos(_GRID), np.sin(_GRID)
+    c, s = np.cos(grid), np.sin(grid)
     Q = np.stack([across * s**2 + along * c**2, across * c**2 + along * s**2, (along - across) * s * c])
 
     def product(a: Array, b: Array) -> Array:
@@ -96,10 +96,13 @@ def _raycast_grid(start: Array, direction: Array, radii: Array) -> Array:
         return np.asarray((-half - np.sqrt(half**2 - square * (product(start, start) - 1))) / square)
 
 
-def _find_cheapest_sequence(cost: Array, step: float) -> Index:
-    """(K,) the grid headings with the least total cost (K, G), including that of turning (Viterbi, 1967)."""
-    turn = (_GRID[:, None] - _GRID + np.pi / 2) % np.pi - np.pi / 2
-    turning_cost = turn**2 / (2 * step * TURNING_DENSITY)
+def _find_cheapest_sequence(cost: Array, grid: Array, turning_variance: float) -> Index:
+    """(K,) the grid headings with the least total cost (K, G), including that of turning (Viterbi, 1967).
+
+    The turning from one control point to the next has the given variance, rad².
+    """
+    turn = (grid[:, None] - grid + np.pi / 2) % np.pi - np.pi / 2
+    turning_cost = turn**2 / (2 * turning_variance)
     total, previous = cost[0], np.zeros(cost.shape, dtype=np.intp)
     for k in range(1, len(cost)):
         candidates = total[:, None] + turning_cost

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from calgraph.config.settings import ModelErrorSettings
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.estimation.network.scan_equations import SCORE_TO_INFORMATION, ScanEquations
+from calgraph.estimation.network.scan_equations import ScanEquations
 from calgraph.estimation.network.solver import build_scan_equations, evaluate_at
+from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 
-# Duration of a stride, two steps, s.
-_STRIDE = 1.0
 # Tolerance of the logarithm of a variance.
 _LOG_TOLERANCE = 0.02
 # Ridge (1/m², 1/rad²) that makes matrices invertible where there is no information.
@@ -31,13 +31,17 @@ class _Component:
     axes: Index
     """Of the pose."""
     min_sigma: float
-    """Least standard deviation, m or rad; smaller deviations have no effect."""
+    """Least standard deviation, m or rad."""
     max_sigma: float
     """Greatest standard deviation, m or rad."""
 
 
-# Position and heading, in the order of :attr:`NetworkProblem.model_error_variance`.
-_COMPONENTS = (_Component(np.array([0, 1]), 0.0005, 0.1), _Component(np.array([2]), 0.002, 0.5))
+def _list_components(settings: ModelErrorSettings) -> tuple[_Component, _Component]:
+    """Position and heading, in the order of :attr:`NetworkProblem.model_error_variance`."""
+    return (
+        _Component(np.array([0, 1]), settings.min_position_sigma, settings.max_position_sigma),
+        _Component(np.array([2]), settings.min_heading_sigma, settings.max_heading_sigma),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +61,19 @@ def estimate_model_error(network: NetworkProblem, state: NetworkState) -> Array:
     the noise of a scan. Where no two scanners measure a body within one stride, a variance keeps its value.
     """
     bodies = [_collect_equations(network, state, *pair) for pair in zip(network.bodies, state.paths, strict=True)]
+    score_to_information = TukeyLoss(network.settings.beams.tukey_limit).score_to_information
     variances = network.model_error_variance.copy()
-    for index, component in enumerate(_COMPONENTS):
-        variances[index] = _find_variance(bodies, variances, index, component)
+    for index, component in enumerate(_list_components(network.settings.model_error)):
+        variances[index] = _find_variance(bodies, variances, index, component, score_to_information)
     return variances
 
 
 def _find_variance(
-    bodies: Sequence[tuple[_ScannerEquations, ...]], variances: Array, index: int, component: _Component
+    bodies: Sequence[tuple[_ScannerEquations, ...]],
+    variances: Array,
+    index: int,
+    component: _Component,
+    score_to_information: float,
 ) -> float:
     """The variance of one component, with the other as in ``variances`` (2,)."""
 
@@ -77,7 +86,7 @@ def _find_variance(
 
     def log_ratio(log_variance: float) -> float:
         observed, expected = sum_discrepancies(log_variance)
-        return float(np.log(observed / (SCORE_TO_INFORMATION * expected)))
+        return float(np.log(observed / (score_to_information * expected)))
 
     low, high = 2 * np.log([component.min_sigma, component.max_sigma])
     if sum_discrepancies(low)[1] < component.max_sigma**-2:
@@ -93,10 +102,11 @@ def _collect_equations(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
 ) -> tuple[_ScannerEquations, ...]:
     """By scanner."""
+    duration = network.settings.model_error.stride_duration
     collected = []
     for scans in body.scans:
         _, _, pose, rate = evaluate_at(state, body, path, scans)
-        stride = (scans.times - state.clock_offset[scans.scanner] - body.knots.start) / _STRIDE
+        stride = (scans.times - state.clock_offset[scans.scanner] - body.knots.start) / duration
         equations = build_scan_equations(network, state, path, scans, pose, rate)
         collected.append(_ScannerEquations(equations, np.maximum(stride, 0).astype(np.intp)))
     return tuple(collected)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.network.splines import Knots
 from calgraph.geometry import Array, Index
@@ -67,6 +68,10 @@ class NetworkProblem:
     """(2,) variances of the displacement (m²) and rotation (rad²) of a body from its path in a scan."""
     clock_sigma: float
     """Prior standard deviation of clock offsets, s; 0 where all clocks are synchronized."""
+    acceleration_density: float
+    """Spectral density of a body's acceleration, m²/s³."""
+    settings: NetworkEstimationSettings
+    """Further parameters of the models of bodies and beams."""
     prior: ScannerPrior | None = None
     """Prior of scanner poses."""
 

@@ -8,12 +8,7 @@ the more so, the greater the leverage of the beams (Huber, "Robust statistics", 
 import numpy as np
 
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
-from calgraph.estimation.network.scan_equations import (
-    MEAN_WEIGHT,
-    MEDIAN_SHRINKAGE,
-    ScanEquations,
-    sum_over_scans,
-)
+from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_scans
 from calgraph.estimation.network.schur import compute_path_covariance
 from calgraph.estimation.network.solver import (
     NetworkEquations,
@@ -21,18 +16,11 @@ from calgraph.estimation.network.solver import (
     evaluate_at,
     raycast_body,
 )
+from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 
 # Standard deviation of Gaussian noise as a multiple of its median absolute value.
 _MEDIAN_TO_SIGMA = 1.4826
-# Beams that give a scanner's noise to a few percent; with fewer of them, the background's noise is used.
-_MIN_BEAMS = 300
-# Least noise, as a ratio to the background's: ranges of a simulation may have none at all.
-_MIN_RATIO = 0.5
-# Most noise beyond the background's, m: larger residuals are not of these bodies.
-_MAX_EXCESS = 0.05
-# Greatest leverage that is corrected for: with few beams per path, the correction would be uncertain.
-_MAX_LEVERAGE = 0.3
 
 
 def estimate_range_noise(
@@ -40,7 +28,7 @@ def estimate_range_noise(
 ) -> Array:
     """(S,) noise of ranges, m: median absolute residual at bodies, corrected for the leverage of the beams.
 
-    It is at least half of the background's noise, and at most 5 cm beyond it.
+    It is within the bounds of the settings about the background's noise.
 
     Args:
         network: with the weights of its last solution.
@@ -48,6 +36,8 @@ def estimate_range_noise(
         equations: of that solution.
         background: (S,) noise of each scanner's background, m; used for scanners with few beams on bodies.
     """
+    settings, beams = network.settings.range_noise, network.settings.beams
+    loss = TukeyLoss(beams.tukey_limit)
     residuals: list[list[Array]] = [[] for _ in background]
     leverage, effective_beams = np.zeros((2, len(background)))
     for body, path, body_equations in zip(network.bodies, state.paths, equations.bodies, strict=True):
@@ -55,19 +45,23 @@ def estimate_range_noise(
         for scans in body.scans:
             first, weights, pose, rate = evaluate_at(state, body, path, scans)
             hits = raycast_body(state, path, scans, pose, rate)
-            residuals[scans.scanner].append(np.abs(hits.ranges - scans.ranges)[hits.not_grazing])
+            residuals[scans.scanner].append(
+                np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > beams.min_cos_incidence]
+            )
             scan_equations = sum_over_scans(
                 *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
             ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
             leverage[scans.scanner] += _sum_leverages(weights, first, scan_equations, path_covariance)
-            effective_beams[scans.scanner] += scans.weight.sum() / MEAN_WEIGHT
+            effective_beams[scans.scanner] += scans.weight.sum() / loss.mean_weight
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
-    shrinkage = MEDIAN_SHRINKAGE * np.minimum(leverage / np.maximum(effective_beams, 1), _MAX_LEVERAGE)
+    shrinkage = loss.median_shrinkage * np.minimum(
+        leverage / np.maximum(effective_beams, 1), settings.max_leverage
+    )
     sigma = [
-        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= _MIN_BEAMS else stated
+        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= settings.min_beams else stated
         for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
-    return np.asarray(np.clip(sigma, _MIN_RATIO * background, np.hypot(background, _MAX_EXCESS)))
+    return np.asarray(np.clip(sigma, settings.min_ratio * background, np.hypot(background, settings.max_excess)))
 
 
 def _sum_leverages(weights: Array, first: Index, equations: ScanEquations, path_covariance: Array) -> float:

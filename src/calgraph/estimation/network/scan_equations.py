@@ -8,28 +8,9 @@ with a given variance, which is marginalised.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
 
-# Limit of Tukey's biweight, standard deviations (Beaton and Tukey, 1974): beams beyond it are of arms, or of other
-# people. The textbook's 4.685 is more efficient for Gaussian noise, but takes swinging arms for the torso.
-_TUKEY_LIMIT = 2.5
-# Expectations for Gaussian residuals r with weights w(r) and score ψ(r) = w(r) r: E[w], E[ψ'], E[ψ²].
-_EXPECTED_WEIGHT, _EXPECTED_SCORE_DERIVATIVE, _EXPECTED_SQUARED_SCORE = 0.755, 0.399, 0.248
-# A beam carries E[ψ']² / E[ψ²] of the information of its noise (Huber, 1981), which is less than E[w]: weights are
-# multiplied by this ratio, so that their sum is the information.
-_WEIGHT_SCALE = _EXPECTED_SCORE_DERIVATIVE**2 / (_EXPECTED_SQUARED_SCORE * _EXPECTED_WEIGHT)
-# Expected square of a scaled score, as a multiple of the information in the scaled weights.
-SCORE_TO_INFORMATION = _WEIGHT_SCALE * _EXPECTED_SQUARED_SCORE / _EXPECTED_WEIGHT
-# Expected scaled weight of a beam with Gaussian noise.
-MEAN_WEIGHT = _WEIGHT_SCALE * _EXPECTED_WEIGHT
-# The median absolute Gaussian residual. Where a model is fitted to the beams, it shrinks by this coefficient times
-# the beams' leverage: the effect of a beam on its own prediction, less the noise that other beams add to it.
-_MEDIAN = 0.6745
-MEDIAN_SHRINKAGE = (
-    1 - (_MEDIAN / _TUKEY_LIMIT) ** 2
-) ** 2 / _EXPECTED_SCORE_DERIVATIVE - _EXPECTED_SQUARED_SCORE / _EXPECTED_SCORE_DERIVATIVE**2 / 2
 # Upper triangle of the products of five derivatives (pose and radii) and the residual.
 _ROWS, _COLUMNS = np.triu_indices(6)
 _UPPER = np.triu_indices(3)
@@ -77,21 +58,6 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
     total = np.empty((len(first_beam), 6, 6))
     total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
     return ScanEquations(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
-
-
-def compute_tukey_weights(residual: Array, used: NDArray[np.bool_], near_side_factor: float = 1.0) -> Array:
-    """(N,) Tukey's weights of beams, scaled so that their sum is the information of the beams.
-
-    Residuals are those of the smooth path, not of the body's displacement in each scan: displacements would fit
-    the arms.
-
-    Args:
-        residual: (N,) whitened, positive for beams that end in front of the outline.
-        used: (N,) whether a beam has a weight at all.
-        near_side_factor: by how much the limit is lower for beams that end in front of the outline.
-    """
-    ratio = np.where(residual > 0, residual * near_side_factor, residual) / _TUKEY_LIMIT
-    return np.asarray(_WEIGHT_SCALE * used * np.maximum(1 - ratio**2, 0) ** 2)
 
 
 def _invert_3x3(A: Array) -> Array:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from calgraph.config.settings import BodySettings
 from calgraph.estimation.network.ellipse_raycast import (
     RaycastHits,
     raycast_ellipses_by_axis,
@@ -29,16 +30,9 @@ from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.splines import evaluate_spline
 from calgraph.geometry import Array, Index, se2
 
-# Power spectral densities of a walker's acceleration, m²/s³, and of its turning rate, rad²/s.
-_ACCELERATION_DENSITY, TURNING_DENSITY = 0.5, 5.0
 # Second difference of control points.
 _SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
-# Standard deviation of people's heading about their direction of motion, rad, above a speed, m/s.
-_HEADING_SIGMA = 0.3
-_MIN_SPEED = 0.5
-# Whitened residual of a beam that misses the ellipse; its derivative is zero.
-_MISSED_RESIDUAL = 4.0
-# Beams with a smaller cosine of incidence count as misses: their range is not linear in the unknowns.
+# Beams with a smaller cosine of incidence count as misses: the derivatives of their range grow beyond all bounds.
 _MIN_COS_INCIDENCE = 0.05
 # Iteration ends where a step changes the cost by less than this, or needs more damping than this.
 _MIN_COST_CHANGE, _MAX_DAMPING = 0.003, 1e3
@@ -163,7 +157,7 @@ def _linearize_body(
 ) -> tuple[BodyEquations, float]:
     """One body's equations and its cost."""
     count, scanners = body.knots.count, len(body.scans)
-    band, gradient, cost = _linearize_path_prior(body, path)
+    band, gradient, cost = _linearize_path_prior(network, body, path)
     border = np.zeros((count, 3, 2 + 4 * scanners))
     corner, corner_gradient = np.zeros((2 + 4 * scanners,) * 2), np.zeros(2 + 4 * scanners)
     radii_information = body.radii_sigma**-2
@@ -246,7 +240,7 @@ def compute_residuals(network: NetworkProblem, scans: BodyScans, hits: RaycastHi
     """Whitened residuals (N,) of beams, and their derivatives (N, 5) by the body's pose and radii."""
     sigma = network.range_sigma[scans.scanner]
     hit = hits.cos_incidence > _MIN_COS_INCIDENCE
-    residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, _MISSED_RESIDUAL)
+    residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, network.settings.beams.missed_residual)
     return residual, np.where(hit[:, None], hits.jacobian / sigma, 0.0)
 
 
@@ -268,16 +262,19 @@ def _scanner_jacobian(T_root_scanner: Array, pose: Array, rate: Array) -> Array:
     return G
 
 
-def compute_smoothness_information(step: float) -> Array:
+def compute_smoothness_information(step: float, acceleration_density: float) -> Array:
     """(3, 3) information of three consecutive control points, ``step`` (s) apart: acceleration is white noise."""
-    return np.outer(_SECOND_DIFFERENCE, _SECOND_DIFFERENCE) / (step**3 * _ACCELERATION_DENSITY)
+    return np.outer(_SECOND_DIFFERENCE, _SECOND_DIFFERENCE) / (step**3 * acceleration_density)
 
 
-def _linearize_path_prior(body: BodyObservations, path: BodyPath) -> tuple[Array, Array, float]:
+def _linearize_path_prior(
+    network: NetworkProblem, body: BodyObservations, path: BodyPath
+) -> tuple[Array, Array, float]:
     """Smoothness of the path, and people's heading along it: band, gradient and cost."""
     control, step = path.control, body.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
-    smooth, steady = compute_smoothness_information(step), 1 / (step * TURNING_DENSITY)
+    smooth = compute_smoothness_information(step, network.acceleration_density)
+    steady = 1 / (step * network.settings.body.turning_density)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
     for i in range(3):
         gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend
@@ -294,27 +291,30 @@ def _linearize_path_prior(body: BodyObservations, path: BodyPath) -> tuple[Array
         band[:, 0, 2, 2] += 1.0
         return band, gradient, cost
     # The direction of motion is taken as exact: the heading would add hardly any information to the path.
-    offset, weight = compute_heading_offsets(body, control[:, :2], control[:, 2:])
+    offset, weight = compute_heading_offsets(body, control[:, :2], control[:, 2:], network.settings.body)
     gradient[:, 2] += weight * offset[:, 0]
     band[:, 0, 2, 2] += weight + 1e-6
     return band, gradient, cost + 0.5 * float(weight @ offset[:, 0] ** 2)
 
 
-def compute_heading_offsets(body: BodyObservations, positions: Array, headings: Array) -> tuple[Array, Array]:
+def compute_heading_offsets(
+    body: BodyObservations, positions: Array, headings: Array, settings: BodySettings
+) -> tuple[Array, Array]:
     """Angles between headings and the direction of motion, with the weights of their prior.
 
     Args:
         body: whose path it is.
         positions: (K, 2) control points of the path, m.
         headings: (K, G) or (G,) at the control points, rad.
+        settings: of the prior.
 
     Returns:
         Angles (K, G), modulo π because an ellipse has no front, and weights (K,), 1/rad²; zero where people stand.
     """
     velocity = np.gradient(positions, body.knots.step, axis=0)
-    walking = np.linalg.norm(velocity, axis=1) > _MIN_SPEED
+    walking = np.linalg.norm(velocity, axis=1) > settings.min_walking_speed
     offset = headings - np.arctan2(velocity[:, 1], velocity[:, 0])[:, None]
-    return (offset + np.pi / 2) % np.pi - np.pi / 2, walking / _HEADING_SIGMA**2
+    return (offset + np.pi / 2) % np.pi - np.pi / 2, walking / settings.heading_sigma**2
 
 
 def index_scans(scans: BodyScans) -> Index:

@@ -1,31 +1,15 @@
 """Groups the tracks of all scanners by the body that they follow: tracks at the same place at the same time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calgraph.config.settings import TrackGroupingSettings
 from calgraph.geometry import Array, se2
+from calgraph.pairwise.synchronized_tracks import TICK_PERIOD
 from calgraph.tracking import ScannerTracks, Track
-
-# Interval at which tracks are compared, s.
-_TICK = 0.1
-# Tracks of two scanners follow one body if they are within this distance, m, at this many ticks, and at this share
-# of the ticks that they have in common.
-_MAX_DISTANCE = 0.5
-_MIN_TICKS = 3
-_MIN_SHARE = 0.5
-# A track continues another one of the same scanner if the gap is shorter than this, s, and the extrapolated
-# position is within this distance, m.
-_MAX_GAP = 1.0
-_MAX_JUMP = 0.4
-# Tracks of one scanner that overlap for longer than this, s, are of two bodies.
-_MAX_OVERLAP = 0.15
-# A body that no scanner tracks for longer than this, s, counts as another one afterwards.
-_MAX_UNTRACKED = 1.5
-# Bodies tracked for a shorter time than this, s, are not used.
-_MIN_DURATION = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +43,15 @@ class _SampledTrack:
     """(T, 2) at the ticks, m."""
 
 
-def group_tracks_by_body(tracked: Sequence[ScannerTracks], T_root_scanner: Array) -> list[BodyTracks]:
+def group_tracks_by_body(
+    tracked: Sequence[ScannerTracks], T_root_scanner: Array, settings: TrackGroupingSettings
+) -> list[BodyTracks]:
     """Groups the tracks of all scanners by body.
 
     Args:
         tracked: by scanner.
         T_root_scanner: (S, 3, 3) approximate poses.
+        settings: of the grouping.
 
     Returns:
         Bodies that at least two scanners tracked, in order of time.
@@ -77,24 +64,28 @@ def group_tracks_by_body(tracked: Sequence[ScannerTracks], T_root_scanner: Array
     ]
     group_of = {i: i for i in range(len(sampled))}
     members = {i: [i] for i in range(len(sampled))}
-    for _, i, j in sorted([*_link_simultaneous(sampled), *_link_successive(sampled)], key=lambda link: -link[0]):
+    links = [*_link_simultaneous(sampled, settings), *_link_successive(sampled, settings)]
+    for _, i, j in sorted(links, key=lambda link: -link[0]):
         a, b = group_of[i], group_of[j]
-        if a == b or _overlap_in_scanner([sampled[k] for k in members[a]], [sampled[k] for k in members[b]]):
+        group, other = ([sampled[k] for k in members[one]] for one in (a, b))
+        if a == b or _overlap_in_scanner(group, other, settings.max_overlap):
             continue
         members[a] += members[b]
         group_of |= dict.fromkeys(members.pop(b), a)
-    bodies = [part for group in members.values() for part in _split_at_gaps([sampled[k] for k in group])]
-    return sorted((body for body in bodies if body is not None), key=lambda body: body.start)
+    bodies = (body for group in members.values() for body in _split_at_gaps([sampled[k] for k in group], settings))
+    return sorted(bodies, key=lambda body: body.start)
 
 
 def _sample_track(scanner: int, track: Track, T: Array) -> _SampledTrack:
-    ticks = np.arange(np.ceil(track.times[0] / _TICK), np.floor(track.times[-1] / _TICK) + 1)
+    ticks = np.arange(np.ceil(track.times[0] / TICK_PERIOD), np.floor(track.times[-1] / TICK_PERIOD) + 1)
     positions = se2.apply(T, track.positions)
-    at_ticks = np.column_stack([np.interp(ticks * _TICK, track.times, positions[:, k]) for k in (0, 1)])
+    at_ticks = np.column_stack([np.interp(ticks * TICK_PERIOD, track.times, positions[:, k]) for k in (0, 1)])
     return _SampledTrack(scanner, track, ticks, at_ticks)
 
 
-def _link_simultaneous(sampled: Sequence[_SampledTrack]) -> list[tuple[float, int, int]]:
+def _link_simultaneous(
+    sampled: Sequence[_SampledTrack], settings: TrackGroupingSettings
+) -> list[tuple[float, int, int]]:
     """Links between tracks of two scanners; their strength is the number of ticks at which they are close."""
     owner = np.repeat(np.arange(len(sampled)), [len(one.ticks) for one in sampled])
     scanner = np.array([one.scanner for one in sampled], dtype=np.intp)
@@ -103,20 +94,22 @@ def _link_simultaneous(sampled: Sequence[_SampledTrack]) -> list[tuple[float, in
     ticks = np.concatenate([one.ticks for one in sampled])
     positions = np.concatenate([one.positions for one in sampled])
     # Ticks are a third coordinate, scaled so that only samples of one tick are neighbours.
-    tree = cKDTree(np.column_stack([positions, 10 * _MAX_DISTANCE * (ticks - ticks.min())]))
-    i, j = owner[tree.query_pairs(_MAX_DISTANCE, output_type="ndarray").reshape(-1, 2)].T
+    tree = cKDTree(np.column_stack([positions, 10 * settings.max_distance * (ticks - ticks.min())]))
+    i, j = owner[tree.query_pairs(settings.max_distance, output_type="ndarray").reshape(-1, 2)].T
     different = scanner[i] != scanner[j]
     pairs, close_ticks = np.unique(np.sort(np.column_stack([i, j])[different], axis=1), axis=0, return_counts=True)
     links = []
     for (first, second), count in zip(pairs.tolist(), close_ticks.tolist(), strict=True):
         a, b = sampled[first].ticks, sampled[second].ticks
         common = min(a[-1], b[-1]) - max(a[0], b[0]) + 1
-        if count >= _MIN_TICKS and count >= _MIN_SHARE * common:
+        if count >= settings.min_ticks and count >= settings.min_share * common:
             links.append((float(count), first, second))
     return links
 
 
-def _link_successive(sampled: Sequence[_SampledTrack]) -> list[tuple[float, int, int]]:
+def _link_successive(
+    sampled: Sequence[_SampledTrack], settings: TrackGroupingSettings
+) -> list[tuple[float, int, int]]:
     """Links between tracks of one scanner that continue each other: the closer, the stronger."""
     links = []
     by_scanner: dict[int, list[int]] = {}
@@ -126,42 +119,42 @@ def _link_successive(sampled: Sequence[_SampledTrack]) -> list[tuple[float, int,
         starts = np.array([sampled[i].track.times[0] for i in indices])
         for i in indices:
             earlier = sampled[i].track
-            low, high = np.searchsorted(starts, [earlier.times[-1], earlier.times[-1] + _MAX_GAP])
+            low, high = np.searchsorted(starts, [earlier.times[-1], earlier.times[-1] + settings.max_gap])
             for j in indices[low:high]:
                 later = sampled[j].track
                 gap = later.times[0] - earlier.times[-1]
                 extrapolated = earlier.positions[-1] + gap * (earlier.velocities[-1] + later.velocities[0]) / 2
                 jump = float(np.linalg.norm(later.positions[0] - extrapolated))
-                if jump < _MAX_JUMP:
-                    links.append(((1 - gap / _MAX_GAP) / _TICK * (1 - jump / _MAX_JUMP), i, j))
+                if jump < settings.max_jump:
+                    links.append(
+                        ((1 - gap / settings.max_gap) / TICK_PERIOD * (1 - jump / settings.max_jump), i, j)
+                    )
     return links
 
 
-def _overlap_in_scanner(group: Sequence[_SampledTrack], other: Sequence[_SampledTrack]) -> bool:
-    """Whether some scanner tracked both groups at the same time."""
+def _overlap_in_scanner(
+    group: Sequence[_SampledTrack], other: Sequence[_SampledTrack], max_overlap: float
+) -> bool:
+    """Whether some scanner tracked both groups at the same time for longer than ``max_overlap``, s."""
     return any(
         a.scanner == b.scanner
-        and min(a.track.times[-1], b.track.times[-1]) - max(a.track.times[0], b.track.times[0]) > _MAX_OVERLAP
+        and min(a.track.times[-1], b.track.times[-1]) - max(a.track.times[0], b.track.times[0]) > max_overlap
         for a in group
         for b in other
     )
 
 
-def _split_at_gaps(group: Sequence[_SampledTrack]) -> list[BodyTracks | None]:
-    """A body split where no scanner tracked it for long; None for parts that are not used."""
+def _split_at_gaps(group: Sequence[_SampledTrack], settings: TrackGroupingSettings) -> Iterator[BodyTracks]:
+    """The parts of a body between long interruptions, but those of one scanner only, and short ones."""
     parts: list[list[_SampledTrack]] = []
     end = -np.inf
     for one in sorted(group, key=lambda one: float(one.track.times[0])):
-        if one.track.times[0] - end > _MAX_UNTRACKED:
+        if one.track.times[0] - end > settings.max_untracked:
             parts.append([])
         parts[-1].append(one)
         end = max(end, float(one.track.times[-1]))
-    return [_build_body(part) for part in parts]
-
-
-def _build_body(part: Sequence[_SampledTrack]) -> BodyTracks | None:
-    start = min(float(one.track.times[0]) for one in part)
-    end = max(float(one.track.times[-1]) for one in part)
-    if len({one.scanner for one in part}) < 2 or end - start < _MIN_DURATION:
-        return None
-    return BodyTracks(tuple((one.scanner, one.track) for one in part), start, end)
+    for part in parts:
+        start = min(float(one.track.times[0]) for one in part)
+        end = max(float(one.track.times[-1]) for one in part)
+        if len({one.scanner for one in part}) >= 2 and end - start >= settings.min_duration:
+            yield BodyTracks(tuple((one.scanner, one.track) for one in part), start, end)

@@ -1,39 +1,40 @@
-"""Robust weights of beams."""
+"""Tukey's loss: weights of beams, and the information in them."""
 
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.scan_equations import compute_tukey_weights
+from calgraph.estimation.network.tukey_loss import TukeyLoss
 
+LOSS = TukeyLoss(2.5)
 ALL = np.ones(5, dtype=np.bool_)
 RESIDUALS = np.array([-2.0, -0.5, 0.0, 0.5, 2.0])
 
 
 def test_weights_decrease_with_the_residual() -> None:
-    weight = compute_tukey_weights(RESIDUALS, ALL)
+    weight = LOSS.compute_weights(RESIDUALS, ALL)
     np.testing.assert_allclose(weight, weight[::-1])
     assert weight[0] < weight[1] < weight[2] < 1
 
 
 def test_residuals_beyond_the_limit_have_no_weight() -> None:
-    np.testing.assert_array_equal(compute_tukey_weights(np.array([-2.6, 2.6]), ALL[:2]), 0.0)
+    np.testing.assert_array_equal(LOSS.compute_weights(np.array([-2.6, 2.6]), ALL[:2]), 0.0)
 
 
 def test_the_limit_is_lower_in_front_of_the_outline() -> None:
-    weight = compute_tukey_weights(RESIDUALS, ALL, near_side_factor=2.5)
-    np.testing.assert_allclose(weight[:3], compute_tukey_weights(RESIDUALS, ALL)[:3])
+    weight = LOSS.compute_weights(RESIDUALS, ALL, near_side_factor=2.5)
+    np.testing.assert_allclose(weight[:3], LOSS.compute_weights(RESIDUALS, ALL)[:3])
     assert (weight[4], 0 < weight[3] < weight[1]) == (0.0, True)
 
 
 def test_unused_beams_have_no_weight() -> None:
-    np.testing.assert_array_equal(compute_tukey_weights(RESIDUALS, ~ALL), 0.0)
+    np.testing.assert_array_equal(LOSS.compute_weights(RESIDUALS, ~ALL), 0.0)
 
 
 def test_the_sum_of_weights_is_the_information(rng: np.random.Generator) -> None:
     # The robust mean of 100 beams, 4000 times.
     beams, mean = rng.normal(0, 1, (4000, 100)), np.zeros((4000, 1))
     for _ in range(40):
-        weight = compute_tukey_weights(beams - mean, np.ones(beams.shape, dtype=np.bool_))
+        weight = LOSS.compute_weights(beams - mean, np.ones(beams.shape, dtype=np.bool_))
         mean = np.sum(weight * beams, axis=1, keepdims=True) / np.sum(weight, axis=1, keepdims=True)
     # The standard deviation of the variance of 4000 means is 2.2 %.
     assert np.mean(mean**2) * np.mean(np.sum(weight, axis=1)) == pytest.approx(1, abs=0.08)

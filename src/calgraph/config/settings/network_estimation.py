@@ -1,0 +1,157 @@
+"""Settings of the joint estimate of a network of 2-D scanners."""
+
+from pydantic import Field
+
+from calgraph.config.strict_model import StrictModel
+
+
+class TrackGroupingSettings(StrictModel):
+    """Which tracks of which scanners follow the same body."""
+
+    max_distance: float = Field(default=0.5, gt=0)
+    """Simultaneous positions of one body in two scanners are at most this far apart, m. People keep about half a
+    metre from each other; start poses, centres and clocks err by less (50 ms of clock at 1.5 m/s are 8 cm)."""
+    min_ticks: int = Field(default=3, ge=1)
+    """Ticks (0.1 s) at which two tracks have to be this close: two people who pass each other at 2.5 m/s relative
+    speed are close for at most 4, and the share below decides then."""
+    min_share: float = Field(default=0.5, gt=0, le=1)
+    """Share of the common ticks at which two tracks have to be close: the majority, so that a track is not linked
+    to two people who walk apart."""
+    max_gap: float = Field(default=1.0, gt=0)
+    """A track continues an earlier one of its scanner after at most this time, s: longer than people hide each
+    other when they pass."""
+    max_jump: float = Field(default=0.4, gt=0)
+    """Distance of a continuing track from the extrapolation, m: one standard deviation of an extrapolation over 1
+    s at an acceleration density q of 0.5 m²/s³, sqrt(q t³ / 3)."""
+    max_overlap: float = Field(default=0.15, gt=0)
+    """Tracks of one scanner that overlap longer are of two bodies, s: a cluster may fall into two for about two
+    scans of a scanner with 15 Hz."""
+    max_untracked: float = Field(default=1.5, gt=0)
+    """A body is split where no scanner tracks it for longer, s: a path that is fixed at both ends of such a gap is
+    uncertain by 0.1 m in its middle, sqrt(q t³ / 192) with q as above, and longer ones add no information."""
+    min_duration: float = Field(default=1.0, gt=0)
+    """Bodies that are tracked for a shorter time are not used, s: less than a stride, over which the deviations of
+    a walking person average out."""
+
+
+class BodySettings(StrictModel):
+    """The model of a body: an ellipse on a smooth path."""
+
+    knot_interval: float = Field(default=0.2, gt=0)
+    """Interval of a path's control points, s: two or three for a step of half a second, the fastest motion of a
+    torso."""
+    track_sigma: float = Field(default=0.03, gt=0)
+    """Noise of tracked positions in the first path, m: that of ellipse centres at a few metres' range."""
+    turning_density: float = Field(default=5.0, gt=0)
+    """Spectral density of the turning rate, rad²/s: a standard deviation of 2.2 rad in 1 s, in which people can
+    turn round."""
+    heading_sigma: float = Field(default=0.3, gt=0)
+    """Standard deviation of people's heading about their direction of motion, rad: shoulders turn by about 17°
+    with each step."""
+    min_walking_speed: float = Field(default=0.5, ge=0)
+    """Speed above which the direction of motion determines people's heading, m/s: slower ones shuffle sideways or
+    turn on the spot; a walk has 1 to 1.5 m/s."""
+    people_radii_sigma: float = Field(default=0.3, gt=0)
+    """Prior standard deviation of people's radii, relative to those of rig.yaml: shoulder breadths of adults vary
+    by 15 %, and clothes and the height of the scanning plane as much."""
+    cylinder_radius_sigma: float = Field(default=1e-4, gt=0)
+    """Prior standard deviation of a cylinder's radius, m: its diameter is measured with a tape to 0.2 mm."""
+
+
+class BeamSettings(StrictModel):
+    """Which beams count, and how much."""
+
+    tukey_limit: float = Field(default=2.5, gt=1)
+    """Limit of Tukey's biweight, standard deviations. The textbook's 4.685 has an efficiency of 95 % for Gaussian
+    noise, this one 64 %, but the former takes swinging arms for the torso."""
+    initial_near_side_factor: float = Field(default=2.5, ge=1)
+    """In the first rounds, the limit is divided by this for beams that end in front of the outline. Arms are in
+    front of the torso or beside it, never behind, and an outline that once fits arms keeps them."""
+    min_cos_incidence: float = Field(default=0.35, gt=0.05, lt=1)
+    """Least cosine of incidence, 70°: beyond, errors of a beam's direction exceed those of its range (1 mrad at 5
+    m gives 14 mm), and its width covers more than the outline."""
+    missed_residual: float = Field(default=4.0, gt=0)
+    """Whitened residual of a beam that misses the ellipse during the iteration: the cost of a certain outlier,
+    with zero derivative."""
+
+
+class RangeNoiseSettings(StrictModel):
+    """The estimate of a scanner's range noise from residuals at bodies."""
+
+    min_beams: int = Field(default=300, ge=10)
+    """Beams that are needed, otherwise the background's noise is used: the median of 300 has a relative standard
+    deviation of 1.17 / sqrt(300) = 7 %."""
+    min_ratio: float = Field(default=0.5, gt=0, le=1)
+    """Least noise as a ratio to the background's: quantised or simulated ranges may show none."""
+    max_excess: float = Field(default=0.05, ge=0)
+    """Greatest noise beyond the background's, m: larger residuals are of other objects than the bodies."""
+    max_leverage: float = Field(default=0.3, ge=0, le=0.5)
+    """Greatest mean leverage that is corrected for: the correction is an expansion to first order in it."""
+
+
+class ModelErrorSettings(StrictModel):
+    """The deviation of bodies from ellipses on smooth paths, per scan."""
+
+    initial_position_sigma: float = Field(default=0.005, gt=0)
+    """Standard deviation of a body's position in the first two solutions, m. Later ones estimate it wherever two
+    scanners measure a body together."""
+    initial_heading_sigma: float = Field(default=0.05, gt=0)
+    """The same of a body's heading, rad."""
+    stride_duration: float = Field(default=1.0, gt=0)
+    """Scanners are compared over this time, s: two steps of a walk, the period in which arms swing and deviations
+    are correlated."""
+    min_position_sigma: float = Field(default=0.0005, gt=0, le=0.01)
+    """Least standard deviation of a position, m: below a tenth of what the beams of one scan determine, it has no
+    effect."""
+    max_position_sigma: float = Field(default=0.1, gt=0.01)
+    """Greatest standard deviation of a position, m: half the depth of a person."""
+    min_heading_sigma: float = Field(default=0.002, gt=0, le=0.01)
+    """Least standard deviation of a heading, rad; as for positions."""
+    max_heading_sigma: float = Field(default=0.5, gt=0.01)
+    """Greatest standard deviation of a heading, rad: about 30°."""
+    tolerance: float = Field(default=0.3, gt=0)
+    """Relative change of the variances at which the rounds end: 15 % of a standard deviation, less than its
+    uncertainty from a minute of one person."""
+
+
+class HeadingSearchSettings(StrictModel):
+    """The search for the headings of people who turn, on a grid."""
+
+    grid_size: int = Field(default=18, ge=4)
+    """Headings over a half turn: steps of 10°, of which the half is well below ``heading_sigma``."""
+    path_sigma: float = Field(default=0.01, ge=0)
+    """Error of paths at this stage, m; added to the noise of ranges."""
+    max_beam_cost: float = Field(default=4.5, gt=0)
+    """Greatest cost of a beam, half squared standard deviations: three of them; beyond, a beam is of arms or of
+    other people."""
+    beam_weight: float = Field(default=0.2, gt=0, le=1)
+    """Weight of a beam: errors of path and outline are common to the beams of a scan, which count as a fifth of
+    independent ones."""
+
+
+class NetworkEstimationSettings(StrictModel):
+    """The joint estimate of a network of scanners."""
+
+    clock_sigma: float = Field(default=0.1, gt=0)
+    """Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time."""
+    first_path_sigma: float = Field(default=0.05, ge=0)
+    """Error of paths and radii before the first solution, m; added to the noise of ranges. It is that of averaged
+    poses and tracked centres."""
+    second_path_sigma: float = Field(default=0.02, ge=0)
+    """The same before the second solution."""
+    iterations: int = Field(default=4, ge=1)
+    """Levenberg–Marquardt steps of each solution: weights and noise change between solutions, so that none needs
+    to converge on its own."""
+    max_rounds: int = Field(default=5, ge=1)
+    """Rounds of noise, weights, model error, walls and solution. With rounds until convergence, errors in the
+    halls of benchmarks/lrf_network.py grow from 2.2 to 2.6 mm, because weights have several fixed points."""
+    wall_position_sigma: float = Field(default=0.05, gt=0)
+    """Error of the joint poses at which the registration of walls starts, m: bounds which walls correspond."""
+    wall_rotation_sigma: float = Field(default=0.01, gt=0)
+    """The error of the joint poses at which the registration of walls starts, rad."""
+    grouping: TrackGroupingSettings = TrackGroupingSettings()
+    body: BodySettings = BodySettings()
+    beams: BeamSettings = BeamSettings()
+    range_noise: RangeNoiseSettings = RangeNoiseSettings()
+    model_error: ModelErrorSettings = ModelErrorSettings()
+    heading_search: HeadingSearchSettings = HeadingSearchSettings()
