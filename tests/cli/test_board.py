@@ -78,7 +78,7 @@ def test_a_rig_and_wishes_contradict_each_other(run: Run, tmp_path: Path) -> Non
         (["--paper", "B7"], "--paper: is none of a0, a1"),
         (["--size", "12"], "--size: must be WIDTHxHEIGHT in mm, such as 1200x900; got '12'"),
         (["--paper", "fit"], "--size: is needed for --paper fit"),
-        (["--dictionary", "DICT_5X5_50"], "--dictionary: is for charuco"),
+        (["--dictionary", "DICT_5X5_50"], "--dictionary: applies to charuco only"),
         (["-o", "missing/board.pdf"], "missing"),
     ],
 )

@@ -12,8 +12,8 @@ from calgraph.config import Board, PixelNoise, Tag
 from calgraph.detection import find_boards
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array
-from calgraph.printing import Page, Wishes, design, lay_out, parse_paper
-from calgraph.printing.pdf import caption, write_pdf
+from calgraph.printing import BoardOptions, Page, design_board, layout_pages, parse_paper
+from calgraph.printing.pdf import describe_board, write_pdf
 from calgraph.sensors import CameraModel, Image
 
 Gray = NDArray[np.uint8]
@@ -22,20 +22,22 @@ PER_MM = 8.0
 """Pixels, 203 dpi."""
 A4 = parse_paper("A4")
 KINDS = {
-    "tags": Wishes(),
-    "tag25h9": Wishes(family="tag25h9", first_id=7),
-    "tag16h5": Wishes(family="tag16h5"),
-    "aprilgrid": Wishes(kind="aprilgrid"),
-    "charuco": Wishes(kind="charuco"),
-    "checkerboard": Wishes(kind="checkerboard"),
+    "tags": BoardOptions(),
+    "tag25h9": BoardOptions(family="tag25h9", first_id=7),
+    "tag16h5": BoardOptions(family="tag16h5"),
+    "aprilgrid": BoardOptions(kind="aprilgrid"),
+    "charuco": BoardOptions(kind="charuco"),
+    "checkerboard": BoardOptions(kind="checkerboard"),
 }
 ODD = {
-    "tags anywhere": Wishes(
+    "tags anywhere": BoardOptions(
         tags=(Tag(id=3, size=0.0523, center=(-0.0611, 0.031)), Tag(id=586, size=0.0417, center=(0.0803, -0.0297)))
     ),
-    "small squares": Wishes(kind="checkerboard", square=11.7, columns=9, rows=6),
-    "markers of another dictionary": Wishes(kind="charuco", square=31.3, dictionary="DICT_4X4_50", first_id=11),
-    "wide gaps": Wishes(kind="aprilgrid", columns=3, rows=2, spacing=0.5, first_id=100),
+    "small squares": BoardOptions(kind="checkerboard", square=11.7, columns=9, rows=6),
+    "markers of another dictionary": BoardOptions(
+        kind="charuco", square=31.3, dictionary="DICT_4X4_50", first_id=11
+    ),
+    "wide gaps": BoardOptions(kind="aprilgrid", columns=3, rows=2, spacing=0.5, first_id=100),
 }
 
 
@@ -77,7 +79,7 @@ def assembled(pages: tuple[Page, ...], rasters: list[Gray], size: tuple[float, f
     table = np.full([round((length + 10) * per_mm) for length in size[::-1]], 255, dtype=np.uint8)
     for page, raster in zip(pages, rasters, strict=True):
         w = page.window
-        left, top = page.place(w.left, w.top)
+        left, top = page.to_page(w.left, w.top)
         row, column = round((page.paper.height - top) * per_mm), round(left * per_mm)
         down, right = round((size[1] - w.top + 5) * per_mm), round((w.left + 5) * per_mm)
         shape = round(w.height * per_mm), round(w.width * per_mm)
@@ -87,22 +89,22 @@ def assembled(pages: tuple[Page, ...], rasters: list[Gray], size: tuple[float, f
     return table
 
 
-@pytest.mark.parametrize("wishes", [*KINDS.values(), *ODD.values()], ids=[*KINDS, *ODD])
-def test_a_print_is_true_to_scale(wishes: Wishes, tmp_path: Path) -> None:
-    board = design((297, 210), wishes)
-    (page,) = lay_out(board, A4)
+@pytest.mark.parametrize("options", [*KINDS.values(), *ODD.values()], ids=[*KINDS, *ODD])
+def test_a_print_is_true_to_scale(options: BoardOptions, tmp_path: Path) -> None:
+    board = design_board((297, 210), options)
+    (page,) = layout_pages(board, A4)
     (raster,) = printed(board, (page,), tmp_path / "board.pdf")
     away, count = errors(board, raster, page.origin)
     assert len(away) == count
     assert away.max() < 0.05
 
 
-@pytest.mark.parametrize("wishes", KINDS.values(), ids=KINDS.keys())
-def test_pages_put_together_are_true_to_scale(wishes: Wishes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", KINDS.values(), ids=KINDS.keys())
+def test_tiled_pages_are_true_to_scale(options: BoardOptions, tmp_path: Path) -> None:
     """All cuts are between pixels."""
     per_mm = 6.0
-    board = design((520, 370), wishes)
-    pages = lay_out(board, A4)
+    board = design_board((520, 370), options)
+    pages = layout_pages(board, A4)
     assert len(pages) > 3
     rasters = printed(board, pages, tmp_path / "board.pdf", per_mm)
     table = assembled(pages, rasters, (520, 370), per_mm)
@@ -112,8 +114,8 @@ def test_pages_put_together_are_true_to_scale(wishes: Wishes, tmp_path: Path) ->
 
 
 def test_where_pages_overlap_they_show_the_same(tmp_path: Path) -> None:
-    board = design((520, 370), Wishes(kind="charuco"))
-    pages = lay_out(board, A4)
+    board = design_board((520, 370), BoardOptions(kind="charuco"))
+    pages = layout_pages(board, A4)
     rasters = printed(board, pages, tmp_path / "board.pdf", 4.0)
     first, second = (assembled((p,), [r], (520, 370), 4.0) for p, r in zip(pages[:2], rasters[:2], strict=True))
     left, right = (round(4 * (x + 5)) for x in (pages[1].window.left, pages[0].window.right))
@@ -126,10 +128,10 @@ def test_where_pages_overlap_they_show_the_same(tmp_path: Path) -> None:
 
 def test_rulers_have_a_tick_at_every_millimetre(tmp_path: Path) -> None:
     """Just below the sheet's edge, where even short ticks are."""
-    board = design((200, 140), Wishes())
-    (page,) = lay_out(board, A4)
+    board = design_board((200, 140), BoardOptions())
+    (page,) = layout_pages(board, A4)
     (raster,) = printed(board, (page,), tmp_path / "board.pdf", 40.0)
-    x, y = page.place(0, -0.8)
+    x, y = page.to_page(0, -0.8)
     row = 255.0 - raster[round((page.paper.height - y) * 40)]
     row = row[round((x - 0.5) * 40) : round((x + 200.5) * 40)].reshape(201, 40)
     middles = (row * (np.arange(40) + 0.5)).sum(axis=1) / row.sum(axis=1) / 40 - 0.5
@@ -137,21 +139,21 @@ def test_rulers_have_a_tick_at_every_millimetre(tmp_path: Path) -> None:
 
 
 def test_the_black_of_a_tag_has_no_seams(tmp_path: Path) -> None:
-    board = design((297, 210), Wishes(tags=(Tag(id=0, size=0.1237),)))
-    (page,) = lay_out(board, A4)
+    board = design_board((297, 210), BoardOptions(tags=(Tag(id=0, size=0.1237),)))
+    (page,) = layout_pages(board, A4)
     (raster,) = printed(board, (page,), tmp_path / "board.pdf", 3.7)
-    x, y = page.place(297 / 2 - 60, 210 / 2 + 60)
+    x, y = page.to_page(297 / 2 - 60, 210 / 2 + 60)
     # The outermost ring of modules, 15 mm wide, and the rest of the first row of bits.
     corner = raster[round((210 - y) * 3.7) :, round(x * 3.7) :]
     assert corner[:400, :30].max() == 0
 
 
-def test_a_scaled_print_is_told_from_a_true_one(tmp_path: Path) -> None:
+def test_a_scaled_print_is_detected(tmp_path: Path) -> None:
     """The test above measures: 1 % larger is 2 mm off."""
-    board = design((297, 210), Wishes(kind="checkerboard"))
-    (page,) = lay_out(board, A4)
+    board = design_board((297, 210), BoardOptions(kind="checkerboard"))
+    (page,) = layout_pages(board, A4)
     (raster,) = printed(board, (page,), tmp_path / "board.pdf")
-    larger = design((297, 210), Wishes(kind="checkerboard", square=28 * 1.01, columns=8, rows=5))
+    larger = design_board((297, 210), BoardOptions(kind="checkerboard", square=28 * 1.01, columns=8, rows=5))
     away, _ = errors(larger, raster, page.origin)
     assert away.max() > 0.9
 
@@ -159,46 +161,49 @@ def test_a_scaled_print_is_told_from_a_true_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["A0", "A3", "letter", "tabloid", "500x700"])
 def test_pages_are_as_large_as_the_paper(name: str, tmp_path: Path) -> None:
     paper = parse_paper(name)
-    board = design((paper.height, paper.width), Wishes())
-    write_pdf(tmp_path / "board.pdf", [(board, lay_out(board, paper))])
+    board = design_board((paper.height, paper.width), BoardOptions())
+    write_pdf(tmp_path / "board.pdf", [(board, layout_pages(board, paper))])
     with pypdfium2.PdfDocument(tmp_path / "board.pdf") as pdf:
         (width, height) = pdf[0].get_size()
     assert (width * 25.4 / 72, height * 25.4 / 72) == pytest.approx((paper.height, paper.width), abs=1e-3)
 
 
 def test_the_same_board_gives_the_same_file(tmp_path: Path) -> None:
-    board = design((297, 210), Wishes())
+    board = design_board((297, 210), BoardOptions())
     files = [tmp_path / "a.pdf", tmp_path / "b.pdf"]
     for path in files:
-        write_pdf(path, [(board, lay_out(board, A4))])
+        write_pdf(path, [(board, layout_pages(board, A4))])
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
 @pytest.mark.parametrize(
-    ("wishes", "expected"),
+    ("options", "expected"),
     [
-        (Wishes(), "tag36h11, ids 0, 1, 2, tags of 75 mm; sheet 297 x 210 mm"),
-        (Wishes(kind="checkerboard"), "checkerboard, 8 x 5 inner corners, squares of 28 mm; sheet 297 x 210 mm"),
+        (BoardOptions(), "tag36h11, ids 0, 1, 2, tags of 75 mm; board 297 x 210 mm"),
+        (
+            BoardOptions(kind="checkerboard"),
+            "checkerboard, 8 x 5 inner corners, squares of 28 mm; board 297 x 210 mm",
+        ),
     ],
 )
-def test_the_caption_has_the_numbers_of_the_board(wishes: Wishes, expected: str, tmp_path: Path) -> None:
-    board = design((297, 210), wishes)
-    assert caption(board) == expected
-    write_pdf(tmp_path / "board.pdf", [(board, lay_out(board, A4))])
+def test_the_caption_has_the_numbers_of_the_board(options: BoardOptions, expected: str, tmp_path: Path) -> None:
+    board = design_board((297, 210), options)
+    assert describe_board(board) == expected
+    write_pdf(tmp_path / "board.pdf", [(board, layout_pages(board, A4))])
     with pypdfium2.PdfDocument(tmp_path / "board.pdf") as pdf:
         assert expected in pdf[0].get_textpage().get_text_bounded()
 
 
-def test_pages_to_be_joined_say_which_goes_where(tmp_path: Path) -> None:
-    board = design((520, 370), Wishes())
-    write_pdf(tmp_path / "board.pdf", [(board, lay_out(board, A4))])
+def test_tiled_pages_are_labelled(tmp_path: Path) -> None:
+    board = design_board((520, 370), BoardOptions())
+    write_pdf(tmp_path / "board.pdf", [(board, layout_pages(board, A4))])
     with pypdfium2.PdfDocument(tmp_path / "board.pdf") as pdf:
         text = pdf[4].get_textpage().get_text_bounded()
-    assert "page B2 of 6: cut along its left edge and glue it over B1 and upper edge and glue it over A2" in text
+    assert "page B2 of 6: cut along the left edge and glue it over B1 and upper edge and glue it over A2" in text
 
 
 def test_two_boards_are_in_one_file(tmp_path: Path) -> None:
-    boards = [design((297, 210), Wishes()), design((297, 210), Wishes(first_id=3))]
-    write_pdf(tmp_path / "boards.pdf", [(board, lay_out(board, A4)) for board in boards])
+    boards = [design_board((297, 210), BoardOptions()), design_board((297, 210), BoardOptions(first_id=3))]
+    write_pdf(tmp_path / "boards.pdf", [(board, layout_pages(board, A4)) for board in boards])
     with pypdfium2.PdfDocument(tmp_path / "boards.pdf") as pdf:
         assert len(pdf) == 2

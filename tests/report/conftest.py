@@ -1,4 +1,4 @@
-"""A rig of five sensors as a user may have it, with and without pictures, a network, and an ugly rig."""
+"""A typical rig of five sensors, with and without images, a network, and a rig with extreme names and numbers."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ from calgraph.result import (
 )
 
 FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-"""Rotation of a camera that looks along the robot's x."""
+"""Rotation of a camera facing along the robot's x."""
 
 
 def sigma(translation: float, rotation: float) -> Array:
@@ -96,7 +96,7 @@ def calibration(rng: np.random.Generator) -> Calibration:
         edge("camera", "laser", 30, 28, False, 0.0065),
         edge("lidar", "laser_low", 14, 9, False, 0.011),
         edge("camera", "laser_low", 3, 0, False, 0.0, "needs 5 captures, has 3"),
-        edge("camera", "camera_rear", 0, 0, False, 0.0, "never saw the board in the same capture"),
+        edge("camera", "camera_rear", 0, 0, False, 0.0, "share no capture of the board"),
     )
     reasons = {
         "camera": ["no tag found in any image", "board not at rest: tags moved by 4.1 pixels"],
@@ -144,10 +144,10 @@ PIXEL, RANGE = 0.4, 0.008
 
 @pytest.fixture
 def pictured(calibration: Calibration, rig: Rig, rng: np.random.Generator) -> Calibration:
-    """The rig with what its sensors saw of the boards, and pictures of the first twelve captures."""
-    sheet = np.array([[-0.5, -0.4, 0], [0.5, -0.4, 0], [0.5, 0.4, 0], [-0.5, 0.4, 0]])
+    """The rig with board views, and images of the first twelve captures."""
+    board = np.array([[-0.5, -0.4, 0], [0.5, -0.4, 0], [0.5, 0.4, 0], [-0.5, 0.4, 0]])
     outlines = tuple(
-        BoardOutline(o.capture, se3.apply(board_pose(o), sheet), board=0)
+        BoardOutline(o.capture, se3.apply(board_pose(o), board), board=0)
         for o in calibration.pictures.board_outlines
     )
     views = tuple(view for o in outlines for sensor in calibration.sensors for view in _view(o, sensor, rig, rng))
@@ -179,12 +179,12 @@ def _view(outline: BoardOutline, sensor: SensorPose, rig: Rig, rng: np.random.Ge
         places = rng.uniform([-0.5, -0.4], [0.5, 0.4], (80, 2)) * ([1, 1] if sensor.kind == "lidar3d" else [1, 0])
         off = rng.normal(0, RANGE, 80)
         away = np.sign(T_sensor_board[:3, 2] @ T_sensor_board[:3, 3])
-        seen = se3.apply(T_sensor_board, np.column_stack([places, away * off]))
-        yield BoardView(outline.capture, sensor.name, True, seen, off)
+        measured = se3.apply(T_sensor_board, np.column_stack([places, away * off]))
+        yield BoardView(outline.capture, sensor.name, True, measured, off)
 
 
 def _snapshot(capture: int, sensor: SensorPose, outline: BoardOutline, rng: np.random.Generator) -> Snapshot:
-    """A camera sees red; a scanner the board and a wall."""
+    """A camera image is red; a scanner measures the board and a wall."""
     if sensor.kind == "camera":
         picture = np.full((360, 640, 3), (40, 60, 200), dtype=np.uint8)
         image = cv2.imencode(".jpg", picture)[1].tobytes()
@@ -259,7 +259,7 @@ def network_rig() -> Rig:
 
 @pytest.fixture
 def network() -> Calibration:
-    """Three scanners on a floor, one of which saw nobody, a walk along x = 2 m, and a wall along y = -1 m."""
+    """Three scanners on a floor, one without tracks, a walk along x = 2 m, and a wall along y = -1 m."""
     spread = np.zeros((6, 6))
     spread[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([0.01**2, 0.02**2, 0.001**2])
     sensors = tuple(
@@ -271,7 +271,7 @@ def network() -> Calibration:
     edges = (
         Edge("hall", "door <b>", 340, 300, True, np.array([0.004])),
         Edge("hall", "stairs", 90, 60, True, np.array([0.02])),
-        Edge("door <b>", "stairs", 50, 0, False, np.empty(0), "contradicts the other pairs"),
+        Edge("door <b>", "stairs", 50, 0, False, np.empty(0), "inconsistent with the other pairs"),
     )
     rows = (
         CaptureRow(0, 0.0, 4.0, "hall", True, "", 0.021),

@@ -1,4 +1,4 @@
-"""The report in a browser: nothing goes wrong, nothing is loaded, everything is drawn and can be used."""
+"""The report in a browser: no errors, no requests, all figures drawn, all controls work."""
 
 import shutil
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ def browser() -> Iterator[Browser]:
 
 
 class Opened:
-    """A page, and what was said and asked for while it was used."""
+    """A page with its console messages and requests."""
 
     def __init__(self, browser: Browser, path: Path) -> None:
         self.page: Page = browser.new_context(offline=True, viewport={"width": 1280, "height": 900}).new_page()
@@ -46,7 +46,7 @@ class Opened:
 
     @property
     def loaded(self) -> list[str]:
-        """Addresses beyond the page itself."""
+        """Requests other than the page itself."""
         return [url for url in self.requests if not url.startswith(("file:", "data:", "blob:"))]
 
     def color(self, of: str) -> str:
@@ -54,7 +54,7 @@ class Opened:
         return found
 
     def wait_for_figures(self, color: str) -> None:
-        """Until figures have this background."""
+        """Waits until figures have this background."""
         style = "getComputedStyle(document.querySelector('#floor .main-svg')).backgroundColor"
         self.page.wait_for_function(f"{style} === '{color}'", timeout=_PATIENCE)
 
@@ -81,7 +81,7 @@ def network_page(
 
 @pytest.fixture(scope="module")
 def pages() -> dict[str, Opened]:
-    """Those that are open already."""
+    """The pages that are open."""
     return {}
 
 
@@ -91,13 +91,13 @@ def opened(request: pytest.FixtureRequest) -> Opened:
     return page
 
 
-def test_everything_is_drawn_without_an_error_and_without_a_network(opened: Opened) -> None:
+def test_all_figures_are_drawn_without_errors_and_requests(opened: Opened) -> None:
     assert opened.page.locator(".figure .main-svg").count() > 3
     assert (opened.errors, opened.loaded) == ([], [])
 
 
 @pytest.mark.parametrize("name", ["rig", "fused"])
-def test_scenes_in_space_have_pixels(rig_page: Opened, name: str) -> None:
+def test_3d_scenes_are_rendered(rig_page: Opened, name: str) -> None:
     """The rig and the fused cloud are of many colours."""
     picture = rig_page.page.locator(f"#{name}").screenshot(timeout=_PATIENCE)
     pixels = np.asarray(cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR))
@@ -112,7 +112,7 @@ def test_captures_are_filtered(rig_page: Opened) -> None:
     assert rig_page.page.locator("#filter-count").inner_text() == f"{len(shown)} of 240 rows"
 
 
-def test_before_and_after_are_chosen_with_the_keyboard(network_page: Opened) -> None:
+def test_before_and_after_are_selected_with_the_keyboard(network_page: Opened) -> None:
     """The walk along x = 2 m in the frame of the hall, which is displaced and turned by 0.1 at the start."""
     page = network_page.page
     walked = """() => { const of = document.getElementById("floor").data.find((t) => t.mode === "lines");
@@ -125,7 +125,7 @@ def test_before_and_after_are_chosen_with_the_keyboard(network_page: Opened) -> 
     assert page.evaluate(walked) == [2, 0]
 
 
-def test_the_dark_has_dark_figures_and_paper_is_white(network_page: Opened) -> None:
+def test_dark_mode_and_print_have_their_colours(network_page: Opened) -> None:
     page = network_page.page
     page.emulate_media(color_scheme="dark")
     network_page.wait_for_figures("rgb(20, 25, 31)")
@@ -144,7 +144,7 @@ def test_the_dark_has_dark_figures_and_paper_is_white(network_page: Opened) -> N
     network_page.wait_for_figures("rgb(255, 255, 255)")
 
 
-def test_a_telephone_does_not_scroll_sideways(opened: Opened) -> None:
+def test_a_phone_does_not_scroll_horizontally(opened: Opened) -> None:
     opened.page.set_viewport_size({"width": 400, "height": 800})
     opened.page.wait_for_function(
         "document.querySelector('.figure .main-svg').clientWidth < 400", timeout=_PATIENCE
@@ -152,6 +152,6 @@ def test_a_telephone_does_not_scroll_sideways(opened: Opened) -> None:
     assert opened.page.evaluate("document.documentElement.scrollWidth") == 400
 
 
-def test_it_is_printed(network_page: Opened) -> None:
+def test_all_figures_are_printed(network_page: Opened) -> None:
     assert len(network_page.page.pdf(format="A4")) > 50_000
     assert (network_page.errors, network_page.loaded) == ([], [])

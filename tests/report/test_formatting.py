@@ -1,10 +1,10 @@
-"""Numbers as they stand on the page."""
+"""Formatting of numbers."""
 
 import math
 
 import pytest
 
-from calgraph.report.formatting import angle, digits, fixed, length
+from calgraph.report.formatting import format_angle, format_fixed, format_length, format_significant
 
 
 @pytest.mark.parametrize(
@@ -13,21 +13,21 @@ from calgraph.report.formatting import angle, digits, fixed, length
      (0.0, "0 mm"), (math.inf, "∞"), (math.nan, "?"), (1.23e-5, "0.012 mm")],
 )  # fmt: skip
 def test_lengths(value: float, shown: str) -> None:
-    assert length(value) == shown
+    assert format_length(value) == shown
 
 
 @pytest.mark.parametrize(
     ("value", "shown"), [(0.001, "0.057°"), (0.1, "5.7°"), (4.0, "> 180°"), (math.inf, "> 180°"), (math.nan, "?")]
 )
 def test_angles(value: float, shown: str) -> None:
-    assert angle(value) == shown
+    assert format_angle(value) == shown
 
 
 @pytest.mark.parametrize(("value", "shown"), [(-0.12, "−0.12"), (1234.0, "1234"), (0.0996, "0.10"), (9.99, "10")])
 def test_two_digits(value: float, shown: str) -> None:
-    assert digits(value) == shown
+    assert format_significant(value) == shown
 
 
 @pytest.mark.parametrize(("value", "shown"), [(-1e-9, "0.000"), (-1.5, "−1.500"), (math.inf, "∞")])
 def test_fixed_decimals(value: float, shown: str) -> None:
-    assert fixed(value, 3) == shown
+    assert format_fixed(value, 3) == shown

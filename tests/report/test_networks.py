@@ -1,4 +1,4 @@
-"""The page of a network: its floor plan, its walks, and words that fit it."""
+"""The page of a network: floor plan, walks, and captions."""
 
 import dataclasses
 import json
@@ -10,7 +10,7 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.report.page import report_html
+from calgraph.report.page import render_report
 from calgraph.result import Calibration, CaptureRow, FloorView
 
 
@@ -29,7 +29,7 @@ def figure_of(html: str, name: str) -> dict[str, Any]:
 
 
 def lines_of(figure: dict[str, Any], scanner: str) -> list[Array]:
-    """(N, 2) points of all that is drawn as lines for one scanner; walks first, if it saw any."""
+    """(N, 2) points of all lines of one scanner; tracks first, if there are any."""
     return [
         np.array([trace["x"], trace["y"]], dtype=np.float64).T
         for trace in figure["data"]
@@ -39,27 +39,27 @@ def lines_of(figure: dict[str, Any], scanner: str) -> list[Array]:
 
 @pytest.fixture
 def html(network: Calibration, network_rig: Rig) -> str:
-    return report_html(network, network_rig)
+    return render_report(network, network_rig)
 
 
-def test_nothing_is_said_of_boards_and_captures(html: str) -> None:
+def test_there_is_no_text_on_boards_and_captures(html: str) -> None:
     text = re.sub(r'(id|for|class|href|data-for)="[^"]*"', "", without_scripts(html)).lower()
     assert "board" not in text
     assert "capture" not in text
     assert "tilt" not in text
 
 
-def test_facts_and_edges_are_in_walks_and_positions(html: str) -> None:
+def test_facts_and_edges_count_walks_and_positions(html: str) -> None:
     words = words_of(html)
     assert "root hall · 3 walks · estimator averaging" in words
-    assert "300 of 340 · 4.0 mm" in words
-    assert "door &lt;b&gt; – stairs 50 0 – contradicts the other pairs" in words
+    assert "300 / 340 · 4.0 mm" in words
+    assert "door &lt;b&gt; – stairs 50 0 – inconsistent with the other pairs" in words
 
 
 def test_sensors_without_a_reason_get_advice_on_walking(html: str) -> None:
     words = words_of(html)
-    assert "Let people walk farther across, and to and fro" in words
-    assert "Let people walk where both see them at once." in words
+    assert "Let people walk longer paths in several directions" in words
+    assert "Let people walk where two views overlap." in words
 
 
 def test_poses_are_those_in_the_plane(html: str) -> None:
@@ -67,7 +67,7 @@ def test_poses_are_those_in_the_plane(html: str) -> None:
     assert "roll" not in words_of(html)
 
 
-def test_walls_and_walks_lie_where_they_were_seen(html: str, network: Calibration) -> None:
+def test_walls_and_walks_are_at_their_positions(html: str, network: Calibration) -> None:
     floor = figure_of(html, "floor")
     points = next(t for t in floor["data"] if t["legendgroup"] == "hall" and t["mode"] == "markers")
     np.testing.assert_allclose(
@@ -84,8 +84,8 @@ def test_walks_are_not_joined(html: str) -> None:
     assert np.isnan(walked[41]).all()
 
 
-def test_ellipses_are_two_sigma_times_what_is_said(html: str) -> None:
-    (factor,) = re.findall(r"Ellipses: 2 standard deviations .*? drawn (\d+) times", words_of(html))
+def test_ellipses_are_two_sigma_times_the_stated_factor(html: str) -> None:
+    (factor,) = re.findall(r"Ellipses: 2 standard deviations .*? drawn (\d+) × enlarged", words_of(html))
     ellipse = lines_of(figure_of(html, "floor"), "stairs")[0]
     half_axes = np.ptp(ellipse, axis=0) / 2
     np.testing.assert_allclose(half_axes, 2 * int(factor) * np.array([0.01, 0.02]), rtol=0.01)
@@ -93,10 +93,10 @@ def test_ellipses_are_two_sigma_times_what_is_said(html: str) -> None:
     assert 0.05 < half_axes.max() < 0.5
 
 
-def test_ellipses_that_can_be_seen_are_as_large_as_they_are(network: Calibration, network_rig: Rig) -> None:
+def test_visible_ellipses_are_to_scale(network: Calibration, network_rig: Rig) -> None:
     sensors = tuple(dataclasses.replace(s, covariance=100 * s.covariance) for s in network.sensors)
-    html = report_html(dataclasses.replace(network, sensors=sensors), network_rig)
-    assert "of a scanner's position, drawn as large as they are." in words_of(html).replace("&#x27;", "'")
+    html = render_report(dataclasses.replace(network, sensors=sensors), network_rig)
+    assert "of a scanner's position, drawn to scale." in words_of(html).replace("&#x27;", "'")
 
 
 def test_the_root_has_no_ellipse(html: str) -> None:
@@ -116,20 +116,20 @@ def test_every_scanner_is_in_the_legend_once(html: str) -> None:
     assert entries == ["hall", "door &lt;b&gt;", "stairs"]
 
 
-def test_walks_are_drawn_when_they_were(html: str) -> None:
+def test_walks_are_drawn_at_their_times(html: str) -> None:
     used, unused = figure_of(html, "captures")["data"]
     assert used["x"] == [0, 4, None, 0.5, 4.5, None]
     assert unused["x"] == [2, 3, None]
     assert unused["text"][0].endswith("2.0 – 3.0 s<br>no other scanner detected a person at that time")
 
 
-def test_walks_at_the_same_time_lie_beside_each_other(html: str) -> None:
+def test_simultaneous_walks_have_separate_lanes(html: str) -> None:
     used, unused = figure_of(html, "captures")["data"]
     assert 0.1 < abs(used["y"][0] - unused["y"][0]) < 0.5
 
 
 def test_a_result_without_a_floor_still_has_its_scanners(network: Calibration, network_rig: Rig) -> None:
-    html = report_html(
+    html = render_report(
         dataclasses.replace(
             network,
             evidence=dataclasses.replace(network.evidence, captures=()),
@@ -141,9 +141,9 @@ def test_a_result_without_a_floor_still_has_its_scanners(network: Calibration, n
     assert "There are no walks" in words_of(html)
 
 
-def test_what_is_not_known_has_no_ellipse(network: Calibration, network_rig: Rig) -> None:
+def test_unknown_covariances_have_no_ellipse(network: Calibration, network_rig: Rig) -> None:
     lost = tuple(dataclasses.replace(s, covariance=np.full((6, 6), np.nan)) for s in network.sensors)
-    html = report_html(
+    html = render_report(
         dataclasses.replace(network, sensors=lost, pictures=dataclasses.replace(network.pictures, floor_views=())),
         network_rig,
     )
@@ -168,16 +168,16 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
         evidence=dataclasses.replace(network.evidence, captures=rows),
         pictures=dataclasses.replace(network.pictures, floor_views=floor),
     )
-    html = report_html(large, network_rig)
+    html = render_report(large, network_rig)
     assert len(html.encode()) < 10e6
-    assert "Shown are 5000 of 20000 rows; captures.csv has them all." in words_of(html)
+    assert "5000 of 20000 rows are shown; captures.csv has all." in words_of(html)
 
 
-def test_in_a_crowd_boxes_do_not_hide_each_other(network: Calibration, network_rig: Rig) -> None:
+def test_boxes_of_many_sensors_do_not_overlap(network: Calibration, network_rig: Rig) -> None:
     """Each of thirty boxes shows at least two thirds of its width or half of its height beside any other."""
     door = network.sensors[1]
     others = (dataclasses.replace(door, name=f"s{k}", parent=f"s{k - 1}" if k else "hall") for k in range(29))
-    html = report_html(
+    html = render_report(
         dataclasses.replace(
             network,
             sensors=(network.sensors[0], *others),

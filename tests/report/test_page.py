@@ -1,4 +1,4 @@
-"""The report: one page that needs nothing else, says what was found first, and stands any text and number."""
+"""The report: one self-contained page with the verdicts first, robust to any text and number."""
 
 import dataclasses
 import json
@@ -14,14 +14,14 @@ from plotly.offline import get_plotlyjs
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.report import write_report
-from calgraph.report.page import report_html
+from calgraph.report.page import render_report
 from calgraph.result import Calibration, CaptureRow, Edge, Pictures, Verdict
 
 VOID = {"meta", "br", "input", "link", "img"}
 
 
 class Page(HTMLParser):
-    """What a browser finds in the page: elements with their attributes, and the text outside of scripts."""
+    """The parsed page: elements with their attributes, and the text outside of scripts."""
 
     def __init__(self, html: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -63,7 +63,7 @@ class Page(HTMLParser):
 
 @pytest.fixture
 def page(calibration: Calibration, rig: Rig) -> Page:
-    return Page(report_html(calibration, rig))
+    return Page(render_report(calibration, rig))
 
 
 def test_the_file_is_written_whole_and_below_6_mb(calibration: Calibration, rig: Rig, tmp_path: Path) -> None:
@@ -84,18 +84,18 @@ def test_nothing_is_loaded_from_elsewhere(page: Page) -> None:
 
 
 def test_styles_load_nothing(calibration: Calibration, rig: Rig) -> None:
-    (style,) = re.findall(r"<style>(.*?)</style>", report_html(calibration, rig), flags=re.DOTALL)
+    (style,) = re.findall(r"<style>(.*?)</style>", render_report(calibration, rig), flags=re.DOTALL)
     assert "url(" not in style
     assert "@import" not in style
 
 
 def test_plotly_is_in_the_page_once(calibration: Calibration, rig: Rig) -> None:
-    assert len(re.findall(r"\* plotly\.js v", report_html(calibration, rig))) == 1
+    assert len(re.findall(r"\* plotly\.js v", render_report(calibration, rig))) == 1
 
 
 @pytest.mark.parametrize("which", ["calibration", "ugly", "bare"])
 def test_elements_are_nested_well(which: str, rig: Rig, request: pytest.FixtureRequest) -> None:
-    page = Page(report_html(request.getfixturevalue(which), rig))
+    page = Page(render_report(request.getfixturevalue(which), rig))
     assert (page.mismatches, page.open) == ([], [])
 
 
@@ -111,18 +111,18 @@ def test_every_figure_has_its_place(page: Page) -> None:
     assert {"rig", "captures", "residuals-0", "residuals-2"} <= set(page.figures)
 
 
-def test_the_headline_says_how_it_went(page: Page) -> None:
+def test_the_headline_summarizes_the_grades(page: Page) -> None:
     assert "Of 4 sensors besides the root: 3 calibrated well, 1 weak." in page.words
 
 
-def test_a_good_result_is_called_so(calibration: Calibration, rig: Rig) -> None:
+def test_the_headline_of_a_good_result(calibration: Calibration, rig: Rig) -> None:
     good = tuple(dataclasses.replace(s, verdict=Verdict("good")) for s in calibration.sensors)
-    html = report_html(dataclasses.replace(calibration, sensors=good), rig)
+    html = render_report(dataclasses.replace(calibration, sensors=good), rig)
     assert "<h1>Every sensor is calibrated well.</h1>" in html
 
 
 def test_sensors_that_need_attention_come_first(page: Page) -> None:
-    cards = page.words[: page.words.index("Sensor graph A line")]
+    cards = page.words[: page.words.index("Sensor graph An edge")]
     assert cards.index("laser_low") < cards.index("camera")
     assert "Height (z) is known to ± 80 mm only: hold the board leaning" in cards
 
@@ -134,30 +134,30 @@ def test_cards_state_the_worst_deviation(page: Page) -> None:
 def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibration, rig: Rig) -> None:
     lost = dataclasses.replace(
         calibration,
-        evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "saw no board at all"}),
+        evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "detected no board"}),
     )
-    page = Page(report_html(lost, rig))
-    assert "sonar ✕ not connected no pose Saw no board at all" in page.words
+    page = Page(render_report(lost, rig))
+    assert "sonar ✕ not connected no pose Detected no board" in page.words
     assert "1 not connected." in page.words
 
 
-def test_what_was_not_used_is_remarked_beside_the_verdicts(calibration: Calibration, rig: Rig) -> None:
+def test_remarks_follow_the_verdicts(calibration: Calibration, rig: Rig) -> None:
     remarked = dataclasses.replace(
         calibration,
         evidence=dataclasses.replace(
             calibration.evidence, remarks=("board edges in scans of lidar are <40 mm inside",)
         ),
     )
-    words = Page(report_html(remarked, rig)).words
+    words = Page(render_report(remarked, rig)).words
     assert (
-        "Not used board edges in scans of lidar are <40 mm inside" in words[: words.index("Sensor graph A line")]
+        "Not used board edges in scans of lidar are <40 mm inside" in words[: words.index("Sensor graph An edge")]
     )
-    assert "Not used" not in Page(report_html(calibration, rig)).words
+    assert "Not used" not in Page(render_report(calibration, rig)).words
 
 
-def test_a_verdict_without_words_still_says_what_to_do(calibration: Calibration, rig: Rig) -> None:
+def test_a_verdict_without_reason_has_advice(calibration: Calibration, rig: Rig) -> None:
     sensors = (calibration.sensors[0], dataclasses.replace(calibration["laser"], verdict=Verdict("unobservable")))
-    page = Page(report_html(dataclasses.replace(calibration, sensors=sensors), rig))
+    page = Page(render_report(dataclasses.replace(calibration, sensors=sensors), rig))
     assert "Do not use this pose. Record captures in which the board is tilted" in page.words
 
 
@@ -174,7 +174,7 @@ def test_the_pose_table_has_the_clock_offset(page: Page) -> None:
 
 def test_without_clock_offsets_there_is_no_column_of_them(calibration: Calibration, rig: Rig) -> None:
     synchronous = tuple(dataclasses.replace(s, clock_offset=None) for s in calibration.sensors)
-    page = Page(report_html(dataclasses.replace(calibration, sensors=synchronous), rig))
+    page = Page(render_report(dataclasses.replace(calibration, sensors=synchronous), rig))
     assert "clock offset" not in page.words
 
 
@@ -185,15 +185,15 @@ def test_tree_edges_are_bold_and_failed_ones_dashed(page: Page) -> None:
 def test_edges_carry_captures_and_residuals(calibration: Calibration, rig: Rig) -> None:
     edge = Edge("lidar", "camera", 41, 40, True, np.full(40, 0.0039))
     page = Page(
-        report_html(
+        render_report(
             dataclasses.replace(calibration, evidence=dataclasses.replace(calibration.evidence, edges=(edge,))),
             rig,
         )
     )
-    assert "40 of 41 · 3.9 mm" in page.words
+    assert "40 / 41 · 3.9 mm" in page.words
 
 
-def test_pairs_that_could_not_be_used_say_why(page: Page) -> None:
+def test_unused_pairs_have_a_reason(page: Page) -> None:
     assert "camera – laser_low 3 0 – needs 5 captures, has 3" in page.words
 
 
@@ -202,8 +202,8 @@ def test_histograms_hold_every_residual(page: Page, calibration: Calibration) ->
         assert sum(page.figures[f"residuals-{i}"]["data"][0]["y"]) == values.size
 
 
-def test_histograms_say_what_they_left_out(ugly: Calibration, rig: Rig) -> None:
-    page = Page(report_html(ugly, rig))
+def test_histograms_report_excluded_residuals(ugly: Calibration, rig: Rig) -> None:
+    page = Page(render_report(ugly, rig))
     assert "3 residuals · RMS 520 · 1 beyond ±5, in the outer bars · 1 not finite, left out" in page.words
 
 
@@ -212,8 +212,8 @@ def test_a_result_read_back_shows_its_rms(calibration: Calibration, rig: Rig) ->
         calibration,
         evidence=dataclasses.replace(calibration.evidence, residuals={}, residual_rms={"plane-plane": 1.034}),
     )
-    page = Page(report_html(read_back, rig))
-    assert "Only the root mean squares of the residuals are known: plane-plane 1.03." in page.words
+    page = Page(render_report(read_back, rig))
+    assert "Only the root mean squares of the residuals are available: plane-plane 1.03." in page.words
 
 
 def test_the_matrix_has_a_cell_for_each_sensor_and_capture(page: Page, calibration: Calibration) -> None:
@@ -222,7 +222,7 @@ def test_the_matrix_has_a_cell_for_each_sensor_and_capture(page: Page, calibrati
     assert np.sum(cells == 2) == sum(row.used for row in calibration.evidence.captures)
 
 
-def test_the_matrix_tells_why_on_hover(page: Page, calibration: Calibration) -> None:
+def test_the_matrix_shows_reasons_on_hover(page: Page, calibration: Calibration) -> None:
     row = next(row for row in calibration.evidence.captures if row.sensor == "laser" and not row.used)
     words = page.figures["captures"]["data"][0]["text"][3][row.capture]
     assert (
@@ -237,10 +237,10 @@ def test_the_table_lists_every_row(page: Page, calibration: Calibration) -> None
     assert sum(a["data-outcome"] == "used" for a in rows) == sum(row.used for row in calibration.evidence.captures)
 
 
-def test_the_commonest_reasons_are_counted(calibration: Calibration, rig: Rig) -> None:
+def test_the_most_frequent_reasons_are_counted(calibration: Calibration, rig: Rig) -> None:
     rows = [CaptureRow(i, 0.0, 1.0, "laser", i == 0, "" if i == 0 else "misses the board") for i in range(4)]
     page = Page(
-        report_html(
+        render_report(
             dataclasses.replace(
                 calibration, evidence=dataclasses.replace(calibration.evidence, captures=tuple(rows))
             ),
@@ -257,31 +257,31 @@ def test_parts_may_be_missing(calibration: Calibration, rig: Rig, part: str) -> 
     else:
         evidence = dataclasses.replace(calibration.evidence, **{part: ()})  # type: ignore[arg-type]
         without = dataclasses.replace(calibration, evidence=evidence)
-    assert "Verdict" in Page(report_html(without, rig)).words
+    assert "Verdict" in Page(render_report(without, rig)).words
 
 
 def test_a_root_alone_is_a_page(bare: Calibration, rig: Rig) -> None:
-    words = Page(report_html(bare, rig)).words
+    words = Page(render_report(bare, rig)).words
     assert "There is nothing to calibrate" in words
     assert "There are no captures" in words
-    assert "No two sensors saw the board" in words
+    assert "No two sensors detected the board" in words
 
 
 def test_text_with_markup_is_shown_and_not_run(ugly: Calibration, rig: Rig, bare: Calibration) -> None:
-    evil = Page(report_html(ugly, rig))
+    evil = Page(render_report(ugly, rig))
     scripts = sum(tag == "script" for tag, _ in evil.elements) - len(evil.figures)
-    assert scripts == sum(tag == "script" for tag, _ in Page(report_html(bare, rig)).elements) - 1
+    assert scripts == sum(tag == "script" for tag, _ in Page(render_report(bare, rig)).elements) - 1
     assert '<script>alert("1")</script> & <b>ümläut</b> 前 $root </style>' in evil.words
 
 
 def test_plotly_gets_markup_escaped(ugly: Calibration, rig: Rig) -> None:
-    matrix = Page(report_html(ugly, rig)).figures["captures"]["data"][0]
+    matrix = Page(render_report(ugly, rig)).figures["captures"]["data"][0]
     assert matrix["y"][1].startswith("&lt;script&gt;alert")
     assert "<script" not in json.dumps(matrix)
 
 
-def test_numbers_that_are_none_are_shown_as_such(ugly: Calibration, rig: Rig) -> None:
-    words = Page(report_html(ugly, rig)).words
+def test_non_finite_numbers_are_shown_as_such(ugly: Calibration, rig: Rig) -> None:
+    words = Page(render_report(ugly, rig)).words
     assert "± 1000 m" in words
     assert "± ∞" in words
     assert "± ?" in words

@@ -1,4 +1,4 @@
-"""Pictures in the report: boards where they are predicted, points by residual, fused colours, thumbnails."""
+"""Images in the report: predicted boards, points by residual, fused colours, thumbnails."""
 
 import base64
 import dataclasses
@@ -12,16 +12,16 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
-from calgraph.report.fused_view import fused_view
-from calgraph.report.gallery import gallery
-from calgraph.report.image_view import camera_images
-from calgraph.report.overlays import overlay
-from calgraph.report.thumbnails import thumbnail
+from calgraph.report.fused_view import render_fused_cloud
+from calgraph.report.gallery import render_gallery
+from calgraph.report.image_view import render_camera_images
+from calgraph.report.overlays import compute_overlay
+from calgraph.report.thumbnails import render_thumbnail
 from calgraph.result import Calibration, Snapshot
 from calgraph.result.used_intrinsics import calibrated_cameras
 
 
-def painted_of(html: str) -> list[dict[str, Any]]:
+def colored_traces(html: str) -> list[dict[str, Any]]:
     """The traces whose points have a colour each."""
     return [t for t in data_of(html)["data"] if isinstance(t["marker"].get("color"), list)]
 
@@ -36,52 +36,54 @@ def decoded(url: str) -> Any:
     return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
 
 
-def seen_by(pictured: Calibration, camera: str) -> int:
-    """The first capture in which a camera saw the board."""
+def first_capture_of(pictured: Calibration, camera: str) -> int:
+    """The first capture with a detection of a camera."""
     return next(view.capture for view in pictured.pictures.board_views if view.sensor == camera)
 
 
-def test_the_sheet_is_drawn_where_the_joint_solution_has_it(pictured: Calibration, rig: Rig) -> None:
-    camera, capture = calibrated_cameras(pictured, rig)["camera"], seen_by(pictured, "camera")
-    drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
+def test_the_board_is_drawn_at_its_predicted_pose(pictured: Calibration, rig: Rig) -> None:
+    camera, capture = calibrated_cameras(pictured, rig)["camera"], first_capture_of(pictured, "camera")
+    drawn = compute_overlay(pictured, rig, pictured["camera"], camera, capture)
     corners = next(o.corners for o in pictured.pictures.board_outlines if o.capture == capture)
     expected = camera.project(se3.apply(se3.inverse(pictured["camera"].T_root_sensor), corners))
-    (sheet,) = drawn.sheets
+    (outline,) = drawn.board_outlines
     inside = camera.contains(expected)
     assert inside.any()
-    np.testing.assert_allclose(sheet[::12][:4][inside], expected[inside], atol=1e-9)
+    np.testing.assert_allclose(outline[::12][:4][inside], expected[inside], atol=1e-9)
 
 
 def test_marks_are_drawn_where_corners_are_predicted(pictured: Calibration, rig: Rig) -> None:
-    camera, capture = calibrated_cameras(pictured, rig)["camera"], seen_by(pictured, "camera")
-    drawn = overlay(pictured, rig, pictured["camera"], camera, capture)
+    camera, capture = calibrated_cameras(pictured, rig)["camera"], first_capture_of(pictured, "camera")
+    drawn = compute_overlay(pictured, rig, pictured["camera"], camera, capture)
     (tag,) = drawn.marks
-    np.testing.assert_allclose(tag[::12][:4], drawn.seen - drawn.off, atol=1e-9)
+    np.testing.assert_allclose(tag[::12][:4], drawn.measured - drawn.residuals, atol=1e-9)
 
 
 def test_points_of_all_scanners_lie_on_the_board(pictured: Calibration, rig: Rig) -> None:
-    """In captures with odd numbers, which three scanners saw."""
+    """In captures with odd numbers, which three scanners detected."""
     camera = calibrated_cameras(pictured, rig)["camera"]
     odd = [v.capture for v in pictured.pictures.board_views if v.sensor == "camera" and v.capture % 2]
-    every = [overlay(pictured, rig, pictured["camera"], camera, capture) for capture in odd]
-    drawn = next(one for one in every if np.isfinite(one.sheets[0]).all())
+    every = [compute_overlay(pictured, rig, pictured["camera"], camera, capture) for capture in odd]
+    drawn = next(one for one in every if np.isfinite(one.board_outlines[0]).all())
     assert len(drawn.points) == 3 * 80
     inside = drawn.points[np.isfinite(drawn.points[:, 0])]
-    hull = cv2.convexHull(drawn.sheets[0].astype(np.float32))
+    hull = cv2.convexHull(drawn.board_outlines[0].astype(np.float32))
     # Points are off the plane by millimetres, which is a few pixels at most.
     off = [cv2.pointPolygonTest(hull, point, True) for point in inside.astype(float).tolist()]
     assert min(off) > -15
 
 
-def test_pictures_go_from_the_worst_to_the_best(pictured: Calibration, rig: Rig) -> None:
-    errors = re.findall(r"off by ([\d.]+) px RMS", camera_images(pictured, rig).split("camera_rear")[0])
+def test_images_are_sorted_by_error(pictured: Calibration, rig: Rig) -> None:
+    errors = re.findall(
+        r"reprojection error ([\d.]+) px RMS", render_camera_images(pictured, rig).split("camera_rear")[0]
+    )
     assert len(errors) > 1
     assert [float(e) for e in errors] == sorted(map(float, errors), reverse=True)
 
 
-def test_differences_are_drawn_as_many_times_larger_as_is_said(pictured: Calibration, rig: Rig) -> None:
-    html = camera_images(pictured, rig)
-    capture, factor = re.findall(r"Capture (\d+)</b>.*?drawn (\d+) ×", html)[0]
+def test_errors_are_enlarged_by_the_stated_factor(pictured: Calibration, rig: Rig) -> None:
+    html = render_camera_images(pictured, rig)
+    capture, factor = re.findall(r"Capture (\d+)</b>.*?enlarged (\d+) ×", html)[0]
     path = re.findall(r'<path class="error" d="(.*?)"', html)[0]
     ends = np.array([[float(x) for x in pair.split()] for pair in re.findall(r"[ML]([-\d. ]+)", path)])
     view = next(v for v in pictured.pictures.board_views if (v.capture, v.sensor) == (int(capture), "camera"))
@@ -90,59 +92,59 @@ def test_differences_are_drawn_as_many_times_larger_as_is_said(pictured: Calibra
 
 
 def test_points_are_coloured_by_their_distance(pictured: Calibration, rig: Rig) -> None:
-    """Half of the points of every view lie far before the board, half far beyond it."""
+    """Half of the points of every view lie far in front of the board, half far behind it."""
     split = tuple(
         v
         if v.residuals is None or v.residuals.ndim > 1
         else dataclasses.replace(v, residuals=np.where(np.arange(len(v.residuals)) % 2, 1.0, -1.0))
         for v in pictured.pictures.board_views
     )
-    html = camera_images(
+    html = render_camera_images(
         dataclasses.replace(pictured, pictures=dataclasses.replace(pictured.pictures, board_views=split)), rig
     )
     assert set(re.findall(r'class="points" style="stroke:(#\w+)"', html)) == {"#d1e5f0", "#fddbc7"}
-    assert "2 m before the board" in html.replace("2.0 m", "2 m")
+    assert "2 m in front of the board" in html.replace("2.0 m", "2 m")
 
 
-def test_without_pictures_the_boards_are_drawn_all_the_same(pictured: Calibration, rig: Rig) -> None:
-    html = camera_images(
+def test_without_images_the_boards_are_drawn(pictured: Calibration, rig: Rig) -> None:
+    html = render_camera_images(
         dataclasses.replace(pictured, pictures=dataclasses.replace(pictured.pictures, snapshots=())), rig
     )
-    assert "pictures themselves are not part of this result" in html
+    assert "images are not part of this result" in html
     assert "<img" not in html
-    assert 'class="sheet"' in html
+    assert 'class="board"' in html
 
 
-def test_there_are_some_dozens_of_larger_pictures_at_most(pictured: Calibration, rig: Rig) -> None:
-    assert 2 <= camera_images(pictured, rig).count("<img") <= 36
+def test_the_number_of_large_images_is_bounded(pictured: Calibration, rig: Rig) -> None:
+    assert 2 <= render_camera_images(pictured, rig).count("<img") <= 36
 
 
-def test_a_rig_without_cameras_has_no_pictures(network: Calibration, network_rig: Rig) -> None:
-    assert camera_images(network, network_rig) == ""
-    assert fused_view(network, network_rig) == ""
+def test_a_rig_without_cameras_has_no_images(network: Calibration, network_rig: Rig) -> None:
+    assert render_camera_images(network, network_rig) == ""
+    assert render_fused_cloud(network, network_rig) == ""
 
 
-def test_the_fused_cloud_has_the_colours_of_the_pictures(pictured: Calibration, rig: Rig) -> None:
-    colored = painted_of(fused_view(pictured, rig))
+def test_the_fused_cloud_has_the_colours_of_the_images(pictured: Calibration, rig: Rig) -> None:
+    colored = colored_traces(render_fused_cloud(pictured, rig))
     colors = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for t in colored for c in t["marker"]["color"]])
     assert len(colors) > 200
     # JPEG keeps BGR (40, 60, 200) within some steps.
     assert np.abs(colors - [200, 60, 40]).max() < 6
 
 
-def test_only_what_a_camera_sees_is_coloured(pictured: Calibration, rig: Rig) -> None:
-    trace = painted_of(fused_view(pictured, rig))[0]
+def test_only_points_in_view_of_a_camera_are_coloured(pictured: Calibration, rig: Rig) -> None:
+    trace = colored_traces(render_fused_cloud(pictured, rig))[0]
     points = np.array([trace["x"], trace["y"], trace["z"]]).T
-    seen = np.zeros(len(points), dtype=bool)
+    in_view = np.zeros(len(points), dtype=bool)
     for name, camera in calibrated_cameras(pictured, rig).items():
         pixels = camera.project(se3.apply(se3.inverse(pictured[name].T_root_sensor), points))
         # Coordinates are rounded to millimetres on the page.
-        seen |= (np.abs(pixels / [1280, 720] - 0.5) < 0.51).all(axis=1)
-    assert seen.all()
+        in_view |= (np.abs(pixels / [1280, 720] - 0.5) < 0.51).all(axis=1)
+    assert in_view.all()
 
 
-def test_every_capture_can_be_chosen_and_shows_only_itself(pictured: Calibration, rig: Rig) -> None:
-    content = data_of(fused_view(pictured, rig))
+def test_each_button_shows_one_capture(pictured: Calibration, rig: Rig) -> None:
+    content = data_of(render_fused_cloud(pictured, rig))
     (choices,) = content["choices"]
     for k, choice in enumerate(choices):
         *clouds, sensors = choice["visible"]
@@ -151,19 +153,19 @@ def test_every_capture_can_be_chosen_and_shows_only_itself(pictured: Calibration
         assert sensors is None
 
 
-def test_a_picture_is_shrunk_and_keeps_its_shape(pictured: Calibration) -> None:
+def test_an_image_is_shrunk_with_its_aspect_ratio(pictured: Calibration) -> None:
     taken = next(s for s in pictured.pictures.snapshots if s.image)
-    assert decoded(thumbnail(taken, np.empty((0, 3)))).shape == (90, 160, 3)
+    assert decoded(render_thumbnail(taken, np.empty((0, 3)))).shape == (90, 160, 3)
 
 
 def board_pixels(points: Array, board: Array) -> Array:
     """(N, 2) column and row of the orange pixels of a thumbnail, from 0 to 1."""
-    image = decoded(thumbnail(Snapshot(0, "laser", 0.0, points=points.astype(np.float32)), board))
+    image = decoded(render_thumbnail(Snapshot(0, "laser", 0.0, points=points.astype(np.float32)), board))
     rows, columns = np.nonzero((image[..., :3] == (0, 150, 245)).all(axis=-1))
     return np.column_stack([columns / image.shape[1], rows / image.shape[0]])
 
 
-def test_a_scan_is_seen_from_above_with_its_front_up() -> None:
+def test_a_scan_is_drawn_in_top_view_with_its_front_up() -> None:
     """A board 2 m ahead, 1 m to the left, in a room of 4 m to each side."""
     t = np.linspace(-4, 4, 200)
     room = np.concatenate(
@@ -174,7 +176,7 @@ def test_a_scan_is_seen_from_above_with_its_front_up() -> None:
     assert at[1] < 0.4
 
 
-def test_a_cloud_is_seen_as_the_lidar_sees_it(rng: np.random.Generator) -> None:
+def test_a_cloud_is_drawn_in_azimuth_and_elevation(rng: np.random.Generator) -> None:
     """To the left is 90° of 360°, a quarter from the left edge."""
     sphere = rng.normal(size=(3000, 3))
     at = board_pixels(sphere, np.array([[0.0, 2.0, 1.0]])).mean(axis=0)
@@ -182,8 +184,8 @@ def test_a_cloud_is_seen_as_the_lidar_sees_it(rng: np.random.Generator) -> None:
     assert at[1] < 0.45
 
 
-def test_every_capture_has_a_card_with_what_became_of_each_sensor(pictured: Calibration) -> None:
-    html = gallery(pictured)
+def test_every_capture_has_a_card_with_the_outcome_of_each_sensor(pictured: Calibration) -> None:
+    html = render_gallery(pictured)
     assert html.count('<article class="capture">') == 12
     cards = re.findall(r'<article class="capture">.*?</article>', html, re.DOTALL)
     row = next(row for row in pictured.evidence.captures if row.capture == 3 and not row.used)
@@ -192,4 +194,4 @@ def test_every_capture_has_a_card_with_what_became_of_each_sensor(pictured: Cali
 
 
 def test_a_result_without_pictures_has_no_gallery(calibration: Calibration) -> None:
-    assert gallery(calibration) == ""
+    assert render_gallery(calibration) == ""

@@ -1,4 +1,4 @@
-"""A rig and a network small enough to say by hand what is seen of them."""
+"""A rig and a network that are small enough for hand-computed expectations."""
 
 import cv2
 import numpy as np
@@ -25,7 +25,7 @@ T_LIDAR_LASER = se3.pose(np.eye(3), np.array([0.3, 0.2, -0.4]))
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[400, 0, 319.5], [0, 400, 239.5], [0, 0, 1]]), np.zeros(0))
 SPREAD = np.diag([1e-3, 2e-3, 3e-3, 1e-3, 1e-3, 1e-3]) ** 2
 SHEET = np.array([[0, 0.5, -0.4], [0, -0.5, -0.4], [0, -0.5, 0.4], [0, 0.5, 0.4]])
-"""(4, 3) corners of a board that faces the rig, from its middle, m."""
+"""(4, 3) corners of a board that faces the rig, relative to its centre, m."""
 
 
 def board_at(capture: int) -> Array:
@@ -47,7 +47,7 @@ def patch(capture: int) -> Array:
 
 
 def line(capture: int) -> Array:
-    """(N, 3) points on the board as the laser sees them, in its frame, m."""
+    """(N, 3) points of the laser scanner on the board, in its frame, m."""
     y = np.linspace(-0.4, 0.4, 60)
     x_root = np.column_stack([np.full(60, board_at(capture)[0]), y, np.full(60, -0.4)])
     return se3.apply(se3.inverse(T_LIDAR_LASER), x_root)
@@ -66,7 +66,7 @@ def corners(capture: int) -> Array:
 
 @pytest.fixture(scope="session")
 def rig() -> Calibration:
-    """A LiDAR, a camera, and a laser scanner that see a board in three captures, without any noise."""
+    """A LiDAR, a camera and a laser scanner that detect a board in three captures, without noise."""
     zero = np.zeros((6, 6))
     sensors = (
         SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), zero, Verdict("good")),
@@ -108,7 +108,7 @@ T_A_B = se2.to_se3(se2.pose(np.pi / 2, np.array([6.0, 0.0])))
 
 @pytest.fixture(scope="session")
 def network() -> Calibration:
-    """Two scanners in a hall; somebody walks along x = 2 m for 9 s, whom both see."""
+    """Two scanners in a hall; a person walks along x = 2 m for 9 s in view of both."""
     spread = np.zeros((6, 6))
     spread[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([0.01**2, 0.02**2, 0.001**2])
     sensors = (

@@ -1,4 +1,4 @@
-"""What sensors look at, and how uncertain they are."""
+"""Fields of view and uncertainties."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calgraph.geometry import se3
 from calgraph.sensors import CameraModel
-from calgraph.viewer.frustums import beams, ellipsoid, through_window, window
+from calgraph.viewer.frustums import frustum_shape, rectify_image, sample_beams, uncertainty_ellipsoid
 
 
 def camera(model: str, distortion: tuple[float, ...], center: tuple[float, float] = (319.5, 239.5)) -> CameraModel:
@@ -14,19 +14,19 @@ def camera(model: str, distortion: tuple[float, ...], center: tuple[float, float
     return CameraModel("fisheye" if model == "fisheye" else "pinhole", 640, 480, K, np.array(distortion))
 
 
-def test_a_window_is_as_wide_as_the_picture() -> None:
-    angle, aspect = window(camera("pinhole", ()))
+def test_a_frustum_is_as_wide_as_the_image() -> None:
+    angle, aspect = frustum_shape(camera("pinhole", ()))
     assert angle == pytest.approx(2 * np.arctan(240 / 400))
     assert aspect == pytest.approx(640 / 480)
 
 
-def test_a_fisheyes_window_ends() -> None:
+def test_a_fisheye_frustum_is_clipped() -> None:
     wide = CameraModel("fisheye", 1000, 1000, np.diag([100.0, 100, 1]), np.zeros(4))
-    assert window(wide) == pytest.approx((np.radians(130), 1.0))
+    assert frustum_shape(wide) == pytest.approx((np.radians(130), 1.0))
 
 
 @pytest.mark.parametrize(
-    "seen_by",
+    "lens",
     [
         camera("pinhole", ()),
         camera("pinhole", (-0.25, 0.08, 0.001, -0.002)),
@@ -34,42 +34,42 @@ def test_a_fisheyes_window_ends() -> None:
         camera("fisheye", (0.02, -0.01, 0.003, 0.0)),
     ],
 )
-def test_directions_are_where_a_plain_camera_would_have_them(seen_by: CameraModel) -> None:
-    """A spot in the direction (0.2, -0.1, 1), painted through the lens, is found there in the window."""
-    u, v = seen_by.project(np.array([[0.2, -0.1, 1]]))[0]
+def test_rectification_gives_a_pinhole_image(lens: CameraModel) -> None:
+    """A spot drawn in the direction (0.2, -0.1, 1) through the lens appears there in the rectified image."""
+    u, v = lens.project(np.array([[0.2, -0.1, 1]]))[0]
     y, x = np.mgrid[:480, :640]
     spot = (255 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 50)).astype(np.uint8)
-    shown = through_window(np.dstack([spot] * 3), seen_by, 640)[..., 0].astype(float)
+    shown = rectify_image(np.dstack([spot] * 3), lens, 640)[..., 0].astype(float)
     rows, columns = np.mgrid[: shown.shape[0], : shown.shape[1]]
     at = np.array([np.sum(shown * columns), np.sum(shown * rows)]) / shown.sum()
-    angle, aspect = window(seen_by)
+    angle, aspect = frustum_shape(lens)
     half = np.tan(angle / 2) * np.array([aspect, 1])
     expected = (np.array([0.2, -0.1]) / half + 1) / 2 * shown.shape[::-1] - 0.5
     np.testing.assert_allclose(at, expected, atol=0.6)
 
 
-def test_a_shrunk_picture_looks_the_same() -> None:
-    seen_by = camera("pinhole", (-0.2, 0.05, 0, 0))
+def test_a_shrunk_image_is_rectified_alike() -> None:
+    lens = camera("pinhole", (-0.2, 0.05, 0, 0))
     large = np.dstack([np.tile(np.linspace(0, 255, 640), (480, 1))] * 3).astype(np.uint8)
-    a, b = (through_window(np.ascontiguousarray(p), seen_by, 160).astype(int) for p in (large, large[::2, ::2]))
+    a, b = (rectify_image(np.ascontiguousarray(p), lens, 160).astype(int) for p in (large, large[::2, ::2]))
     assert np.abs(a - b)[5:-5, 5:-5].max() <= 2
 
 
 @pytest.mark.parametrize("count", [0, 1, 50, 1081])
 def test_beams_are_few_and_spread(count: int) -> None:
     points = np.column_stack([np.arange(count), np.zeros((count, 2))]).astype(np.float32)
-    found = beams(points)
+    found = sample_beams(points)
     assert len(found) <= 45
     assert len(found) >= min(count, 22)
     assert not found[:, 0].any()
 
 
 def test_an_ellipsoid_holds_95_percent(rng: np.random.Generator) -> None:
-    """Of errors drawn in the root's axes, seen from the sensor."""
+    """Of errors drawn in the root's axes, in the sensor frame."""
     root = rng.normal(0, 1, (6, 6))
     covariance = 1e-4 * root @ root.T
     T = se3.pose(Rotation.random(random_state=3).as_matrix(), np.array([1, 2, 3.0]))
-    half, R = ellipsoid(T, covariance, 99)
+    half, R = uncertainty_ellipsoid(T, covariance, 99)
     errors = rng.multivariate_normal(np.zeros(6), covariance, 100_000)[:, :3] @ T[:3, :3]
     inside = np.sum((errors @ R / half) ** 2, axis=1) < 1
     # Three standard deviations of a share of 0.95 among 100,000.
@@ -77,7 +77,7 @@ def test_an_ellipsoid_holds_95_percent(rng: np.random.Generator) -> None:
     assert np.linalg.det(R) == pytest.approx(1)
 
 
-def test_what_is_not_known_is_cut_off() -> None:
-    half, _ = ellipsoid(np.eye(4), np.diag([np.inf, np.nan, 1e-6, 1, 1, 1]), 0.5)
+def test_unobservable_directions_are_clipped() -> None:
+    half, _ = uncertainty_ellipsoid(np.eye(4), np.diag([np.inf, np.nan, 1e-6, 1, 1, 1]), 0.5)
     assert half.max() == 0.5
     assert np.isfinite(half).all()

@@ -1,4 +1,4 @@
-"""How far off the board sensors are, and how that grows if one is moved."""
+"""Misalignment of sensors, and its growth with a displacement."""
 
 from dataclasses import replace
 
@@ -7,39 +7,50 @@ import pytest
 
 from calgraph.result import BoardOutline, Calibration
 from calgraph.sensors import CameraModel
-from calgraph.viewer.misalignment import misfits
-from calgraph.viewer.view_state import Choice
+from calgraph.viewer.misalignment import compute_misalignments
+from calgraph.viewer.view_state import ViewState
 
 Cameras = dict[str, CameraModel]
 CAMERA = "camera/front *1*"
 
 
-def test_without_noise_everything_is_on_the_board(rig: Calibration, cameras: Cameras) -> None:
-    found = misfits(rig, cameras, Choice())
+def test_without_noise_nothing_is_misaligned(rig: Calibration, cameras: Cameras) -> None:
+    found = compute_misalignments(rig, cameras, ViewState())
     assert {name: fit.unit for name, fit in found.items()} == {"lidar": "m", CAMERA: "px", "laser": "m"}
     assert max(fit.rms for fit in found.values()) < 1e-6
 
 
-def test_a_scanner_moved_towards_the_board_is_off_by_as_much(rig: Calibration, cameras: Cameras) -> None:
-    found = misfits(rig, cameras, Choice(1.0, moved="laser", by=(0.05, 0, 0, 0, 0, 0)))
+def test_a_displacement_towards_the_board_is_the_misalignment(rig: Calibration, cameras: Cameras) -> None:
+    found = compute_misalignments(
+        rig, cameras, ViewState(1.0, moved_sensor="laser", displacement=(0.05, 0, 0, 0, 0, 0))
+    )
     assert found["laser"].rms == pytest.approx(0.05, abs=1e-6)
     assert found["lidar"].rms < 1e-6
     assert str(found["laser"]) == "50.0 mm"
 
 
-def test_a_scanner_moved_along_the_board_stays_on_it(rig: Calibration, cameras: Cameras) -> None:
-    assert misfits(rig, cameras, Choice(moved="laser", by=(0, 0.05, 0, 0, 0, 0)))["laser"].rms < 1e-6
+def test_a_displacement_along_the_board_is_not_a_misalignment(rig: Calibration, cameras: Cameras) -> None:
+    assert (
+        compute_misalignments(rig, cameras, ViewState(moved_sensor="laser", displacement=(0, 0.05, 0, 0, 0, 0)))[
+            "laser"
+        ].rms
+        < 1e-6
+    )
 
 
-def test_a_camera_moved_sideways_sees_corners_elsewhere(rig: Calibration, cameras: Cameras) -> None:
+def test_a_camera_moved_sideways_has_reprojection_errors(rig: Calibration, cameras: Cameras) -> None:
     """By 10 mm at 3, 3.5 and 4 m with a focal length of 400 px."""
-    found = misfits(rig, cameras, Choice(moved=CAMERA, by=(0, 0.01, 0, 0, 0, 0)))[CAMERA]
+    found = compute_misalignments(
+        rig, cameras, ViewState(moved_sensor=CAMERA, displacement=(0, 0.01, 0, 0, 0, 0))
+    )[CAMERA]
     expected = np.sqrt(np.mean((400 * 0.01 / np.array([3, 3.5, 4])) ** 2))
     assert found.rms == pytest.approx(expected, rel=1e-6)
     assert str(found) == f"{expected:.2f} px"
 
 
-def test_noise_is_told_as_it_is(rig: Calibration, cameras: Cameras, rng: np.random.Generator) -> None:
+def test_the_misalignment_of_noise_is_its_rms(
+    rig: Calibration, cameras: Cameras, rng: np.random.Generator
+) -> None:
     views = [view for view in rig.pictures.board_views if view.sensor == CAMERA]
     off = [rng.normal(0, 0.3, view.measured.shape) for view in views]
     noisy = replace(
@@ -52,17 +63,17 @@ def test_noise_is_told_as_it_is(rig: Calibration, cameras: Cameras, rng: np.rand
         ),
     )
     expected = np.sqrt(np.mean(np.sum(np.concatenate(off) ** 2, axis=1)))
-    assert misfits(noisy, cameras, Choice())[CAMERA].rms == pytest.approx(expected, rel=1e-6)
+    assert compute_misalignments(noisy, cameras, ViewState())[CAMERA].rms == pytest.approx(expected, rel=1e-6)
 
 
-def test_of_two_boards_each_view_belongs_to_its_own(rig: Calibration, cameras: Cameras) -> None:
+def test_views_are_assigned_to_the_nearest_of_two_boards(rig: Calibration, cameras: Cameras) -> None:
     other = tuple(
         BoardOutline(o.capture, o.corners + np.array([1, 2, 0.5]), 1) for o in rig.pictures.board_outlines
     )
-    found = misfits(
+    found = compute_misalignments(
         replace(rig, pictures=replace(rig.pictures, board_outlines=(*other, *rig.pictures.board_outlines))),
         cameras,
-        Choice(),
+        ViewState(),
     )
     assert max(fit.rms for fit in found.values()) < 1e-6
 
@@ -71,6 +82,6 @@ def test_views_that_were_not_used_do_not_count(rig: Calibration, cameras: Camera
     unused = tuple(
         replace(v, used=False, residuals=None) if v.sensor == "laser" else v for v in rig.pictures.board_views
     )
-    assert "laser" not in misfits(
-        replace(rig, pictures=replace(rig.pictures, board_views=unused)), cameras, Choice()
+    assert "laser" not in compute_misalignments(
+        replace(rig, pictures=replace(rig.pictures, board_views=unused)), cameras, ViewState()
     )

@@ -1,4 +1,4 @@
-"""The page in a real browser: it opens without complaints, and shows what its controls say."""
+"""The page in a real browser: it opens without errors, and follows its controls."""
 
 import shutil
 import urllib.request
@@ -19,7 +19,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not 
 from playwright.sync_api import Browser, ConsoleMessage, Page  # noqa: E402
 
 from calgraph.viewer import Viewer  # noqa: E402
-from calgraph.viewer.view_state import Choice  # noqa: E402
+from calgraph.viewer.view_state import ViewState  # noqa: E402
 
 Picture = NDArray[np.int16]
 
@@ -45,7 +45,7 @@ class Shown:
         return np.asarray(cv2.GaussianBlur(sharp, (0, 0), 6), dtype=np.int16)
 
     def settled(self, good: Callable[[Picture], bool] = lambda _: True) -> Picture:
-        """The scene once it has stopped changing for a second, and is good: it is drawn piece by piece."""
+        """The scene after it has not changed for a second and satisfies ``good``: it is drawn piece by piece."""
         before, still = self.picture(), 0
         for _ in range(80):
             self.page.wait_for_timeout(250)
@@ -54,16 +54,16 @@ class Shown:
             if still == 4:
                 return now
             before = now
-        raise AssertionError("the scene never came to rest as it should")
+        raise AssertionError("the scene did not settle")
 
     def slider(self, words: str) -> None:
-        """Puts the focus on a slider, which keys then move."""
+        """Focuses a slider, which keys then move."""
         row = self.page.get_by_text(words, exact=True).locator("xpath=ancestor::*[.//*[@role='slider']][1]")
         row.get_by_role("slider").focus(timeout=_PATIENCE)
 
 
 def different(a: Picture, b: Picture) -> float:
-    """The share of pixels that are not about the same."""
+    """The fraction of pixels that differ."""
     return float(np.mean(np.abs(a - b).max(axis=-1) > 12))
 
 
@@ -105,27 +105,27 @@ def network_page(browser: Browser, network: Calibration) -> Iterator[Shown]:
 
 
 def lit(picture: Picture) -> bool:
-    """Whether there is more to see than background."""
+    """Whether more than the background is visible."""
     return float(np.mean(picture.max(axis=-1) > 40)) > 0.003
 
 
 def test_a_rig_is_explored(rig_page: Shown) -> None:
-    """One story, as a browser takes its time: the first capture, the next, a scanner moved, and put back."""
+    """In one session, as a browser is slow: the first capture, the next, a displaced scanner, and a reset."""
     first = rig_page.settled(lit)
-    assert rig_page.viewer.panel.choice() == Choice(0.0)
+    assert rig_page.viewer.panel.state() == ViewState(0.0)
 
     rig_page.slider("capture")
     rig_page.page.keyboard.press("ArrowRight")
     second = rig_page.settled(lambda now: different(first, now) > 2e-3)
-    assert rig_page.viewer.panel.choice() == Choice(1.0)
+    assert rig_page.viewer.panel.state() == ViewState(1.0)
 
     rig_page.slider("x, mm")
     rig_page.page.keyboard.press("End")
     moved = rig_page.settled(lambda now: different(second, now) > 2e-3)
-    assert rig_page.viewer.panel.choice() == Choice(1.0, moved="laser", by=(0.2, 0, 0, 0, 0, 0))
+    assert rig_page.viewer.panel.state() == ViewState(1.0, moved_sensor="laser", displacement=(0.2, 0, 0, 0, 0, 0))
     rig_page.page.get_by_text("200.0 mm").wait_for(timeout=_PATIENCE)
 
-    rig_page.page.get_by_text("put it back").click(timeout=_PATIENCE)
+    rig_page.page.get_by_text("reset pose").click(timeout=_PATIENCE)
     again = rig_page.settled(lambda now: different(second, now) < 2e-3)
     assert different(moved, again) > 2e-3
     assert rig_page.complaints == []
@@ -136,11 +136,11 @@ def test_a_network_is_explored(network_page: Shown) -> None:
     network_page.slider("time, s")
     network_page.page.keyboard.press("End")
     network_page.settled(lambda now: different(everything, now) > 2e-3)
-    assert network_page.viewer.panel.choice().moment == pytest.approx(13.8)
+    assert network_page.viewer.panel.state().moment == pytest.approx(13.8)
     network_page.page.get_by_text("play", exact=True).locator("xpath=following::input[1]").check(timeout=_PATIENCE)
     for _ in range(100):
         network_page.page.wait_for_timeout(200)
-        if 0.5 < (network_page.viewer.panel.choice().moment or 0) < 13:
+        if 0.5 < (network_page.viewer.panel.state().moment or 0) < 13:
             break
     else:
         raise AssertionError("time does not pass")
@@ -148,9 +148,9 @@ def test_a_network_is_explored(network_page: Shown) -> None:
 
 
 def test_controls_change_what_the_scene_holds(rig: Calibration, cameras: dict[str, CameraModel]) -> None:
-    """Each is set as if by hand; handles of the scene tell what a browser would draw."""
+    """Each control is set by its handle; handles of the scene hold what a browser draws."""
     with Viewer(rig, cameras) as viewer:
-        stage, nodes = viewer.stage, viewer.stage._nodes
+        stage, nodes = viewer.display, viewer.display._nodes
         drawn = []
         for exaggeration in (1, 100, 0, 10):
             stage.show_uncertainty(exaggeration)
@@ -163,7 +163,7 @@ def test_controls_change_what_the_scene_holds(rig: Calibration, cameras: dict[st
         stage.show_points(0.03)
         stage.show_sensor("laser", False)
         shown = []
-        for choice in (Choice(None, "camera"), Choice(2.0, "height"), Choice(9.0), Choice(None)):
+        for choice in (ViewState(None, "camera"), ViewState(2.0, "height"), ViewState(9.0), ViewState(None)):
             stage.show(choice)
             shown.append((len(nodes["clouds"]), len(nodes["beams"])))
         # Beams belong to one capture; there is no ninth.
@@ -173,8 +173,8 @@ def test_controls_change_what_the_scene_holds(rig: Calibration, cameras: dict[st
 
 
 @pytest.mark.parametrize("left", ["snapshots", "outlines", "board_views"])
-def test_what_is_not_there_is_not_shown(rig: Calibration, left: str) -> None:
-    """As of a problem solved again, which has no pictures; and without intrinsics."""
+def test_missing_parts_are_not_shown(rig: Calibration, left: str) -> None:
+    """As of a problem file, which has no images; and without intrinsics."""
     bare = replace(
         rig,
         pictures=replace(
@@ -185,7 +185,7 @@ def test_what_is_not_there_is_not_shown(rig: Calibration, left: str) -> None:
         ),
     )
     with Viewer(bare, {}) as viewer:
-        assert viewer.panel.choice().moment in (None, 0.0)
+        assert viewer.panel.state().moment in (None, 0.0)
 
 
 def test_two_viewers_find_a_port_each(rig: Calibration, network: Calibration) -> None:

@@ -11,18 +11,18 @@ from calgraph.config import Board
 from calgraph.errors import InputError
 from calgraph.io import check_output_path, write_text
 from calgraph.printing import (
+    BoardOptions,
     Paper,
-    Wishes,
-    design,
-    lay_out,
+    design_board,
+    format_target,
+    layout_pages,
     parse_paper,
     parse_size,
-    put_target,
     read_boards,
-    target_block,
+    replace_target,
 )
 
-_MODEL_OPTIONS = {option.parameter: option for option in list_options(Wishes, {"kind": "Print"})}
+_MODEL_OPTIONS = {option.parameter: option for option in list_options(BoardOptions, {"kind": "Print"})}
 
 
 def board_options(
@@ -60,21 +60,21 @@ def board_options(
     chosen = None if paper.strip().lower() == "fit" else parse_paper(paper)
     if rig is None:
         boards: tuple[Board, ...] = (
-            design(_board_size(size, chosen), apply_options(Wishes(), _MODEL_OPTIONS, options)),
+            design_board(_board_size(size, chosen), apply_options(BoardOptions(), _MODEL_OPTIONS, options)),
         )
     elif size is None and not options:
         boards = read_boards(rig)
     else:
         raise InputError(f"{rig}: defines the boards to print; give either it, or options of another")
-    pages = [(one, lay_out(one, chosen, overlap)) for one in boards]
-    changed = put_target(into, boards) if into else ""
+    pages = [(one, layout_pages(one, chosen, overlap)) for one in boards]
+    changed = replace_target(into, boards) if into else ""
 
     from calgraph.printing.pdf import write_pdf  # its library takes a while, which --help should not
 
     write_pdf(out, pages)
     if into:
         write_text(into, changed)
-    typer.echo(target_block(boards), nl=False)
+    typer.echo(format_target(boards), nl=False)
     count = sum(len(of_one) for _, of_one in pages)
     console(stderr=True).print(f"Wrote {out}: {count} page{'s'[: count > 1]}; print at 100 %", markup=False)
 
@@ -88,5 +88,5 @@ def _board_size(size: str | None, paper: Paper | None) -> tuple[float, float]:
     return max(paper.width, paper.height), min(paper.width, paper.height)
 
 
-board = add_options(board_options, _MODEL_OPTIONS, Wishes())
+board = add_options(board_options, _MODEL_OPTIONS, BoardOptions())
 """The command; what there is to choose of a print is read off :class:`Wishes`."""

@@ -125,12 +125,12 @@ def _deviations(sensor: SensorPose) -> tuple[str, str]:
     if sensor.parent is None:
         return "root", ""
     from calgraph.report.verdict_cards import (
-        worst_deviation,  # brings plots along, which --help should not wait for
+        max_std_deviation,  # brings plots along, which --help should not wait for
     )
 
     position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
-    return _format_fixed(1000 * worst_deviation(position), 1), _format_fixed(
-        np.degrees(worst_deviation(rotation)), 3
+    return _format_fixed(1000 * max_std_deviation(position), 1), _format_fixed(
+        np.degrees(max_std_deviation(rotation)), 3
     )
 
 

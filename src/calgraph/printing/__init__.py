@@ -1,11 +1,21 @@
-"""Boards on paper: designs that fill a sheet, their pages, and the target that rig.yaml needs for them."""
+"""Printed boards: designs that fill a board, their pages, and the target block of rig.yaml."""
 
-from calgraph.printing.designs import BoardKind, Wishes, design
-from calgraph.printing.pages import Page, Window, lay_out
+from calgraph.printing.designs import BoardKind, BoardOptions, design_board
+from calgraph.printing.pages import Page, Window, layout_pages
 from calgraph.printing.paper import Paper, parse_paper, parse_size
-from calgraph.printing.target_block import put_target, read_boards, target_block
+from calgraph.printing.target_block import format_target, read_boards, replace_target
 
 __all__ = [
-    "BoardKind", "Page", "Paper", "Window", "Wishes", "design", "lay_out", "parse_paper", "parse_size",
-    "put_target", "read_boards", "target_block",
+    "BoardKind",
+    "BoardOptions",
+    "Page",
+    "Paper",
+    "Window",
+    "design_board",
+    "format_target",
+    "layout_pages",
+    "parse_paper",
+    "parse_size",
+    "read_boards",
+    "replace_target",
 ]  # fmt: skip

@@ -1,6 +1,6 @@
-"""Which part of a board goes on which page, and where on it.
+"""Layout of a board on pages.
 
-On the board, lengths count from the lower left corner of its sheet, in mm; x is right and y up, on pages too.
+Board coordinates are from its lower left corner, in mm; x is right and y up, on pages too.
 """
 
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.printing.paper import MARGIN, Paper
 
-MM = 1000.0
-"""In a metre."""
-_MOST_PAGES = 400
-# Rounding of sizes given in mm or inches must not cost a page, mm.
-_TINY = 1e-6
+MM_PER_METER = 1000.0
+"""Millimetres per metre."""
+_MAX_PAGES = 400
+# Tolerance of sizes given in mm or inches, mm: rounding must not add a page.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Window:
         """Mm."""
         return self.top - self.bottom
 
-    def within(self, other: "Window") -> "Window":
-        """What lies in both."""
+    def intersect(self, other: "Window") -> "Window":
+        """The intersection with another window."""
         return Window(
             max(self.left, other.left),
             max(self.bottom, other.bottom),
@@ -61,15 +61,15 @@ class Page:
     column: int
     """Counted from the left."""
     origin: tuple[float, float]
-    """Where on the page the lower left corner of the board's sheet is, or would be."""
+    """Position of the board's lower left corner on the page, which may lie outside of it."""
     window: Window
-    """The part of the board that is on the page."""
-    joints: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
-    """Where the next page's edge comes to lie when it is glued over this one: x of those to the right, y of those
-    below, on the board."""
+    """The part of the board on the page."""
+    overlap_edges: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+    """Edges of the next pages when they are glued over this one, on the board: x of those to the right, y of those
+    below."""
 
-    joined: bool = False
-    """Whether it is one of several pages that are to be joined."""
+    is_tile: bool = False
+    """Whether it is one of several pages that are joined."""
 
     @property
     def label(self) -> str:
@@ -77,79 +77,79 @@ class Page:
         letters = ascii_uppercase[self.row % 26] * (1 + self.row // 26)
         return f"{letters}{self.column + 1}"
 
-    def place(self, x: float, y: float) -> tuple[float, float]:
-        """A place on the board as one on the page."""
+    def to_page(self, x: float, y: float) -> tuple[float, float]:
+        """Page coordinates of a point on the board."""
         return x + self.origin[0], y + self.origin[1]
 
 
-def sheet_ink(board: Board) -> Array:
-    """The print as black rectangles (N, 4): left, bottom, right, top on the sheet, mm."""
-    return MM * (black_rectangles(board) + 0.5 * np.array([*board.size, *board.size]))
+def black_rectangles_mm(board: Board) -> Array:
+    """The print as black rectangles (N, 4): left, bottom, right, top on the board, mm."""
+    return MM_PER_METER * (black_rectangles(board) + 0.5 * np.array([*board.size, *board.size]))
 
 
-def lay_out(board: Board, paper: Paper | None = None, overlap: float = 10.0) -> tuple[Page, ...]:
-    """The pages of a board, in rows from the top.
+def layout_pages(board: Board, paper: Paper | None = None, overlap: float = 10.0) -> tuple[Page, ...]:
+    """Lays out a board on pages, in rows from the top.
 
-    A board that the paper has room for is put on one page, upright or turned; else it is tiled over as few pages
-    as possible. Its white rim may reach into the margins, or be as large as the paper.
+    A board that fits the paper is put on one page, in either orientation; otherwise it is tiled over the fewest
+    pages. Its white rim may extend into the margins, or be as large as the paper.
 
     Args:
         board: to be printed.
         paper: in either orientation; as large as the board with its margins if None.
-        overlap: how much neighbouring pages have in common, mm.
+        overlap: of neighbouring pages, mm.
 
     Raises:
-        InputError: the overlap leaves nothing new on a page, or it would take hundreds of pages.
+        InputError: the overlap is larger than a page, or more than 400 pages are needed.
 
     """
-    width, height = (MM * length for length in board.size)
+    width, height = (MM_PER_METER * length for length in board.size)
     if paper is None:
         paper = Paper(width + 2 * MARGIN, height + 2 * MARGIN)
-    if single := [page for turned in (paper, paper.turned) if (page := _single(board, turned))]:
+    if single := [page for turned in (paper, paper.rotated) if (page := _single(board, turned))]:
         return (max(single, key=lambda page: page.window.width * page.window.height),)
-    if not 0 <= overlap < min(paper.inner) / 2:
+    if not 0 <= overlap < min(paper.printable_size) / 2:
         raise InputError(
-            f"`overlap`: must be from 0 to {min(paper.inner) / 2:g} mm on this paper, got {overlap:g}"
+            f"`overlap`: must be from 0 to {min(paper.printable_size) / 2:g} mm on this paper, got {overlap:g}"
         )
-    pages = min((list(_tiles(width, height, p, overlap)) for p in (paper, paper.turned)), key=len)
-    if len(pages) > _MOST_PAGES:
+    pages = min((list(_tile_pages(width, height, p, overlap)) for p in (paper, paper.rotated)), key=len)
+    if len(pages) > _MAX_PAGES:
         raise InputError(f"`paper`: it would take {len(pages)} pages; choose larger paper, or a smaller board")
     return tuple(pages)
 
 
 def _single(board: Board, paper: Paper) -> Page | None:
     """The board in the middle of one page, if there is room for its print within the margins."""
-    width, height = (MM * length for length in board.size)
+    width, height = (MM_PER_METER * length for length in board.size)
     origin = (paper.width - width) / 2, (paper.height - height) / 2
-    if min(origin) < -_TINY:
+    if min(origin) < -_ROUNDING:
         return None
     inner = Window(
         MARGIN - origin[0], MARGIN - origin[1], paper.width - MARGIN - origin[0], paper.height - MARGIN - origin[1]
     )
-    black = sheet_ink(board)
+    black = black_rectangles_mm(board)
     if len(black):
-        low, high = black[:, :2].min(axis=0) + _TINY, black[:, 2:].max(axis=0) - _TINY
+        low, high = black[:, :2].min(axis=0) + _ROUNDING, black[:, 2:].max(axis=0) - _ROUNDING
         if (low < [inner.left, inner.bottom]).any() or (high > [inner.right, inner.top]).any():
             return None
-    return Page(paper, 0, 0, origin, inner.within(Window(0, 0, width, height)))
+    return Page(paper, 0, 0, origin, inner.intersect(Window(0, 0, width, height)))
 
 
-def _tiles(width: float, height: float, paper: Paper, overlap: float) -> Iterator[Page]:
-    """Pages that cover a sheet, what is left over shared between its edges."""
-    inner_width, inner_height = paper.inner
-    lefts = _starts(width, inner_width, overlap)
-    tops = [height - start for start in _starts(height, inner_height, overlap)]
-    sheet = Window(0, 0, width, height)
+def _tile_pages(width: float, height: float, paper: Paper, overlap: float) -> Iterator[Page]:
+    """Pages that cover a board; the remaining space is distributed evenly to its edges."""
+    inner_width, inner_height = paper.printable_size
+    lefts = _tile_starts(width, inner_width, overlap)
+    tops = [height - start for start in _tile_starts(height, inner_height, overlap)]
+    whole = Window(0, 0, width, height)
     for (row, top), (column, left) in product(enumerate(tops), enumerate(lefts)):
-        window = Window(left, top - inner_height, left + inner_width, top).within(sheet)
+        window = Window(left, top - inner_height, left + inner_width, top).intersect(whole)
         joints = tuple(lefts[column + 1 : column + 2]), tuple(tops[row + 1 : row + 2])
         origin = MARGIN - left, MARGIN + inner_height - top
         yield Page(paper, row, column, origin, window, joints, len(lefts) * len(tops) > 1)
 
 
-def _starts(length: float, inner: float, overlap: float) -> list[float]:
-    """Where pages begin along an edge of the sheet."""
+def _tile_starts(length: float, inner: float, overlap: float) -> list[float]:
+    """Starts of the pages along an edge of the board."""
     step = inner - overlap
-    count = max(1, int(np.ceil((length - overlap - _TINY) / step)))
+    count = max(1, int(np.ceil((length - overlap - _ROUNDING) / step)))
     blank = inner + (count - 1) * step - length
     return [i * step - blank / 2 for i in range(count)]

@@ -1,4 +1,4 @@
-"""Sizes of paper. Lengths on paper are in mm, as printers have them; boards are in m, as everywhere else."""
+"""Sizes of paper. Lengths on paper are in mm; boards are in m, as everywhere else."""
 
 import re
 from dataclasses import dataclass
@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from calgraph.errors import InputError
 
 MARGIN = 15.0
-"""Around what belongs to the board, mm: room for rulers and marks, and more than any printer leaves blank."""
+"""Margin around the board, mm: space for rulers and marks, and more than any printer leaves blank."""
 
-_LONGEST = 5000.0
+_MAX_EDGE = 5000.0
 """A PDF's page has at most 14400 points, 5080 mm, along an edge."""
-_NAMED = {
+_PAPER_SIZES = {
     **{f"a{n}": (float(width), float(height)) for n, (width, height) in enumerate(
         [(841, 1189), (594, 841), (420, 594), (297, 420), (210, 297), (148, 210)]
     )},
@@ -21,7 +21,7 @@ _NAMED = {
 
 @dataclass(frozen=True)
 class Paper:
-    """One sheet of paper as it lies in the printer."""
+    """One sheet of paper in its orientation in the printer."""
 
     width: float
     """mm."""
@@ -29,44 +29,44 @@ class Paper:
     """mm."""
 
     @property
-    def turned(self) -> "Paper":
-        """The same paper the other way round: portrait for landscape."""
+    def rotated(self) -> "Paper":
+        """The same paper in the other orientation."""
         return Paper(self.height, self.width)
 
     @property
-    def inner(self) -> tuple[float, float]:
+    def printable_size(self) -> tuple[float, float]:
         """Width and height within the margins, mm."""
         return self.width - 2 * MARGIN, self.height - 2 * MARGIN
 
 
 def parse_paper(text: str) -> Paper:
-    """Paper by name (``A4``, ``letter``) or as ``WIDTHxHEIGHT`` in mm.
+    """Parses paper given by name (``A4``, ``letter``) or as ``WIDTHxHEIGHT`` in mm.
 
     Raises:
-        InputError: no such paper, or one that is too small or too large for a page.
+        InputError: unknown paper, or one that is too small or too large for a page.
 
     """
     name = text.strip().lower()
-    if name in _NAMED:
-        return Paper(*_NAMED[name])
-    width, height = parse_size(text, f"`paper`: is none of {', '.join(_NAMED)}, nor")
-    if min(width, height) < 4 * MARGIN or max(width, height) > _LONGEST:
-        raise InputError(f"`paper`: edges must be from {4 * MARGIN:g} to {_LONGEST:g} mm, got {text!r}")
+    if name in _PAPER_SIZES:
+        return Paper(*_PAPER_SIZES[name])
+    width, height = parse_size(text, f"`paper`: is none of {', '.join(_PAPER_SIZES)}, nor")
+    if min(width, height) < 4 * MARGIN or max(width, height) > _MAX_EDGE:
+        raise InputError(f"`paper`: edges must be from {4 * MARGIN:g} to {_MAX_EDGE:g} mm, got {text!r}")
     return Paper(width, height)
 
 
-def parse_size(text: str, complaint: str) -> tuple[float, float]:
-    """``WIDTHxHEIGHT`` in mm as two numbers.
+def parse_size(text: str, message: str) -> tuple[float, float]:
+    """Parses ``WIDTHxHEIGHT`` in mm.
 
     Args:
         text: such as ``1200x900``.
-        complaint: what the message says first if it is not.
+        message: beginning of the error message.
 
     Raises:
-        InputError: it is not.
+        InputError: the text has another form.
 
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*[x×]\s*(\d+(?:\.\d*)?)\s*(?:mm)?\s*", text, re.IGNORECASE)
     if not match or not all(float(length) > 0 for length in match.groups()):
-        raise InputError(f"{complaint} WIDTHxHEIGHT in mm, such as 1200x900; got {text!r}")
+        raise InputError(f"{message} WIDTHxHEIGHT in mm, such as 1200x900; got {text!r}")
     return float(match[1]), float(match[2])

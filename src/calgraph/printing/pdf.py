@@ -1,4 +1,4 @@
-"""The PDF of boards: black rectangles at true scale, with rulers, marks to cut and to join by, and captions."""
+"""The PDF of boards: black rectangles at true scale, with rulers, cut marks, overlap marks, and captions."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -10,20 +10,20 @@ from reportlab.pdfgen.canvas import Canvas
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.io import write_atomically
-from calgraph.printing.pages import MM, Page, sheet_ink
+from calgraph.printing.pages import MM_PER_METER, Page, black_rectangles_mm
 
 _HAIRLINE = 0.1
 """Width of all lines, mm."""
-_TINY = 1e-6
+_ROUNDING = 1e-6
 """Rounding, mm."""
 _FONT, _SMALL, _LARGE = "Helvetica", 2.1, 2.6
-"""Sizes of letters in mm."""
+"""Font, and font sizes in mm."""
 _TICKS = {10: 4.0, 5: 3.0, 1: 1.8}
-"""Lengths of a ruler's ticks at multiples of so many mm."""
-_CAPTION, _LABEL = 5.2, 7.2
-"""Baselines of the caption and of the page's label, mm from the lower and the upper edge of the page."""
-_ARROW = 3.5
-"""Length of the arrowheads that show where to join pages, mm."""
+"""Lengths of a ruler's ticks, mm, by the multiple that they mark, mm."""
+_CAPTION_BASELINE, _LABEL_BASELINE = 5.2, 7.2
+"""Baselines of the caption and of the page's label, from the lower and the upper edge of the page, mm."""
+_ARROW_LENGTH = 3.5
+"""Length of the arrowheads that mark the edges of the next pages, mm."""
 
 
 def write_pdf(path: Path, boards: Sequence[tuple[Board, Sequence[Page]]]) -> None:
@@ -37,92 +37,94 @@ def write_pdf(path: Path, boards: Sequence[tuple[Board, Sequence[Page]]]) -> Non
         canvas = Canvas(str(temporary), invariant=1, pageCompression=1)
         canvas.setTitle("calgraph board")
         canvas.setCreator("calgraph")
-        # Viewers would offer to fit the page to the paper otherwise.
+        # Otherwise viewers scale the page to the paper.
         canvas.setViewerPreference("PrintScaling", "None")
         for board, pages in boards:
             for page in pages:
-                _draw(canvas, board, page, len(pages))
+                _draw_page(canvas, board, page, len(pages))
                 canvas.showPage()
         canvas.save()
 
 
-def caption(board: Board) -> str:
-    """The board's numbers in one line."""
-    width, height = (_mm(length) for length in board.size)
-    return f"{_print_in_words(board)}; sheet {width} x {height} mm"
+def describe_board(board: Board) -> str:
+    """Print and size of a board in one line."""
+    width, height = (_format_mm(length) for length in board.size)
+    return f"{_describe_print(board)}; board {width} x {height} mm"
 
 
-def _print_in_words(board: Board) -> str:
+def _describe_print(board: Board) -> str:
     match board.pattern:
         case None if not board.tags:
             return "nothing printed"
         case None:
             sizes = sorted({tag.size for tag in board.tags})
             ids = ", ".join(str(tag.id) for tag in board.tags)
-            return f"{board.family}, ids {ids}, tags of {' and '.join(_mm(size) for size in sizes)} mm"
+            return f"{board.family}, ids {ids}, tags of {' and '.join(_format_mm(size) for size in sizes)} mm"
         case Checkerboard() as p:
-            return f"checkerboard, {p.columns} x {p.rows} inner corners, squares of {_mm(p.square)} mm"
+            return f"checkerboard, {p.columns} x {p.rows} inner corners, squares of {_format_mm(p.square)} mm"
         case Charuco() as p:
-            lengths = f"squares of {_mm(p.square)} mm, markers of {_mm(p.marker)} mm from {p.first_id}"
+            lengths = (
+                f"squares of {_format_mm(p.square)} mm, markers of {_format_mm(p.marker)} mm from {p.first_id}"
+            )
             return f"ChArUco, {p.dictionary}, {p.columns} x {p.rows} squares, {lengths}"
         case AprilGrid() as p:
-            lengths = f"tags of {_mm(p.tag_size)} mm from {p.first_id}, spacing {p.tag_spacing:g}"
+            lengths = f"tags of {_format_mm(p.tag_size)} mm from {p.first_id}, spacing {p.tag_spacing:g}"
             return f"AprilGrid, {board.family}, {p.columns} x {p.rows}, {lengths}"
 
 
-def _mm(length: float) -> str:
-    return f"{MM * length:.5g}"
+def _format_mm(length: float) -> str:
+    return f"{MM_PER_METER * length:.5g}"
 
 
-def _draw(canvas: Canvas, board: Board, page: Page, count: int) -> None:
+def _draw_page(canvas: Canvas, board: Board, page: Page, count: int) -> None:
     canvas.setPageSize((page.paper.width * mm, page.paper.height * mm))
     canvas.scale(mm, mm)
     canvas.setLineWidth(_HAIRLINE)
-    _draw_ink(canvas, board, page)
-    _draw_cuts(canvas, board, page)
+    _draw_print(canvas, board, page)
+    _draw_cut_marks(canvas, board, page)
     _draw_rulers(canvas, page, (page.window.left, page.window.bottom) if count == 1 else (0.0, 0.0))
-    _draw_joints(canvas, page)
-    _draw_words(canvas, board, page, count)
+    _draw_overlap_marks(canvas, page)
+    _draw_text(canvas, board, page, count)
 
 
-def _draw_ink(canvas: Canvas, board: Board, page: Page) -> None:
-    """The print as one path: rectangles filled one by one show seams where they touch."""
-    window, black = page.window, sheet_ink(board)
+def _draw_print(canvas: Canvas, board: Board, page: Page) -> None:
+    """Draws the print as one path: separately filled rectangles show seams where they touch."""
+    window, black = page.window, black_rectangles_mm(board)
     low = np.maximum(black[:, :2], [window.left, window.bottom])
     high = np.minimum(black[:, 2:], [window.right, window.top])
-    seen = (low < high).all(axis=1)
+    visible = (low < high).all(axis=1)
     path = canvas.beginPath()
-    for (left, bottom), (width, height) in zip((low + page.origin)[seen], (high - low)[seen], strict=True):
+    for (left, bottom), (width, height) in zip((low + page.origin)[visible], (high - low)[visible], strict=True):
         path.rect(float(left), float(bottom), float(width), float(height))
     canvas.drawPath(path, stroke=0, fill=1)
 
 
-def _draw_cuts(canvas: Canvas, board: Board, page: Page) -> None:
-    """Lines to cut along, outside of the print. There are none where the sheet is as large as the paper."""
-    (left, bottom), (right, top) = _corners(page)
-    width, height = (MM * length for length in board.size)
-    if page.paper.width - width > _TINY or page.joined:
+def _draw_cut_marks(canvas: Canvas, board: Board, page: Page) -> None:
+    """Draws cut marks outside of the print; none where the board is as large as the paper."""
+    (left, bottom), (right, top) = _window_corners(page)
+    width, height = (MM_PER_METER * length for length in board.size)
+    if page.paper.width - width > _ROUNDING or page.is_tile:
         for x in (left, right):
             canvas.line(x, bottom - 1, x, bottom - 7)
             canvas.line(x, top + 1, x, top + 7)
-    if page.paper.height - height > _TINY or page.joined:
+    if page.paper.height - height > _ROUNDING or page.is_tile:
         for y in (bottom, top):
             canvas.line(left - 1, y, left - 7, y)
             canvas.line(right + 1, y, right + 7, y)
 
 
 def _draw_rulers(canvas: Canvas, page: Page, zero: tuple[float, float]) -> None:
-    """In mm along the lower and the left edge, from a place on the board on."""
+    """Draws rulers in mm along the lower and the left edge, with zero at a point on the board."""
     window = page.window
-    (left, bottom), _ = _corners(page)
+    (left, bottom), _ = _window_corners(page)
     canvas.setFont(_FONT, _SMALL)
-    for at, value, tick in _ticks(window.left, window.right, zero[0]):
-        x, _ = page.place(at, 0)
+    for at, value, tick in _ruler_ticks(window.left, window.right, zero[0]):
+        x, _ = page.to_page(at, 0)
         canvas.line(x, bottom, x, bottom - tick)
         if value % 10 == 0:
             canvas.drawCentredString(x, bottom - 6.3, str(value))
-    for at, value, tick in _ticks(window.bottom, window.top, zero[1]):
-        _, y = page.place(0, at)
+    for at, value, tick in _ruler_ticks(window.bottom, window.top, zero[1]):
+        _, y = page.to_page(0, at)
         canvas.line(left, y, left - tick, y)
         if value % 10 == 0:
             canvas.saveState()
@@ -132,28 +134,28 @@ def _draw_rulers(canvas: Canvas, page: Page, zero: tuple[float, float]) -> None:
             canvas.restoreState()
 
 
-def _ticks(start: float, end: float, zero: float) -> Iterator[tuple[float, int, float]]:
-    """Places of a ruler's ticks, their values, and their lengths."""
-    for value in range(int(np.ceil(start - zero - _TINY)), int(np.floor(end - zero + _TINY)) + 1):
+def _ruler_ticks(start: float, end: float, zero: float) -> Iterator[tuple[float, int, float]]:
+    """Positions, values and lengths of a ruler's ticks, mm."""
+    for value in range(int(np.ceil(start - zero - _ROUNDING)), int(np.floor(end - zero + _ROUNDING)) + 1):
         yield zero + value, value, next(length for step, length in _TICKS.items() if value % step == 0)
 
 
-def _draw_joints(canvas: Canvas, page: Page) -> None:
-    """Arrowheads in the margins that point at the line where the edge of the next page comes to lie."""
-    (left, bottom), (right, top) = _corners(page)
-    for joint in page.joints[0]:
-        x, _ = page.place(joint, 0)
+def _draw_overlap_marks(canvas: Canvas, page: Page) -> None:
+    """Draws arrowheads in the margins at the edges of the next pages."""
+    (left, bottom), (right, top) = _window_corners(page)
+    for joint in page.overlap_edges[0]:
+        x, _ = page.to_page(joint, 0)
         _draw_arrow(canvas, (x, bottom), (0, -1))
         _draw_arrow(canvas, (x, top), (0, 1))
-    for joint in page.joints[1]:
-        _, y = page.place(0, joint)
+    for joint in page.overlap_edges[1]:
+        _, y = page.to_page(0, joint)
         _draw_arrow(canvas, (left, y), (-1, 0))
         _draw_arrow(canvas, (right, y), (1, 0))
 
 
 def _draw_arrow(canvas: Canvas, tip: tuple[float, float], back: tuple[float, float]) -> None:
-    """A filled triangle whose other side lies in the direction ``back``."""
-    (x, y), (dx, dy) = tip, (_ARROW * back[0], _ARROW * back[1])
+    """Draws a filled triangle with its tip at ``tip`` and its base in the direction ``back``."""
+    (x, y), (dx, dy) = tip, (_ARROW_LENGTH * back[0], _ARROW_LENGTH * back[1])
     path = canvas.beginPath()
     path.moveTo(x, y)
     path.lineTo(x + dx - dy / 3, y + dy + dx / 3)
@@ -162,19 +164,21 @@ def _draw_arrow(canvas: Canvas, tip: tuple[float, float], back: tuple[float, flo
     canvas.drawPath(path, stroke=0, fill=1)
 
 
-def _draw_words(canvas: Canvas, board: Board, page: Page, count: int) -> None:
-    (left, _), (right, _) = _corners(page)
+def _draw_text(canvas: Canvas, board: Board, page: Page, count: int) -> None:
+    (left, _), (right, _) = _window_corners(page)
     advice = "print at 100 % and check the rulers"
-    _draw_line(canvas, (left, _CAPTION), right - left, f"calgraph: {caption(board)}; {advice}", _SMALL)
+    _draw_text_line(
+        canvas, (left, _CAPTION_BASELINE), right - left, f"calgraph: {describe_board(board)}; {advice}", _SMALL
+    )
     if count > 1:
         label = f"page {page.label} of {count}"
-        if seams := _seams(page):
-            label += f": cut along its {' and '.join(seams)}, up to the arrowheads"
-        _draw_line(canvas, (left, page.paper.height - _LABEL), right - left, label, _LARGE)
+        if seams := _describe_seams(page):
+            label += f": cut along the {' and '.join(seams)}, up to the arrowheads"
+        _draw_text_line(canvas, (left, page.paper.height - _LABEL_BASELINE), right - left, label, _LARGE)
 
 
-def _seams(page: Page) -> list[str]:
-    """Which edges are cut and glued over which neighbours."""
+def _describe_seams(page: Page) -> list[str]:
+    """Edges that are cut and glued over neighbouring pages."""
     seams = []
     if page.column:
         seams.append(f"left edge and glue it over {replace(page, column=page.column - 1).label}")
@@ -183,14 +187,14 @@ def _seams(page: Page) -> list[str]:
     return seams
 
 
-def _draw_line(canvas: Canvas, place: tuple[float, float], width: float, text: str, size: float) -> None:
-    """A line of text, in smaller letters if it is too long."""
+def _draw_text_line(canvas: Canvas, place: tuple[float, float], width: float, text: str, size: float) -> None:
+    """Draws a line of text, with a smaller font if it is too long."""
     needed = canvas.stringWidth(text, _FONT, size)
     canvas.setFont(_FONT, size * min(1.0, width / needed))
     canvas.drawString(*place, text)
 
 
-def _corners(page: Page) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The lower left and the upper right corner of what is shown of the board, on the page."""
+def _window_corners(page: Page) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The lower left and the upper right corner of the page's window, on the page."""
     window = page.window
-    return page.place(window.left, window.bottom), page.place(window.right, window.top)
+    return page.to_page(window.left, window.bottom), page.to_page(window.right, window.top)

@@ -1,4 +1,4 @@
-"""The ``target:`` of rig.yaml that belongs to a print: written, put into a file, and read back."""
+"""The ``target:`` block of rig.yaml for a print: formatted, inserted into a file, and read back."""
 
 import re
 from collections.abc import Sequence
@@ -19,44 +19,42 @@ from calgraph.io.yaml_reading import read_text, read_yaml, validate_content
 
 _COMMENT = """\
 The printed board, in m. Measure the print with its rulers: printers change scales.
-If it is glued to a larger plate, size is the plate's, and centers count from the plate's centre."""
-# The key, and what is below it: indented lines and dashes, with blank lines and comments between them.
+If it is glued to a larger plate, size is the plate's, and centers are relative to the plate's centre."""
+# The key and its content: indented lines and dashes, with blank lines and comments between them.
 _BLOCK = re.compile(r"^target:.*\n(?:(?:[ \t]*(?:#.*)?\n)*(?:[ \t]+\S.*|-.*)(?:\n|\Z))*", re.MULTILINE)
 
 
-class _TargetOnly(StrictModel):
+class _TargetFile(StrictModel):
     """The part of a rig.yaml that a print needs."""
 
     target: Target
 
     @model_validator(mode="after")
-    def _told_apart(self) -> "_TargetOnly":
+    def _distinguishable(self) -> "_TargetFile":
         check_boards_distinguishable(self.target if isinstance(self.target, tuple) else ())
         return self
 
 
-def target_block(boards: Sequence[Board]) -> str:
-    """``target:`` with one board or a list of them, as YAML with a comment."""
-    plain = [_plain(board) for board in boards]
+def format_target(boards: Sequence[Board]) -> str:
+    """Formats ``target:`` with one board or a list of boards, as YAML with a comment."""
+    plain = [_board_content(board) for board in boards]
     return format_yaml({"target": plain[0] if len(plain) == 1 else plain}, _COMMENT)
 
 
-def put_target(path: Path, boards: Sequence[Board]) -> str:
-    """The text of a rig.yaml with another target; everything else, comments too, stays as it is.
+def replace_target(path: Path, boards: Sequence[Board]) -> str:
+    """The text of a rig.yaml with another target; everything else, comments too, is unchanged.
 
     Raises:
-        InputError: the file is no rig.yaml, or not with these boards.
+        InputError: the file is no valid rig.yaml, or not with these boards.
 
     """
     text, before = read_text(path), read_yaml(path)
-    block = target_block(boards)
+    block = format_target(boards)
     text = text if text.endswith("\n") else text + "\n"
     changed = _BLOCK.sub(lambda _: block, text, count=1) if _BLOCK.search(text) else text + block
-    after = _loaded(changed)
+    after = _parse_mapping(changed)
     if not after or {**after, "target": None} != {**before, "target": None}:
-        raise InputError(
-            f"{path}: its target is written in a way that cannot be replaced; paste the block by hand"
-        )
+        raise InputError(f"{path}: the layout of its target block is not supported; replace the block by hand")
     validate_content(Rig, after, path)
     return changed
 
@@ -70,7 +68,7 @@ def read_boards(path: Path) -> tuple[Board, ...]:
     """
     content = read_yaml(path)
     target = validate_content(
-        _TargetOnly, {key: content[key] for key in ("target",) if key in content}, path
+        _TargetFile, {key: content[key] for key in ("target",) if key in content}, path
     ).target
     if isinstance(target, Board):
         return (target,)
@@ -79,16 +77,16 @@ def read_boards(path: Path) -> tuple[Board, ...]:
     raise InputError(f"{path}: target.kind: must be board to be printed, got {target.kind}")
 
 
-def _loaded(text: str) -> dict[str, Any]:
-    """The mapping that the text holds; an empty one if it is not YAML."""
+def _parse_mapping(text: str) -> dict[str, Any]:
+    """Parses a mapping; an empty one if the text is not YAML."""
     try:
         return dict(YAML(typ="safe").load(text))
     except YAMLError:
         return {}
 
 
-def _plain(board: Board) -> dict[str, Any]:
-    """A board with the keys that matter to it."""
+def _board_content(board: Board) -> dict[str, Any]:
+    """The content of a board, without keys that do not apply to its pattern."""
     content = board.model_dump(mode="json", exclude_none=True)
     if board.pattern:
         del content["tags"]

@@ -1,71 +1,71 @@
-"""What became of each capture in each sensor, or of each walk: a picture at a glance, and a table to search in."""
+"""Outcome of each capture in each sensor, or of each walk: a figure, and a searchable table."""
 
 from collections import Counter
 
 import numpy as np
 
-from calgraph.report.figures import BLUE, NOTHING, ORANGE, Figure, figure, placed, plotly_text
-from calgraph.report.formatting import counted, escaped, fixed, length
-from calgraph.report.vocabulary import NETWORK, Words
-from calgraph.report.walk_view import timeline
+from calgraph.report.figures import BLUE, NO_DATA, ORANGE, Figure, escape_plotly, make_figure, render_figure
+from calgraph.report.formatting import escape_html, format_count, format_fixed, format_length
+from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary
+from calgraph.report.walk_view import walk_timeline
 from calgraph.result import Calibration, CaptureRow
 
 _ABSENT, _REJECTED, _USED = 0, 1, 2
-# Rows at most in the picture and in the table: a browser gets slow, and the page large, with many more.
-_MOST = 6000
+# Largest number of rows in the figure and in the table: browsers get slow with many more.
+_MAX_ROWS = 6000
 
 
-def captures(calibration: Calibration, words: Words) -> str:
-    """All of it; a sentence where there are none."""
+def render_captures(calibration: Calibration, words: Vocabulary) -> str:
+    """Figure, reasons and table; a sentence where there are no captures."""
     rows = calibration.evidence.captures
     if not rows:
-        return f'<p class="empty">{words.no_rows}</p>'
-    names = _names(calibration)
-    count = counted(len({row.capture for row in rows}), words.row)
-    about, absent = words.key
-    shown = rows[:: len(rows) // _MOST + 1]
+        return f'<p class="empty">{words.no_items}</p>'
+    names = _ordered_names(calibration)
+    count = format_count(len({row.capture for row in rows}), words.item)
+    about, absent = words.items_caption
+    shown = rows[:: len(rows) // _MAX_ROWS + 1]
     if len(shown) < len(rows):
-        about += f" Shown are {len(shown)} of {len(rows)} rows; captures.csv has them all."
-    draw = timeline if words is NETWORK else _matrix
-    picture = placed(
-        "captures", draw(shown, names), 84 + 26 * len(names), f"Outcome of each {words.row} in each sensor"
+        about += f" {len(shown)} of {len(rows)} rows are shown; captures.csv has all."
+    draw = walk_timeline if words is NETWORK_VOCABULARY else _outcome_matrix
+    matrix = render_figure(
+        "captures", draw(shown, names), 84 + 26 * len(names), f"Outcome of each {words.item} in each sensor"
     )
     swatches = {"used": "used", "rejected": "not used"} | ({"absent": absent} if absent else {})
     key = " ".join(f'<span class="swatch {css}"></span>{meaning}' for css, meaning in swatches.items())
     return (
         f"<p>{count}. {about}</p>"
         f'<p class="key">{key}</p>'
-        f"{picture}{_reasons(rows, names)}{_table(shown, names, words.row)}"
+        f"{matrix}{_render_reasons(rows, names)}{_render_table(shown, names, words.item)}"
     )
 
 
-def _names(calibration: Calibration) -> list[str]:
-    """The sensors in the order of the page, then those that only captures or the unconnected name."""
-    known = [s.name for s in calibration.sensors]
+def _ordered_names(calibration: Calibration) -> list[str]:
+    """The sensors in the order of the page, then those that occur only in captures or are unconnected."""
+    names = [s.name for s in calibration.sensors]
     return list(
         dict.fromkeys(
-            [*known, *calibration.evidence.unconnected, *(row.sensor for row in calibration.evidence.captures)]
+            [*names, *calibration.evidence.unconnected, *(row.sensor for row in calibration.evidence.captures)]
         )
     )
 
 
-def _matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:
+def _outcome_matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:
     numbers = sorted({row.capture for row in rows})
     column = {number: i for i, number in enumerate(numbers)}
     line = {name: i for i, name in enumerate(names)}
     outcome = np.full((len(names), len(numbers)), _ABSENT)
-    words = [[f"<b>{plotly_text(name)}</b>, capture {n}<br>no measurement" for n in numbers] for name in names]
+    words = [[f"<b>{escape_plotly(name)}</b>, capture {n}<br>no measurement" for n in numbers] for name in names]
     for row in rows:
         i, j = line[row.sensor], column[row.capture]
         outcome[i, j] = _USED if row.used else _REJECTED
         words[i][j] = _hover_text(row)
-    colors = [[0, NOTHING], [1 / 3, NOTHING], [1 / 3, ORANGE], [2 / 3, ORANGE], [2 / 3, BLUE], [1, BLUE]]
+    colors = [[0, NO_DATA], [1 / 3, NO_DATA], [1 / 3, ORANGE], [2 / 3, ORANGE], [2 / 3, BLUE], [1, BLUE]]
     cells = {
         "type": "heatmap", "z": outcome, "zmin": -0.5, "zmax": 2.5, "colorscale": colors, "showscale": False,
-        "x": [str(n) for n in numbers], "y": [plotly_text(name) for name in names], "text": words,
+        "x": [str(n) for n in numbers], "y": [escape_plotly(name) for name in names], "text": words,
         "hovertemplate": "%{text}<extra></extra>", "xgap": 1, "ygap": 2,
     }  # fmt: skip
-    return figure(
+    return make_figure(
         [cells],
         margin={"l": 10, "r": 10, "t": 6, "b": 40},
         xaxis={
@@ -86,47 +86,48 @@ def _matrix(rows: tuple[CaptureRow, ...], names: list[str]) -> Figure:
 
 
 def _hover_text(row: CaptureRow) -> str:
-    when = f"{fixed(row.start, 1)} – {fixed(row.end, 1)} s"
+    when = f"{format_fixed(row.start, 1)} – {format_fixed(row.end, 1)} s"
     if row.used:
-        outcome = "used" if row.residual is None else f"used, residual {length(row.residual)}"
+        outcome = "used" if row.residual is None else f"used, residual {format_length(row.residual)}"
     else:
-        outcome = f"not used: {_wrapped(row.reason)}"
-    return f"<b>{plotly_text(row.sensor)}</b>, capture {row.capture}, {when}<br>{outcome}"
+        outcome = f"not used: {_wrap_text(row.reason)}"
+    return f"<b>{escape_plotly(row.sensor)}</b>, capture {row.capture}, {when}<br>{outcome}"
 
 
-def _wrapped(text: str, width: int = 60) -> str:
-    """Lines of words, as plotly's hover labels do not wrap."""
+def _wrap_text(text: str, width: int = 60) -> str:
+    """Wraps text at a width, as plotly's hover labels do not."""
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + len(word) >= width:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
-    return "<br>".join(map(plotly_text, lines))
+    return "<br>".join(map(escape_plotly, lines))
 
 
-def _reasons(rows: tuple[CaptureRow, ...], names: list[str]) -> str:
-    """For each sensor how many captures were used, and the commonest reasons why others were not."""
+def _render_reasons(rows: tuple[CaptureRow, ...], names: list[str]) -> str:
+    """For each sensor the number of used captures, and the most frequent reasons of rejections."""
     body = ""
     for name in names:
-        own = [row for row in rows if row.sensor == name]
-        used = sum(row.used for row in own)
-        common = Counter(row.reason or "no reason given" for row in own if not row.used).most_common(3)
-        why = "; ".join(f"{escaped(reason)} ({count})" for reason, count in common)
-        share = round(100 * used / len(own)) if own else 0
+        of_sensor = [row for row in rows if row.sensor == name]
+        used = sum(row.used for row in of_sensor)
+        common = Counter(row.reason or "no reason given" for row in of_sensor if not row.used).most_common(3)
+        why = "; ".join(f"{escape_html(reason)} ({count})" for reason, count in common)
+        share = round(100 * used / len(of_sensor)) if of_sensor else 0
         body += (
-            f"<tr><th scope='row'>{escaped(name)}</th><td>{used} of {len(own)}</td>"
+            f"<tr><th scope='row'>{escape_html(name)}</th><td>{used} of {len(of_sensor)}</td>"
             f"<td><span class='bar'><span style='width:{share}%'></span></span></td>"
             f"<td class='words'>{why}</td></tr>"
         )
     return (
         '<div class="wide"><table><thead><tr><th>sensor</th><th>used</th><th></th>'
-        f"<th class='words'>commonest reasons why not</th></tr></thead><tbody>{body}</tbody></table></div>"
+        "<th class='words'>most frequent reasons of rejections</th></tr></thead>"
+        f"<tbody>{body}</tbody></table></div>"
     )
 
 
-def _table(rows: tuple[CaptureRow, ...], names: list[str], noun: str) -> str:
-    body = "".join(_table_row(row) for row in rows)
-    sensors = "".join(f'<option value="{escaped(name)}">{escaped(name)}</option>' for name in names)
+def _render_table(rows: tuple[CaptureRow, ...], names: list[str], noun: str) -> str:
+    body = "".join(_render_row(row) for row in rows)
+    sensors = "".join(f'<option value="{escape_html(name)}">{escape_html(name)}</option>' for name in names)
     return f"""\
 <div class="filters" role="search">
 <label>sensor <select id="filter-sensor"><option value="">all</option>{sensors}</select></label>
@@ -142,12 +143,13 @@ def _table(rows: tuple[CaptureRow, ...], names: list[str], noun: str) -> str:
 """
 
 
-def _table_row(row: CaptureRow) -> str:
+def _render_row(row: CaptureRow) -> str:
     outcome = "used" if row.used else "not used"
-    residual = "" if row.residual is None else length(row.residual)
+    residual = "" if row.residual is None else format_length(row.residual)
     return (
-        f'<tr data-sensor="{escaped(row.sensor)}" data-outcome="{outcome}"><td>{row.capture}</td>'
-        f"<td>{fixed(row.start, 2)}</td><td>{fixed(row.end, 2)}</td><td class='words'>{escaped(row.sensor)}</td>"
+        f'<tr data-sensor="{escape_html(row.sensor)}" data-outcome="{outcome}"><td>{row.capture}</td>'
+        f"<td>{format_fixed(row.start, 2)}</td><td>{format_fixed(row.end, 2)}</td>"
+        f"<td class='words'>{escape_html(row.sensor)}</td>"
         f"<td class='words outcome {'used' if row.used else 'rejected'}'>{outcome}</td><td>{residual}</td>"
-        f"<td class='words'>{escaped(row.reason)}</td></tr>\n"
+        f"<td class='words'>{escape_html(row.reason)}</td></tr>\n"
     )

@@ -1,4 +1,4 @@
-"""Which part of each sensor's field of view the target was in, and in words what is missing."""
+"""Coverage of each sensor's field of view by the target, and a description of the gaps."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,115 +9,123 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
-from calgraph.report.formatting import fixed
+from calgraph.report.formatting import format_fixed
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.used_intrinsics import calibrated_cameras
 from calgraph.sensors import CameraModel
 
-# Cells of a camera's longer side, of a turn, and of elevations and ranges.
-_COLUMNS, _AZIMUTHS, _ROWS = 20, 72, 12
-# Fields of view in words: so wide are the parts that a circle and a picture are divided into.
-_SECTOR = 30
+# Cells along a camera's longer side, of the azimuth, and of elevations and ranges.
+_CAMERA_COLUMNS, _AZIMUTH_BINS, _ROW_COUNT = 20, 72, 12
+# Parts by which gaps are described: sectors of the azimuth, degrees, and thirds of an image.
+_SECTOR_WIDTH = 30
 _THIRDS = (("left", "middle", "right"), ("top", "centre", "bottom"))
-# The edge of a field of view beyond a few stray points, percent.
-_TAIL = 0.5
+# Points beyond this percentile are not counted to the field of view, percent.
+_TAIL_PERCENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How often the target was seen in each cell of a field of view."""
+    """Number of captures or walks with the target in each cell of a field of view."""
 
     x_edges: Array
-    """(C + 1,) px, or degrees of azimuth, from the left to the right as the sensor sees it."""
+    """(C + 1,) px, or degrees of azimuth, from the left to the right as viewed by the sensor."""
     y_edges: Array
-    """(R + 1,) px, degrees of elevation, or metres, from the top to the bottom of the picture."""
+    """(R + 1,) px, degrees of elevation, or metres, from the top to the bottom of the image."""
     counts: Array
     """(R, C) captures or walks that reached into each cell."""
     visible: NDArray[np.bool_]
-    """(C,) in which columns the sensor sees anything at all."""
+    """(C,) columns inside the sensor's field of view."""
     axes: tuple[str, str]
-    """What x and y are."""
+    """Quantity and unit of x and y."""
     remarks: tuple[str, ...]
-    """What it comes to, and what is missing."""
+    """Description of the coverage and of its gaps."""
 
 
-def coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage | None:
-    """Where one sensor saw the target; None where that is not known."""
+def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage | None:
+    """Coverage of one sensor's field of view; None where the result has no detections of it."""
     if sensor.kind == "camera":
         camera = calibrated_cameras(calibration, rig).get(sensor.name)
-        views = _seen(calibration, sensor)
-        return _of_camera(calibration, sensor, camera, views) if camera and views else None
+        views = _board_detections(calibration, sensor)
+        return _camera_coverage(calibration, sensor, camera, views) if camera and views else None
     if calibration.pictures.floor_views:
-        walks = _walks(calibration, sensor)
-        field = _background(calibration, sensor)
-        return _of_scanner(walks, [*field, *walks], "Somebody walked") if walks else None
-    views, field = _seen(calibration, sensor), _field(calibration, sensor)
+        walks = _walk_positions(calibration, sensor)
+        field = _background_points(calibration, sensor)
+        return _scanner_coverage(walks, [*field, *walks], "People walked") if walks else None
+    views, field = _board_detections(calibration, sensor), _scanned_points(calibration, sensor)
     if not views:
         return None
     if sensor.kind == "lidar2d":
-        return _of_scanner(views, [*field, *views], "The board was")
-    return _of_lidar(views, [*field, *views])
+        return _scanner_coverage(views, [*field, *views], "The board was")
+    return _lidar_coverage(views, [*field, *views])
 
 
-def _seen(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    """What was used of what the sensor saw of boards: of all, if it has no part in the solution."""
-    own = [view for view in calibration.pictures.board_views if view.sensor == sensor.name]
-    return _finite(view.measured for view in own if view.used) or _finite(view.measured for view in own)
+def _board_detections(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    """The sensor's detections that were used; all if none was used."""
+    views = [view for view in calibration.pictures.board_views if view.sensor == sensor.name]
+    return _finite_points(view.measured for view in views if view.used) or _finite_points(
+        view.measured for view in views
+    )
 
 
-def _field(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    return _finite(s.points.astype(np.float64) for s in calibration.pictures.snapshots if s.sensor == sensor.name)
+def _scanned_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    return _finite_points(
+        s.points.astype(np.float64) for s in calibration.pictures.snapshots if s.sensor == sensor.name
+    )
 
 
-def _walks(calibration: Calibration, sensor: SensorPose) -> list[Array]:
-    """Where a scanner of a network saw people, in its frame."""
+def _walk_positions(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    """Positions of people in a scanner of a network, in the scanner's frame."""
     views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite(_in_sensor(walk, sensor) for view in views for walk in view.tracks)
+    return _finite_points(_to_sensor_frame(walk, sensor) for view in views for walk in view.tracks)
 
 
-def _background(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+def _background_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
-    return _finite(_in_sensor(view.background, sensor) for view in views)
+    return _finite_points(_to_sensor_frame(view.background, sensor) for view in views)
 
 
-def _finite(seen: Iterable[Array]) -> list[Array]:
-    """The finite ones of points (N, k) each, where there are any."""
-    finite = (points[np.isfinite(points).all(axis=1)] for points in seen)
+def _finite_points(clouds: Iterable[Array]) -> list[Array]:
+    """The finite points of each array (N, k), without empty arrays."""
+    finite = (points[np.isfinite(points).all(axis=1)] for points in clouds)
     return [points for points in finite if len(points)]
 
 
-def _in_sensor(points: Array, sensor: SensorPose) -> Array:
+def _to_sensor_frame(points: Array, sensor: SensorPose) -> Array:
     """(N, 3) in a scanner's frame of points (N, 2) on the floor."""
     return se3.apply(se3.inverse(sensor.T_root_sensor), np.column_stack([points, np.zeros(len(points))]))
 
 
-def _of_camera(
+def _camera_coverage(
     calibration: Calibration, sensor: SensorPose, camera: CameraModel, views: Sequence[Array]
 ) -> Coverage:
     size = np.array([camera.width, camera.height])
-    rows, columns = np.maximum(np.round(_COLUMNS * size[::-1] / size.max()), 1).astype(int)
+    rows, columns = np.maximum(np.round(_CAMERA_COLUMNS * size[::-1] / size.max()), 1).astype(int)
     x, y = (np.linspace(-0.5, length - 0.5, n + 1) for length, n in zip(size, (columns, rows), strict=True))
-    thirds = _counts(views, *(np.linspace(-0.5, length - 0.5, 4) for length in size))
+    thirds = _count_views(views, *(np.linspace(-0.5, length - 0.5, 4) for length in size))
     empty = [f"{_THIRDS[1][i]} {_THIRDS[0][j]}" for i, j in np.argwhere(thirds == 0)]
     missing = (
-        f"Missing: no corners in the {_listed(empty)} of the picture."
+        f"Missing: no corners in the {_join_words(empty)} of the image."
         if empty
-        else "There were corners in all parts of the picture."
+        else "There were corners in all parts of the image."
     )
     return Coverage(
         x,
         y,
-        _counts(views, x, y),
+        _count_views(views, x, y),
         np.ones(columns, dtype=np.bool_),
         ("px", "px"),
-        (missing, *_distances(calibration, sensor)),
+        (missing, *_describe_board_poses(calibration, sensor)),
     )
 
 
-def _distances(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:
-    """From how far, and how much tilted, a camera saw boards."""
-    seen = {view.capture for view in calibration.pictures.board_views if view.sensor == sensor.name and view.used}
-    corners = [o.corners for o in calibration.pictures.board_outlines if o.capture in seen and o.board is not None]
+def _describe_board_poses(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:
+    """Distance and tilt of the boards that a camera detected."""
+    captures = {
+        view.capture for view in calibration.pictures.board_views if view.sensor == sensor.name and view.used
+    }
+    corners = [
+        o.corners for o in calibration.pictures.board_outlines if o.capture in captures and o.board is not None
+    ]
     if not corners:
         return ()
     boards = se3.apply(se3.inverse(sensor.T_root_sensor), np.concatenate(corners)).reshape(-1, 4, 3)
@@ -126,101 +134,108 @@ def _distances(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:
     cosine = np.abs(np.sum(center * normal, axis=1)) / (distance * np.linalg.norm(normal, axis=1))
     tilt = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
     return (
-        f"The board was {_span(distance, 1)} m away, and its face turned by {_span(tilt, 0)}° from the sight.",
+        f"The board was {_format_interval(distance, 1)} m away, tilted {_format_interval(tilt, 0)}° from the "
+        "viewing direction.",
     )
 
 
-def _of_lidar(views: Sequence[Array], field: Sequence[Array]) -> Coverage:
-    azimuth = np.linspace(180, -180, _AZIMUTHS + 1)
-    low, high = np.percentile(_elevation(np.concatenate(field)), [_TAIL, 100 - _TAIL])
+def _lidar_coverage(views: Sequence[Array], field: Sequence[Array]) -> Coverage:
+    azimuth = np.linspace(180, -180, _AZIMUTH_BINS + 1)
+    low, high = np.percentile(_elevations(np.concatenate(field)), [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
     margin = max(0.02 * (high - low), 0.5)
-    elevation = np.linspace(high + margin, low - margin, _ROWS + 1)
-    cells = [np.column_stack([_azimuth(view), _elevation(view)]) for view in views]
+    elevation = np.linspace(high + margin, low - margin, _ROW_COUNT + 1)
+    cells = [np.column_stack([_azimuths(view), _elevations(view)]) for view in views]
     heights = np.concatenate([cell[:, 1] for cell in cells])
-    tall = f"Of its elevations, {_span(np.array([low, high]), 0)}°, the board was in {_span(heights, 0)}°."
-    remarks = (*_sectors(views, field, "The board was"), tall, _ranges(views, "The board was"))
+    covered = (
+        f"Covered elevations: {_format_interval(heights, 0)}° of {_format_interval(np.array([low, high]), 0)}°."
+    )
+    remarks = (
+        *_describe_sectors(views, field, "The board was"),
+        covered,
+        _describe_ranges(views, "The board was"),
+    )
     return Coverage(
         azimuth,
         elevation,
-        _counts(cells, azimuth, elevation),
-        _looks(field, azimuth),
+        _count_views(cells, azimuth, elevation),
+        _visible_columns(field, azimuth),
         ("azimuth, °", "elevation, °"),
         remarks,
     )
 
 
-def _of_scanner(views: Sequence[Array], field: Sequence[Array], what: str) -> Coverage:
-    azimuth = np.linspace(180, -180, _AZIMUTHS + 1)
-    farthest = 1.1 * max(float(np.max(_range(view))) for view in views)
-    ranges = np.linspace(farthest, 0, _ROWS + 1)
-    cells = [np.column_stack([_azimuth(view), _range(view)]) for view in views]
-    remarks = (*_sectors(views, field, what), _ranges(views, what))
+def _scanner_coverage(views: Sequence[Array], field: Sequence[Array], subject: str) -> Coverage:
+    azimuth = np.linspace(180, -180, _AZIMUTH_BINS + 1)
+    farthest = 1.1 * max(float(np.max(_distances_from_origin(view))) for view in views)
+    ranges = np.linspace(farthest, 0, _ROW_COUNT + 1)
+    cells = [np.column_stack([_azimuths(view), _distances_from_origin(view)]) for view in views]
+    remarks = (*_describe_sectors(views, field, subject), _describe_ranges(views, subject))
     return Coverage(
         azimuth,
         ranges,
-        _counts(cells, azimuth, ranges),
-        _looks(field, azimuth),
+        _count_views(cells, azimuth, ranges),
+        _visible_columns(field, azimuth),
         ("azimuth, °", "range, m"),
         remarks,
     )
 
 
-def _counts(views: Sequence[Array], x_edges: Array, y_edges: Array) -> Array:
-    """(R, C) how many of views (N, 2) have a point in each cell; edges may descend."""
+def _count_views(views: Sequence[Array], x_edges: Array, y_edges: Array) -> Array:
+    """(R, C) number of views (N, 2) with a point in each cell; edges may descend."""
     x_sign, y_sign = (np.sign(edges[-1] - edges[0]) for edges in (x_edges, y_edges))
     edges = y_sign * y_edges, x_sign * x_edges
     hit = [np.histogram2d(y_sign * view[:, 1], x_sign * view[:, 0], edges)[0] > 0 for view in views]
     return np.asarray(np.sum(hit, axis=0, dtype=np.float64))
 
 
-def _looks(field: Sequence[Array], azimuth: Array) -> NDArray[np.bool_]:
-    """(C,) in which of azimuths from the left to the right a scanner measures anything."""
-    return np.asarray(np.histogram(-_azimuth(np.concatenate(field)), -azimuth)[0] > 0)
+def _visible_columns(field: Sequence[Array], azimuth: Array) -> NDArray[np.bool_]:
+    """(C,) columns of the azimuth in which a scanner measures anything."""
+    return np.asarray(np.histogram(-_azimuths(np.concatenate(field)), -azimuth)[0] > 0)
 
 
-def _azimuth(points: Array) -> Array:
+def _azimuths(points: Array) -> Array:
     return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
 
 
-def _elevation(points: Array) -> Array:
+def _elevations(points: Array) -> Array:
     return np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
 
 
-def _range(points: Array) -> Array:
+def _distances_from_origin(points: Array) -> Array:
     return np.asarray(np.linalg.norm(points, axis=1))
 
 
-def _sectors(views: Sequence[Array], field: Sequence[Array], what: str) -> tuple[str, ...]:
-    """How much of the azimuths that a scanner sees its views cover, and which sectors they do not."""
-    edges = np.arange(-180, 181, _SECTOR)
-    seen, visible = (np.histogram(_azimuth(np.concatenate(of)), edges)[0] > 0 for of in (views, field))
-    missing = np.flatnonzero(visible & ~seen)
+def _describe_sectors(views: Sequence[Array], field: Sequence[Array], subject: str) -> tuple[str, ...]:
+    """Covered fraction of the scanner's azimuths, and the sectors that are not covered."""
+    edges = np.arange(-180, 181, _SECTOR_WIDTH)
+    covered, visible = (np.histogram(_azimuths(np.concatenate(of)), edges)[0] > 0 for of in (views, field))
+    missing = np.flatnonzero(visible & ~covered)
     if not len(missing):
-        return (f"{what} in all directions in which it sees.",)
-    # Neighbouring sectors, also across ±180°, are one: counted from one that is not missing.
-    turn = int(np.flatnonzero(~(visible & ~seen))[0]) if len(missing) < len(seen) else 0
-    order = sorted((int(k) - turn) % len(seen) for k in missing)
+        return (f"{subject} in all directions of the field of view.",)
+    # Neighbouring sectors are merged, also across ±180°: counted from one that is not missing.
+    turn = int(np.flatnonzero(~(visible & ~covered))[0]) if len(missing) < len(covered) else 0
+    order = sorted((int(k) - turn) % len(covered) for k in missing)
     runs = [list(run) for _, run in groupby(enumerate(order), key=lambda one: one[1] - one[0])]
-    spans = [_sector(edges[0] + _SECTOR * (run[0][1] + turn), len(run)) for run in runs]
-    share = round(100 * int(np.sum(seen & visible)) / int(np.sum(visible)))
-    return (f"{what} in {share} % of the directions in which it sees. Missing: {_listed(spans)}.",)
+    spans = [_format_sector(edges[0] + _SECTOR_WIDTH * (run[0][1] + turn), len(run)) for run in runs]
+    share = round(100 * int(np.sum(covered & visible)) / int(np.sum(visible)))
+    return (f"{subject} in {share} % of the directions of the field of view. Missing: {_join_words(spans)}.",)
 
 
-def _sector(start: int, count: int) -> str:
-    """Azimuths as people say them, anticlockwise from the front."""
-    low, high = ((start + 180) % 360) - 180, ((start + _SECTOR * count + 179) % 360) - 179
-    middle = ((start + _SECTOR * count / 2 + 180) % 360) - 180
+def _format_sector(start: int, count: int) -> str:
+    """An interval of azimuths, counter-clockwise from the front, with its main direction."""
+    low, high = ((start + 180) % 360) - 180, ((start + _SECTOR_WIDTH * count + 179) % 360) - 179
+    middle = ((start + _SECTOR_WIDTH * count / 2 + 180) % 360) - 180
     names = ("ahead", "to the left", "behind", "to the right")
-    return f"{fixed(low, 0)}° to {fixed(high, 0)}° ({names[round(middle / 90) % 4]})"
+    return f"{format_fixed(low, 0)}° to {format_fixed(high, 0)}° ({names[round(middle / 90) % 4]})"
 
 
-def _ranges(views: Sequence[Array], what: str) -> str:
-    return f"{what} {_span(_range(np.concatenate(views)), 1)} m away."
+def _describe_ranges(views: Sequence[Array], subject: str) -> str:
+    return f"{subject} {_format_interval(_distances_from_origin(np.concatenate(views)), 1)} m away."
 
 
-def _span(values: Array, decimals: int) -> str:
-    return f"{fixed(float(np.min(values)), decimals)} to {fixed(float(np.max(values)), decimals)}"
+def _format_interval(values: Array, decimals: int) -> str:
+    return f"{format_fixed(float(np.min(values)), decimals)}–{format_fixed(float(np.max(values)), decimals)}"
 
 
-def _listed(things: Sequence[str]) -> str:
+def _join_words(things: Sequence[str]) -> str:
     return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}"

@@ -1,7 +1,7 @@
-"""Plotly figures as plain mappings, and how they get into the page.
+"""Plotly figures as plain mappings, and their embedding in the page.
 
-plotly.js is given its data as JSON; building that directly is as short as through plotly's Python classes. Colours
-are those of style.css, by name: the page puts in what they are in the light, in the dark and on paper.
+plotly.js reads JSON; building it directly is as short as through plotly's Python classes. Colours are the
+variables of style.css: the page substitutes their values for light mode, dark mode and print.
 """
 
 import json
@@ -17,12 +17,12 @@ Figure = dict[str, Any]
 
 BLUE, ORANGE, GREEN, VERMILION = "var(--blue)", "var(--orange)", "var(--green)", "var(--vermilion)"
 PURPLE, BROWN, SKY, PINK = "var(--purple)", "var(--brown)", "var(--sky)", "var(--pink)"
-INK, MUTED, RULE, NOTHING, PAPER = "var(--ink)", "var(--muted)", "var(--rule)", "var(--nothing)", "var(--paper)"
-WHEEL = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN)
-"""Colours of so many things that stay apart for every kind of colour blindness; of more, they come again."""
+INK, MUTED, RULE, NO_DATA, PAPER = "var(--ink)", "var(--muted)", "var(--rule)", "var(--nothing)", "var(--paper)"
+COLOR_CYCLE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN)
+"""Colours that are distinguishable for every kind of colour blindness; repeated for more than eight items."""
 
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12, "color": INK}
-_LAYOUT = {
+_BASE_LAYOUT = {
     "font": FONT,
     "paper_bgcolor": PAPER,
     "plot_bgcolor": PAPER,
@@ -30,38 +30,38 @@ _LAYOUT = {
 }
 
 
-def figure(data: list[dict[str, Any]], **layout: Any) -> Figure:
+def make_figure(data: list[dict[str, Any]], **layout: Any) -> Figure:
     """A figure in the page's style."""
-    return {"data": data, "layout": _LAYOUT | layout}
+    return {"data": data, "layout": _BASE_LAYOUT | layout}
 
 
-def placed(name: str, content: Figure, height: int, description: str) -> str:
-    """A figure's place on the page, with its data beside it.
+def render_figure(name: str, content: Figure, height: int, description: str) -> str:
+    """HTML of a figure, with its data as JSON.
 
     Args:
         name: id of the element; made of letters, digits and dashes.
         content: the figure.
         height: pixels.
-        description: what it shows, for those who cannot see it; already escaped.
+        description: for screen readers; already escaped.
 
     """
     return (
         f'<div class="figure" id="{name}" style="height:{height}px" role="img" aria-label="{description}"></div>\n'
-        f'<script type="application/json" class="figure-data" data-for="{name}">{_json(content)}</script>\n'
+        f'<script type="application/json" class="figure-data" data-for="{name}">{_to_json(content)}</script>\n'
     )
 
 
-def chooser(name: str, number: int, legend: str, labels: Sequence[str], chosen: int) -> str:
-    """Buttons that change a figure, one of which is always chosen.
+def render_buttons(name: str, number: int, legend: str, labels: Sequence[str], chosen: int) -> str:
+    """Radio buttons that change a figure.
 
     Args:
-        name: of the figure, whose ``choices[number]`` say for each button what it changes: which traces are
-            ``visible`` (null: as they were), parts of the ``layout``, and ``moves`` (cos, sin, x, y) of what
-            belongs together by ``meta``.
-        number: of the choice, from 0.
-        legend: what is chosen, for those who cannot see it.
+        name: of the figure, whose ``choices[number]`` hold the changes of each button: which traces are
+            ``visible`` (null: unchanged), parts of the ``layout``, and ``moves`` (cos, sin, x, y) of the traces
+            with one ``meta``.
+        number: of the group of buttons, from 0.
+        legend: of the group, for screen readers.
         labels: of the buttons.
-        chosen: which is chosen at first; the figure itself is as if none were.
+        chosen: the initial button; the figure itself is without the changes of any.
 
     """
     buttons = "".join(
@@ -75,24 +75,24 @@ def chooser(name: str, number: int, legend: str, labels: Sequence[str], chosen: 
     )
 
 
-def plotly_text(text: str) -> str:
-    """Any text for plotly, which understands some tags."""
+def escape_plotly(text: str) -> str:
+    """Escapes text for plotly, which interprets some tags."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-def _json(content: Any) -> str:
-    """JSON that may stand in a script element: no tag can begin in it."""
-    text = json.dumps(_plain(content), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+def _to_json(content: Any) -> str:
+    """JSON that is safe inside a script element: it contains no tag."""
+    text = json.dumps(_to_plain(content), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _to_plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-        return _rounded(value)
+        return _round_significant(value)
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(item) for item in value]
+        return [_to_plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
@@ -100,11 +100,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _rounded(values: Array) -> Any:
-    """Nested lists of numbers with six significant digits, None for those that are not finite."""
+def _round_significant(values: Array) -> Any:
+    """Nested lists of numbers with six significant digits, None where they are not finite."""
     finite = np.isfinite(values)
     size = np.floor(np.log10(np.abs(values), out=np.zeros(values.shape), where=finite & (values != 0)))
     step = 10.0 ** np.clip(5 - size, 0, 20)
     rounded = np.round(np.where(finite, values, 0.0) * step) / step
-    nothing = np.full(values.shape, None, dtype=object)
-    return np.where(finite, rounded.astype(object), nothing).tolist()
+    missing = np.full(values.shape, None, dtype=object)
+    return np.where(finite, rounded.astype(object), missing).tolist()

@@ -1,4 +1,4 @@
-"""The floor plan of a network: scanners, how uncertain they are, and all that they saw, in the root's frame."""
+"""The floor plan of a network: scanners, their uncertainty, and their measurements, in the root's frame."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,70 +6,81 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.report.figures import INK, RULE, WHEEL, Figure, chooser, figure, placed, plotly_text
-from calgraph.report.formatting import angle, fixed, length
+from calgraph.report.figures import (
+    COLOR_CYCLE,
+    INK,
+    RULE,
+    Figure,
+    escape_plotly,
+    make_figure,
+    render_buttons,
+    render_figure,
+)
+from calgraph.report.formatting import format_angle, format_fixed, format_length
 from calgraph.result import Calibration, FloorView, SensorPose
 
 _SIGMAS = 2.0
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-# An ellipse can be seen if its longer half axis takes this part of the plan, as can an arrow of that part.
-_VISIBLE, _ARROW = 0.016, 0.05
-# Pixels: of the plan, and of a line of the legend, which takes so many names.
-_HEIGHT, _LEGEND_LINE, _NAMES = 680, 25, 9
+# Smallest longer semi-axis of a visible ellipse, and length of an arrow, relative to the plan.
+_MIN_VISIBLE, _ARROW_LENGTH = 0.016, 0.05
+# Height of the plan and of a line of the legend, px; names in a line.
+_HEIGHT, _LEGEND_LINE_HEIGHT, _NAMES_PER_LINE = 680, 25, 9
 
 
-def floor_plan(calibration: Calibration) -> str:
-    """The figure, with a sentence on how large uncertainties are drawn."""
-    extent = _extent(calibration)
-    factor = _exaggeration(calibration.sensors, extent)
+def render_floor_plan(calibration: Calibration) -> str:
+    """The figure, with a sentence on the scale of the uncertainties."""
+    extent = _plan_extent(calibration)
+    factor = _choose_exaggeration(calibration.sensors, extent)
     drawn = {view.sensor: view for view in calibration.pictures.floor_views}
     traces = [
         trace | {"meta": k}
         for k, sensor in enumerate(calibration.sensors)
-        for trace in _scanner(sensor, drawn.get(sensor.name), extent, factor, WHEEL[k % len(WHEEL)])
+        for trace in _scanner_traces(
+            sensor, drawn.get(sensor.name), extent, factor, COLOR_CYCLE[k % len(COLOR_CYCLE)]
+        )
     ]
-    states = _states(calibration)
-    size = "as large as they are" if factor == 1 else f"{factor} times as large as they are"
+    states = _pose_states(calibration)
+    size = "to scale" if factor == 1 else f"{factor} × enlarged"
     words = f"<p>Ellipses: {_SIGMAS:g} standard deviations (σ) of a scanner's position, drawn {size}.</p>"
-    height = _HEIGHT + _LEGEND_LINE * (len(calibration.sensors) // _NAMES)
-    buttons = chooser("floor", 0, "Poses", list(states), len(states) - 1) if states else ""
-    # How uncertain poses are is known of the final ones only.
+    height = _HEIGHT + _LEGEND_LINE_HEIGHT * (len(calibration.sensors) // _NAMES_PER_LINE)
+    buttons = render_buttons("floor", 0, "Poses", list(states), len(states) - 1) if states else ""
+    # Uncertainties exist for the final poses only.
     only_last = [False if trace.get("fill") else None for trace in traces]
     choices = [{"moves": moves, "visible": only_last} for moves in states.values()]
-    plan = _plan(traces) | {"choices": [[*choices[:-1], {}]]}
-    return words + buttons + placed("floor", plan, height, "Floor plan of the network")
+    plan = _make_plan(traces) | {"choices": [[*choices[:-1], {}]]}
+    return words + buttons + render_figure("floor", plan, height, "Floor plan of the network")
 
 
-def _states(calibration: Calibration) -> dict[str, list[list[float]]]:
-    """By what they are called, how all that each scanner saw moves to where it was thought to be before."""
+def _pose_states(calibration: Calibration) -> dict[str, list[list[float]]]:
+    """By label, the transforms of each scanner's measurements to its poses before the joint solution."""
     if not calibration.pictures.floor_views:
         return {}
-    nowhere = {sensor.name: np.eye(4) for sensor in calibration.sensors}
+    identity = {sensor.name: np.eye(4) for sensor in calibration.sensors}
     start = (
-        {"before: pairs averaged": calibration.evidence.initial_poses}
+        {"before: averaged pairs": calibration.evidence.initial_poses}
         if calibration.evidence.initial_poses
         else {}
     )
-    before: dict[str, Mapping[str, Array]] = {"not calibrated: all in one place": nowhere, **start}
+    poses_before: dict[str, Mapping[str, Array]] = {"not calibrated: identity poses": identity, **start}
     moves = {
         words: [
-            # Scanners that were added from an earlier calibration had no start.
-            _move(poses.get(s.name, s.T_root_sensor) @ se3.inverse(s.T_root_sensor))
+            # Scanners from an earlier calibration have no start pose.
+            _planar_transform(poses.get(s.name, s.T_root_sensor) @ se3.inverse(s.T_root_sensor))
             for s in calibration.sensors
         ]
-        for words, poses in before.items()
+        for words, poses in poses_before.items()
     }
     return {**moves, "after: calibrated": []}
 
 
-def _move(T: Array) -> list[float]:
-    """Cosine and sine of the turn, and the shift, m, of a pose (4, 4) in the plane."""
+def _planar_transform(T: Array) -> list[float]:
+    """Cosine and sine of the rotation, and the translation, m, of a pose (4, 4) in the plane."""
     return [float(T[0, 0]), float(T[1, 0]), float(T[0, 3]), float(T[1, 3])]
 
 
-def _plan(traces: list[dict[str, Any]]) -> Figure:
+def _make_plan(traces: list[dict[str, Any]]) -> Figure:
     axis = {"gridcolor": RULE, "zerolinecolor": RULE, "ticksuffix": " m"}
-    return figure(
+    return make_figure(
         traces,
         margin={"l": 56, "r": 8, "t": 8, "b": 36},
         legend={"orientation": "h", "y": -0.06, "itemsizing": "constant"},
@@ -78,31 +89,31 @@ def _plan(traces: list[dict[str, Any]]) -> Figure:
     )
 
 
-def _extent(calibration: Calibration) -> float:
+def _plan_extent(calibration: Calibration) -> float:
     """The longer side of the plan, m."""
     origins = np.array([sensor.T_root_sensor[:2, 3] for sensor in calibration.sensors])
-    seen = [points for view in calibration.pictures.floor_views for points in (view.background, *view.tracks)]
-    points = np.concatenate([origins, *seen])
+    measured = [points for view in calibration.pictures.floor_views for points in (view.background, *view.tracks)]
+    points = np.concatenate([origins, *measured])
     points = points[np.isfinite(points).all(axis=1)]
     return max(float(np.max(np.ptp(points, axis=0), initial=0.0)), 1.0)
 
 
-def _exaggeration(sensors: Sequence[SensorPose], extent: float) -> int:
-    """How many times larger ellipses must be drawn for half of them to be seen."""
-    largest = [np.linalg.eigvalsh(s.covariance[:2, :2])[-1] for s in _uncertain(sensors)]
+def _choose_exaggeration(sensors: Sequence[SensorPose], extent: float) -> int:
+    """Smallest enlargement at which half of the ellipses are visible."""
+    largest = [np.linalg.eigvalsh(s.covariance[:2, :2])[-1] for s in _with_uncertainty(sensors)]
     typical = _SIGMAS * float(np.sqrt(np.median(largest))) if largest else np.inf
-    return next((f for f in _EXAGGERATIONS if f * typical >= _VISIBLE * extent), _EXAGGERATIONS[-1])
+    return next((f for f in _EXAGGERATIONS if f * typical >= _MIN_VISIBLE * extent), _EXAGGERATIONS[-1])
 
 
-def _uncertain(sensors: Sequence[SensorPose]) -> list[SensorPose]:
-    """Those whose uncertainty can be drawn: the root has none."""
+def _with_uncertainty(sensors: Sequence[SensorPose]) -> list[SensorPose]:
+    """The sensors with a finite, nonzero covariance: the root has none."""
     return [s for s in sensors if np.isfinite(s.covariance).all() and s.covariance[:2, :2].any()]
 
 
-def _scanner(
+def _scanner_traces(
     sensor: SensorPose, view: FloorView | None, extent: float, factor: int, color: str
 ) -> list[dict[str, Any]]:
-    """All that is drawn of one scanner: one entry of the legend shows and hides it."""
+    """All traces of one scanner: one entry of the legend shows and hides them."""
     shared = {"legendgroup": sensor.name, "hoverinfo": "skip", "showlegend": False}
     line = {"type": "scatter", "mode": "lines", **shared}
     traces: list[dict[str, Any]] = []
@@ -110,32 +121,32 @@ def _scanner(
         x, y = view.background.T
         traces.append({**shared, "type": "scatter", "mode": "markers", "x": x, "y": y, "opacity": 0.6,
                        "marker": {"color": color, "size": 2.5}})  # fmt: skip
-        x, y = _with_gaps(view.tracks).T
+        x, y = _join_with_gaps(view.tracks).T
         traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 1}, "opacity": 0.55})
-    if _uncertain([sensor]):
-        x, y = _ellipse(sensor, factor).T
+    if _with_uncertainty([sensor]):
+        x, y = _uncertainty_ellipse(sensor, factor).T
         traces.append({**line, "x": x, "y": y, "line": {"color": color, "width": 2},
                        "fill": "toself"})  # fmt: skip
-    x, y = _arrow(sensor, _ARROW * extent).T
+    x, y = _axis_arrow(sensor, _ARROW_LENGTH * extent).T
     traces.append({**line, "x": x, "y": y, "line": {"color": INK, "width": 2}})
     x, y = sensor.T_root_sensor[:2, 3]
     traces.append({
         "type": "scatter", "mode": "markers+text", "x": [x], "y": [y], "legendgroup": sensor.name,
-        "name": plotly_text(sensor.name), "text": [plotly_text(sensor.name)], "textposition": "bottom center",
+        "name": escape_plotly(sensor.name), "text": [escape_plotly(sensor.name)], "textposition": "bottom center",
         "textfont": {"size": 13, "color": INK},
         "marker": {"color": color, "size": 7, "line": {"color": INK, "width": 1}},
-        "hovertemplate": f"{_pose_in_words(sensor)}<extra></extra>",
+        "hovertemplate": f"{_describe_pose(sensor)}<extra></extra>",
     })  # fmt: skip
     return traces
 
 
-def _with_gaps(lines: Sequence[Array]) -> Array:
-    """Many lines (N, 2) as one, with a row that plotly does not draw after each."""
+def _join_with_gaps(lines: Sequence[Array]) -> Array:
+    """Many lines (N, 2) as one, separated by NaN rows, which plotly does not draw."""
     gap = np.full((1, 2), np.nan)
     return np.concatenate([gap, *(part for line in lines for part in (line, gap))])
 
 
-def _ellipse(sensor: SensorPose, factor: float) -> Array:
+def _uncertainty_ellipse(sensor: SensorPose, factor: float) -> Array:
     """(N, 2) outline of the uncertainty of a position."""
     variances, directions = np.linalg.eigh(sensor.covariance[:2, :2])
     turn = np.linspace(0, 2 * np.pi, 49)
@@ -144,17 +155,18 @@ def _ellipse(sensor: SensorPose, factor: float) -> Array:
     return np.asarray(sensor.T_root_sensor[:2, 3] + (unit * half_axes) @ directions.T)
 
 
-def _arrow(sensor: SensorPose, size: float) -> Array:
-    """(N, 2) from the scanner along its x axis, with a head."""
+def _axis_arrow(sensor: SensorPose, size: float) -> Array:
+    """(N, 2) an arrow along the scanner's x axis."""
     along_x = size * np.array([[0.0, 0], [1, 0], [0.8, 0.1], [1, 0], [0.8, -0.1]])
     return np.asarray(sensor.T_root_sensor[:2, 3] + along_x @ sensor.T_root_sensor[:2, :2].T)
 
 
-def _pose_in_words(sensor: SensorPose) -> str:
+def _describe_pose(sensor: SensorPose) -> str:
     x, y = sensor.T_root_sensor[:2, 3]
     yaw = np.degrees(np.arctan2(sensor.T_root_sensor[1, 0], sensor.T_root_sensor[0, 0]))
     sigma = np.sqrt(np.maximum(np.diag(sensor.covariance), 0))
-    place = f"<b>{plotly_text(sensor.name)}</b><br>{fixed(x, 3)}, {fixed(y, 3)} m, turned by {fixed(yaw, 2)}°"
+    position = f"{format_fixed(x, 3)}, {format_fixed(y, 3)} m"
+    place = f"<b>{escape_plotly(sensor.name)}</b><br>{position}, yaw {format_fixed(yaw, 2)}°"
     if sensor.parent is None:
         return f"{place}<br>root"
-    return f"{place}<br>σ {length(sigma[0])}, {length(sigma[1])}, {angle(sigma[5])}"
+    return f"{place}<br>σ {format_length(sigma[0])}, {format_length(sigma[1])}, {format_angle(sigma[5])}"

@@ -1,62 +1,62 @@
-"""Numbers and names as they stand on the page."""
+"""Formatting of numbers and names on the page."""
 
 import math
 from html import escape
 
 from calgraph.result import SensorPose
 
-KINDS = {"camera": "camera", "lidar2d": "2-D scanner", "lidar3d": "3-D LiDAR"}
-"""What a sensor of a kind is called."""
+KIND_NAMES = {"camera": "camera", "lidar2d": "2-D scanner", "lidar3d": "3-D LiDAR"}
+"""Name of each kind of sensor."""
 
 
-def escaped(text: object) -> str:
+def escape_html(text: object) -> str:
     """Any text, safe inside HTML elements and quoted attributes."""
     return escape(str(text), quote=True)
 
 
-def digits(value: float, significant: int = 2) -> str:
-    """A number with so many significant digits and no exponent."""
+def format_significant(value: float, significant: int = 2) -> str:
+    """A number with ``significant`` digits and no exponent."""
     if math.isnan(value):
         return "?"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     if value == 0:
         return "0"
-    # The exponent after rounding: 0.0996 has two digits as 0.10.
+    # The exponent after rounding: 0.0996 is 0.10 with two digits.
     exponent = int(f"{value:.{significant - 1}e}".split("e")[1])
     decimals = max(significant - 1 - exponent, 0)
     return f"{value:.{decimals}f}".replace("-", "−")
 
 
-def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals and a typographic minus; 0 for what rounds to -0."""
+def format_fixed(value: float, decimals: int) -> str:
+    """A number with ``decimals`` decimals and a typographic minus; -0 becomes 0."""
     if not math.isfinite(value):
-        return digits(value)
+        return format_significant(value)
     return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−")
 
 
-def length(metres: float) -> str:
-    """A standard deviation or residual: millimetres, or metres where those get long."""
-    if not math.isfinite(metres):
-        return digits(metres)
-    if abs(metres) >= 1:
-        return f"{digits(metres)} m" if abs(metres) < 1e4 else "> 10 km"
-    return f"{digits(1e3 * metres)} mm"
+def format_length(meters: float) -> str:
+    """A standard deviation or residual in millimetres, or in metres from 1 m."""
+    if not math.isfinite(meters):
+        return format_significant(meters)
+    if abs(meters) >= 1:
+        return f"{format_significant(meters)} m" if abs(meters) < 1e4 else "> 10 km"
+    return f"{format_significant(1e3 * meters)} mm"
 
 
-def angle(radians: float) -> str:
-    """A standard deviation of a rotation in degrees; more than a turn says nothing."""
+def format_angle(radians: float) -> str:
+    """A standard deviation of a rotation in degrees; beyond half a turn it is uninformative."""
     degrees = math.degrees(radians)
     if math.isnan(degrees):
-        return digits(degrees)
-    return "> 180°" if degrees > 180 else f"{digits(degrees)}°"
+        return format_significant(degrees)
+    return "> 180°" if degrees > 180 else f"{format_significant(degrees)}°"
 
 
-def counted(number: int, noun: str) -> str:
+def format_count(number: int, noun: str) -> str:
     """``1 capture``, ``2 captures``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def kind_of(sensor: SensorPose) -> str:
-    """What the sensor is, in words."""
-    return KINDS[sensor.kind]
+def describe_kind(sensor: SensorPose) -> str:
+    """Name of the sensor's kind."""
+    return KIND_NAMES[sensor.kind]

@@ -1,6 +1,6 @@
 "use strict";
 
-// Figures: their data stand beside them as JSON, with colours by the names that they have in the style sheet.
+// Figures: their data are JSON elements, with colours by the names of the style sheet's variables.
 const figures = new Map();
 for (const source of document.querySelectorAll("script.figure-data")) {
   figures.set(source.dataset.for, { text: source.textContent, drawn: false });
@@ -18,7 +18,7 @@ const draw = (id) => {
   Plotly.react(document.getElementById(id), figure.data, { ...figure.layout, uirevision: "kept" }, config);
 };
 
-// What a choice changes: which traces are shown, parts of the layout, and where scanners and what they saw are.
+// Applies the changes of a button: visibility of traces, parts of the layout, and poses of scanners.
 const choose = (figure, { visible = [], layout = {}, moves }) => {
   visible.forEach((shown, k) => { if (shown !== null) figure.data[k].visible = shown; });
   merge(figure.layout, layout);
@@ -41,7 +41,7 @@ for (const chooser of document.querySelectorAll("fieldset.choice")) {
   chooser.addEventListener("change", () => draw(chooser.dataset.for));
 }
 
-// A figure is drawn when it comes near the window; all are for paper, in the colours of paper.
+// A figure is drawn when it comes near the window; for printing all are drawn, in the colours of paper.
 const near = new IntersectionObserver(
   (entries) => {
     for (const { isIntersecting, target } of entries) {

@@ -1,4 +1,4 @@
-"""report.html: one page, which needs nothing else, on what was found and how far it can be relied on."""
+"""report.html: one self-contained page on the calibration and its reliability."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -8,20 +8,20 @@ from plotly.offline import get_plotlyjs
 
 from calgraph.config import Rig
 from calgraph.io import write_text
-from calgraph.report.capture_view import captures
-from calgraph.report.coverage_view import coverages
-from calgraph.report.diagnostics_view import left_out_table, suggestion_list
-from calgraph.report.floor_view import floor_plan
-from calgraph.report.formatting import counted, escaped
-from calgraph.report.fused_view import fused_view
-from calgraph.report.gallery import gallery
-from calgraph.report.graph_view import edge_table, graph
-from calgraph.report.image_view import camera_images
-from calgraph.report.pose_table import estimated_table, pose_table
-from calgraph.report.residual_view import histograms, spreads
-from calgraph.report.rig_view import rig_view
-from calgraph.report.verdict_cards import cards, headline, remark_list
-from calgraph.report.vocabulary import NETWORK, Words, words_for
+from calgraph.report.capture_view import render_captures
+from calgraph.report.coverage_view import render_coverage
+from calgraph.report.diagnostics_view import render_cross_validation, render_suggestions
+from calgraph.report.floor_view import render_floor_plan
+from calgraph.report.formatting import escape_html, format_count
+from calgraph.report.fused_view import render_fused_cloud
+from calgraph.report.gallery import render_gallery
+from calgraph.report.graph_view import render_edge_table, render_graph
+from calgraph.report.image_view import render_camera_images
+from calgraph.report.pose_table import render_estimated_parameters, render_pose_table
+from calgraph.report.residual_view import render_distances, render_histograms
+from calgraph.report.rig_view import render_rig_view
+from calgraph.report.verdict_cards import render_cards, render_remarks, summarize_verdicts
+from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration
 
 
@@ -29,58 +29,64 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
     """Writes the report as one self-contained HTML file, in one step.
 
     Args:
-        calibration: what was found.
-        rig: what was asked for. Cameras whose intrinsics it does not state have no pictures with boards:
-            :func:`calgraph.recording.with_intrinsics` states them.
+        calibration: to report.
+        rig: its configuration. Cameras without intrinsics have no images with overlays;
+            :func:`calgraph.recording.with_intrinsics` adds them.
         path: the file, e.g. ``OUT/report.html``.
 
     Raises:
         InputError: ``path`` cannot be written.
 
     """
-    write_text(path, report_html(calibration, rig))
+    write_text(path, render_report(calibration, rig))
 
 
-def report_html(calibration: Calibration, rig: Rig) -> str:
+def render_report(calibration: Calibration, rig: Rig) -> str:
     """The text of the report."""
-    words = words_for(rig)
+    words = select_vocabulary(rig)
     sections = {
-        "images": ("Camera images", camera_images(calibration, rig)),
-        "cloud": ("Fused cloud", fused_view(calibration, rig)),
+        "images": ("Camera images", render_camera_images(calibration, rig)),
+        "cloud": ("Fused cloud", render_fused_cloud(calibration, rig)),
     }
     shown = {name: (title, content) for name, (title, content) in sections.items() if content}
-    return Template(_part("page.html")).substitute(
-        title=escaped(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
-        headline=escaped(headline(calibration)),
-        facts=_facts(calibration, words),
-        cards=cards(calibration, words) + remark_list(calibration) + suggestion_list(calibration),
-        about_graph=words.graph,
-        graph=graph(calibration, words),
-        edges=edge_table(calibration, words),
-        poses=pose_table(calibration) + estimated_table(calibration),
-        about_residuals=words.residuals,
-        residuals=histograms(calibration) + spreads(calibration, words) + left_out_table(calibration),
-        view_title=words.view,
-        about_view=words.about_view,
-        view=floor_plan(calibration) if words is NETWORK else rig_view(calibration, rig),
+    return Template(_read_asset("page.html")).substitute(
+        title=escape_html(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
+        headline=escape_html(summarize_verdicts(calibration)),
+        facts=_render_facts(calibration, words),
+        cards=render_cards(calibration, words) + render_remarks(calibration) + render_suggestions(calibration),
+        about_graph=words.graph_caption,
+        graph=render_graph(calibration, words),
+        edges=render_edge_table(calibration, words),
+        poses=render_pose_table(calibration) + render_estimated_parameters(calibration),
+        about_residuals=words.residuals_caption,
+        residuals=render_histograms(calibration)
+        + render_distances(calibration, words)
+        + render_cross_validation(calibration),
+        view_title=words.view_title,
+        about_view=words.view_caption,
+        view=render_floor_plan(calibration) if words is NETWORK_VOCABULARY else render_rig_view(calibration, rig),
         links="".join(f'<a href="#{name}">{title}</a>' for name, (title, _) in shown.items()),
-        pictures="".join(
+        images="".join(
             f'<section id="{name}"><h2>{title}</h2>{content}</section>' for name, (title, content) in shown.items()
         ),
-        coverage=coverages(calibration, rig, words),
-        captures_title=words.rows,
-        captures=captures(calibration, words) + gallery(calibration),
-        style=_part("style.css"),
+        coverage=render_coverage(calibration, rig, words),
+        captures_title=words.items_title,
+        captures=render_captures(calibration, words) + render_gallery(calibration),
+        style=_read_asset("style.css"),
         plotly=get_plotlyjs(),
-        script=_part("page.js"),
+        script=_read_asset("page.js"),
     )
 
 
-def _part(name: str) -> str:
+def _read_asset(name: str) -> str:
     return files("calgraph.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _facts(calibration: Calibration, words: Words) -> str:
+def _render_facts(calibration: Calibration, words: Vocabulary) -> str:
     count = len({row.capture for row in calibration.evidence.captures})
-    facts = [f"root {calibration.root}", counted(count, words.row), f"estimator {calibration.evidence.estimator}"]
-    return " · ".join(map(escaped, facts))
+    facts = [
+        f"root {calibration.root}",
+        format_count(count, words.item),
+        f"estimator {calibration.evidence.estimator}",
+    ]
+    return " · ".join(map(escape_html, facts))

@@ -2,46 +2,54 @@
 
 import numpy as np
 
-from calgraph.report.formatting import angle, digits, escaped, fixed, kind_of, length
-from calgraph.report.verdict_cards import badge
+from calgraph.report.formatting import (
+    describe_kind,
+    escape_html,
+    format_angle,
+    format_fixed,
+    format_length,
+    format_significant,
+)
+from calgraph.report.verdict_cards import render_badge
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 
-_AXES, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
-_IN_SPACE = ((0, 1, 2), (0, 1, 2))
-"""Which axes have positions, and about which are turns."""
-_IN_PLANE = ((0, 1), (2,))
+_AXES, _ROTATIONS = ("x", "y", "z"), ("roll", "pitch", "yaw")
+_SPATIAL_AXES = ((0, 1, 2), (0, 1, 2))
+"""Axes of the positions, and axes of the rotations."""
+_PLANAR_AXES = ((0, 1), (2,))
 
 
-def pose_table(calibration: Calibration) -> str:
-    """All poses in the frame of the root: positions with σ below them, rotations with σ beside them."""
-    shown = _IN_PLANE if calibration.planar else _IN_SPACE
+def render_pose_table(calibration: Calibration) -> str:
+    """All poses in the root frame: positions with σ below them, rotations with σ beside them."""
+    shown = _PLANAR_AXES if calibration.planar else _SPATIAL_AXES
     clocks = any(sensor.clock_offset is not None for sensor in calibration.sensors)
-    rows = "".join(_row(sensor, calibration.root, *shown, clocks=clocks) for sensor in calibration.sensors)
+    rows = "".join(_render_row(sensor, calibration.root, *shown, clocks=clocks) for sensor in calibration.sensors)
     return (
-        f"<p>{_about(escaped(calibration.root), calibration.planar)}</p>"
-        f'<div class="wide"><table class="poses">{_head(*shown, clocks=clocks)}<tbody>{rows}</tbody></table></div>'
+        f"<p>{_describe_frame(escape_html(calibration.root), calibration.planar)}</p>"
+        f'<div class="wide"><table class="poses">{_render_head(*shown, clocks=clocks)}'
+        f"<tbody>{rows}</tbody></table></div>"
     )
 
 
-def estimated_table(calibration: Calibration) -> str:
-    """What was estimated besides poses; nothing where nothing was."""
+def render_estimated_parameters(calibration: Calibration) -> str:
+    """Parameters that were estimated besides poses; empty if there are none."""
     if not calibration.estimated_parameters:
         return ""
-    head = "".join(f"<th>{name}</th>" for name in ("of", "quantity", "stated", "found", "σ", "unit", ""))
+    head = "".join(f"<th>{name}</th>" for name in ("of", "quantity", "stated", "estimate", "σ", "unit", ""))
     rows = "".join(
-        f"<tr><th scope='row'>{escaped(one.of)}</th><td>{escaped(one.quantity)}</td>"
-        f"{''.join(f'<td>{escaped(text)}</td>' for text in one.formatted)}"
-        f"<td>{'' if one.measured else 'told by no capture'}</td></tr>"
+        f"<tr><th scope='row'>{escape_html(one.of)}</th><td>{escape_html(one.quantity)}</td>"
+        f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted)}"
+        f"<td>{'' if one.measured else 'not observable'}</td></tr>"
         for one in calibration.estimated_parameters
     )
     return (
-        "<p>Estimated besides poses, instead of taken as stated:</p>"
+        "<p>Parameters estimated jointly with the poses:</p>"
         f'<div class="wide"><table class="poses"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
     )
 
 
-def _about(root: str, planar: bool) -> str:
+def _describe_frame(root: str, planar: bool) -> str:
     if planar:
         return (
             f"Each scanner's frame in that of <b>{root}</b>, in the plane that all of them scan. Standard "
@@ -54,9 +62,9 @@ def _about(root: str, planar: bool) -> str:
     )
 
 
-def _head(axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str:
+def _render_head(axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str:
     groups = f'<th colspan="{len(axes)}">position, m</th><th colspan="{len(turns)}">rotation</th>'
-    names = [_AXES[i] for i in axes] + [_TURNS[i] for i in turns] + [_AXES[i] for i in turns]
+    names = [_AXES[i] for i in axes] + [_ROTATIONS[i] for i in turns] + [_AXES[i] for i in turns]
     clock = '<th rowspan="2">clock<br>offset</th>' if clocks else ""
     return (
         '<thead><tr><th rowspan="2">sensor</th><th rowspan="2">verdict</th>'
@@ -65,28 +73,32 @@ def _head(axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str
     )
 
 
-def _row(sensor: SensorPose, root: str, axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str:
+def _render_row(
+    sensor: SensorPose, root: str, axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool
+) -> str:
     T = sensor.T_root_sensor
     rpy = roll_pitch_yaw(T[:3, :3])
     with np.errstate(invalid="ignore"):
         sigma = np.sqrt(np.diag(sensor.covariance))
     is_root = sensor.name == root
-    below = f"root · {kind_of(sensor)}" if is_root else f"{kind_of(sensor)} · hangs from {sensor.parent}"
+    below = f"root · {describe_kind(sensor)}" if is_root else f"{describe_kind(sensor)} · parent: {sensor.parent}"
     positions = (
-        f"<td>{fixed(T[i, 3], 4)}{'' if is_root else f'<small>± {length(sigma[i])}</small>'}</td>" for i in axes
+        f"<td>{format_fixed(T[i, 3], 4)}{'' if is_root else f'<small>± {format_length(sigma[i])}</small>'}</td>"
+        for i in axes
     )
-    angles = (f"<td>{fixed(np.degrees(rpy[i]), 3)}°</td>" for i in turns)
-    deviations = (f"<td>{'–' if is_root else angle(sigma[3 + i])}</td>" for i in turns)
+    angles = (f"<td>{format_fixed(np.degrees(rpy[i]), 3)}°</td>" for i in turns)
+    deviations = (f"<td>{'–' if is_root else format_angle(sigma[3 + i])}</td>" for i in turns)
     return (
-        f"<tr><th scope='row'>{escaped(sensor.name)}<small>{escaped(below)}<br>frame {escaped(sensor.frame_id)}"
-        f"</small></th><td>{badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"
-        f"{''.join(deviations)}{f'<td>{_clock(sensor)}</td>' if clocks else ''}</tr>"
+        f"<tr><th scope='row'>{escape_html(sensor.name)}"
+        f"<small>{escape_html(below)}<br>frame {escape_html(sensor.frame_id)}</small></th>"
+        f"<td>{render_badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"
+        f"{''.join(deviations)}{f'<td>{_format_clock(sensor)}</td>' if clocks else ''}</tr>"
     )
 
 
-def _clock(sensor: SensorPose) -> str:
+def _format_clock(sensor: SensorPose) -> str:
     if sensor.clock_offset is None:
         return "–"
     deviation = sensor.clock_offset_stddev
-    plus_minus = "" if deviation is None else f"<small>± {digits(1e3 * deviation)} ms</small>"
-    return f"{fixed(1e3 * sensor.clock_offset, 2)} ms{plus_minus}"
+    plus_minus = "" if deviation is None else f"<small>± {format_significant(1e3 * deviation)} ms</small>"
+    return f"{format_fixed(1e3 * sensor.clock_offset, 2)} ms{plus_minus}"

@@ -1,4 +1,4 @@
-"""Lines and surfaces that stand for sensors and their uncertainty, in metres, in the frame of the root."""
+"""Lines and surfaces of sensors and their uncertainty, in metres, in the root frame."""
 
 import numpy as np
 from scipy.special import chdtri
@@ -9,24 +9,24 @@ from calgraph.sensors import CameraModel
 Polyline = Array
 """(N, 3) points of one line, m."""
 
-# 95 % of a normal distribution in space lies within this many standard deviations.
+# Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).
 SCALE_95 = float(np.sqrt(chdtri(3, 0.05)))
 
 
-def axes(T_root_sensor: Array, size: float) -> list[Polyline]:
+def frame_axes(T_root_sensor: Array, size: float) -> list[Polyline]:
     """The x, y and z axis as lines from the origin."""
     origin = T_root_sensor[:3, 3]
     return [np.stack([origin, origin + size * T_root_sensor[:3, i]]) for i in range(3)]
 
 
-def frustum(T_root_camera: Array, camera: CameraModel | None, depth: float) -> list[Polyline]:
-    """The pyramid of what a camera sees, without its lens distortion; 60° by 45° if it is not known."""
+def camera_frustum(T_root_camera: Array, camera: CameraModel | None, depth: float) -> list[Polyline]:
+    """The viewing frustum of a camera, without its lens distortion; 60° by 45° without intrinsics."""
     half = np.tan(np.radians([30.0, 22.5]))
     low, high = -half, half
     if camera is not None:
         focal, center = np.diag(camera.K)[:2], camera.K[:2, 2]
         size = np.array([camera.width, camera.height])
-        # A fisheye's image plane reaches to infinity; 70° to each side is enough of a picture.
+        # A fisheye's image plane reaches to infinity; it is clipped at 70° to each side.
         limit = np.tan(np.radians(70))
         low, high = np.clip(-center / focal, -limit, limit), np.clip((size - center) / focal, -limit, limit)
     corners = depth * np.array(
@@ -45,14 +45,14 @@ def scan_circle(T_root_sensor: Array, radius: float, elevation: float = 0.0) -> 
     return se3.apply(T_root_sensor, circle)
 
 
-def ellipsoid(center: Array, covariance: Array, exaggeration: float, limit: float) -> tuple[Array, Array]:
+def ellipsoid_mesh(center: Array, covariance: Array, exaggeration: float, limit: float) -> tuple[Array, Array]:
     """The 95 % ellipsoid of a position as a mesh.
 
     Args:
         center: (3,) m.
         covariance: (3, 3) m².
         exaggeration: factor on its size.
-        limit: longest semi-axis, m; what is longer, unobservable directions for one, is cut off there.
+        limit: longest semi-axis, m; unobservable directions are clipped there.
 
     Returns:
         Vertices (N, 3) and triangles (M, 3) of indices.
@@ -60,11 +60,11 @@ def ellipsoid(center: Array, covariance: Array, exaggeration: float, limit: floa
     """
     variances, directions = np.linalg.eigh(np.nan_to_num(covariance, nan=0.0, posinf=1e12, neginf=-1e12))
     semi_axes = np.minimum(exaggeration * SCALE_95 * np.sqrt(np.maximum(variances, 0)), limit)
-    unit, triangles = _sphere(12, 18)
+    unit, triangles = _unit_sphere(12, 18)
     return center + (unit * semi_axes) @ directions.T, triangles
 
 
-def _sphere(rows: int, columns: int) -> tuple[Array, Array]:
+def _unit_sphere(rows: int, columns: int) -> tuple[Array, Array]:
     """A unit sphere: vertices (N, 3) and triangles (M, 3)."""
     polar, azimuth = np.meshgrid(
         np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, columns, endpoint=False), indexing="ij"

@@ -1,4 +1,4 @@
-"""The 3-D view of the rig: its frames, what they see, where the board was, and how uncertain positions are."""
+"""The 3-D view of the rig: sensor frames, fields of view, boards, and the uncertainty of positions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,72 +18,77 @@ from calgraph.report.figures import (
     RULE,
     SKY,
     VERMILION,
-    chooser,
-    figure,
-    placed,
-    plotly_text,
+    escape_plotly,
+    make_figure,
+    render_buttons,
+    render_figure,
 )
-from calgraph.report.rig_shapes import SCALE_95, Polyline, axes, ellipsoid, frustum, scan_circle
+from calgraph.report.rig_shapes import SCALE_95, Polyline, camera_frustum, ellipsoid_mesh, frame_axes, scan_circle
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.used_intrinsics import calibrated_cameras
 
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-# An ellipsoid can be seen if its longest half axis takes this part of an axis of a frame.
-_VISIBLE = 0.25
+# Smallest longest semi-axis of a visible ellipsoid, relative to the axes of a frame.
+_MIN_VISIBLE = 0.25
 
-Choice = dict[str, dict[str, Any]]
-"""What buttons change in the figure, by what they are called."""
+Buttons = dict[str, dict[str, Any]]
+"""Changes of the figure by the label of a button."""
 _AXES = (("x", VERMILION), ("y", GREEN), ("z", BLUE))
-_FANS = (-0.26, -0.09, 0.09, 0.26)
+_BEAM_ELEVATIONS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
 
 
-def rig_view(calibration: Calibration, rig: Rig) -> str:
-    """The figure, with buttons for what to look at and how large to draw uncertainties, and how large they are."""
-    size = _size_of_frames(calibration)
+def render_rig_view(calibration: Calibration, rig: Rig) -> str:
+    """The figure, with buttons for the view and for the enlargement of the uncertainties."""
+    size = _axis_length(calibration)
     outlines = calibration.pictures.board_outlines
     fixed = [
-        *(_lines(f"{name} axes", [axes(s.T_root_sensor, size)[i] for s in calibration.sensors], color, 5)
+        *(_line_trace(
+            f"{name} axes", [frame_axes(s.T_root_sensor, size)[i] for s in calibration.sensors], color, 5)
           for i, (name, color) in enumerate(_AXES)),
-        _names(calibration.sensors),
-        _lines("camera views", _frustums(calibration, rig, size), PURPLE, 2),
-        *_discs(calibration, 1.8 * size),
-        _lines("2-D scan planes", _circles(calibration, "lidar2d", 1.8 * size, (0.0,)), BROWN, 2),
-        _lines("3-D LiDAR beams", _circles(calibration, "lidar3d", 1.5 * size, _FANS), SKY, 2),
-        _lines("boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
+        _name_trace(calibration.sensors),
+        _line_trace("camera views", _camera_frustums(calibration, rig, size), PURPLE, 2),
+        *_disc_traces(calibration, 1.8 * size),
+        _line_trace("2-D scan planes", _scan_circles(calibration, "lidar2d", 1.8 * size, (0.0,)), BROWN, 2),
+        _line_trace(
+            "3-D LiDAR beams", _scan_circles(calibration, "lidar3d", 1.5 * size, _BEAM_ELEVATIONS), SKY, 2),
+        _line_trace(
+            "boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
     ]  # fmt: skip
     fixed = [trace for trace in fixed if len(trace["x"])]
     sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.covariance[:3, :3])]
-    limit, factor = 3 * size, _exaggeration(sensors, size)
+    limit, factor = 3 * size, _choose_exaggeration(sensors, size)
     sizes = (1,) if factor == 1 else (1, factor)
-    groups = [[_ellipsoid(s, one, limit, one == factor) for s in sensors] for one in sizes]
+    groups = [[_ellipsoid_trace(s, one, limit, one == factor) for s in sensors] for one in sizes]
     ellipsoids = [trace for group in groups for trace in group]
     layout = {
         "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
-        "scene": _scene(calibration, size),
+        "scene": _make_scene(calibration, size),
     }
-    view, drawn = _choice_of_view(calibration, size), _choice_of_size(len(fixed), len(sensors), sizes)
+    view, drawn = _view_buttons(calibration, size), _size_buttons(len(fixed), len(sensors), sizes)
     choices = {"choices": [list(view.values()), list(drawn.values())]}
-    buttons = chooser("rig", 0, "What to show", list(view), 0)
+    buttons = render_buttons("rig", 0, "What to show", list(view), 0)
     if sensors:
-        said = "as large as they are" if factor == 1 else f"<b>{factor} times</b> as large as they are"
-        buttons = f"<p>Ellipsoids are drawn {said}.</p>{buttons}"
-        buttons += chooser("rig", 1, "Size of the ellipsoids", list(drawn), len(sizes))
-    return buttons + placed("rig", figure([*fixed, *ellipsoids], **layout) | choices, 560, "The rig in space")
+        scale = "to scale" if factor == 1 else f"enlarged <b>{factor} ×</b>"
+        buttons = f"<p>Ellipsoids are drawn {scale}.</p>{buttons}"
+        buttons += render_buttons("rig", 1, "Size of the ellipsoids", list(drawn), len(sizes))
+    return buttons + render_figure(
+        "rig", make_figure([*fixed, *ellipsoids], **layout) | choices, 560, "The rig in space"
+    )
 
 
-def _exaggeration(sensors: Sequence[SensorPose], size: float) -> int:
-    """How many times larger ellipsoids must be drawn for half of them to be seen beside frames of a size, m."""
-    known = [s.covariance[:3, :3] for s in sensors if np.isfinite(s.covariance).all()]
-    if not known:
+def _choose_exaggeration(sensors: Sequence[SensorPose], size: float) -> int:
+    """Smallest enlargement at which half of the ellipsoids are visible beside axes of a length, m."""
+    covariances = [s.covariance[:3, :3] for s in sensors if np.isfinite(s.covariance).all()]
+    if not covariances:
         return 1
-    longest = SCALE_95 * np.sqrt(np.median([np.linalg.eigvalsh(one)[-1] for one in known]))
-    return next((f for f in _EXAGGERATIONS if f * longest >= _VISIBLE * size), _EXAGGERATIONS[-1])
+    longest = SCALE_95 * np.sqrt(np.median([np.linalg.eigvalsh(one)[-1] for one in covariances]))
+    return next((f for f in _EXAGGERATIONS if f * longest >= _MIN_VISIBLE * size), _EXAGGERATIONS[-1])
 
 
-def _size_of_frames(calibration: Calibration) -> float:
-    """Length of a frame's axes, m: clear of its neighbours, yet to be seen."""
+def _axis_length(calibration: Calibration) -> float:
+    """Length of a frame's axes, m: clear of its neighbours, yet visible."""
     origins = np.array([s.T_root_sensor[:3, 3] for s in calibration.sensors])
     if len(origins) < 2:
         return 0.25
@@ -92,8 +97,8 @@ def _size_of_frames(calibration: Calibration) -> float:
     return float(np.clip(0.4 * np.median(distances.min(axis=1)), 0.05, 2.0))
 
 
-def _lines(name: str, lines: Sequence[Polyline], color: str, width: float) -> dict[str, Any]:
-    """Many lines as one trace: a gap, which plotly writes as null, between each two."""
+def _line_trace(name: str, lines: Sequence[Polyline], color: str, width: float) -> dict[str, Any]:
+    """Many lines as one trace, separated by null, which plotly does not draw."""
     points: list[list[float | None]] = []
     for line in lines:
         points += [*line.tolist(), [None, None, None]]
@@ -104,31 +109,33 @@ def _lines(name: str, lines: Sequence[Polyline], color: str, width: float) -> di
     }  # fmt: skip
 
 
-def _names(sensors: Sequence[SensorPose]) -> dict[str, Any]:
+def _name_trace(sensors: Sequence[SensorPose]) -> dict[str, Any]:
     origins = np.array([s.T_root_sensor[:3, 3] for s in sensors])
     return {
         "type": "scatter3d", "mode": "markers+text", "name": "sensors", "x": origins[:, 0].tolist(),
         "y": origins[:, 1].tolist(), "z": origins[:, 2].tolist(), "text": [s.name for s in sensors],
-        # Text in the scene is drawn as it is; hover labels know tags.
-        "customdata": [plotly_text(s.name) for s in sensors],
+        # Text in the scene is plain; hover labels interpret tags.
+        "customdata": [escape_plotly(s.name) for s in sensors],
         "textposition": "top center", "marker": {"size": 4, "color": INK},
         "hovertemplate": "<b>%{customdata}</b><br>%{x:.3f}, %{y:.3f}, %{z:.3f} m<extra></extra>",
     }  # fmt: skip
 
 
-def _frustums(calibration: Calibration, rig: Rig, size: float) -> list[Polyline]:
-    known = calibrated_cameras(calibration, rig)
+def _camera_frustums(calibration: Calibration, rig: Rig, size: float) -> list[Polyline]:
+    intrinsics = calibrated_cameras(calibration, rig)
     cameras = [s for s in calibration.sensors if s.kind == "camera"]
-    return [line for s in cameras for line in frustum(s.T_root_sensor, known.get(s.name), 1.5 * size)]
+    return [line for s in cameras for line in camera_frustum(s.T_root_sensor, intrinsics.get(s.name), 1.5 * size)]
 
 
-def _circles(calibration: Calibration, kind: str, radius: float, elevations: Sequence[float]) -> list[Polyline]:
+def _scan_circles(
+    calibration: Calibration, kind: str, radius: float, elevations: Sequence[float]
+) -> list[Polyline]:
     sensors = [s for s in calibration.sensors if s.kind == kind]
     return [scan_circle(s.T_root_sensor, radius, e) for s in sensors for e in elevations]
 
 
-def _discs(calibration: Calibration, radius: float) -> list[dict[str, Any]]:
-    """The scan planes as faint discs."""
+def _disc_traces(calibration: Calibration, radius: float) -> list[dict[str, Any]]:
+    """The scan planes as translucent discs."""
     discs = []
     for sensor in calibration.sensors:
         if sensor.kind == "lidar2d":
@@ -143,19 +150,21 @@ def _discs(calibration: Calibration, radius: float) -> list[dict[str, Any]]:
     return discs
 
 
-def _ellipsoid(sensor: SensorPose, exaggeration: float, limit: float, visible: bool) -> dict[str, Any]:
-    vertices, triangles = ellipsoid(sensor.T_root_sensor[:3, 3], sensor.covariance[:3, :3], exaggeration, limit)
+def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visible: bool) -> dict[str, Any]:
+    vertices, triangles = ellipsoid_mesh(
+        sensor.T_root_sensor[:3, 3], sensor.covariance[:3, :3], exaggeration, limit
+    )
     x, y, z = vertices.T
     i, j, k = triangles.T
     return {
         "type": "mesh3d", "x": x, "y": y, "z": z, "i": i, "j": j, "k": k, "color": PINK, "opacity": 0.35,
-        "visible": visible, "name": plotly_text(sensor.name), "hoverinfo": "name", "flatshading": False,
+        "visible": visible, "name": escape_plotly(sensor.name), "hoverinfo": "name", "flatshading": False,
     }  # fmt: skip
 
 
-def _scene(calibration: Calibration, size: float) -> dict[str, Any]:
+def _make_scene(calibration: Calibration, size: float) -> dict[str, Any]:
     axis = {"backgroundcolor": PAPER, "gridcolor": RULE, "zerolinecolor": RULE, "showspikes": False}
-    ranges = _ranges(calibration, size)
+    ranges = _axis_ranges(calibration, size)
     named = {f"{n}axis": {**axis, "title": {"text": f"{n}, m"}, "range": r}
              for n, r in zip("xyz", ranges, strict=True)}  # fmt: skip
     return {
@@ -165,17 +174,17 @@ def _scene(calibration: Calibration, size: float) -> dict[str, Any]:
     }
 
 
-def _ranges(calibration: Calibration, size: float) -> list[list[float]]:
-    """A cube around the rig, per axis, m: seen from afar it looks the same however the rig is stretched."""
+def _axis_ranges(calibration: Calibration, size: float) -> list[list[float]]:
+    """A cube around the rig, per axis, m: independent of the rig's proportions."""
     origins = np.array([s.T_root_sensor[:3, 3] for s in calibration.sensors])
     low, high = origins.min(axis=0), origins.max(axis=0)
     half = float(np.max(high - low)) / 2 + 2 * size
     return [[float(middle - half), float(middle + half)] for middle in (low + high) / 2]
 
 
-def _choice_of_view(calibration: Calibration, size: float) -> Choice:
+def _view_buttons(calibration: Calibration, size: float) -> Buttons:
     """The rig alone, or everything."""
-    ranges = zip("xyz", _ranges(calibration, size), strict=True)
+    ranges = zip("xyz", _axis_ranges(calibration, size), strict=True)
     rig = {f"{n}axis": {"range": r} for n, r in ranges}
     everything = {f"{n}axis": {"range": None, "autorange": True} for n in "xyz"}
     return {
@@ -184,8 +193,8 @@ def _choice_of_view(calibration: Calibration, size: float) -> Choice:
     }
 
 
-def _choice_of_size(fixed: int, sensors: int, sizes: Sequence[int]) -> Choice:
-    """How large to draw the uncertainties, whose traces come after others."""
+def _size_buttons(fixed: int, sensors: int, sizes: Sequence[int]) -> Buttons:
+    """Buttons for the enlargement of the uncertainties, whose traces come last."""
     labels = {0: "no ellipsoids", 1: "true size"}
     return {
         labels.get(chosen, f"× {chosen}"): {

@@ -1,10 +1,10 @@
-"""The top of the page: how far each sensor's pose can be relied on, and what to do."""
+"""The verdicts at the top of the page: reliability of each sensor's pose, and advice."""
 
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.report.formatting import angle, counted, escaped, kind_of, length
-from calgraph.report.vocabulary import Words
+from calgraph.report.formatting import describe_kind, escape_html, format_angle, format_count, format_length
+from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
 
 _BADGES = {
@@ -13,25 +13,30 @@ _BADGES = {
     "unobservable": ("lost", "✕", "unobservable"),
     "unconnected": ("lost", "✕", "not connected"),
 }
-"""CSS class, sign and word for each grade: colour is never the only sign."""
+"""CSS class, sign and word for each grade: colour is never the only indication."""
 
 
-def headline(calibration: Calibration) -> str:
-    """One sentence that says how it went."""
+def summarize_verdicts(calibration: Calibration) -> str:
+    """One sentence on the overall result."""
     grades = [s.verdict.grade for s in calibration.sensors if s.parent is not None]
-    good, weak, lost = (grades.count(grade) for grade in ("good", "weak", "unobservable"))
+    good_count, weak, lost = (grades.count(grade) for grade in ("good", "weak", "unobservable"))
     unconnected = len(calibration.evidence.unconnected)
     total = len(grades) + unconnected
     if total == 0:
         return "There is nothing to calibrate: the root is the only sensor."
-    if good == total:
+    if good_count == total:
         return "Every sensor is calibrated well." if total > 1 else "The sensor is calibrated well."
-    parts = [(good, "calibrated well"), (weak, "weak"), (lost, "unobservable"), (unconnected, "not connected")]
-    said = ", ".join(f"{count} {words}" for count, words in parts if count)
-    return f"Of {counted(total, 'sensor')} besides the root: {said}."
+    parts = [
+        (good_count, "calibrated well"),
+        (weak, "weak"),
+        (lost, "unobservable"),
+        (unconnected, "not connected"),
+    ]
+    outcomes = ", ".join(f"{count} {words}" for count, words in parts if count)
+    return f"Of {format_count(total, 'sensor')} besides the root: {outcomes}."
 
 
-def cards(calibration: Calibration, words: Words) -> str:
+def render_cards(calibration: Calibration, words: Vocabulary) -> str:
     """A card for each sensor, those that need attention first."""
     order = {"unobservable": 0, "weak": 1, "good": 2}
     sensors = sorted(
@@ -41,44 +46,45 @@ def cards(calibration: Calibration, words: Words) -> str:
     advice = words.advice
     lost = advice["unconnected"]
     shown = [
-        *(_card("unconnected", name, "no pose", f"{why}. {lost}" if why else lost)
+        *(_render_card("unconnected", name, "no pose", f"{why}. {lost}" if why else lost)
           for name, why in calibration.evidence.unconnected.items()),
-        *(_card(s.verdict.grade, s.name, _facts(s), s.verdict.reason or advice.get(s.verdict.grade, ""))
+        *(_render_card(
+            s.verdict.grade, s.name, _describe_uncertainty(s), s.verdict.reason or advice.get(s.verdict.grade, ""))
           for s in sensors),
     ]  # fmt: skip
     return f'<div class="cards">{"".join(shown)}</div>'
 
 
-def remark_list(calibration: Calibration) -> str:
-    """What is to be known of the whole result; nothing where there is nothing."""
+def render_remarks(calibration: Calibration) -> str:
+    """Remarks on the whole result; empty if there are none."""
     if not calibration.evidence.remarks:
         return ""
-    items = "".join(f"<li>{escaped(remark)}</li>" for remark in calibration.evidence.remarks)
+    items = "".join(f"<li>{escape_html(remark)}</li>" for remark in calibration.evidence.remarks)
     return f'<div class="next"><h3>Not used</h3><ul>{items}</ul></div>'
 
 
-def badge(grade: str) -> str:
+def render_badge(grade: str) -> str:
     """A grade as a coloured word with a sign."""
     css, sign, word = _BADGES[grade]
     return f'<span class="badge {css}"><span aria-hidden="true">{sign}</span> {word}</span>'
 
 
-def worst_deviation(covariance: Array) -> float:
+def max_std_deviation(covariance: Array) -> float:
     """The standard deviation along the worst direction of a covariance (3, 3)."""
     if not np.isfinite(covariance).all():
         return float("nan") if np.isnan(covariance).any() else float("inf")
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def _facts(sensor: SensorPose) -> str:
-    sigma_t, sigma_r = worst_deviation(sensor.covariance[:3, :3]), worst_deviation(sensor.covariance[3:, 3:])
-    return f"{kind_of(sensor)} · σ {length(sigma_t)}, {angle(sigma_r)} in the worst direction"
+def _describe_uncertainty(sensor: SensorPose) -> str:
+    sigma_t, sigma_r = max_std_deviation(sensor.covariance[:3, :3]), max_std_deviation(sensor.covariance[3:, 3:])
+    return f"{describe_kind(sensor)} · σ {format_length(sigma_t)}, {format_angle(sigma_r)} in the worst direction"
 
 
-def _card(grade: str, name: str, facts: str, reason: str) -> str:
+def _render_card(grade: str, name: str, facts: str, reason: str) -> str:
     css, _, _ = _BADGES[grade]
-    words = f'<p class="reason">{escaped(reason[:1].upper() + reason[1:])}</p>' if reason else ""
+    words = f'<p class="reason">{escape_html(reason[:1].upper() + reason[1:])}</p>' if reason else ""
     return (
-        f'<article class="card {css}"><h3>{escaped(name)}</h3>{badge(grade)}'
-        f'<p class="facts">{escaped(facts)}</p>{words}</article>'
+        f'<article class="card {css}"><h3>{escape_html(name)}</h3>{render_badge(grade)}'
+        f'<p class="facts">{escape_html(facts)}</p>{words}</article>'
     )

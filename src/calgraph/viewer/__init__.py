@@ -1,4 +1,4 @@
-"""A calibration in the browser, to walk around in: sensors, what they saw, and how it degrades if one is moved."""
+"""Interactive 3-D view of a calibration in the browser: sensors, measurements, and the effect of displacements."""
 
 from calgraph.viewer.viewer import Viewer
 

@@ -1,4 +1,4 @@
-"""The page in the browser, served for as long as somebody looks."""
+"""The server of the page in the browser."""
 
 from collections.abc import Mapping
 from contextlib import redirect_stdout
@@ -13,15 +13,15 @@ from calgraph.geometry import Array
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
 from calgraph.viewer.panel import Panel
-from calgraph.viewer.scene_display import Stage
-from calgraph.viewer.view_state import up
+from calgraph.viewer.scene_display import SceneDisplay
+from calgraph.viewer.view_state import up_direction
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 
 class Viewer:
-    """Serves a calibration and what it shows; a context manager that ends with its block."""
+    """Serves the 3-D view of a calibration; a context manager that stops the server at its end."""
 
     def __init__(
         self,
@@ -30,33 +30,33 @@ class Viewer:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
-        """Starts to serve.
+        """Starts the server.
 
         Args:
             calibration: with snapshots, outlines and floor, as :func:`calgraph.result.load_scene` gives it.
             cameras: intrinsics by camera.
-            host: address to serve at.
-            port: of the first free one from here on.
+            host: address of the server.
+            port: the first free port from this one on is used.
 
         Raises:
             InputError: the extra ``view`` is not installed.
         """
-        self._server = _server(host, port)
+        self._server = _start_server(host, port)
         self.host = host
-        self.stage = Stage(self._server.scene, calibration, cameras)
-        self.panel = Panel(self._server.gui, calibration, cameras, self.stage)
-        eye, target = point_of_view(calibration)
+        self.display = SceneDisplay(self._server.scene, calibration, cameras)
+        self.panel = Panel(self._server.gui, calibration, cameras, self.display)
+        eye, target = initial_view(calibration)
         self._server.initial_camera.position = eye
         self._server.initial_camera.look_at = target
-        self._server.initial_camera.up = up(calibration)
+        self._server.initial_camera.up = up_direction(calibration)
 
     @property
     def url(self) -> str:
-        """Where to look."""
+        """Address of the page."""
         return f"http://{self.host}:{self._server.get_port()}"
 
     def serve(self) -> None:
-        """Blocks until it is interrupted."""
+        """Blocks until interrupted."""
         self._server.sleep_forever()
 
     def __enter__(self) -> Self:
@@ -66,17 +66,17 @@ class Viewer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.panel.close()
-        with _silently():
+        with _suppress_output():
             self._server.stop()
 
 
-def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
-    """Where to look from (3,) and to (3,), m: all of a network from above, or a rig from behind and above."""
+def initial_view(calibration: Calibration) -> tuple[Array, Array]:
+    """Position and target (3,) of the initial camera, m: a network from above, a rig from behind and above."""
     origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
-    vertical = up(calibration)
+    vertical = up_direction(calibration)
     if calibration.pictures.floor_views:
-        seen = np.concatenate([origins[:, :2], *(view.background for view in calibration.pictures.floor_views)])
-        low, high = np.percentile(seen, [1, 99], axis=0)
+        points = np.concatenate([origins[:, :2], *(view.background for view in calibration.pictures.floor_views)])
+        low, high = np.percentile(points, [1, 99], axis=0)
         middle, extent = np.append((low + high) / 2, 0.0), float(np.max(high - low))
         return middle + extent * np.array([0.0, -0.45, 0.85]), middle
     middle = origins.mean(axis=0)
@@ -90,17 +90,17 @@ def point_of_view(calibration: Calibration) -> tuple[Array, Array]:
     return middle + reach * (1.0 * vertical - 1.1 * ahead), middle + 0.3 * reach * ahead
 
 
-def _silently() -> redirect_stdout[StringIO]:
-    """Without what viser prints of itself even if asked not to: what to say is for the commands to decide."""
+def _suppress_output() -> redirect_stdout[StringIO]:
+    """Suppresses viser's output, which it prints even if not verbose: commands print their own."""
     return redirect_stdout(StringIO())
 
 
-def _server(host: str, port: int) -> "ViserServer":
+def _start_server(host: str, port: int) -> "ViserServer":
     try:
         from viser import ViserServer
     except ImportError as error:
         raise InputError('the viewer needs viser: pip install "calgraph[view]"') from error
-    with _silently():
+    with _suppress_output():
         server = ViserServer(host=host, port=port, label="calgraph", verbose=False)
     server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
