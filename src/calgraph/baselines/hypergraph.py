@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from calgraph.baselines import hypergraph_factors as edges
-from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize
+from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
 from calgraph.detection import Detection, Segment, plane_of
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
@@ -66,8 +66,8 @@ def solve_hypergraph(
     factors: list[Factor] = [_relative_pose_factor(names, tree, pairs), *observed]
     converged = True
     if optimize:
-        solution = minimize(values, BLOCKS, factors)
-        values, converged = solution.values, solution.converged
+        solution = minimize_sparse(values, BLOCKS, factors)
+        values, converged = solution.state, solution.converged
     # The pairwise estimates come from the same detections: they may guide the solution, but not count as evidence.
     covariance = marginal_covariance(values, BLOCKS, observed, "sensors", _PRIOR)
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}

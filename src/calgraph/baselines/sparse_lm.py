@@ -10,8 +10,8 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 from calgraph.errors import CalibrationError
-from calgraph.estimation.damping import Damping
 from calgraph.geometry import Array
+from calgraph.levenberg_marquardt import Minimum, minimize
 
 Values = Mapping[str, Array]
 """Arrays of variables by block name; the first axis counts the variables of a block."""
@@ -52,19 +52,26 @@ class Factor(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """Where the solver stopped."""
+class SparseEquations:
+    """Normal equations of all factors at a state."""
 
-    values: Values
     cost: float
     """Half the sum of squared whitened residuals."""
-    iterations: int
-    converged: bool
+    H: scipy.sparse.csc_matrix
+    g: Array
+
+    def solve(self, damping: float) -> tuple[Array, float]:
+        """The damped step, and its predicted decrease of the cost."""
+        diagonal = self.H.diagonal()
+        # Marquardt's scaling, with a floor that damps unobservable directions, too.
+        scaling = damping * np.maximum(diagonal, 1e-6 * diagonal.max())
+        step = -scipy.sparse.linalg.splu((self.H + scipy.sparse.diags(scaling)).tocsc()).solve(self.g)
+        return step, 0.5 * float(step @ (scaling * step - self.g))
 
 
-def minimize(
+def minimize_sparse(
     values: Values, blocks: Mapping[str, Block], factors: Sequence[Factor], *, iterations: int = 50
-) -> Solution:
+) -> Minimum[Values, SparseEquations]:
     """Minimises half the sum of squared residuals of all factors.
 
     Args:
@@ -73,36 +80,20 @@ def minimize(
         factors: the residuals.
         iterations: steps at most, rejected ones included.
 
-    Returns:
-        The minimum found; ``converged`` is False if it was still moving after the last step.
-
     Raises:
         CalibrationError: the residuals are not finite at the start.
     """
     offsets, size = _variable_offsets(values, blocks)
-    cost, H, g = _normal_equations(values, offsets, size, factors)
-    if not np.isfinite(cost):
+    minimum = minimize(
+        values,
+        lambda values, _: _normal_equations(values, offsets, size, factors),
+        lambda values, step: _apply_step(values, blocks, offsets, step),
+        iterations=iterations,
+        tolerance=1e-14,
+    )
+    if not np.isfinite(minimum.linearization.cost):
         raise CalibrationError("the start values give residuals that are not finite")
-    damping = Damping(1e-4)
-    for iteration in range(1, iterations + 1):
-        diagonal = H.diagonal()
-        # Marquardt's scaling, floored so that a direction no residual sees is damped too.
-        scaled = scipy.sparse.diags(damping.value * np.maximum(diagonal, 1e-6 * diagonal.max()))
-        step = -scipy.sparse.linalg.splu((H + scaled).tocsc()).solve(g)
-        trial = _apply_step(values, blocks, offsets, step)
-        trial_cost, trial_H, trial_g = _normal_equations(trial, offsets, size, factors)
-        predicted = 0.5 * float(step @ (scaled @ step - g))
-        gain = (cost - trial_cost) / max(predicted, 1e-300)
-        if gain > 0:
-            done = cost - trial_cost <= 1e-10 * cost + 1e-14
-            values, cost, H, g = trial, trial_cost, trial_H, trial_g
-            damping = damping.accept_step(gain)
-        else:
-            done = predicted <= 1e-10 * cost + 1e-14
-            damping = damping.reject_step()
-        if done:
-            return Solution(values, cost, iteration, converged=True)
-    return Solution(values, cost, iterations, converged=False)
+    return minimum
 
 
 def marginal_covariance(
@@ -122,7 +113,7 @@ def marginal_covariance(
         (M·dim, M·dim) in the order of the block's variables; zero for fixed ones.
     """
     offsets, size = _variable_offsets(values, blocks)
-    _, H, _ = _normal_equations(values, offsets, size, factors)
+    H = _normal_equations(values, offsets, size, factors).H
     dim = blocks[block].dim
     free = offsets[block][offsets[block] >= 0]
     columns = (free[:, None] + np.arange(dim)).ravel()
@@ -156,7 +147,7 @@ def _variable_offsets(values: Values, blocks: Mapping[str, Block]) -> tuple[dict
 
 def _normal_equations(
     values: Values, offsets: Mapping[str, NDArray[np.intp]], size: int, factors: Sequence[Factor]
-) -> tuple[float, scipy.sparse.csc_matrix, Array]:
+) -> SparseEquations:
     """Cost, JᵀJ and Jᵀr."""
     cost, gradient = 0.0, np.zeros(size)
     rows, columns, entries = [], [], []
@@ -177,7 +168,8 @@ def _normal_equations(
                 columns.append(np.broadcast_to(j[:, None, :], products.shape).ravel())
                 entries.append(products.ravel())
     triplets = (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns)))
-    return cost, scipy.sparse.coo_matrix(triplets, shape=(size, size)).tocsc(), gradient
+    H = scipy.sparse.coo_matrix(triplets, shape=(size, size)).tocsc()
+    return SparseEquations(cost, H, gradient)
 
 
 def _apply_step(
