@@ -225,7 +225,7 @@ def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_
     options = ("--prior", poses, "--prior-stddev", "0.01", "0.5")
     result = run("solve", tmp_path / "alone.npz", "-o", tmp_path / "b", *options)
     assert result.exit_code == 0
-    assert "laser_left is weak: no capture ties laser_left to another sensor" in result.stdout
+    assert "laser_left is weak: no capture connects laser_left to another sensor" in result.stdout
     left = load_calibration(tmp_path / "b/calibration.yaml")["laser_left"]
     np.testing.assert_allclose(left.T_root_sensor, known.T_root_sensor["laser_left"], atol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(left.covariance)[:3]), 0.01, rtol=1e-3)

@@ -144,9 +144,9 @@ def test_sensors_that_see_nothing_each_say_why(staged_rig: tuple[Rig, SimulatedR
         recording = alter_messages(recording, topic, empty)
     calibration = calibrate(rig, recording)
     assert [sensor.name for sensor in calibration.sensors] == [rig.root]
-    assert "found the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
+    assert "detected the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
     assert "too dark" in calibration.evidence.unconnected["camera"]
-    assert "the root lidar found the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
+    assert "the root lidar detected the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
 
 
 def test_sensors_that_see_nothing_without_trigger_are_named(

@@ -169,7 +169,12 @@ def solve_problem(problem: Problem) -> Calibration:
         return calibration
     # Candidate board poses are sampled with a fixed seed: the result hardly depends on the sample.
     return add_assessment(
-        calibration, joint.solved_bundle, rig.board_size, problem.solver.folds, np.random.default_rng(0)
+        calibration,
+        joint.solved_bundle,
+        rig.board_size,
+        problem.solver.folds,
+        np.random.default_rng(0),
+        rig.settings.diagnostics,
     )
 
 

@@ -37,7 +37,10 @@ def bootstrap_covariances(
         raise CalibrationError(
             f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
         )
-    scatter = bootstrap_poses(joint.solved_bundle, rounds, rng, lambda done: progress("resampling", done))
+    settings = problem.rig.settings.diagnostics.rig
+    scatter = bootstrap_poses(
+        joint.solved_bundle, rounds, rng, lambda done: progress("resampling", done), settings
+    )
     return assemble_rig(problem, tree, joint), scatter
 
 
@@ -53,7 +56,9 @@ def compare_extrinsics(
     problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
     joint, tree = solve_jointly(problem)
     calibration = assemble_rig(problem, tree, joint)
-    return calibration, compare_rig_poses(calibration, joint.solved_bundle, given, tolerance)
+    return calibration, compare_rig_poses(
+        calibration, joint.solved_bundle, given, tolerance, problem.rig.settings.diagnostics.verdict
+    )
 
 
 def compare_network_extrinsics(
@@ -66,4 +71,4 @@ def compare_network_extrinsics(
 ) -> tuple[Calibration, ExtrinsicsComparison]:
     """Comparison of the given poses of a network with its calibration, as :func:`compare_extrinsics` for a rig."""
     calibration = calibrate_network(rig, recording, options, progress)
-    return calibration, compare_network_poses(calibration, given, tolerance)
+    return calibration, compare_network_poses(calibration, given, tolerance, rig.settings.diagnostics.verdict)

@@ -50,10 +50,11 @@ def verify(
         problem = _problem(files, seed, progress)
         calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
+    confidence = problem.rig.settings.diagnostics.rig.bootstrap_confidence
     if json:
-        typer.echo(_content(scatter, kinds, rounds))
+        typer.echo(_content(scatter, kinds, rounds, confidence))
     else:
-        _print(scatter, kinds, rounds)
+        _print(scatter, kinds, rounds, confidence)
         print_remarks(calibration)
     fail_if_unconnected(calibration)
     optimistic = [name for name, found in scatter.items() if found.verdict == "optimistic"]
@@ -76,9 +77,11 @@ def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
         return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
 
 
-def _content(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> str:
+def _content(
+    scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
+) -> str:
     """All numbers, m and rad."""
-    from calgraph.diagnostics import CONFIDENCE, axis_names
+    from calgraph.diagnostics import axis_names
 
     sensors: dict[str, Any] = {
         name: {
@@ -95,20 +98,22 @@ def _content(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], r
         }
         for name, found in scatter.items()
     }  # fmt: skip
-    content = {"format": _FORMAT, "rounds": rounds, "confidence": CONFIDENCE, "sensors": sensors}
+    content = {"format": _FORMAT, "rounds": rounds, "confidence": confidence, "sensors": sensors}
     return json_module.dumps(content, ensure_ascii=False, allow_nan=False, indent=1)
 
 
-def _print(scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int) -> None:
+def _print(
+    scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
+) -> None:
     """A row per sensor and axis, then the verdicts."""
-    from calgraph.diagnostics import CONFIDENCE, axis_names
+    from calgraph.diagnostics import axis_names
 
     output = console()
     output.print(f"[bold]Bootstrap over captures, {rounds} rounds: scatter and stated standard deviation[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("sensor", overflow="fold")
     table.add_column("axis", no_wrap=True)
-    for head in ("scatter", "stated", "ratio", f"all in, {CONFIDENCE:.0%}"):
+    for head in ("scatter", "stated", "ratio", f"all in, {confidence:.0%}"):
         table.add_column(head, justify="right", no_wrap=True)
     for name, found in scatter.items():
         for i, axis in enumerate(axis_names(kinds[name])):

@@ -17,12 +17,11 @@ from calgraph.diagnostics.network.extension import (
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.assessment import add_assessment
-from calgraph.diagnostics.rig.bootstrap import CONFIDENCE, BootstrapScatter, bootstrap_poses
+from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.diagnostics.verdict import axis_names
 
 __all__ = [
-    "CONFIDENCE",
     "AxisComparison",
     "BootstrapScatter",
     "ExtrinsicsComparison",

@@ -1,4 +1,4 @@
-"""How far given poses are from those that a recording gives, by sensor and axis, in numbers and in words."""
+"""Comparison of given extrinsics with those estimated from a recording, by sensor and axis."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,16 +15,13 @@ from calgraph.result import Calibration, ExtrinsicsFile
 Outcome = Literal["pass", "warn", "fail"]
 _SEVERITY: Sequence[Outcome] = ("pass", "warn", "fail")
 
-# Chance of calling a sensor that is where it should be significantly off.
-CHANCE = 1e-3
-_LIMIT, _WIDTH = float(chdtri(6, CHANCE)), float(-ndtri(CHANCE / 2))
-# Nobody states poses more precisely than this, m and rad.
+# Standard deviation of the rounding of given poses, m and rad; makes covariances regular.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What may be off without harm."""
+    """Largest acceptable error."""
 
     position: float = 0.01
     """m."""
@@ -33,37 +30,52 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
+class SignificanceTest:
+    """Limits of a test with a given probability of a false alarm."""
+
+    max_chi2: float
+    """Of the squared Mahalanobis distance of six parameters."""
+    max_sigmas: float
+    """Of the error of one axis, in standard deviations."""
+
+    @classmethod
+    def of(cls, false_alarm_probability: float) -> "SignificanceTest":
+        """The limits for a probability of a false alarm."""
+        return cls(float(chdtri(6, false_alarm_probability)), float(-ndtri(false_alarm_probability / 2)))
+
+
+@dataclass(frozen=True)
 class AxisComparison:
-    """A sensor's pose along, or about, one of its own axes."""
+    """Comparison along, or about, one axis of a sensor."""
 
     axis: str
     offset: float
-    """Given minus found, m or rad."""
+    """Given minus estimated, m or rad."""
     stddev: float
-    """Of what was found, and of what is given where that is known, m or rad."""
+    """Of the estimate, and of the given pose where that has a covariance, m or rad."""
     outcome: Outcome
 
 
 @dataclass(frozen=True)
 class ResidualComparison:
-    """How far a sensor's measurements are from the boards, under two sets of extrinsics."""
+    """RMS residual of a sensor under the given and under the estimated extrinsics."""
 
     unit: Literal["px", "m"]
     given: float
-    """Root mean square, corners in x and y, ranges along the beam; infinite where boards cannot even be placed."""
+    """Reprojection errors in x and y, or range errors along the beam; infinite where boards cannot be located."""
     found: float
 
 
 @dataclass(frozen=True)
 class SensorComparison:
-    """What a recording says of one sensor's given pose."""
+    """Comparison of one sensor's given pose with the estimate."""
 
     sensor: str
     outcome: Outcome
     reason: str
-    """What is wrong, or cannot be told; empty for a pass."""
+    """What fails, or is too uncertain; empty for a pass."""
     distance: float
-    """Mahalanobis distance of the given pose from the one found; NaN where there is none."""
+    """Mahalanobis distance between given and estimated pose; NaN where poses cannot be compared."""
     axes: tuple[AxisComparison, ...] = ()
     """x, y, z, and rotations about them; empty where poses cannot be compared."""
     misfit: ResidualComparison | None = None
@@ -71,10 +83,10 @@ class SensorComparison:
 
 @dataclass(frozen=True)
 class ExtrinsicsComparison:
-    """What a recording says of given extrinsics."""
+    """Comparison of given extrinsics with the estimates from a recording."""
 
     reference: str
-    """The sensor whose frame the others are compared in: the root, or one from which fewer seem to have moved."""
+    """The sensor in whose frame the others are compared: the root, or one in whose frame fewer fail."""
     sensors: tuple[SensorComparison, ...]
     """All but the reference."""
     misfit: ResidualComparison | None
@@ -93,108 +105,124 @@ class ExtrinsicsComparison:
 
 @dataclass(frozen=True, eq=False)
 class MatchedPoses:
-    """Given extrinsics beside those that a recording gives."""
+    """Given extrinsics matched with estimated ones."""
 
-    found: Calibration
+    estimated: Calibration
     given: ExtrinsicsFile
     frames: Mapping[str, str]
-    """By sensor that the file knows, its frame there; the root is among them."""
+    """Frame in the file by sensor, of all sensors that the file contains; the root is among them."""
     tolerance: Tolerance
+    test: SignificanceTest
 
     @property
     def T_root_sensor(self) -> dict[str, Array]:
-        """(4, 4) by sensor, as given."""
-        return {name: self.given.transform(self.frames[self.found.root], own) for name, own in self.frames.items()}
+        """Given poses (4, 4) by sensor."""
+        return {
+            name: self.given.transform(self.frames[self.estimated.root], frame)
+            for name, frame in self.frames.items()
+        }
 
-    def compare_in_frame(self, reference: str, misfits: Mapping[str, ResidualComparison]) -> ExtrinsicsComparison:
-        """The given poses of all sensors in the frame of one, against those found there."""
-        sensors = []
-        for sensor in self.found.sensors:
+    def compare_in_frame(
+        self, reference: str, residuals: Mapping[str, ResidualComparison]
+    ) -> ExtrinsicsComparison:
+        """Compares the poses of all sensors in the frame of one of them."""
+        compared = []
+        for sensor in self.estimated.sensors:
             if sensor.name == reference:
                 continue
             if sensor.name not in self.frames:
                 reason = f"{self.given.path} has neither a frame {sensor.frame_id} nor one called {sensor.name}"
-                sensors.append(SensorComparison(sensor.name, "warn", reason, float("nan")))
+                compared.append(SensorComparison(sensor.name, "warn", reason, float("nan")))
                 continue
-            own = self._compare_sensor(reference, sensor.name)
-            if sensor.verdict.grade != "good" and own.outcome != "fail":
-                parts = [part for part in (own.reason, sensor.verdict.reason) if part]
-                own = replace(own, outcome="warn", reason="; ".join(parts))
-            sensors.append(replace(own, misfit=misfits.get(sensor.name)))
-        alone = [
-            SensorComparison(name, "warn", why, float("nan"))
-            for name, why in self.found.evidence.unconnected.items()
+            comparison = self._compare_sensor(reference, sensor.name)
+            if sensor.verdict.grade != "good" and comparison.outcome != "fail":
+                parts = [part for part in (comparison.reason, sensor.verdict.reason) if part]
+                comparison = replace(comparison, outcome="warn", reason="; ".join(parts))
+            compared.append(replace(comparison, misfit=residuals.get(sensor.name)))
+        unconnected = [
+            SensorComparison(name, "warn", reason, float("nan"))
+            for name, reason in self.estimated.evidence.unconnected.items()
         ]
-        return ExtrinsicsComparison(reference, (*sensors, *alone), misfits.get(reference))
+        return ExtrinsicsComparison(reference, (*compared, *unconnected), residuals.get(reference))
 
     def _compare_sensor(self, reference: str, name: str) -> SensorComparison:
-        """One sensor's given pose against the one found, in its own axes as found."""
-        found, of_both = self.found, (self.frames[reference], self.frames[name])
-        T_given, T_found = self.given.transform(*of_both), found.transform(reference, name)
-        to_own = np.kron(np.eye(2), T_found[:3, :3].T)
-        offset = to_own @ se3.difference(T_given, T_found)
-        spread = found.covariance(reference, name) + self.given.covariance(*of_both)
-        covariance = to_own @ spread @ to_own.T + _ROUNDING**2 * np.eye(6)
+        """Compares the given pose of one sensor with the estimate, along the axes of the estimated sensor."""
+        estimated, frames = self.estimated, (self.frames[reference], self.frames[name])
+        T_given, T_estimated = self.given.transform(*frames), estimated.transform(reference, name)
+        to_sensor = np.kron(np.eye(2), T_estimated[:3, :3].T)
+        offset = to_sensor @ se3.difference(T_given, T_estimated)
+        both = estimated.covariance(reference, name) + self.given.covariance(*frames)
+        covariance = to_sensor @ both @ to_sensor.T + _ROUNDING**2 * np.eye(6)
         allowed = np.repeat([self.tolerance.position, self.tolerance.rotation], 3)
-        outcomes = _grade_axes(offset, covariance, allowed)
+        outcomes = _grade_axes(offset, covariance, allowed, self.test)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         distance = float(np.linalg.norm(whiten @ offset))
         axes = tuple(
             AxisComparison(axis, float(x), float(s), outcome)
             for axis, x, s, outcome in zip(
-                axis_names(found[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
+                axis_names(estimated[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
             )
         )
-        outcome = _worst_outcome([*outcomes, "warn" if distance**2 > _LIMIT else "pass"])
-        return SensorComparison(name, outcome, _explain_axes(axes, allowed, distance), distance, axes)
+        outcome = _worst_outcome([*outcomes, "warn" if distance**2 > self.test.max_chi2 else "pass"])
+        return SensorComparison(name, outcome, _explain_axes(axes, allowed, distance, self.test), distance, axes)
 
 
-def match_poses(found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None) -> MatchedPoses:
-    """Looks up in given extrinsics what a recording has found.
+def match_poses(
+    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None, false_alarm_probability: float
+) -> MatchedPoses:
+    """Matches the sensors of a calibration with the frames of given extrinsics.
 
     Raises:
         InputError: the root or all other sensors are not in the file.
     """
-    frame_ids = {sensor.name: sensor.frame_id for sensor in found.sensors}
-    given.frame_of_sensor(found.root, frame_ids)
-    return MatchedPoses(found, given, given.frames_of_sensors(frame_ids), tolerance or Tolerance())
+    frame_ids = {sensor.name: sensor.frame_id for sensor in estimated.sensors}
+    given.frame_of_sensor(estimated.root, frame_ids)
+    return MatchedPoses(
+        estimated,
+        given,
+        given.frames_of_sensors(frame_ids),
+        tolerance or Tolerance(),
+        SignificanceTest.of(false_alarm_probability),
+    )
 
 
-def _grade_axes(offset: Array, covariance: Array, allowed: Array) -> list[Outcome]:
-    """What is to be said of each axis."""
+def _grade_axes(offset: Array, covariance: Array, allowed: Array, test: SignificanceTest) -> list[Outcome]:
+    """The outcome of each axis."""
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    width = _WIDTH * np.sqrt(np.diag(covariance))
-    far, beyond = np.abs(offset) > width, np.abs(offset) > allowed
-    significant = float(np.sum((whiten @ offset) ** 2)) > _LIMIT
-    failed = significant & far & beyond
-    # Axes may be uncertain each, and sure together: then no pose within the tolerance may be likely.
+    width = test.max_sigmas * np.sqrt(np.diag(covariance))
+    significant_axis, beyond = np.abs(offset) > width, np.abs(offset) > allowed
+    significant = float(np.sum((whiten @ offset) ** 2)) > test.max_chi2
+    failed = significant & significant_axis & beyond
+    # Single axes may be uncertain while all poses within the tolerance are improbable.
     nearest = lsq_linear(whiten, whiten @ offset, (-allowed, allowed))
-    if not failed.any() and 2 * nearest.cost > _LIMIT:
+    if not failed.any() and 2 * nearest.cost > test.max_chi2:
         failed = beyond
-    doubtful = (significant & far) | (width > allowed)
-    return ["fail" if bad else "warn" if doubt else "pass" for bad, doubt in zip(failed, doubtful, strict=True)]
+    uncertain = (significant & significant_axis) | (width > allowed)
+    return [
+        "fail" if fails else "warn" if warns else "pass" for fails, warns in zip(failed, uncertain, strict=True)
+    ]
 
 
-def _explain_axes(axes: Sequence[AxisComparison], allowed: Array, distance: float) -> str:
-    """What is to be said of the axes that do not pass."""
+def _explain_axes(axes: Sequence[AxisComparison], allowed: Array, distance: float, test: SignificanceTest) -> str:
+    """The reasons of the axes that do not pass."""
     parts = []
     for i, (axis, limit) in enumerate(zip(axes, allowed, strict=True)):
-        off = (
+        displacement = (
             f"{axis.axis} {format_displacement(axis.offset, i, sign=True)} ±{format_displacement(axis.stddev, i)}"
         )
         if axis.outcome == "fail":
-            parts.append(f"{off}, beyond {format_displacement(limit, i)}")
-        elif axis.outcome == "warn" and _WIDTH * axis.stddev > limit:
-            parts.append(f"{axis.axis} cannot be told: ±{format_displacement(axis.stddev, i)}")
+            parts.append(f"{displacement}, beyond {format_displacement(limit, i)}")
+        elif axis.outcome == "warn" and test.max_sigmas * axis.stddev > limit:
+            parts.append(f"{axis.axis} is too uncertain: ±{format_displacement(axis.stddev, i)}")
         elif axis.outcome == "warn":
-            parts.append(f"{off}: significant, but within {format_displacement(limit, i)}")
-    if not parts and distance**2 > _LIMIT:
-        parts.append(f"{distance:.1f} standard deviations off in all axes together, but within the tolerance")
+            parts.append(f"{displacement}: significant, but within {format_displacement(limit, i)}")
+    if not parts and distance**2 > test.max_chi2:
+        parts.append(f"{distance:.1f} standard deviations off over all axes, but within the tolerance")
     return "; ".join(parts)
 
 
 def format_displacement(value: float, axis: int, *, sign: bool = False) -> str:
-    """A displacement along (mm) or about (degrees) one of six axes, in words."""
+    """A displacement along (mm) or about (degrees) one of six axes."""
     shown, unit, digits = (1000 * value, " mm", 1) if axis < 3 else (float(np.degrees(value)), "°", 2)
     return f"{shown:{'+' if sign else ''}.{digits}f}{unit}"
 

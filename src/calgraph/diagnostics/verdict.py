@@ -1,19 +1,15 @@
-"""How far a pose can be relied on, in words a person can act on."""
+"""Grades of poses, with the reason and what to do about it."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import Verdict
 
-# Standard deviations (m, rad) beyond which a direction is called weak, and unobservable.
-WEAK_STDDEV = (0.02, np.radians(0.5))
-_UNOBSERVABLE_STDDEV = (0.2, np.radians(10))
-
-# How many times farther apart two sensors' detections may be than their noise explains.
-_EXCESS = 3.0
+# Probable causes of inconsistent residuals, by kind of sensor.
 _CAUSES = {
     "camera": "its intrinsics, and the sizes of the printed tags or squares",
     "lidar2d": "its range and angle noise, and that its ranges and angles are in m and rad",
@@ -25,7 +21,7 @@ _CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "y
 
 
 def axis_names(kind: str) -> tuple[str, ...]:
-    """What the six axes of a sensor are called: along x, y, z, and about them."""
+    """Names of the six axes of a sensor: along x, y, z, and about them."""
     return _CAMERA_AXES if kind == "camera" else _SCANNER_AXES
 
 
@@ -37,10 +33,11 @@ def grade_pose(
     inconsistency: str = "",
     ambiguity: float = 0.0,
     *,
-    evidence: str = "capture",
-    advice: str = "tilt and turn the board more, in different places, while {name} and others see it",
+    settings: VerdictSettings = VerdictSettings(),
+    data: str = "captures",
+    advice: str = "tilt and turn the board more, in different places, where {name} and other sensors detect it",
 ) -> Verdict:
-    """Grades a pose and names its weak directions along the sensor's own axes.
+    """Grades a pose by its standard deviations along the axes of the sensor.
 
     Args:
         name: the sensor.
@@ -49,9 +46,10 @@ def grade_pose(
         covariance: (6, 6) in the root's fixed axes.
         inconsistency: why the pose cannot be good whatever its covariance (:func:`find_inconsistent_sensors`), or
             empty.
-        ambiguity: angle to another pose that the captures allow as well, rad; 0 where there is none.
-        evidence: what directions are fixed by, in the singular.
-        advice: what makes a weak direction better, with the sensor's name in it as ``{name}``.
+        ambiguity: angle to another pose that fits equally well, rad; 0 without one.
+        settings: limits of the grades.
+        data: what the pose was estimated from, in the plural.
+        advice: what reduces the standard deviations, with ``{name}`` for the sensor.
 
     Returns:
         The verdict; its reason is empty for a good pose.
@@ -59,30 +57,36 @@ def grade_pose(
     to_sensor = np.kron(np.eye(2), T_root_sensor[:3, :3].T)
     stddev = np.sqrt(np.maximum(np.diag(to_sensor @ covariance @ to_sensor.T), 0))
     axes = axis_names(kind)
-    open_axes = [
-        axis for axis, s, limit in zip(axes, stddev, np.repeat(_UNOBSERVABLE_STDDEV, 3), strict=True) if s > limit
+    unobservable_stddev = (settings.unobservable_translation_stddev, settings.unobservable_rotation_stddev)
+    unobservable = [
+        axis for axis, s, limit in zip(axes, stddev, np.repeat(unobservable_stddev, 3), strict=True) if s > limit
     ]
-    weak_axes = [
+    weak = [
         f"{axis} ±{_format_stddev(s, i)}"
-        for i, (axis, s, limit) in enumerate(zip(axes, stddev, np.repeat(WEAK_STDDEV, 3), strict=True))
-        if s > limit and axis not in open_axes
+        for i, (axis, s, limit) in enumerate(zip(axes, stddev, weak_stddev(settings), strict=True))
+        if s > limit and axis not in unobservable
     ]
     advice = advice.format(name=name)
-    if open_axes or ambiguity:
-        fixed = [f"{_join_axes(open_axes, name)} fixed by no {evidence}"] if open_axes else []
+    if unobservable or ambiguity:
+        reasons = [f"{_join_axes(unobservable, name)} not observable from these {data}"] if unobservable else []
         if ambiguity:
-            fixed.append(f"a pose turned by {np.degrees(ambiguity):.0f}° fits as well")
-        if weak_axes:
-            fixed.append(f"hardly fixed: {', '.join(weak_axes)}")
-        return Verdict("unobservable", "; ".join([*fixed, *([inconsistency] if inconsistency else []), advice]))
-    weaknesses = [inconsistency] if inconsistency else []
-    if weak_axes:
-        weaknesses.append(f"{', '.join(weak_axes)} of {name}: {advice}")
-    return Verdict("weak", "; ".join(weaknesses)) if weaknesses else Verdict("good")
+            reasons.append(f"a pose rotated by {np.degrees(ambiguity):.0f}° fits equally well")
+        if weak:
+            reasons.append(f"weakly observable: {', '.join(weak)}")
+        return Verdict("unobservable", "; ".join([*reasons, *([inconsistency] if inconsistency else []), advice]))
+    reasons = [inconsistency] if inconsistency else []
+    if weak:
+        reasons.append(f"{', '.join(weak)} of {name}: {advice}")
+    return Verdict("weak", "; ".join(reasons)) if reasons else Verdict("good")
+
+
+def weak_stddev(settings: VerdictSettings) -> Array:
+    """(6,) standard deviations (m, rad) beyond which an axis is weak."""
+    return np.repeat([settings.weak_translation_stddev, settings.weak_rotation_stddev], 3)
 
 
 def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
-    """Angles (rad) to other poses that fit as well, by 2-D scanner; none where one pair leaves but one pose."""
+    """Angles (rad) to other poses that fit equally well, by 2-D scanner without a unique pose."""
     angles = {
         name: [p.alternative_pose_angle for p in pairs if _is_pair_with_plane(p, name, kinds)]
         for name, kind in kinds.items()
@@ -92,36 +96,37 @@ def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstim
 
 
 def _is_pair_with_plane(pair: PairwiseEstimate, name: str, kinds: Mapping[str, str]) -> bool:
-    """Whether the pair is of a sensor and of one that sees the board as a plane."""
+    """Whether the pair is of the sensor and of one that detects the board as a plane."""
     ends = {pair.sensor_a, pair.sensor_b}
     return name in ends and all(kinds[other] != "lidar2d" for other in ends - {name})
 
 
 def find_inconsistent_sensors(
-    root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]
+    root: str, kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate], max_normalized_rms: float
 ) -> dict[str, str]:
-    """Sensors whose detections fit nobody else's, and why that makes their poses doubtful.
+    """Sensors whose residuals exceed the expected noise in all of their pairs, and the reason in words.
 
-    A wrong focal length or a wrong size of the print shifts all that a camera sees by the same factor. Consensus
-    keeps such detections, and their scatter hardly shows the error: only that no other sensor explains them does.
+    A wrong focal length or a wrong size of the print scales all detections of a camera. These are consistent with
+    each other, so that neither outlier rejection nor the covariance shows the error.
 
     Args:
-        root: the root sensor; if its own detections fit nobody else's, no pose can be trusted.
+        root: the root sensor; if it is inconsistent, all sensors are.
         kinds: camera, lidar2d or lidar3d, by connected sensor.
         pairs: the estimates between them, at the joint solution.
+        max_normalized_rms: limit of the RMS residual, relative to the expected noise.
 
     Returns:
-        The reason in words, by sensor; no entry for one whose detections fit at least one other sensor's.
+        By sensor; no entry for one that is consistent with another sensor.
     """
-    least = {
+    least_rms = {
         name: min((pair.normalized_rms for pair in pairs if name in (pair.sensor_a, pair.sensor_b)), default=1.0)
         for name in kinds
     }
     reasons = {
-        name: f"what {name} saw is {times:.0f} times farther from what any other sensor saw than noise explains: "
+        name: f"{name} residuals against all other sensors are {ratio:.0f} times the expected noise: "
         f"check {_CAUSES[kinds[name]]}"
-        for name, times in least.items()
-        if times > _EXCESS
+        for name, ratio in least_rms.items()
+        if ratio > max_normalized_rms
     }
     if root in reasons:
         return {name: reasons.get(name, reasons[root]) for name in kinds if name != root}

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
+from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.verdict import grade_pose
@@ -73,7 +74,7 @@ def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
     found = grade_pose("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
     assert found.grade == "unobservable"
     assert found.reason.startswith(
-        "height (z), roll (about x) and pitch (about y) of laser are fixed by no capture"
+        "height (z), roll (about x) and pitch (about y) of laser are not observable from these captures"
     )
     assert "tilt and turn the board" in found.reason
 
@@ -112,6 +113,8 @@ def test_words_say_where_the_board_is_and_how_it_is_tilted() -> None:
         np.column_stack([x, np.cross(z, x), z]), np.array([2 * np.cos(bearing), 2 * np.sin(bearing), 0.5])
     )
     words = "hold the board 2.0 m from laser, 30° to its left, 0.5 m above it, tilted back by 40°"
-    assert describe_pose("laser", KINDS, {"laser": T}) == words
+    assert describe_pose("laser", KINDS, {"laser": T}, RigDiagnosticsSettings()) == words
     camera = se3.inverse(se3.pose(OPTICAL, np.zeros(3))) @ T
-    assert describe_pose("laser", KINDS, {"camera": camera}) == words.replace("laser", "camera")
+    assert describe_pose("laser", KINDS, {"camera": camera}, RigDiagnosticsSettings()) == words.replace(
+        "laser", "camera"
+    )

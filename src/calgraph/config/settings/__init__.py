@@ -24,6 +24,7 @@ from calgraph.config.settings.diagnostics import (
     DiagnosticsSettings,
     NetworkDiagnosticsSettings,
     RigDiagnosticsSettings,
+    VerdictSettings,
 )
 from calgraph.config.settings.estimation import EstimationSettings, RigEstimationSettings
 from calgraph.config.settings.graph import GraphSettings
@@ -73,4 +74,5 @@ __all__ = [
     "TagSettings",
     "TrackGroupingSettings",
     "TrackingSettings",
+    "VerdictSettings",
 ]

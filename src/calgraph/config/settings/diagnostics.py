@@ -1,10 +1,76 @@
 """Settings of verdicts and tests of the result."""
 
+import numpy as np
+from pydantic import Field
+
 from calgraph.config.strict_model import StrictModel
+
+
+class VerdictSettings(StrictModel):
+    """The grade of a sensor's pose by its standard deviations."""
+
+    weak_translation_stddev: float = Field(default=0.02, gt=0)
+    """m; a pose with a larger standard deviation along an axis is weak: the range noise of a usual scanner, below
+    which an error of the pose is hidden in each measurement."""
+    weak_rotation_stddev: float = Field(default=float(np.radians(0.5)), gt=0)
+    """rad (0.5°); the same about an axis: 0.5° move a point by 0.02 m, the limit in translation, at 2.3 m."""
+    unobservable_translation_stddev: float = Field(default=0.2, gt=0)
+    """m; beyond it an axis is called unobservable. Ten times the limit of a weak axis: no application tolerates
+    it, and a tape measure is better."""
+    unobservable_rotation_stddev: float = Field(default=float(np.radians(10)), gt=0)
+    """rad (10°); the same about an axis. At this size first-order covariances cease to be valid."""
+    max_normalized_rms: float = Field(default=3.0, gt=1)
+    """A sensor is inconsistent if the RMS residual of all its pairs exceeds the expected noise by this factor,
+    whose values in rig.yaml are often wrong by a factor of two."""
+    false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
+    """Probability with which a test of given poses (check, priors, rigid groups) rejects one that is right. One
+    value for all of them: a false alarm costs one look at a sensor, so that 1 in 1000 sensors is rare enough."""
 
 
 class RigDiagnosticsSettings(StrictModel):
     """Tests of a rig's calibration."""
+
+    bootstrap_confidence: float = Field(default=0.95, gt=0, lt=1)
+    """Probability with which all intervals of the bootstrap hold together if all covariances do; the usual
+    level."""
+    bootstrap_min_variance_share: float = Field(default=0.01, gt=0)
+    """Share of the stated variance that a draw is expected to have at least. Draws nearly equal to the captures
+    have no expected scatter, and would divide by zero; 1 % is the mean of 100 captures of which one is
+    exchanged."""
+    predicted_board_stddev: float = Field(default=0.02, gt=0)
+    """m; directions in which the other sensors locate a held-out board worse than this are not compared: errors of
+    interest are smaller, and first-order predictions hold up to about this distance."""
+    compared_tilt_stddev: float = Field(default=0.1, gt=0)
+    """rad (6°); views that determine the tilt of a board worse than this are not compared in tilt."""
+    candidate_poses: int = Field(default=300, ge=1)
+    """Board poses tried for a suggestion; the best of 300 random poses is within the best 1 % with a probability
+    of 95 %."""
+    suggestions: int = Field(default=3, ge=0)
+    """Most board poses suggested; each is planned beside those before it."""
+    min_suggestion_gain: float = Field(default=0.05, gt=0)
+    """Least decrease of the log volume of the error ellipsoid for a pose to be suggested: 5 % of one standard
+    deviation, what one more capture beside ten like it gives."""
+    candidate_radius: float = Field(default=0.3, gt=0)
+    """m; candidates are within this distance, along each axis, of recorded board positions, where a person can
+    stand."""
+    max_candidate_tilt: float = Field(default=float(np.radians(60)), gt=0, lt=float(np.pi / 2))
+    """rad (60°); largest tilt of candidates from the line of sight. Tags are decoded reliably up to about this
+    angle."""
+    max_bearing_change: float = Field(default=float(np.radians(12)), gt=0)
+    """rad (12°); a sensor is predicted to detect boards within this angle of one that it detected."""
+    max_distance_ratio: float = Field(default=1.3, gt=1)
+    """The same for the ratio of distances: the density of points changes by 1.3² = 1.7, within what detection
+    accepts."""
+    max_predicted_tilt: float = Field(default=float(np.radians(65)), gt=0, lt=float(np.pi / 2))
+    """rad (65°); largest angle between the board normal and the line of sight at which a detection is
+    predicted."""
+    min_segment_share: float = Field(default=1 / 3, gt=0, lt=1)
+    """Shortest intersection of scan plane and board that is predicted to be detected, as a share of the shorter
+    side."""
+    min_description_height: float = Field(default=0.15, gt=0)
+    """m; smaller heights relative to the sensor are not mentioned: nobody holds a board more precisely."""
+    min_description_angle: float = Field(default=float(np.radians(7.5)), gt=0)
+    """rad (7.5°); the same for angles, which are rounded to 5°."""
 
 
 class NetworkDiagnosticsSettings(StrictModel):
@@ -14,5 +80,6 @@ class NetworkDiagnosticsSettings(StrictModel):
 class DiagnosticsSettings(StrictModel):
     """Verdicts and tests of the result."""
 
+    verdict: VerdictSettings = VerdictSettings()
     rig: RigDiagnosticsSettings = RigDiagnosticsSettings()
     network: NetworkDiagnosticsSettings = NetworkDiagnosticsSettings()

@@ -76,7 +76,15 @@ def assemble_network(
                 kind="lidar2d",
                 T_root_sensor=T_root_sensor[k],
                 covariance=blocks[k],
-                verdict=grade_pose(name, "lidar2d", T_root_sensor[k], blocks[k], evidence="walk", advice=_ADVICE),
+                verdict=grade_pose(
+                    name,
+                    "lidar2d",
+                    T_root_sensor[k],
+                    blocks[k],
+                    settings=rig.settings.diagnostics.verdict,
+                    data="tracks",
+                    advice=_ADVICE,
+                ),
                 clock_offset=_finite_or_none(clocks[k, 0]),
                 clock_offset_stddev=_finite_or_none(clocks[k, 1]),
             )

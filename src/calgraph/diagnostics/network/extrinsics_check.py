@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.diagnostics.comparison import CHANCE, ExtrinsicsComparison, SensorComparison, Tolerance, match_poses
+from calgraph.config.settings import VerdictSettings
+from calgraph.diagnostics.comparison import ExtrinsicsComparison, SensorComparison, Tolerance, match_poses
 from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.errors import InputError
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses, project_to_plane
@@ -12,28 +13,33 @@ from calgraph.result import Calibration, ExtrinsicsFile
 
 
 def compare_network_poses(
-    found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None
+    found: Calibration,
+    given: ExtrinsicsFile,
+    tolerance: Tolerance | None = None,
+    settings: VerdictSettings = VerdictSettings(),
 ) -> ExtrinsicsComparison:
     """Compares given poses of a network with estimated ones, and finds the fewest scanners that have moved.
 
     A scanner that has moved by more than the tolerance fails; within the tolerance, it gets a warning. In a
-    network without a moved scanner, the probability of a false alarm is 0.001, regardless of its size.
+    network without a moved scanner, the probability of a false alarm is that of the settings, regardless of its
+    size.
 
     Args:
         found: the calibration of the recording.
         given: the poses to be checked.
         tolerance: deviations that are acceptable.
+        settings: the probability of a false alarm.
 
     Raises:
         InputError: the root or all other scanners are not in the file, or no fixed transforms connect them there.
     """
-    compared = match_poses(found, given, tolerance)
+    compared = match_poses(found, given, tolerance, settings.false_alarm_probability)
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
     before = PlanarPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
         poses = _extract_given_poses(given.calibration).change_root(frames[found.root])
         before = replace(before, covariance=poses.select(tuple(frames.values())).covariance)
-    reference, moved = find_moved_scanners(before, extract_planar_poses(found), CHANCE)
+    reference, moved = find_moved_scanners(before, extract_planar_poses(found), settings.false_alarm_probability)
     from_reference = compared.compare_in_frame(reference, {})
     moved_by_name = {one.name: one for one in moved}
     sensors = (

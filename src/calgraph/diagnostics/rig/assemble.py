@@ -1,4 +1,4 @@
-"""From a joint solution to a Calibration: poses with verdicts, and what became of every pair and capture."""
+"""Assembles the Calibration of a rig: poses with verdicts, and the outcome of every pair and capture."""
 
 from collections.abc import Collection, Sequence
 
@@ -19,80 +19,96 @@ from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_succes
 from calgraph.result import Calibration, CaptureRow, Edge, Evidence, Pictures, SensorPose
 
 
-def assemble_rig(problem: Problem, tree: SpanningTree, joint: RigSolution) -> Calibration:
-    """Collects everything a calibration tells its user.
+def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) -> Calibration:
+    """Assembles the calibration of a rig.
 
     Args:
-        problem: what was solved.
+        problem: the problem that was solved.
         tree: the spanning tree that the joint solution started from.
-        joint: the joint solution of the connected sensors.
+        solution: the joint solution of the connected sensors.
     """
-    rig, captured, pairs = problem.rig, problem.captured, problem.pairs
+    rig, captures, pairs = problem.rig, problem.captured, problem.pairs
+    settings = rig.settings.diagnostics.verdict
     connected = tree.T_root_sensor
-    within = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
-    used = {seen: r for seen, r in _inlier_residuals(within).items() if seen not in joint.rejected}
+    estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
+    used = {view: r for view, r in _inlier_residuals(estimates).items() if view not in solution.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    doubted, ambiguous = find_inconsistent_sensors(rig.root, kinds, within), find_ambiguous_poses(kinds, within)
-    adjusted, groups = joint.solved_bundle, problem.solver.groups
-    of_known = find_contradicted_priors(adjusted.bundle, adjusted.minimized, groups) if adjusted else {}
-    for name, why in of_known.items():
-        doubted[name] = f"{doubted[name]}; {why}" if name in doubted else why
-    if not joint.converged:
-        doubted = dict.fromkeys(connected, "the joint solution was still moving when it was stopped") | doubted
+    inconsistent = find_inconsistent_sensors(rig.root, kinds, estimates, settings.max_normalized_rms)
+    ambiguous = find_ambiguous_poses(kinds, estimates)
+    if solved := solution.solved_bundle:
+        contradicted = find_contradicted_priors(
+            solved.bundle, solved.minimized, problem.solver.groups, settings.false_alarm_probability
+        )
+        for name, reason in contradicted.items():
+            inconsistent[name] = f"{inconsistent[name]}; {reason}" if name in inconsistent else reason
+    if not solution.converged:
+        inconsistent = dict.fromkeys(connected, "the joint solution has not converged") | inconsistent
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
         sensors=tuple(
-            _assemble_sensor(name, rig, captured, tree, joint, doubted.get(name, ""), ambiguous.get(name, 0.0))
+            _assemble_sensor(
+                name, rig, captures, tree, solution, inconsistent.get(name, ""), ambiguous.get(name, 0.0)
+            )
             for name in root_first
         ),
-        joint_covariance=_reorder_covariance(joint, root_first),
-        estimated_parameters=joint.extra_parameters,
+        joint_covariance=_reorder_covariance(solution, root_first),
+        estimated_parameters=solution.extra_parameters,
         evidence=Evidence(
-            estimator=joint.estimator,
-            edges=tuple(_assemble_edge(names, pair, tree, captured) for names, pair in pairs.items()),
+            estimator=solution.estimator,
+            edges=tuple(_assemble_edge(names, pair, tree, captures) for names, pair in pairs.items()),
             captures=tuple(
-                _assemble_row(hold, name, captured, used, joint) for hold in captured.holds for name in rig.sensors
+                _assemble_row(hold, name, captures, used, solution)
+                for hold in captures.holds
+                for name in rig.sensors
             ),
-            unconnected=_explain_unconnected(rig, captured, pairs, connected),
-            remarks=joint.remarks,
-            residuals=joint.residuals,
+            unconnected=_explain_unconnected(rig, captures, pairs, connected),
+            remarks=solution.remarks,
+            residuals=solution.residuals,
         ),
         pictures=Pictures(
-            snapshots=captured.snapshots,
-            board_outlines=collect_board_outlines(rig, captured, used, joint),
-            board_views=collect_board_views(captured, used, joint),
+            snapshots=captures.snapshots,
+            board_outlines=collect_board_outlines(rig, captures, used, solution),
+            board_views=collect_board_views(captures, used, solution),
         ),
     )
 
 
 def _assemble_sensor(
-    name: str, rig: Rig, captured: CaptureSet, tree: SpanningTree, joint: RigSolution, doubt: str, rival: float
+    name: str,
+    rig: Rig,
+    captures: CaptureSet,
+    tree: SpanningTree,
+    solution: RigSolution,
+    inconsistency: str,
+    ambiguity: float,
 ) -> SensorPose:
     spec = rig.sensors[name]
-    T, covariance = joint.T_root_sensor[name], joint.covariance[name]
+    T, covariance = solution.T_root_sensor[name], solution.covariance[name]
     return SensorPose(
         name=name,
         parent=tree.parents.get(name),
-        frame_id=frame_id(name, rig, captured),
+        frame_id=frame_id(name, rig, captures),
         kind=spec.kind,
         T_root_sensor=T,
         covariance=covariance,
-        verdict=grade_pose(name, spec.kind, T, covariance, doubt, rival),
+        verdict=grade_pose(
+            name, spec.kind, T, covariance, inconsistency, ambiguity, settings=rig.settings.diagnostics.verdict
+        ),
     )
 
 
-def _reorder_covariance(joint: RigSolution, names: Sequence[str]) -> Array:
-    """The joint covariance of the sensors in another order."""
-    order = list(joint.T_root_sensor)
+def _reorder_covariance(solution: RigSolution, names: Sequence[str]) -> Array:
+    """The solution covariance of the sensors in another order."""
+    order = list(solution.T_root_sensor)
     rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
-    return np.asarray(joint.joint_covariance[np.ix_(rows, rows)])
+    return np.asarray(solution.joint_covariance[np.ix_(rows, rows)])
 
 
 def _assemble_edge(
-    names: tuple[str, str], pair: PairwiseEstimate | Rejected, tree: SpanningTree, captured: CaptureSet
+    names: tuple[str, str], pair: PairwiseEstimate | Rejected, tree: SpanningTree, captures: CaptureSet
 ) -> Edge:
-    common = len(set(captured.detections[names[0]]) & set(captured.detections[names[1]]))
+    common = len(set(captures.detections[names[0]]) & set(captures.detections[names[1]]))
     if isinstance(pair, Rejected):
         return Edge(*names, common, 0, in_tree=False, residuals=np.zeros(0), note=pair.reason)
     residuals = pair.residuals[pair.inliers]
@@ -110,24 +126,24 @@ def _inlier_residuals(estimates: Sequence[PairwiseEstimate]) -> InlierResiduals:
 
 
 def _assemble_row(
-    hold: Hold, name: str, captured: CaptureSet, used: InlierResiduals, joint: RigSolution
+    hold: Hold, name: str, captures: CaptureSet, used: InlierResiduals, solution: RigSolution
 ) -> CaptureRow:
     residual, reason = None, ""
     if (hold.index, name) in used:
         matched = np.concatenate(list(used[hold.index, name].values()))
         residual = float(np.sqrt(np.mean(matched**2)))
-    elif hold.index not in captured.detections[name]:
-        reason = captured.rejections[hold.index, name]
-    elif (hold.index, name) in joint.rejected:
-        reason = joint.rejected[hold.index, name]
-    elif any(hold.index in seen for other, seen in captured.detections.items() if other != name):
-        reason = "disagrees with what the other sensors saw"
+    elif hold.index not in captures.detections[name]:
+        reason = captures.rejections[hold.index, name]
+    elif (hold.index, name) in solution.rejected:
+        reason = solution.rejected[hold.index, name]
+    elif any(hold.index in found for other, found in captures.detections.items() if other != name):
+        reason = "outlier with respect to the other sensors"
     else:
-        reason = "no other sensor saw the board"
+        reason = "no other sensor detected the board"
     return CaptureRow(
         hold.index,
-        hold.start - captured.start,
-        hold.end - captured.start,
+        hold.start - captures.start,
+        hold.end - captures.start,
         name,
         residual is not None,
         reason,
@@ -136,26 +152,26 @@ def _assemble_row(
 
 
 def _explain_unconnected(
-    rig: Rig, captured: CaptureSet, pairs: PairwiseEstimates, connected: Collection[str]
+    rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, connected: Collection[str]
 ) -> dict[str, str]:
-    """Why each sensor outside the root's tree is there, as the rest of a sentence that starts with its name."""
-    alone = {name: _explain_no_pair(name, captured, pairs) for name in rig.sensors if name not in connected}
-    if not captured.detections[rig.root]:
-        # Then no sensor can be connected, and what they saw themselves is not the reason.
-        blind = f"the root {rig.root} {_explain_no_pair(rig.root, captured, pairs)}"
-        return {name: f"{reason}; {blind}" for name, reason in alone.items()}
-    return alone
+    """Why each sensor is not connected to the root, as the rest of a sentence that starts with its name."""
+    reasons = {name: _explain_no_pair(name, captures, pairs) for name in rig.sensors if name not in connected}
+    if not captures.detections[rig.root]:
+        # Then no sensor can be connected, whatever it detected.
+        of_root = f"the root {rig.root} {_explain_no_pair(rig.root, captures, pairs)}"
+        return {name: f"{reason}; {of_root}" for name, reason in reasons.items()}
+    return reasons
 
 
-def _explain_no_pair(name: str, captured: CaptureSet, pairs: PairwiseEstimates) -> str:
-    seen = captured.detections[name]
-    if not seen:
-        misses = [reason for (_, sensor), reason in captured.rejections.items() if sensor == name]
-        commonest = max(misses, key=misses.count)
-        return f"found the board in none of {len(captured.holds)} captures, mostly because: {commonest}"
+def _explain_no_pair(name: str, captures: CaptureSet, pairs: PairwiseEstimates) -> str:
+    detected = captures.detections[name]
+    if not detected:
+        rejections = [reason for (_, sensor), reason in captures.rejections.items() if sensor == name]
+        commonest = max(rejections, key=rejections.count)
+        return f"detected the board in none of {len(captures.holds)} captures, mostly because: {commonest}"
     reasons = [
         f"{b if a == name else a}: {pair.reason}"
         for (a, b), pair in pairs.items()
         if name in (a, b) and isinstance(pair, Rejected)
     ]
-    return f"found the board in {len(seen)} captures, but " + "; ".join(reasons or ["no other sensor did"])
+    return f"detected the board in {len(detected)} captures, but " + "; ".join(reasons or ["no other sensor did"])

@@ -1,4 +1,4 @@
-"""Where the joint solution has the boards, and what every sensor saw of them: for pictures of the result."""
+"""Boards of the joint solution and their measurements by every sensor, for pictures of the result."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -15,22 +15,24 @@ from calgraph.result import BoardOutline, BoardView
 InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 """By capture and sensor, residuals of its inlier matches, by candidate, m."""
 
-# So many points of a view tell a picture as much as all of them.
-_POINTS = 300
+# Most points of a view in a picture; more do not change what it shows.
+_MAX_POINTS = 300
 
 
-def collect_board_views(captured: CaptureSet, used: InlierResiduals, joint: RigSolution) -> tuple[BoardView, ...]:
-    """What each sensor saw in each capture: as the bundle used it, otherwise what was detected first."""
-    solved = list(_views_of_bundle(joint.solved_bundle)) if joint.solved_bundle else []
+def collect_board_views(
+    captures: CaptureSet, used: InlierResiduals, solution: RigSolution
+) -> tuple[BoardView, ...]:
+    """The measurements of each sensor in each capture: those in the bundle, otherwise the first detection."""
+    solved = list(_views_of_bundle(solution.solved_bundle)) if solution.solved_bundle else []
     shown = {(view.capture, view.sensor) for view in solved}
     detected = [
         BoardView(
             capture,
             name,
-            joint.solved_bundle is None and (capture, name) in used,
+            solution.solved_bundle is None and (capture, name) in used,
             _subsample_measurements(found[0]),
         )
-        for name, by_capture in captured.detections.items()
+        for name, by_capture in captures.detections.items()
         for capture, found in by_capture.items()
         if (capture, name) not in shown
     ]
@@ -38,78 +40,78 @@ def collect_board_views(captured: CaptureSet, used: InlierResiduals, joint: RigS
 
 
 def collect_board_outlines(
-    rig: Rig, captured: CaptureSet, used: InlierResiduals, joint: RigSolution
+    rig: Rig, captures: CaptureSet, used: InlierResiduals, solution: RigSolution
 ) -> tuple[BoardOutline, ...]:
-    """The board of each capture: where the bundle has the sheet, or as a camera or cloud saw it."""
-    solved = list(_outlines_of_bundle(rig, captured, joint.solved_bundle)) if joint.solved_bundle else []
-    placed = {outline.capture for outline in solved}
+    """The board of each capture: as estimated by the bundle, otherwise as detected by a camera or 3-D LiDAR."""
+    solved = list(_outlines_of_bundle(rig, captures, solution.solved_bundle)) if solution.solved_bundle else []
+    estimated = {outline.capture for outline in solved}
     detected = (
-        _detected_outline(rig, captured, used, joint, hold.index)
-        for hold in captured.holds
-        if hold.index not in placed
+        _detected_outline(rig, captures, used, solution, hold.index)
+        for hold in captures.holds
+        if hold.index not in estimated
     )
     return tuple(sorted([*solved, *filter(None, detected)], key=lambda outline: outline.capture))
 
 
-def _views_of_bundle(adjusted: SolvedBundle) -> Iterator[BoardView]:
-    bundle, state = adjusted.bundle, adjusted.minimized.state
+def _views_of_bundle(solved: SolvedBundle) -> Iterator[BoardView]:
+    bundle, state = solved.bundle, solved.minimized.state
     for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
-        if not len(views.board):  # placed by what is known of it
+        if not len(views.board):  # its pose is a prior
             continue
         T_sensor_board = relative_poses(state.T_root_sensor[s], state.T_root_board[views.board])
         residual = views.linearize(T_sensor_board, state.extra[bundle.extra_indices(s)]).residual
         if isinstance(views, CornerObservations):
-            seen, off = views.pixels, -residual * views.noise_scale * views.noise.pixel
+            measured, errors = views.pixels, -residual * views.noise_scale * views.noise.pixel
         else:
             assert isinstance(views, RangeObservations)
             count = np.diff(views.start, append=len(views.ranges))
             normal = np.repeat(T_sensor_board[:, :3, 2], count, axis=0)
-            seen = views.directions * views.ranges[:, None]
-            off = -residual[:, 0] * views.sigma * np.abs(np.sum(normal * views.directions, axis=1))
-        parts = (np.split(values, views.start[1:]) for values in (seen, off))
-        for board, own, error in zip(views.board, *parts, strict=True):
-            step = len(own) // _POINTS + 1
-            yield BoardView(int(adjusted.captures[board]), name, True, own[::step], error[::step])
+            measured = views.directions * views.ranges[:, None]
+            errors = -residual[:, 0] * views.sigma * np.abs(np.sum(normal * views.directions, axis=1))
+        parts = (np.split(values, views.start[1:]) for values in (measured, errors))
+        for board, points, error in zip(views.board, *parts, strict=True):
+            step = len(points) // _MAX_POINTS + 1
+            yield BoardView(int(solved.captures[board]), name, True, points[::step], error[::step])
 
 
 def _subsample_measurements(detection: Detection) -> Array:
-    seen = detection.pixels if isinstance(detection, BoardCorners) else detection.points
-    return np.asarray(seen[:: len(seen) // _POINTS + 1])
+    measured = detection.pixels if isinstance(detection, BoardCorners) else detection.points
+    return np.asarray(measured[:: len(measured) // _MAX_POINTS + 1])
 
 
-def _outlines_of_bundle(rig: Rig, captured: CaptureSet, adjusted: SolvedBundle) -> Iterator[BoardOutline]:
-    """The sheets of boards whose print a camera saw: of others, the bundle knows the plane only."""
-    bundle, T_root_board = adjusted.bundle, adjusted.minimized.state.T_root_board
-    drawn: set[int] = set()
+def _outlines_of_bundle(rig: Rig, captures: CaptureSet, solved: SolvedBundle) -> Iterator[BoardOutline]:
+    """The outlines of boards that a camera detected: of others, the bundle estimates the plane only."""
+    bundle, T_root_board = solved.bundle, solved.minimized.state.T_root_board
+    done: set[int] = set()
     for name, views in zip(bundle.sensors, bundle.views, strict=True):
         for board, start in zip(views.board.tolist(), views.start, strict=True):
-            if isinstance(views, CornerObservations) and board not in drawn:
-                drawn.add(board)
-                capture = int(adjusted.captures[board])
-                found = captured.detections[name][capture]
+            if isinstance(views, CornerObservations) and board not in done:
+                done.add(board)
+                capture = int(solved.captures[board])
+                found = captures.detections[name][capture]
                 number = _board_number(found, views.pixels[start])
                 yield BoardOutline(capture, se3.apply(T_root_board[board], _board_rectangle(rig, number)), number)
 
 
 def _board_number(found: Sequence[Detection], pixel: Array) -> int:
-    """Which of the rig's boards was found where its first corner is at a pixel (2,)."""
+    """Number of the board whose first corner was detected at a pixel (2,)."""
     return next(d.board for d in found if isinstance(d, BoardCorners) and np.array_equal(d.pixels[0], pixel))
 
 
 def _detected_outline(
-    rig: Rig, captured: CaptureSet, used: InlierResiduals, joint: RigSolution, capture: int
+    rig: Rig, captures: CaptureSet, used: InlierResiduals, solution: RigSolution, capture: int
 ) -> BoardOutline | None:
-    """The board of one capture as it was detected, best by a camera; None if neither camera nor cloud did."""
-    seen: list[tuple[Array, Detection]] = [
-        (T, captured.detections[name][capture][k])
-        for name, T in joint.T_root_sensor.items()
+    """The board of one capture as detected by a camera, otherwise by a 3-D LiDAR; None without either."""
+    detections: list[tuple[Array, Detection]] = [
+        (T, captures.detections[name][capture][k])
+        for name, T in solution.T_root_sensor.items()
         for k in used.get((capture, name), {})
     ]
-    for T, detection in seen:
+    for T, detection in detections:
         if isinstance(detection, BoardCorners):
             corners = se3.apply(T @ detection.T_camera_board, _board_rectangle(rig, detection.board))
             return BoardOutline(capture, corners, detection.board)
-    for T, detection in seen:
+    for T, detection in detections:
         if isinstance(detection, PlanePatch):
             return BoardOutline(capture, se3.apply(T, _patch_rectangle(detection)))
     return None
@@ -122,7 +124,7 @@ def _board_rectangle(rig: Rig, number: int) -> Array:
 
 
 def _patch_rectangle(patch: PlanePatch) -> Array:
-    """(4, 3) corners of the patch that was seen, in the sensor's frame, m."""
+    """(4, 3) corners of the rectangle around a detected patch, in the sensor's frame, m."""
     basis = plane.tangent_basis(patch.plane[:3])
     _, _, axes = np.linalg.svd((patch.points - patch.center) @ basis, full_matrices=False)
     along = (patch.points - patch.center) @ basis @ axes.T

@@ -1,8 +1,8 @@
-"""How well the sensors predict each other in captures that had no part in the solution.
+"""Cross-validation: how well the sensors predict each other in held-out captures.
 
-Sensor poses are solved without some captures. In each of those, the board is placed by what all sensors but one
-saw, and that one's measurements are compared with it. A covariance may be wrong, and residuals can be small
-because unknowns followed them: here neither can hide anything.
+Sensor poses are estimated without some captures. In each of these, the board is located by all sensors but one,
+and the measurements of that one are compared with the prediction. In contrast to residuals, unknowns that absorb
+errors do not reduce the errors of the prediction.
 
 Source: Stone, "Cross-validatory choice and assessment of statistical predictions", 1974.
 """
@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
@@ -35,19 +36,15 @@ from calgraph.geometry import Array, se3
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 
-# Directions in which the others place a board worse than this are taken from the sensor's own view, m.
-_PLACED = 0.02
-# A view whose own tilt is less certain than this has none to compare, rad.
-_TILT = 0.1
-# Steps that place boards before sensors that are held.
-_STEPS = 2
-# Directions of a view with less than this share of its information are not measured by it.
-_RANK = 1e-10
+# Gauss–Newton steps that locate boards with sensors fixed; they start from the solution of all captures.
+_BOARD_STEPS = 2
+# Relative eigenvalue below which a view has no information along a direction (numerical rank).
+_RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class _PredictionErrors:
-    """How far some of a sensor's views are from what the others predict."""
+    """Errors of some views of a sensor relative to the prediction by the others."""
 
     error: Array
     """(N,) px between corners, or m between beam ends and the board's plane."""
@@ -57,172 +54,185 @@ class _PredictionErrors:
     """(V,) rad, of those views that have one."""
     squared: Array
     """(V,) squared Mahalanobis distances of views from their predictions."""
-    freedom: NDArray[np.intp]
-    """(V,) how many directions were predicted."""
+    dof: NDArray[np.intp]
+    """(V,) number of predicted directions."""
 
 
-def cross_validate(adjusted: SolvedBundle, folds: int) -> dict[str, HeldOutError]:
-    """Leaves out every capture once, in so many solutions.
+def cross_validate(
+    solved: SolvedBundle, folds: int, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
+) -> dict[str, HeldOutError]:
+    """Holds out every capture once, in one of several solutions.
 
-    The noise and sway are those of the whole solution, which is also where the others start.
+    Noise and view bias are those of the solution of all captures, from which the others start.
 
     Args:
-        adjusted: the whole solution.
-        folds: groups of captures; every group is left out as a whole.
+        solved: the solution of all captures.
+        folds: number of groups of captures; each group is held out as a whole.
+        settings: which directions and tilts are compared.
 
     Returns:
-        By sensor, how far what it saw is from its prediction; none for one that no other sensor predicts.
+        The errors of the predictions by sensor; none for one that no other sensor predicts.
 
     Raises:
-        InputError: there is one fold, or a number below.
+        InputError: there are fewer than two folds.
     """
     if folds < 2:
         raise InputError(f"`folds`: must be 0 for none, or 2 and more, got {folds}")
-    bundle = adjusted.bundle
+    bundle = solved.bundle
     units: dict[str, Literal["px", "m"]] = {
         name: "px" if isinstance(views, CornerObservations) else "m"
         for name, views in zip(bundle.sensors, bundle.views, strict=True)
     }
-    _, number = np.unique(adjusted.captures, return_inverse=True)
+    _, number = np.unique(solved.captures, return_inverse=True)
     fold_of = number % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
-    visits = adjusted.minimized.equations.cache
+    caches = solved.minimized.equations.cache
     for fold in range(min(folds, int(number.max()) + 1)):
-        others, near = _select_boards(bundle, visits, fold_of != fold)
-        trained = minimize_bundle(others, adjusted.minimized.state, near, tolerance=COARSE_TOLERANCE, exact=False)
-        spread = parameter_covariance(trained.equations)
-        # An outline is what a scanner saw itself: it must not place the board for it.
-        left, near = _select_boards(bundle.without_outlines(), visits[: len(bundle.views)], fold_of == fold)
-        state, system = _solve_boards(left, trained.state, near)
+        training, cache = _select_boards(bundle, caches, fold_of != fold)
+        trained = minimize_bundle(training, solved.minimized.state, cache, tolerance=COARSE_TOLERANCE, exact=False)
+        covariance = parameter_covariance(trained.equations)
+        # An outline is measured by a scanner: it must not locate the board for that scanner.
+        held_out, cache = _select_boards(bundle.without_outlines(), caches[: len(bundle.views)], fold_of == fold)
+        state, equations = _solve_boards(held_out, trained.state, cache)
         for s, name in enumerate(bundle.sensors):
-            if len(left.views[s].board):
-                errors[name].append(_compare_with_prediction(left, state, system, spread, s))
+            if len(held_out.views[s].board):
+                errors[name].append(_compare_with_prediction(held_out, state, equations, covariance, s, settings))
     summaries = {name: _summarize(found, units[name]) for name, found in errors.items()}
     return {name: summary for name, summary in summaries.items() if summary}
 
 
 def _select_boards(
-    bundle: Bundle, visits: Sequence[CachedLinearization], kept: NDArray[np.bool_]
+    bundle: Bundle, cache: Sequence[CachedLinearization], kept: NDArray[np.bool_]
 ) -> tuple[Bundle, list[CachedLinearization]]:
-    """The bundle and visits with the views of some boards (C,) only."""
+    """The bundle and cached linearizations with the views of some boards (C,) only."""
     keep = [kept[views.board] for views in bundle.all_views]
     views = [views.select(some) for views, some in zip(bundle.all_views, keep, strict=True)]
-    return bundle.with_views(views), [at.select(some) for at, some in zip(visits, keep, strict=True)]
+    return bundle.with_views(views), [one.select(some) for one, some in zip(cache, keep, strict=True)]
 
 
 def _solve_boards(
-    bundle: Bundle, state: BundleState, visits: Sequence[CachedLinearization]
+    bundle: Bundle, state: BundleState, cache: Sequence[CachedLinearization]
 ) -> tuple[BundleState, BundleEquations]:
-    """Boards where all sensors together have them, with sensors held."""
-    held, system = np.zeros(bundle.parameter_count), linearize_bundle(bundle, state, visits)
-    for _ in range(_STEPS):
-        step = _multiply(_invert_information(system.H_board), -system.g_board)
-        state = retract_state(bundle, state, held, step)
-        system = linearize_bundle(bundle, state, visits)
-    return state, system
+    """Boards located by all sensors, whose poses are fixed."""
+    fixed, equations = np.zeros(bundle.parameter_count), linearize_bundle(bundle, state, cache)
+    for _ in range(_BOARD_STEPS):
+        step = _multiply(_invert_information(equations.H_board), -equations.g_board)
+        state = retract_state(bundle, state, fixed, step)
+        equations = linearize_bundle(bundle, state, cache)
+    return state, equations
 
 
 def _compare_with_prediction(
-    bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int
+    bundle: Bundle,
+    state: BundleState,
+    equations: BundleEquations,
+    covariance: Array,
+    sensor: int,
+    settings: RigDiagnosticsSettings,
 ) -> _PredictionErrors:
-    """How far one sensor's views are from what the others predict, to first order about the placed boards.
+    """Errors of one sensor's views relative to the prediction by the others, linearized at the located boards.
 
     All algebra is in metres on the board: rotations are multiplied by the lever.
 
     Args:
-        bundle: views that were left out.
-        state: sensors as they were found without them, and boards as all of these views place them.
-        system: the normal equations there.
-        spread: (G, G) covariance of the sensors.
-        sensor: which one is predicted.
+        bundle: the held-out views.
+        state: sensors as estimated without them, and boards as located by all of these views.
+        equations: the normal equations there.
+        covariance: (G, G) of the sensors.
+        sensor: the predicted one.
+        settings: which directions and tilts are compared.
     """
-    views, own = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
-    T_placed = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
-    said = accumulate(views.linearize(T_placed, own), views.start)
+    views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
+    T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
+    observed = accumulate(views.linearize(T_board, extra), views.start)
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.extra_count])
-    A, b = said.information / meters / meters[:, None], said.gradient / meters
-    x, X = _predict_boards(bundle, state, system, spread, sensor)
-    X, free = _split_predicted(X * meters * meters[:, None])
+    A, b = observed.information / meters / meters[:, None], observed.gradient / meters
+    x, X = _predict_boards(bundle, state, equations, covariance, sensor)
+    X, free = _split_predicted(X * meters * meters[:, None], settings.predicted_board_stddev)
     X += np.diag(bundle.bias_variances(sensor) * meters**2)
-    # Where the others leave the board free, it is where the sensor itself has it.
-    least = _RANK * np.trace(A, axis1=-2, axis2=-1)
+    # Along directions that the others do not predict, the board follows the sensor itself.
+    least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)
     follow = loose @ loose
     x = x * meters - _multiply(follow, _multiply(A, x * meters) + b)
     stay = np.eye(len(meters)) - follow @ A
     X = stay @ X @ np.swapaxes(stay, -1, -2) - follow
     root, inverse = _symmetric_roots(A, least)
-    # Along what the sensor does not measure, first order reaches any distance: stay.
+    # Along directions that the sensor does not measure, a first-order step may be arbitrarily long: it is zero.
     x = _multiply(root @ inverse, x)
-    squared, freedom = _squared_distances(_multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse))
-    tested = freedom > 0
-    T_predicted = se3.retract(T_placed, x[:, :6] / meters[:6])
-    T_own = se3.retract(T_placed, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
-    tilted = tested & _observes_tilt(A, T_placed, bundle.lever)
-    error, along = _error_sizes(views.select(tested), T_predicted[tested], own)
+    squared, dof = _squared_distances(_multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse))
+    tested = dof > 0
+    T_predicted = se3.retract(T_board, x[:, :6] / meters[:6])
+    T_own = se3.retract(T_board, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
+    tilted = tested & _observes_tilt(A, T_board, bundle.lever, settings.compared_tilt_stddev)
+    error, along = _error_sizes(views.select(tested), T_predicted[tested], extra)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
-    return _PredictionErrors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], freedom[tested])
+    return _PredictionErrors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], dof[tested])
 
 
 def _predict_boards(
-    bundle: Bundle, state: BundleState, system: BundleEquations, spread: Array, sensor: int
+    bundle: Bundle, state: BundleState, equations: BundleEquations, covariance: Array, sensor: int
 ) -> tuple[Array, Array]:
-    """By how much the other sensors move each board before this one, (V, p), and its covariance (V, p, p)."""
-    at, board = system.views[sensor], bundle.views[sensor].board
+    """Change of each board pose before a sensor by the other sensors (V, p), and its covariance (V, p, p)."""
+    own, board = equations.views[sensor], bundle.views[sensor].board
     of_sensor, B = view_jacobians(bundle, state, sensor)
-    Jt = np.swapaxes(at.J_board, -1, -2)
-    L = _invert_information(system.H_board[board] - Jt @ at.information @ at.J_board)
-    step = -_multiply(L, system.g_board[board] - _multiply(Jt, at.gradient))
-    coupling = system.H_board_sensor[board]
-    coupling[..., bundle.columns(sensor)] -= Jt @ at.information @ at.J_sensor
+    Jt = np.swapaxes(own.J_board, -1, -2)
+    L = _invert_information(equations.H_board[board] - Jt @ own.information @ own.J_board)
+    step = -_multiply(L, equations.g_board[board] - _multiply(Jt, own.gradient))
+    coupling = equations.H_board_sensor[board]
+    coupling[..., bundle.columns(sensor)] -= Jt @ own.information @ own.J_sensor
     by_sensors = -B @ L @ coupling
     by_sensors[..., bundle.columns(sensor)] += of_sensor
-    return _multiply(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ spread @ np.swapaxes(
+    return _multiply(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ covariance @ np.swapaxes(
         by_sensors, -1, -2
     )
 
 
-def _split_predicted(X: Array) -> tuple[Array, Array]:
-    """A covariance (V, p, p) without the directions in which it places nothing, and the projectors on those."""
+def _split_predicted(X: Array, max_stddev: float) -> tuple[Array, Array]:
+    """A covariance (V, p, p) without the directions of larger standard deviation, and the projectors on those."""
     values, vectors = np.linalg.eigh(X)
-    placed = values < _PLACED**2
-    turned = np.swapaxes(vectors, -1, -2)
-    return (vectors * (values * placed)[..., None, :]) @ turned, (vectors * ~placed[..., None, :]) @ turned
+    predicted = values < max_stddev**2
+    transposed = np.swapaxes(vectors, -1, -2)
+    return (vectors * (values * predicted)[..., None, :]) @ transposed, (
+        vectors * ~predicted[..., None, :]
+    ) @ transposed
 
 
 def _symmetric_roots(A: Array, least: Array) -> tuple[Array, Array]:
     """The symmetric roots of matrices (V, p, p) and of their pseudoinverses: eigenvalues below ``least`` are 0."""
     values, vectors = np.linalg.eigh(A)
-    seen = values > least[..., None]
-    size = np.sqrt(np.where(seen, values, 1.0))
-    turned = np.swapaxes(vectors, -1, -2)
-    return (vectors * (size * seen)[..., None, :]) @ turned, (vectors * (seen / size)[..., None, :]) @ turned
+    observed = values > least[..., None]
+    size = np.sqrt(np.where(observed, values, 1.0))
+    transposed = np.swapaxes(vectors, -1, -2)
+    return (vectors * (size * observed)[..., None, :]) @ transposed, (
+        vectors * (observed / size)[..., None, :]
+    ) @ transposed
 
 
-def _squared_distances(off: Array, covariance: Array) -> tuple[Array, NDArray[np.intp]]:
+def _squared_distances(error: Array, covariance: Array) -> tuple[Array, NDArray[np.intp]]:
     """Squared Mahalanobis distances (V,) and their degrees of freedom.
 
-    In units of the sensor's own noise: what is predicted has a variance of one and more, the rest none.
+    In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
     """
     values, vectors = np.linalg.eigh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
     predicted = values > 0.5
-    along = _multiply(np.swapaxes(vectors, -1, -2), off)
+    along = _multiply(np.swapaxes(vectors, -1, -2), error)
     squared = np.sum(predicted * along**2 / np.where(predicted, values, 1.0), axis=-1)
     return squared, np.asarray(predicted.sum(axis=-1), dtype=np.intp)
 
 
-def _observes_tilt(A: Array, T_sensor_board: Array, lever: float) -> NDArray[np.bool_]:
-    """(V,) which views tell both tilts of the board themselves; a single scan line does not."""
+def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: float) -> NDArray[np.bool_]:
+    """(V,) which views determine both tilts of the board; a single scan line does not."""
     across = np.zeros((len(A), A.shape[-1], 2))
     across[:, 3:6] = T_sensor_board[:, :3, :2]
-    certain = A + np.eye(A.shape[-1]) / lever**2
-    spread = np.swapaxes(across, -1, -2) @ np.linalg.inv(certain) @ across
-    return np.asarray(np.linalg.eigvalsh(spread)[:, -1] < (_TILT * lever) ** 2, dtype=np.bool_)
+    regularized = A + np.eye(A.shape[-1]) / lever**2
+    covariance = np.swapaxes(across, -1, -2) @ np.linalg.inv(regularized) @ across
+    return np.asarray(np.linalg.eigvalsh(covariance)[:, -1] < (max_stddev * lever) ** 2, dtype=np.bool_)
 
 
-def _error_sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[Array, Array]:
+def _error_sizes(views: BoardViews, T_sensor_board: Array, extra: Array) -> tuple[Array, Array]:
     """Distances (N,) in px between corners, or in m from the board's plane; and those along the beam, m."""
-    residual = views.linearize(T_sensor_board, own).residual
+    residual = views.linearize(T_sensor_board, extra).residual
     if isinstance(views, CornerObservations):
         return np.linalg.norm(residual, axis=1) * views.noise_scale * views.noise.pixel, np.zeros(0)
     assert isinstance(views, RangeObservations)
@@ -234,18 +244,18 @@ def _error_sizes(views: BoardViews, T_sensor_board: Array, own: Array) -> tuple[
 
 def _summarize(found: Sequence[_PredictionErrors], unit: Literal["px", "m"]) -> HeldOutError | None:
     """All views of one sensor in numbers; None if none was predicted."""
-    freedom = sum(int(e.freedom.sum()) for e in found)
-    if not freedom:
+    dof = sum(int(e.dof.sum()) for e in found)
+    if not dof:
         return None
     error = np.concatenate([e.error for e in found])
     return HeldOutError(
-        views=sum(len(e.freedom) for e in found),
+        views=sum(len(e.dof) for e in found),
         unit=unit,
         rms=float(np.sqrt(np.mean(error**2))),
         median=float(np.median(error)),
         along=rms(np.concatenate([e.along for e in found])),
         tilt=rms(np.concatenate([e.tilt for e in found])),
-        ratio=float(np.sqrt(sum(float(e.squared.sum()) for e in found) / freedom)),
+        ratio=float(np.sqrt(sum(float(e.squared.sum()) for e in found) / dof)),
     )
 
 
@@ -255,7 +265,7 @@ def _multiply(A: Array, x: Array) -> Array:
 
 
 def _invert_information(H_board: Array) -> Array:
-    """Covariances of boards (V, 6, 6), wide where nothing places them; a general inverse would spoil the rest."""
+    """Covariances of boards (V, 6, 6), large along unobserved directions (a general inverse loses precision)."""
     values, vectors = np.linalg.eigh(H_board)
     return np.asarray(
         (vectors / np.maximum(values, BOARD_PRIOR_INFORMATION)[..., None, :]) @ np.swapaxes(vectors, -1, -2)

@@ -1,10 +1,11 @@
-"""Whether given extrinsics of a rig agree with what a recording says of them."""
+"""Comparison of a rig's given extrinsics with the estimates from a recording."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config.settings import VerdictSettings
 from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison, Tolerance, match_poses
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
@@ -15,67 +16,70 @@ from calgraph.result import Calibration, ExtrinsicsFile
 
 
 def compare_rig_poses(
-    found: Calibration, adjusted: SolvedBundle | None, given: ExtrinsicsFile, tolerance: Tolerance | None = None
+    estimated: Calibration,
+    solved: SolvedBundle | None,
+    given: ExtrinsicsFile,
+    tolerance: Tolerance | None = None,
+    settings: VerdictSettings = VerdictSettings(),
 ) -> ExtrinsicsComparison:
-    """Compares given extrinsics with those found.
+    """Compares given extrinsics with estimated ones.
 
-    A sensor fails along an axis if it is off by more than the tolerance, and by more than chance explains (1 in
-    1000, tested over all six axes and along the one). What is significant but within the tolerance is a warning,
-    and so is what the recording is too weak to tell. Where more than one sensor fails in the root's frame, the
-    frame in which the fewest do is taken: if the root has moved, all others seem to.
+    A sensor fails along an axis if its error exceeds the tolerance and is significant, over all six axes and along
+    that axis. Significant errors within the tolerance are warnings, and so are axes whose uncertainty exceeds the
+    tolerance. Where several sensors fail in the frame of the root, the frame in which the fewest fail is used: if
+    the root has moved, all others appear to have moved.
 
     Args:
-        found: the calibration that the recording gives.
-        adjusted: its solution, for the residuals; None where there is none.
-        given: the extrinsics to be judged.
-        tolerance: what may be off without harm.
+        estimated: the calibration from the recording.
+        solved: its solution, for the residuals; None where there is none.
+        given: the extrinsics to compare.
+        tolerance: largest acceptable error.
+        settings: the probability of a false alarm.
 
     Raises:
         InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
     """
-    compared = match_poses(found, given, tolerance)
-    misfits = _compare_residuals(adjusted, compared.T_root_sensor) if adjusted else {}
-    audits = [compared.compare_in_frame(reference, misfits) for reference in compared.frames]
-    from_root = next(a for a in audits if a.reference == found.root)
-    # One sensor that moved in the frame of another: either did. The root is where people look from.
-    best = min(audits, key=lambda a: len(a.failed)) if len(from_root.failed) > 1 else from_root
-    return best if len(best.failed) < len(from_root.failed) else from_root
+    matched = match_poses(estimated, given, tolerance, settings.false_alarm_probability)
+    residuals = _compare_residuals(solved, matched.T_root_sensor) if solved else {}
+    comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
+    in_root = next(c for c in comparisons if c.reference == estimated.root)
+    # If one sensor fails, it or the reference has moved: the frame of the root is kept.
+    best = min(comparisons, key=lambda c: len(c.failed)) if len(in_root.failed) > 1 else in_root
+    return best if len(best.failed) < len(in_root.failed) else in_root
 
 
-def _compare_residuals(
-    adjusted: SolvedBundle, T_root_sensor: Mapping[str, Array]
-) -> dict[str, ResidualComparison]:
-    """By sensor, its residuals under given poses and under those found, boards placed anew for both."""
-    bundle, state = adjusted.bundle, adjusted.minimized.state
+def _compare_residuals(solved: SolvedBundle, T_root_sensor: Mapping[str, Array]) -> dict[str, ResidualComparison]:
+    """RMS residual by sensor under given and estimated poses, with boards located under each."""
+    bundle, state = solved.bundle, solved.minimized.state
     views = tuple(
         own.select(np.full(len(own.board), name in T_root_sensor))
         for name, own in zip(bundle.sensors, bundle.views, strict=True)
     )
-    held = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
+    fixed = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
     poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.sensors, state.T_root_sensor, strict=True)]
-    given = _rms_residuals(held, replace(state, T_root_sensor=np.array(poses)))
-    found = _rms_residuals(held, state)
+    given = _rms_residuals(fixed, replace(state, T_root_sensor=np.array(poses)))
+    estimated = _rms_residuals(fixed, state)
     return {
-        name: ResidualComparison("px" if isinstance(own, CornerObservations) else "m", given[s], found[s])
+        name: ResidualComparison("px" if isinstance(own, CornerObservations) else "m", given[s], estimated[s])
         for s, (name, own) in enumerate(zip(bundle.sensors, views, strict=True))
         if len(own.board)
     }
 
 
-def _rms_residuals(held: Bundle, state: BundleState) -> list[float]:
-    """By sensor, the root mean square of what separates its measurements from the boards, px or m."""
+def _rms_residuals(fixed: Bundle, state: BundleState) -> list[float]:
+    """RMS residual of each sensor with sensor poses fixed and boards located by least squares, px or m."""
     try:
-        placed = minimize_bundle(held, state).state
+        located = minimize_bundle(fixed, state).state
     except CalibrationError:
-        # So far off that boards are behind a camera.
-        return [float("inf")] * len(held.views)
-    sizes = []
-    for s, views in enumerate(held.views):
-        T_sensor_board = relative_poses(placed.T_root_sensor[s], placed.T_root_board[views.board])
-        residual = views.linearize(T_sensor_board, placed.extra[held.extra_indices(s)]).residual
+        # The poses put boards behind a camera.
+        return [float("inf")] * len(fixed.views)
+    rms = []
+    for s, views in enumerate(fixed.views):
+        T_sensor_board = relative_poses(located.T_root_sensor[s], located.T_root_board[views.board])
+        residual = views.linearize(T_sensor_board, located.extra[fixed.extra_indices(s)]).residual
         if isinstance(views, RangeObservations):
             residual = residual * views.sigma[:, None]
         elif isinstance(views, CornerObservations):
             residual = residual * views.noise_scale * views.noise.pixel
-        sizes.append(float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0)
-    return sizes
+        rms.append(float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0)
+    return rms

@@ -1,7 +1,7 @@
-"""Where to hold the board next: the poses that would make the least certain sensor most certain.
+"""Next best board poses: those that reduce the uncertainty of the least certain sensor most.
 
-Boards are tried where sensors saw boards before, tilted in all ways, and each is asked how much information what
-the sensors would measure of it adds. The most useful one is taken, then the most useful one beside it, and so on.
+Candidates are sampled near recorded boards, tilted in all directions. Each is evaluated by the information of the
+observations that the sensors are predicted to make. The best one is selected, then the best one in addition to it.
 
 Source: Krause, Singh, Guestrin, "Near-optimal sensor placements in Gaussian processes", 2008, on greedy choices.
 """
@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.rig.predicted_observations import predict_observations
-from calgraph.diagnostics.verdict import WEAK_STDDEV, axis_names
+from calgraph.diagnostics.verdict import axis_names, weak_stddev
 from calgraph.estimation.rig.board_information import information_by_board
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
 from calgraph.estimation.rig.covariances import parameter_covariance
@@ -22,68 +23,73 @@ from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 
-_CANDIDATES = 300
-_CHOICES = 3
-# A board that shrinks the ellipsoid of errors by less than this, in logarithms of its volume, is not worth a walk.
-_WORTH = 0.05
-# Boards are tried within this of where boards were, in each direction, m.
-_REACH = 0.3
-# They are turned away from the sensors by up to this, rad.
-_TILT = np.radians(60)
-
 
 def suggest_board_poses(
-    adjusted: SolvedBundle, kinds: Mapping[str, str], size: tuple[float, float], rng: np.random.Generator
+    solved: SolvedBundle,
+    kinds: Mapping[str, str],
+    size: tuple[float, float],
+    rng: np.random.Generator,
+    settings: DiagnosticsSettings = DiagnosticsSettings(),
 ) -> tuple[Suggestion, ...]:
-    """The next board poses that would help the least certain sensor most, in units of what is called weak.
+    """Board poses that reduce the uncertainty of the least certain sensor most, relative to the limits of weak.
 
     Args:
-        adjusted: the solution so far.
+        solved: the current solution.
         kinds: camera, lidar2d or lidar3d, by sensor.
         size: width and height of the board, m.
-        rng: draws the boards that are tried.
+        rng: draws the candidates.
+        settings: of the candidates, of predicted detections, and the limits of weak.
 
     Returns:
-        Boards in the order of their use, each beside those before it; none where none would help much.
+        Poses in the order of selection, each in addition to those before; none where no pose has a relevant gain.
     """
-    bundle, solved = adjusted.bundle, adjusted.minimized
-    seen = solved.state.T_root_board
-    state = replace(solved.state, T_root_board=_draw_candidates(bundle, solved.state, rng))
+    bundle, current = solved.bundle, solved.minimized.state
+    state = replace(current, T_root_board=_draw_candidates(bundle, current, rng, settings.rig))
     sensors = list(zip(bundle.sensors, bundle.views, state.T_root_sensor, strict=True))
     views = tuple(
         predict_observations(
-            own, kinds[name], relative_poses(T, seen[own.board]), relative_poses(T, state.T_root_board), size
+            observed,
+            kinds[name],
+            relative_poses(T, current.T_root_board[observed.board]),
+            relative_poses(T, state.T_root_board),
+            size,
+            settings.rig,
         )
-        for name, own, T in sensors
+        for name, observed, T in sensors
     )
-    looking = replace(bundle.without_outlines(), views=views, priors=())
-    gains = information_by_board(looking, linearize_bundle(looking, state))
-    turns = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
-    axes = (turns @ pose_jacobian(bundle, state).reshape(len(turns), 6, -1)).reshape(6 * len(turns), -1)
-    V, limits = parameter_covariance(solved.equations), np.tile(np.repeat(WEAK_STDDEV, 3), len(turns))
-    found: list[Suggestion] = []
-    for _ in range(_CHOICES):
+    predicted = replace(bundle.without_outlines(), views=views, priors=())
+    information = information_by_board(predicted, linearize_bundle(predicted, state))
+    to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
+    axes = (to_sensor @ pose_jacobian(bundle, state).reshape(len(to_sensor), 6, -1)).reshape(
+        6 * len(to_sensor), -1
+    )
+    V, limits = (
+        parameter_covariance(solved.minimized.equations),
+        np.tile(weak_stddev(settings.verdict), len(to_sensor)),
+    )
+    suggestions: list[Suggestion] = []
+    for _ in range(settings.rig.suggestions):
         before = _standard_deviations(axes, V) / limits
         worst = int(np.argmax(before))
-        if before[worst] == 0:  # all poses are taken for exact
+        if before[worst] == 0:  # no pose is estimated
             break
-        own = axes[6 * (worst // 6) :][:6] / limits[:6, None] / min(before[worst], 1.0)
-        beside = np.asarray(np.linalg.solve(np.eye(len(V)) + V @ gains, V))
-        volume = _log_volume(own, beside)
+        scaled = axes[6 * (worst // 6) :][:6] / limits[:6, None] / min(before[worst], 1.0)
+        V_with = np.asarray(np.linalg.solve(np.eye(len(V)) + V @ information, V))
+        volume = _log_volume(scaled, V_with)
         best = int(np.argmin(volume))
-        if volume[best] > _log_volume(own, V) - _WORTH:
+        if volume[best] > _log_volume(scaled, V) - settings.rig.min_suggestion_gain:
             break
-        V = beside[best]
+        V = V_with[best]
         after = _standard_deviations(axes, V) / limits
         sensor, axis = bundle.sensors[worst // 6], worst % 6
-        seeing = {
+        T_sensor_board = {
             name: relative_poses(T, state.T_root_board[best])
-            for (name, _, T), own in zip(sensors, views, strict=True)
-            if best in own.board
+            for (name, _, T), observed in zip(sensors, views, strict=True)
+            if best in observed.board
         }
-        found.append(
+        suggestions.append(
             Suggestion(
-                hold=describe_pose(sensor, kinds, seeing),
+                hold=describe_pose(sensor, kinds, T_sensor_board, settings.rig),
                 sensor=sensor,
                 axis=axis_names(kinds[sensor])[axis],
                 unit="m" if axis < 3 else "rad",
@@ -92,7 +98,7 @@ def suggest_board_poses(
                 T_root_board=state.T_root_board[best],
             )
         )
-    return tuple(found)
+    return tuple(suggestions)
 
 
 def _standard_deviations(axes: Array, V: Array) -> Array:
@@ -103,24 +109,28 @@ def _standard_deviations(axes: Array, V: Array) -> Array:
 def _log_volume(axes: Array, V: Array) -> Array:
     """Logarithms of the volumes of error ellipsoids (...,), for covariances (..., G, G) of the unknowns.
 
-    Along the axes (6, G), what is far below one does not count. Of a sensor with several open directions, each
-    board fixes but one, and no single deviation shrinks before the last one.
+    Standard deviations far below one along the axes (6, G) do not contribute. The volume is compared, since of
+    several unobserved directions each board determines one, and the largest deviation falls with the last board
+    only.
     """
     return np.asarray(0.5 * np.linalg.slogdet(np.eye(len(axes)) + axes @ V @ axes.T)[1])
 
 
-def _draw_candidates(bundle: Bundle, state: BundleState, rng: np.random.Generator) -> Array:
-    """``T_root_board`` (K, 4, 4): near boards that were seen, before a sensor that saw them, turned any way."""
-    seen = np.array([(s, board) for s, own in enumerate(bundle.views) for board in own.board])
-    sensor, board = rng.choice(seen, _CANDIDATES).T
-    at = state.T_root_board[board, :3, 3] + rng.uniform(-_REACH, _REACH, (_CANDIDATES, 3))
-    z = state.T_root_sensor[sensor, :3, 3] - at
+def _draw_candidates(
+    bundle: Bundle, state: BundleState, rng: np.random.Generator, settings: RigDiagnosticsSettings
+) -> Array:
+    """``T_root_board`` (K, 4, 4): near recorded boards, facing a sensor that detected them, with random tilts."""
+    count, radius = settings.candidate_poses, settings.candidate_radius
+    detected = np.array([(s, board) for s, views in enumerate(bundle.views) for board in views.board])
+    sensor, board = rng.choice(detected, count).T
+    position = state.T_root_board[board, :3, 3] + rng.uniform(-radius, radius, (count, 3))
+    z = state.T_root_sensor[sensor, :3, 3] - position
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
-    # What is up does not matter to what sensors see; only that it is across the line of sight.
+    # The roll of the board about the line of sight does not matter: any axis across it serves.
     up = np.eye(3)[np.argmin(np.abs(z), axis=-1)]
     x = np.cross(up, z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    around, tilt = rng.uniform(0, 2 * np.pi, _CANDIDATES), rng.uniform(0, _TILT, _CANDIDATES)
+    azimuth, tilt = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, settings.max_candidate_tilt, count)
     y = np.cross(z, x)
-    turn = tilt[:, None] * (np.cos(around)[:, None] * x + np.sin(around)[:, None] * y)
-    return se3.pose(so3.exp(turn) @ np.stack([x, y, z], axis=-1), at)
+    phi = tilt[:, None] * (np.cos(azimuth)[:, None] * x + np.sin(azimuth)[:, None] * y)
+    return se3.pose(so3.exp(phi) @ np.stack([x, y, z], axis=-1), position)

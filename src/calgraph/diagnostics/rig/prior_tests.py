@@ -1,4 +1,4 @@
-"""Whether what was known beforehand agrees with what the captures say."""
+"""Tests of priors and of rigid groups against the captures."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -12,79 +12,86 @@ from calgraph.estimation.rig.normal_equations import consistency_statistic
 from calgraph.estimation.rig.priors import RigidGroup
 from calgraph.geometry import Array, se3
 
-# What is known is doubted if chance alone would have it as far from the captures once in so many.
-_CHANCE = 1e-4
-# Directions in which the captures have less than this share in a pose are the prior's.
-_COMPROMISE = 1e-3
+# Singular values below this belong to directions that the prior alone determines (numerical rank).
+_RANK_TOLERANCE = 1e-3
 
 
 def find_contradicted_priors(
-    bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup]
+    bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup], false_alarm_probability: float
 ) -> dict[str, str]:
-    """Sensors whose pose rests on what is known alone, or contradicts it, each with the reason."""
-    alone = "no capture ties {} to another sensor: it is where it was said to be"
-    unseen = {
-        name: alone.format(name)
+    """Sensors whose pose rests on a prior alone, or whose prior or rigid group the captures contradict.
+
+    Args:
+        bundle: the problem.
+        solved: its solution.
+        groups: the rigid groups that it was constrained by.
+        false_alarm_probability: of each test, if prior, noise and covariances are right.
+
+    Returns:
+        The reason by sensor.
+    """
+    without_views = {
+        name: f"no capture connects {name} to another sensor: its pose is the prior"
         for name, views in zip(bundle.sensors[1:], bundle.views[1:], strict=True)
         if not len(views.board)
     }
-    return unseen | dict(_contradicted_groups(bundle, solved, groups)) | dict(_contradicted_poses(bundle, solved))
+    of_groups = dict(_contradicted_groups(bundle, solved, groups, false_alarm_probability))
+    return without_views | of_groups | dict(_contradicted_poses(bundle, solved, false_alarm_probability))
 
 
-def _contradicted_poses(bundle: Bundle, solved: MinimizedBundle) -> Iterator[tuple[str, str]]:
-    """Sensors whose prior contradicts the captures, each with the reason.
+def _contradicted_poses(
+    bundle: Bundle, solved: MinimizedBundle, false_alarm_probability: float
+) -> Iterator[tuple[str, str]]:
+    """Sensors whose prior the captures contradict, each with the reason.
 
-    The prior is a view of the pose like any other: its error at the solution has the covariance of the prior less
-    that of the solution. Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
+    The prior is a measurement of the pose: its residual at the solution has the covariance of the prior minus that
+    of the solution. Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
     """
     size = len(bundle.sensors)
-    spread = pose_covariance(bundle, solved.state, solved.equations).reshape(size, 6, size, 6)
+    covariance = pose_covariance(bundle, solved.state, solved.equations).reshape(size, 6, size, 6)
     for prior in bundle.priors:
         s, A = prior.sensor, prior.information
         error = se3.difference(solved.state.T_root_sensor[s], prior.T_root_sensor)
-        squared, freedom = consistency_statistic(A[None], spread[s, :, s][None], (A @ error)[None])
-        if freedom[0] and squared[0] > chdtri(freedom[0], _CHANCE):
-            # The solution is a compromise: without the prior it would be farther away.
-            apart = np.linalg.pinv(np.eye(6) - spread[s, :, s] @ A, rcond=_COMPROMISE) @ error
-            name = bundle.sensors[s]
-            yield (
-                name,
-                f"the prior of {name} disagrees with the captures by {_format_discrepancy(squared[0], apart)}",
-            )
+        squared, dof = consistency_statistic(A[None], covariance[s, :, s][None], (A @ error)[None])
+        if dof[0] and squared[0] > chdtri(dof[0], false_alarm_probability):
+            # The prior pulls the solution towards itself: without it the error would be larger.
+            discrepancy = np.linalg.pinv(np.eye(6) - covariance[s, :, s] @ A, rcond=_RANK_TOLERANCE) @ error
+            name, difference = bundle.sensors[s], _format_discrepancy(squared[0], discrepancy)
+            yield name, f"the prior of {name} disagrees with the captures by {difference}"
 
 
 def _contradicted_groups(
-    bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup]
+    bundle: Bundle, solved: MinimizedBundle, groups: Sequence[RigidGroup], false_alarm_probability: float
 ) -> Iterator[tuple[str, str]]:
-    """Sensors of rigid groups that contradict the captures, each with the one that these would move most surely.
+    """Sensors of rigid groups that the captures contradict, with the sensor of the largest score statistic.
 
-    One sensor at a time is freed: the force with which its views pull at it tells how far it would go.
+    One sensor at a time is released: the gradient of its views at the constrained solution predicts its step.
     Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters", 1948.
     """
     for group in groups:
         members = [s for s, name in enumerate(bundle.sensors) if name in group.T_group_sensor]
-        pulls = [(*_score_statistic(bundle, solved, s), s) for s in members if s > 0 and len(members) > 1]
-        squared, moves, s = max(pulls, key=lambda pull: pull[0], default=(0.0, np.zeros(6), 0))
-        if squared > chdtri(6, _CHANCE):
+        scores = [(*_score_statistic(bundle, solved, s), s) for s in members if s > 0 and len(members) > 1]
+        squared, step, s = max(scores, key=lambda score: score[0], default=(0.0, np.zeros(6), 0))
+        if squared > chdtri(6, false_alarm_probability):
             name = bundle.sensors[s]
             others = ", ".join(bundle.sensors[member] for member in members if member != s)
             reason = (
-                f"the captures contradict that {name} is fixed to {others} as {group.source} says: "
-                f"they would move it by {_format_discrepancy(squared, moves)}"
+                f"the captures contradict the rigid group of {name} and {others} in {group.source}: "
+                f"released, {name} moves by {_format_discrepancy(squared, step)}"
             )
             yield from ((bundle.sensors[member], reason) for member in members if member > 0)
 
 
 def _score_statistic(bundle: Bundle, solved: MinimizedBundle, sensor: int) -> tuple[float, Array]:
-    """Squared Mahalanobis distance of the step (6,) that a sensor would take if it were on no body but its own."""
-    # Bodies are counted on from those there are; one that was its alone has moved as far as it would.
+    """Squared Mahalanobis distance of the step (6,) of a sensor that is released from its body, and the step."""
+    # The released sensor gets a new body; bodies are renumbered in case its old one is empty.
     body = bundle.body.copy()
     body[sensor] = body.max() + 1
-    free = replace(bundle, body=np.unique(body, return_inverse=True)[1])
-    system = linearize_bundle(free, solved.state)
+    released = replace(bundle, body=np.unique(body, return_inverse=True)[1])
+    system = linearize_bundle(released, solved.state)
     _, g, _ = system.eliminate_boards()
     step = -parameter_covariance(system) @ g
-    return float(-g @ step), step[free.pose_columns(sensor)]
+    return float(-g @ step), step[released.pose_columns(sensor)]
 
 
 def _format_discrepancy(squared: float, error: Array) -> str:
