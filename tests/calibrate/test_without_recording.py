@@ -145,7 +145,7 @@ def test_scanner_without_tracks_is_said_to_have_none(rng: np.random.Generator) -
 
 
 def test_tracks_of_a_scanner_that_the_rig_lacks_are_an_error(rng: np.random.Generator) -> None:
-    with pytest.raises(InputError, match="followed: must be of scanner_1, scanner_2, scanner_3, got scanner_9"):
+    with pytest.raises(InputError, match="tracks: must be of scanner_1, scanner_2, scanner_3, got scanner_9"):
         calibrate_tracks(SCANNERS, walks({"scanner_9": np.eye(4)}, rng), NetworkOptions())
 
 

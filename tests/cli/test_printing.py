@@ -9,7 +9,7 @@ import pytest
 
 from calgraph.cli.printing import print_calibration, print_errors
 from calgraph.geometry import se3, so3
-from calgraph.result import Calibration, SensorPose, Verdict, save_calibration
+from calgraph.result import Calibration, SensorPose, Verdict, join_covariances, save_calibration
 from terminal import on_a_terminal
 
 LONG = "the_front_left_short_range_corner_radar_replacement"
@@ -17,22 +17,22 @@ LONG = "the_front_left_short_range_corner_radar_replacement"
 
 @pytest.fixture
 def calibration() -> Calibration:
-    def sensor(
-        name: str, xyz: tuple[float, ...], rpy: tuple[float, ...], verdict: Verdict, variance_x: float = 1e-6
-    ) -> SensorPose:
+    def sensor(name: str, xyz: tuple[float, ...], rpy: tuple[float, ...], verdict: Verdict) -> SensorPose:
         T = se3.pose(so3.exp(np.radians(rpy)), np.array(xyz))
-        covariance = np.diag([variance_x, 4e-6, 1e-6, 1e-6, 1e-6, 9e-6])
-        return SensorPose(name, "lidar", name, "lidar2d", T, covariance, verdict)
+        return SensorPose(name, "lidar", name, "lidar2d", T, verdict)
 
     origin, good = (0.0, 0.0, 0.0), Verdict("good")
     loose = Verdict("weak", "height (z) is loose: hold the board tilted, above and below the scan plane")
     return Calibration(
         root="lidar",
         sensors=(
-            SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), np.zeros((6, 6)), good),
+            SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), good),
             sensor("camera", (-10.0, -2.5, -0.0001), (0.0, 0.0, -170.0), good),
             sensor(LONG, (0.1, 0.2, 0.3), (10.0, 0.0, 0.0), loose),
-            sensor("lost", origin, origin, Verdict("unobservable", "x is not observed"), np.inf),
+            sensor("lost", origin, origin, Verdict("unobservable", "x is not observed")),
+        ),
+        joint_covariance=join_covariances(
+            [np.zeros((6, 6)), *(np.diag([x, 4e-6, 1e-6, 1e-6, 1e-6, 9e-6]) for x in (1e-6, 1e-6, np.inf))]
         ),
     )
 
@@ -77,9 +77,10 @@ def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) 
     network = Calibration(
         "hall",
         (
-            SensorPose("hall", None, "", "lidar2d", np.eye(4), np.zeros((6, 6)), Verdict("good")),
-            SensorPose("door", "hall", "", "lidar2d", pose, spread, Verdict("good")),
+            SensorPose("hall", None, "", "lidar2d", np.eye(4), Verdict("good")),
+            SensorPose("door", "hall", "", "lidar2d", pose, Verdict("good")),
         ),
+        join_covariances([np.zeros((6, 6)), spread]),
     )
     head, hall, door = (line.split() for line in printed(lambda: print_calibration(network), capsys)[1:4])
     assert head == ["sensor", "x", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
@@ -126,7 +127,13 @@ def test_clock_offsets_have_a_column_where_they_were_estimated(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = replace(calibration.sensors[1], clock_offset=-0.0123, clock_offset_stddev=0.0004)
-    print_calibration(replace(calibration, sensors=(calibration.sensors[0], late)))
+    print_calibration(
+        replace(
+            calibration,
+            sensors=(calibration.sensors[0], late),
+            joint_covariance=calibration.joint_covariance[:12, :12],
+        )
+    )
     assert "-12.3 ±0.4" in capsys.readouterr().out
     print_calibration(calibration)
     assert "clock" not in capsys.readouterr().out
@@ -136,5 +143,11 @@ def test_a_pose_that_is_from_an_earlier_calibration_says_so(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = replace(calibration.sensors[1], verdict=Verdict("good", "its pose is that of the earlier calibration"))
-    print_calibration(replace(calibration, sensors=(calibration.sensors[0], kept)))
+    print_calibration(
+        replace(
+            calibration,
+            sensors=(calibration.sensors[0], kept),
+            joint_covariance=calibration.joint_covariance[:12, :12],
+        )
+    )
     assert "camera is good: its pose is that of the earlier calibration" in capsys.readouterr().out

@@ -23,6 +23,7 @@ from calgraph.result import (
     SensorPose,
     Snapshot,
     Verdict,
+    join_covariances,
 )
 
 FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -78,7 +79,7 @@ def calibration(rng: np.random.Generator) -> Calibration:
         "height (z) is known to ± 80 mm only: hold the board leaning, so that the scan crosses its slanted edges",
     )
     sensors = tuple(
-        SensorPose(name, parents.get(name), f"{name}_link", SENSORS[name], poses[name], covariances[name],  # type: ignore[arg-type]
+        SensorPose(name, parents.get(name), f"{name}_link", SENSORS[name], poses[name],  # type: ignore[arg-type]
                    weak if name == "laser_low" else Verdict("good"),
                    clock_offset=0.0123 if name == "camera" else None,
                    clock_offset_stddev=0.0004 if name == "camera" else None)
@@ -131,6 +132,7 @@ def calibration(rng: np.random.Generator) -> Calibration:
     return Calibration(
         "lidar",
         sensors,
+        join_covariances([covariances[name] for name in SENSORS]),
         evidence=Evidence(
             edges=edges, captures=tuple(captures), unconnected={}, residuals=residuals, estimator="bundle"
         ),
@@ -206,10 +208,10 @@ def ugly() -> Calibration:
     root = "a_very_long_name_of_a_sensor_that_goes_on_and_on_and_on"
     lost = np.diag([1e6, np.inf, 1e-6, 10.0, 1e-6, 1e-6])
     sensors = (
-        SensorPose(root, None, "x" * 80, "lidar2d", np.eye(4), np.zeros((6, 6)), Verdict("good")),
-        SensorPose(EVIL, root, EVIL, "camera", se3.pose(np.eye(3), np.array([1e-9, -2, 30.0])), lost,
+        SensorPose(root, None, "x" * 80, "lidar2d", np.eye(4), Verdict("good")),
+        SensorPose(EVIL, root, EVIL, "camera", se3.pose(np.eye(3), np.array([1e-9, -2, 30.0])),
                    Verdict("unobservable", f"x and y are not observable {EVIL}")),
-        SensorPose("", EVIL, "", "lidar3d", np.eye(4), np.full((6, 6), np.nan), Verdict("weak")),
+        SensorPose("", EVIL, "", "lidar3d", np.eye(4), Verdict("weak")),
     )  # fmt: skip
     edges = (
         Edge(root, EVIL, 4, 4, True, np.array([np.nan, np.inf, 0.1, 2.0]), EVIL),
@@ -228,6 +230,7 @@ def ugly() -> Calibration:
     return Calibration(
         root,
         sensors,
+        join_covariances([np.zeros((6, 6)), lost, np.full((6, 6), np.nan)]),
         evidence=Evidence(
             edges=edges,
             captures=captures,
@@ -242,9 +245,8 @@ def ugly() -> Calibration:
 @pytest.fixture
 def bare() -> Calibration:
     """A root and nothing else."""
-    return Calibration(
-        "lidar", (SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), np.zeros((6, 6)), Verdict("good")),)
-    )
+    root = SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), Verdict("good"))
+    return Calibration("lidar", (root,), np.zeros((6, 6)))
 
 
 SCANNERS = {"hall": (0.0, 0.0, 0.0), "door <b>": (6.0, 1.0, 2.0), "stairs": (3.0, 7.0, -1.5)}
@@ -264,8 +266,7 @@ def network() -> Calibration:
     spread[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([0.01**2, 0.02**2, 0.001**2])
     sensors = tuple(
         SensorPose(name, None if name == "hall" else "hall", name, "lidar2d",
-                   se2.to_se3(se2.pose(yaw, np.array([x, y]))), np.zeros((6, 6)) if name == "hall" else spread,
-                   Verdict("weak" if name == "stairs" else "good"))
+                   se2.to_se3(se2.pose(yaw, np.array([x, y]))), Verdict("weak" if name == "stairs" else "good"))
         for name, (x, y, yaw) in SCANNERS.items()
     )  # fmt: skip
     edges = (
@@ -286,6 +287,7 @@ def network() -> Calibration:
     return Calibration(
         "hall",
         sensors,
+        join_covariances([np.zeros((6, 6)), spread, spread]),
         evidence=Evidence(
             edges=edges,
             captures=rows,

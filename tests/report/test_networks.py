@@ -94,8 +94,8 @@ def test_ellipses_are_two_sigma_times_the_stated_factor(html: str) -> None:
 
 
 def test_visible_ellipses_are_to_scale(network: Calibration, network_rig: Rig) -> None:
-    sensors = tuple(dataclasses.replace(s, covariance=100 * s.covariance) for s in network.sensors)
-    html = render_report(dataclasses.replace(network, sensors=sensors), network_rig)
+    uncertain = dataclasses.replace(network, joint_covariance=100 * network.joint_covariance)
+    html = render_report(uncertain, network_rig)
     assert "of a scanner's position, drawn to scale." in words_of(html).replace("&#x27;", "'")
 
 
@@ -142,9 +142,11 @@ def test_a_result_without_a_floor_still_has_its_scanners(network: Calibration, n
 
 
 def test_unknown_covariances_have_no_ellipse(network: Calibration, network_rig: Rig) -> None:
-    lost = tuple(dataclasses.replace(s, covariance=np.full((6, 6), np.nan)) for s in network.sensors)
+    unknown = np.full_like(network.joint_covariance, np.nan)
     html = render_report(
-        dataclasses.replace(network, sensors=lost, pictures=dataclasses.replace(network.pictures, floor_views=())),
+        dataclasses.replace(
+            network, joint_covariance=unknown, pictures=dataclasses.replace(network.pictures, floor_views=())
+        ),
         network_rig,
     )
     assert all(len(line) == 5 for line in lines_of(figure_of(html, "floor"), "stairs"))
@@ -165,6 +167,7 @@ def test_a_large_network_stays_below_10_mb(network: Calibration, network_rig: Ri
     large = dataclasses.replace(
         network,
         sensors=sensors,
+        joint_covariance=np.zeros((180, 180)),
         evidence=dataclasses.replace(network.evidence, captures=rows),
         pictures=dataclasses.replace(network.pictures, floor_views=floor),
     )
@@ -181,6 +184,7 @@ def test_boxes_of_many_sensors_do_not_overlap(network: Calibration, network_rig:
         dataclasses.replace(
             network,
             sensors=(network.sensors[0], *others),
+            joint_covariance=np.zeros((180, 180)),
             evidence=dataclasses.replace(network.evidence, edges=()),
         ),
         network_rig,

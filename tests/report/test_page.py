@@ -157,7 +157,8 @@ def test_remarks_follow_the_verdicts(calibration: Calibration, rig: Rig) -> None
 
 def test_a_verdict_without_reason_has_advice(calibration: Calibration, rig: Rig) -> None:
     sensors = (calibration.sensors[0], dataclasses.replace(calibration["laser"], verdict=Verdict("unobservable")))
-    page = Page(render_report(dataclasses.replace(calibration, sensors=sensors), rig))
+    joint = calibration.joint_covariance[:12, :12]
+    page = Page(render_report(dataclasses.replace(calibration, sensors=sensors, joint_covariance=joint), rig))
     assert "Do not use this pose. Record captures in which the board is tilted" in page.words
 
 

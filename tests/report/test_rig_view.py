@@ -105,8 +105,8 @@ def test_ellipsoids_are_enlarged_by_the_stated_factor(calibration: Calibration, 
 
 
 def test_visible_ellipsoids_are_to_scale(calibration: Calibration, rig: Rig) -> None:
-    large = tuple(dataclasses.replace(s, covariance=1e4 * s.covariance) for s in calibration.sensors)
-    html = render_rig_view(dataclasses.replace(calibration, sensors=large), rig)
+    uncertain = dataclasses.replace(calibration, joint_covariance=1e4 * calibration.joint_covariance)
+    html = render_rig_view(uncertain, rig)
     assert "Ellipsoids are drawn to scale." in html
 
 

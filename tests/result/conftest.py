@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.result import BoardOutline, Calibration, CaptureRow, Edge, Evidence, Pictures, SensorPose, Verdict
+from calgraph.result import (
+    BoardOutline,
+    Calibration,
+    CaptureRow,
+    Edge,
+    Evidence,
+    Pictures,
+    SensorPose,
+    Verdict,
+    join_covariances,
+)
 
 
 def random_pose(rng: np.random.Generator) -> Array:
@@ -19,9 +29,9 @@ def random_covariance(rng: np.random.Generator) -> Array:
 
 @pytest.fixture
 def calibration(rng: np.random.Generator) -> Calibration:
-    root = SensorPose("lidar", None, "velodyne", "lidar3d", np.eye(4), np.zeros((6, 6)), Verdict("good"))
+    root = SensorPose("lidar", None, "velodyne", "lidar3d", np.eye(4), Verdict("good"))
     camera = SensorPose(
-        "camera", "lidar", "camera_optical", "camera", random_pose(rng), random_covariance(rng), Verdict("good"),
+        "camera", "lidar", "camera_optical", "camera", random_pose(rng), Verdict("good"),
         clock_offset=0.0123, clock_offset_stddev=0.0004,
     )  # fmt: skip
     second = SensorPose(
@@ -30,14 +40,14 @@ def calibration(rng: np.random.Generator) -> Calibration:
         "camera_2_optical",
         "camera",
         random_pose(rng),
-        random_covariance(rng),
         Verdict("good"),
     )
     weak = Verdict("weak", "height (z) is loose: hold the board tilted, above and below the scan plane")
-    laser = SensorPose("laser", "lidar", "laser_link", "lidar2d", random_pose(rng), random_covariance(rng), weak)
+    laser = SensorPose("laser", "lidar", "laser_link", "lidar2d", random_pose(rng), weak)
     return Calibration(
         root="lidar",
         sensors=(root, camera, second, laser),
+        joint_covariance=join_covariances([np.zeros((6, 6)), *(random_covariance(rng) for _ in range(3))]),
         evidence=Evidence(
             edges=(
                 Edge("lidar", "camera", 40, 38, True, rng.normal(0, 0.004, 38)),

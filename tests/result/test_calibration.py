@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, SensorPose, Verdict, load_calibration, save_calibration
+from calgraph.result import Calibration, SensorPose, Verdict, join_covariances, load_calibration, save_calibration
 
 
 def in_the_plane(count: int) -> Calibration:
@@ -17,10 +17,10 @@ def in_the_plane(count: int) -> Calibration:
     number = np.arange(count, dtype=np.float64)
     poses = se2.to_se3(se2.pose(number * 1.1, np.stack([2 * number, -number], axis=-1)))
     sensors = (
-        SensorPose(f"s{k}", "s0" if k else None, f"s{k}", "lidar2d", T, covariance * (k > 0), Verdict("good"))
+        SensorPose(f"s{k}", "s0" if k else None, f"s{k}", "lidar2d", T, Verdict("good"))
         for k, T in enumerate(poses)
     )
-    return Calibration("s0", tuple(sensors))
+    return Calibration("s0", tuple(sensors), join_covariances([covariance * (k > 0) for k in range(count)]))
 
 
 def with_last(calibration: Calibration, T: Array) -> Calibration:

@@ -12,9 +12,26 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from calgraph.errors import InputError
-from calgraph.geometry import se3, so3
-from calgraph.result import Calibration, CaptureRow, SensorPose, Verdict, load_calibration, save_calibration
+from calgraph.geometry import Array, se3, so3
+from calgraph.result import (
+    Calibration,
+    CaptureRow,
+    SensorPose,
+    Verdict,
+    join_covariances,
+    load_calibration,
+    save_calibration,
+)
 from calgraph.result import save_captures as save_captures_csv
+
+SMALL = 1e-6 * np.eye(6)
+
+
+def root_and(sensor: SensorPose, covariance: Array = SMALL) -> Calibration:
+    """A calibration of a root and one other sensor."""
+    root = SensorPose("lidar", None, "velodyne", "lidar3d", np.eye(4), Verdict("good"))
+    sensors = (root, dataclasses.replace(sensor, parent="lidar"))
+    return Calibration("lidar", sensors, join_covariances([np.zeros((6, 6)), covariance]))
 
 
 @pytest.fixture
@@ -108,9 +125,8 @@ def test_vectors_are_written_on_one_line(saved: Path) -> None:
 
 
 def test_small_numbers_are_numbers_for_yaml_1_1_too(calibration: Calibration, tmp_path: Path) -> None:
-    tiny = dataclasses.replace(calibration["camera"], covariance=1e-6 * np.eye(6))
     path = tmp_path / "tiny.yaml"
-    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], tiny)), path)
+    save_calibration(root_and(calibration["camera"], 1e-6 * np.eye(6)), path)
     text = path.read_text(encoding="utf-8")
     assert "1.0e-06" in text
     assert not re.search(r"[ \[]\d+e-", text)
@@ -127,10 +143,10 @@ def test_any_pose_comes_back(
     translation: tuple[float, float, float],
 ) -> None:
     T = se3.pose(so3.exp(np.array(rotation)), np.array(translation))
-    root = SensorPose("a", None, "a", "lidar3d", np.eye(4), np.zeros((6, 6)), Verdict("good"))
-    other = SensorPose("b", "a", "b", "lidar2d", T, np.eye(6), Verdict("good"))
+    root = SensorPose("a", None, "a", "lidar3d", np.eye(4), Verdict("good"))
+    other = SensorPose("b", "a", "b", "lidar2d", T, Verdict("good"))
     path = tmp_path_factory.mktemp("pose") / "c.yaml"
-    save_calibration(Calibration("a", (root, other)), path)
+    save_calibration(Calibration("a", (root, other), join_covariances([np.zeros((6, 6)), np.eye(6)])), path)
     np.testing.assert_allclose(load_calibration(path)["b"].T_root_sensor, T, rtol=0, atol=1e-12)
 
 
@@ -138,22 +154,22 @@ def test_quaternions_are_written_with_w_not_negative(calibration: Calibration, t
     half_turn = se3.pose(so3.exp(np.array([0, 0, -3.5])), np.zeros(3))
     turned = dataclasses.replace(calibration["camera"], T_root_sensor=half_turn)
     path = tmp_path / "c.yaml"
-    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], turned)), path)
+    save_calibration(root_and(turned), path)
     assert YAML(typ="safe").load(path.read_text(encoding="utf-8"))["sensors"]["camera"]["rotation"][3] >= 0
 
 
 def test_an_unobserved_direction_may_be_infinite(calibration: Calibration, tmp_path: Path) -> None:
-    loose = dataclasses.replace(calibration["laser"], covariance=np.diag([1e-6, 1e-6, np.inf, 1e-8, 1e-8, 1e12]))
+    covariance = np.diag([1e-6, 1e-6, np.inf, 1e-8, 1e-8, 1e12])
     path = tmp_path / "c.yaml"
-    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], loose)), path)
-    np.testing.assert_array_equal(load_calibration(path)["laser"].covariance, loose.covariance)
+    save_calibration(root_and(calibration["laser"], covariance), path)
+    np.testing.assert_array_equal(load_calibration(path)["laser"].covariance, covariance)
 
 
 def test_names_may_hold_any_text(calibration: Calibration, tmp_path: Path) -> None:
     name = 'kamera: "vorn"\n# ümläut 前'
     odd = dataclasses.replace(calibration["camera"], name=name)
     path = tmp_path / "c.yaml"
-    save_calibration(dataclasses.replace(calibration, sensors=(calibration.sensors[0], odd)), path)
+    save_calibration(root_and(odd), path)
     assert load_calibration(path)[name].frame_id == "camera_optical"
 
 

@@ -12,7 +12,16 @@ import scipy.stats
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, se3, so3
-from calgraph.result import Calibration, Evidence, SensorPose, Verdict, export, load_calibration, save_calibration
+from calgraph.result import (
+    Calibration,
+    Evidence,
+    SensorPose,
+    Verdict,
+    export,
+    join_covariances,
+    load_calibration,
+    save_calibration,
+)
 
 
 def hung(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
@@ -21,7 +30,7 @@ def hung(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
     sensors = tuple(
         SensorPose(
             name, names[0] if k else None, name, "camera", T_root_sensor[name],
-            joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], Verdict("good"),
+            Verdict("good"),
         )
         for k, name in enumerate(names)
     )  # fmt: skip
@@ -99,9 +108,15 @@ def test_sensors_without_pose_are_refused(correlated: Calibration) -> None:
         correlated.covariance("sonar", "a")
 
 
+def uncorrelated(calibration: Calibration) -> Calibration:
+    """The calibration with unknown correlations."""
+    joint = join_covariances([sensor.covariance for sensor in calibration.sensors])
+    return dataclasses.replace(calibration, joint_covariance=joint)
+
+
 def test_a_result_that_does_not_know_says_so(correlated: Calibration) -> None:
-    with pytest.raises(CalibrationError, match="errors of 'a' and 'b' go together is not known"):
-        dataclasses.replace(correlated, joint_covariance=None).covariance("a", "b")
+    with pytest.raises(CalibrationError, match="correlation of the errors of 'a' and 'b' is unknown"):
+        uncorrelated(correlated).covariance("a", "b")
 
 
 def test_it_comes_back_from_a_file(correlated: Calibration, tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def test_an_unknown_format_is_refused_with_those_there_are(calibration: Calibrat
 
 
 def test_the_root_alone_exports_to_an_empty_list(calibration: Calibration) -> None:
-    alone = dataclasses.replace(calibration, sensors=calibration.sensors[:1])
+    alone = dataclasses.replace(calibration, sensors=calibration.sensors[:1], joint_covariance=np.zeros((6, 6)))
     assert {name: len(reader(export(alone, name))) for name, reader in READERS.items()} == dict.fromkeys(
         READERS, 0
     )
@@ -371,7 +371,11 @@ def test_a_camchain_refuses_a_lens_that_kalibr_lacks(calibration: Calibration) -
 
 
 def test_a_camchain_needs_a_camera(calibration: Calibration) -> None:
-    without = dataclasses.replace(calibration, sensors=tuple(s for s in calibration.sensors if s.kind != "camera"))
+    without = dataclasses.replace(
+        calibration,
+        sensors=(calibration.sensors[0], calibration.sensors[3]),
+        joint_covariance=calibration.joint_covariance[:12, :12],
+    )
     with pytest.raises(InputError, match="needs a camera, this calibration has none"):
         camchain(without)
 
@@ -408,7 +412,9 @@ def test_json_has_what_was_seen_on_the_floor(calibration: Calibration, rng: np.r
 
 
 def test_json_has_null_for_what_is_not_finite(calibration: Calibration) -> None:
-    loose = with_sensor(calibration, "laser", covariance=np.diag([np.inf, 1, 1, 1, 1, np.nan]))
+    joint = np.array(calibration.joint_covariance)
+    joint[18:, 18:] = np.diag([np.inf, 1, 1, 1, 1, np.nan])
+    loose = dataclasses.replace(calibration, joint_covariance=joint)
     covariance = json.loads(export(loose, "json"))["sensors"]["laser"]["covariance"]
     assert (covariance[0][0], covariance[1][1], covariance[5][5]) == (None, 1.0, None)
 

@@ -16,6 +16,7 @@ from calgraph.result import (
     SensorPose,
     Snapshot,
     Verdict,
+    join_covariances,
 )
 from calgraph.sensors import CameraModel
 
@@ -67,11 +68,10 @@ def corners(capture: int) -> Array:
 @pytest.fixture(scope="session")
 def rig() -> Calibration:
     """A LiDAR, a camera and a laser scanner that detect a board in three captures, without noise."""
-    zero = np.zeros((6, 6))
     sensors = (
-        SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), zero, Verdict("good")),
-        SensorPose("camera/front *1*", "lidar", "camera", "camera", T_LIDAR_CAMERA, SPREAD, Verdict("good")),
-        SensorPose("laser", "lidar", "laser", "lidar2d", T_LIDAR_LASER, SPREAD, Verdict("good")),
+        SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), Verdict("good")),
+        SensorPose("camera/front *1*", "lidar", "camera", "camera", T_LIDAR_CAMERA, Verdict("good")),
+        SensorPose("laser", "lidar", "laser", "lidar2d", T_LIDAR_LASER, Verdict("good")),
     )
     snapshots, outlines, views, rows = [], [], [], []
     for k in range(3):
@@ -93,6 +93,7 @@ def rig() -> Calibration:
     return Calibration(
         "lidar",
         sensors,
+        join_covariances([np.zeros((6, 6)), SPREAD, SPREAD]),
         evidence=Evidence(captures=tuple(rows), unconnected={"sonar": "saw nothing"}, estimator="bundle"),
         pictures=Pictures(board_outlines=tuple(outlines), snapshots=tuple(snapshots), board_views=tuple(views)),
     )
@@ -112,8 +113,8 @@ def network() -> Calibration:
     spread = np.zeros((6, 6))
     spread[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([0.01**2, 0.02**2, 0.001**2])
     sensors = (
-        SensorPose("a", None, "a", "lidar2d", np.eye(4), np.zeros((6, 6)), Verdict("good")),
-        SensorPose("b", "a", "b", "lidar2d", T_A_B, spread, Verdict("good")),
+        SensorPose("a", None, "a", "lidar2d", np.eye(4), Verdict("good")),
+        SensorPose("b", "a", "b", "lidar2d", T_A_B, Verdict("good")),
     )
     hall = np.concatenate([np.linspace([-1, y], [7, y], 200) for y in (-1, 9)])
     walk, times = np.linspace([2, 0], [2, 9], 91), np.linspace(0, 9, 91)
@@ -121,4 +122,10 @@ def network() -> Calibration:
         FloorView("a", hall, (walk,), (times,)),
         FloorView("b", hall + 0.01, (walk, walk), (times, times + 5)),
     )
-    return Calibration("a", sensors, evidence=Evidence(estimator="joint"), pictures=Pictures(floor_views=floor))
+    return Calibration(
+        "a",
+        sensors,
+        join_covariances([np.zeros((6, 6)), spread]),
+        evidence=Evidence(estimator="joint"),
+        pictures=Pictures(floor_views=floor),
+    )

@@ -128,7 +128,7 @@ def _complete_tracks(
     """The tracks of every scanner of the rig, rejected where none were given."""
     unknown = set(tracks) - set(rig.sensors)
     if unknown:
-        raise InputError(f"followed: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
+        raise InputError(f"tracks: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
     for name, spec in rig.sensors.items():
         scanner_noise(name, spec)
     return {name: tracks.get(name, Rejected("no tracks were given")) for name in rig.sensors}

@@ -1,6 +1,6 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.calibration import Calibration
+from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colorize_from_snapshots
@@ -36,7 +36,7 @@ __all__ = [
     "Verdict",
     "calibrated_cameras",
     "colorize_from_snapshots",
-    "export",
+    "export", "join_covariances",
     "load_calibration",
     "load_scene",
     "read_extrinsics",

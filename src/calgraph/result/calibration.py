@@ -1,10 +1,12 @@
 """A calibration: the poses of sensors as a tree, with one joint covariance, and the evidence for them."""
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.errors import CalibrationError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, se3
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
@@ -20,13 +22,23 @@ class Calibration:
     root: str
     sensors: tuple[SensorPose, ...]
     """The root first; unconnected sensors are not in it."""
-    joint_covariance: Array | None = None
-    """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes, correlations
-    included; zero for the root. None where it is not known."""
+    joint_covariance: Array
+    """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes; zero for the root.
+    NaN where the correlation of two sensors is unknown. All other covariances are views of it."""
     estimated_parameters: tuple[EstimatedParameter, ...] = ()
     """Parameters that were estimated besides poses."""
     evidence: Evidence = field(default_factory=Evidence)
     pictures: Pictures = field(default_factory=Pictures)
+
+    def __post_init__(self) -> None:
+        count = len(self.sensors)
+        if self.joint_covariance.shape != (6 * count, 6 * count):
+            raise InputError(f"joint_covariance: must be ({6 * count}, {6 * count}) for {count} sensors")
+        sensors = tuple(copy(sensor) for sensor in self.sensors)
+        for k, sensor in enumerate(sensors):
+            block = self.joint_covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+            object.__setattr__(sensor, "covariance", block)
+        object.__setattr__(self, "sensors", sensors)
 
     def __getitem__(self, name: str) -> SensorPose:
         """The pose of the sensor called ``name``.
@@ -38,6 +50,11 @@ class Calibration:
         """
         self.tree.check_connected(name)
         return next(sensor for sensor in self.sensors if sensor.name == name)
+
+    @property
+    def has_correlations(self) -> bool:
+        """Whether the joint covariance is finite: all directions are observed and all correlations known."""
+        return bool(np.isfinite(self.joint_covariance).all())
 
     @property
     def planar(self) -> bool:
@@ -61,14 +78,30 @@ class Calibration:
 
         Raises:
             InputError: there is no sensor a or b.
-            CalibrationError: a or b is not connected to the root, or no joint covariance is known.
+            CalibrationError: a or b is not connected to the root, or the correlation of their errors is unknown.
 
         """
         T_root_a, T_root_b = self[a].T_root_sensor, self[b].T_root_sensor
-        if self.joint_covariance is None:
-            raise CalibrationError(
-                f"how errors of {a!r} and {b!r} go together is not known: this result has no joint_covariance"
-            )
         names = [sensor.name for sensor in self.sensors]
-        both = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
-        return se3.relative_covariance(T_root_a, T_root_b, self.joint_covariance[np.ix_(both, both)])
+        rows = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
+        joint = self.joint_covariance[np.ix_(rows, rows)]
+        if np.isnan(joint).any():
+            raise CalibrationError(
+                f"the correlation of the errors of {a!r} and {b!r} is unknown: this result has no joint_covariance"
+            )
+        return se3.relative_covariance(T_root_a, T_root_b, joint)
+
+
+def join_covariances(covariances: Sequence[Array]) -> Array:
+    """A joint covariance (S·6, S·6) of poses with covariances (6, 6) and unknown correlations, which are NaN.
+
+    A pose without error, as the root's, has no correlation: zero.
+    """
+    count = len(covariances)
+    joint = np.full((count, 6, count, 6), np.nan)
+    for k, covariance in enumerate(covariances):
+        if not covariance.any():
+            joint[k], joint[:, :, k] = 0.0, 0.0
+    for k, covariance in enumerate(covariances):
+        joint[k, :, k] = covariance
+    return joint.reshape(6 * count, 6 * count)

@@ -45,7 +45,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
     if calibration.estimated_parameters:
         text += format_yaml({"estimated": [_estimated_parameter(one) for one in calibration.estimated_parameters]})
-    if calibration.joint_covariance is not None:
+    if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
     write_text(path, text)

@@ -11,7 +11,7 @@ from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.calibration import Calibration
+from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, Suggestion
@@ -233,7 +233,7 @@ def load_calibration(path: Path) -> Calibration:
     return Calibration(
         root=file.root,
         sensors=tuple(_sensor(name, file.sensors[name], quality.verdicts[name]) for name in names),
-        joint_covariance=_joint_covariance(file.joint_covariance, names),
+        joint_covariance=_joint_covariance(file, names),
         estimated_parameters=tuple(EstimatedParameter(**vars(one)) for one in file.estimated),
         evidence=Evidence(
             estimator=quality.estimator,
@@ -255,16 +255,16 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
         frame_id=entry.frame_id,
         kind=entry.kind,
         T_root_sensor=se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation)),
-        covariance=np.array(entry.covariance),
         verdict=Verdict(verdict.grade, verdict.reason),
         clock_offset=entry.clock_offset,
         clock_offset_stddev=entry.clock_offset_stddev,
     )
 
 
-def _joint_covariance(entry: _JointCovariance | None, names: Sequence[str]) -> Array | None:
+def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
+    entry = file.joint_covariance
     if entry is None:
-        return None
+        return join_covariances([np.array(file.sensors[name].covariance) for name in names])
     order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
     return np.asarray(np.array(entry.matrix)[np.ix_(order, order)])
 

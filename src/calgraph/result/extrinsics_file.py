@@ -86,7 +86,7 @@ class ExtrinsicsFile:
 
     def covariance(self, a: str, b: str) -> Array:
         """Covariance (6, 6) of ``T_a_b`` in the fixed axes of a; zero where the file has no covariances."""
-        if self.calibration is None or self.calibration.joint_covariance is None:
+        if self.calibration is None or not self.calibration.has_correlations:
             return np.zeros((6, 6))
         return self.calibration.covariance(a, b)
 

@@ -1,6 +1,6 @@
 """The pose of one sensor, with its verdict."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from calgraph.geometry import Array
@@ -10,7 +10,7 @@ Grade = Literal["good", "weak", "unobservable"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """How far a sensor's pose can be relied on."""
+    """A verdict on a sensor's pose."""
 
     grade: Grade
     reason: str = ""
@@ -20,18 +20,19 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class SensorPose:
-    """Where one sensor is."""
+    """The pose of one sensor of a calibration."""
 
     name: str
     parent: str | None
-    """The sensor it hangs from in the spanning tree; None for the root."""
+    """The parent in the spanning tree; None for the root."""
     frame_id: str
     kind: Literal["camera", "lidar2d", "lidar3d"]
     T_root_sensor: Array
     """(4, 4)."""
-    covariance: Array
-    """(6, 6) of the error in the root's fixed axes, (translation, rotation), m and rad; zero for the root."""
     verdict: Verdict
     clock_offset: float | None = None
     """Sensor clock minus root clock, s; None where it was not estimated."""
     clock_offset_stddev: float | None = None
+    covariance: Array = field(init=False, repr=False)
+    """(6, 6) of the error in the root's fixed axes, (translation, rotation), m and rad; zero for the root. A view
+    of the joint covariance, set by the calibration."""

@@ -46,7 +46,7 @@ def calibrated(seed: int | None = None) -> tuple[Calibration, SolvedBundle]:
     sensors = tuple(
         SensorPose(
             name, None if i == 0 else NAMES[0], f"{name}_frame", KINDS[name],  # type: ignore[arg-type]
-            solved.state.T_root_sensor[i], joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6], Verdict("good"),
+            solved.state.T_root_sensor[i], Verdict("good"),
         )
         for i, name in enumerate(NAMES)
     )  # fmt: skip

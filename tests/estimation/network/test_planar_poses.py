@@ -42,6 +42,6 @@ def test_a_calibration_gives_back_the_poses_it_was_made_of() -> None:
 
 
 def test_a_rig_with_a_camera_is_refused() -> None:
-    root = SensorPose("a", None, "a", "camera", np.eye(4), np.zeros((6, 6)), Verdict("good"))
+    root = SensorPose("a", None, "a", "camera", np.eye(4), Verdict("good"))
     with pytest.raises(InputError, match=r"network of 2-D scanners"):
-        extract_planar_poses(Calibration("a", (root,)))
+        extract_planar_poses(Calibration("a", (root,), np.zeros((6, 6))))

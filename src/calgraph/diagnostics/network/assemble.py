@@ -75,7 +75,6 @@ def assemble_network(
                 frame_id=rig.sensors[name].frame_id or frames[name] or name,
                 kind="lidar2d",
                 T_root_sensor=T_root_sensor[k],
-                covariance=blocks[k],
                 verdict=grade_pose(
                     name,
                     "lidar2d",

@@ -47,14 +47,13 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
             raise InputError(f"moved: {name} is the root; calibrate the network anew, or with another root")
     kept = [k for k, name in enumerate(names) if name not in moved]
     rows = (6 * np.array(kept)[:, None] + np.arange(6)).ravel()
-    joint = earlier.joint_covariance
     return replace(
         earlier,
         sensors=tuple(
             replace(sensor, parent=earlier.root) if sensor.parent in moved else sensor
             for sensor in (earlier.sensors[k] for k in kept)
         ),
-        joint_covariance=None if joint is None else joint[np.ix_(rows, rows)],
+        joint_covariance=earlier.joint_covariance[np.ix_(rows, rows)],
         evidence=replace(
             earlier.evidence,
             edges=tuple(

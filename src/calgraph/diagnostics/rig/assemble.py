@@ -91,7 +91,6 @@ def _assemble_sensor(
         frame_id=frame_id(name, rig, captures),
         kind=spec.kind,
         T_root_sensor=T,
-        covariance=covariance,
         verdict=grade_pose(
             name, spec.kind, T, covariance, inconsistency, ambiguity, settings=rig.settings.diagnostics.verdict
         ),

@@ -65,7 +65,7 @@ def project_to_plane(T: Array) -> Array:
 def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
     """The planar poses of a network's calibration.
 
-    Without a joint covariance, scanners are taken as independent.
+    Unknown correlations of scanners are taken as zero.
 
     Raises:
         InputError: the calibration is not that of a network of 2-D scanners.
@@ -75,12 +75,7 @@ def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
         raise InputError("needs the calibration of a network of 2-D scanners in one plane")
     count = len(calibration.sensors)
     rows = _planar_rows(count)
-    covariance = calibration.joint_covariance
-    if covariance is None:
-        covariance = np.zeros((6 * count, 6 * count))
-        for k, sensor in enumerate(calibration.sensors):
-            block = np.nan_to_num(sensor.covariance, posinf=_UNOBSERVED_VARIANCE)
-            covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = block
+    covariance = np.nan_to_num(calibration.joint_covariance, posinf=_UNOBSERVED_VARIANCE)
     T = project_to_plane(np.array([sensor.T_root_sensor for sensor in calibration.sensors]))
     return PlanarPoses(tuple(sensor.name for sensor in calibration.sensors), T, covariance[np.ix_(rows, rows)])
 

@@ -68,7 +68,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
 
 
 def _joint_covariance(calibration: Calibration) -> dict[str, Any] | None:
-    if calibration.joint_covariance is None:
+    if not calibration.has_correlations:
         return None
     order = [sensor.name for sensor in calibration.sensors]
     return {"order": order, "matrix": _plain(calibration.joint_covariance)}
