@@ -1,0 +1,251 @@
+"""What halving and doubling each setting changes, on simulated rigs and networks with ground truth.
+
+python benchmarks/sensitivity.py --seeds 3 --jobs 4                  # all settings
+python benchmarks/sensitivity.py --only estimation.rig --seeds 1     # those whose names begin so
+
+By setting and factor, against the default on the same recordings: sensors placed more or less, how far poses move
+(standard deviations, RMS over sensors and axes), RMSE over that of the default, and NEES per degree of
+freedom. Values that a setting's bounds forbid are left out.
+"""
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, get_args
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from calgraph.calibrate import NetworkOptions, RigOptions, calibrate_network, calibrate_rig
+from calgraph.config import Rig, load_rig
+from calgraph.config.settings import Settings
+from calgraph.errors import CalgraphError
+from calgraph.geometry import Array, se3
+from calgraph.recording import Recording, open_recording
+from calgraph.result import Calibration
+from calgraph.simulation import (
+    GroundTruth,
+    NetworkScenario,
+    RigScenario,
+    load_truth,
+    simulate_network,
+    simulate_rig,
+)
+
+Story = Literal["rig", "network"]
+FACTORS = (0.5, 2.0)
+NETWORK_ONLY = ("tracking.", "pairwise.scanners.", "estimation.network.", "diagnostics.network.")
+RIG_ONLY = ("captures.", "detection.", "pairwise.board.", "estimation.rig.", "diagnostics.rig.")
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one calibration gave."""
+
+    placed: int
+    poses: Mapping[str, tuple[Array, Array]]
+    """Pose (4, 4) and covariance (6, 6) by sensor but the root."""
+    rmse: float
+    """Of positions, m."""
+    nees: float
+    """Per degree of freedom."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What one value of one setting changes, over all seeds."""
+
+    story: Story
+    name: str
+    value: Any
+    placed: int
+    """Sensors more than with the default."""
+    moved: float
+    """Root mean square change of poses in standard deviations."""
+    rmse: float
+    """Over that of the default."""
+    nees: float
+    failure: str
+    """Why a calibration ended, if one did."""
+
+
+def main() -> None:
+    """Prints a line for each setting and factor, the largest changes first."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--only", default="", help="settings whose names begin so")
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(arguments.jobs) as pool:
+        folders = {
+            story: [simulated(story, Path(folder) / f"{story}{seed}", seed) for seed in range(arguments.seeds)]
+            for story in get_args(Story)
+        }
+        defaults = {story: default_outcomes(pool, story, places) for story, places in folders.items()}
+        tasks = [
+            pool.submit(compare, story, name, value, settings, folders[story], defaults[story])
+            for story, name, value, settings in variations(arguments.only)
+        ]
+        changes = []
+        for done, task in enumerate(tasks, start=1):
+            changes.append(task.result())
+            print(f"\r{done} of {len(tasks)}", end="", file=sys.stderr, flush=True)
+    print(f"{'story':8} {'setting':55} {'value':>14} {'placed':>6} {'moved':>8} {'RMSE':>6} {'NEES':>6}")
+    for change in sorted(changes, key=lambda c: (abs(c.placed), np.nan_to_num(c.moved)), reverse=True):
+        print(
+            f"{change.story:8} {change.name:55} {written(change.value):>14} {change.placed:+6d} "
+            f"{change.moved:8.2f} {change.rmse:6.2f} {change.nees:6.2f} {change.failure}"
+        )
+
+
+def default_outcomes(pool: ProcessPoolExecutor, story: Story, folders: Sequence[Path]) -> list[Outcome]:
+    """Calibrations of the recordings with default settings, and a line on them."""
+    found = list(pool.map(calibrated, folders, [Settings()] * len(folders)))
+    outcomes = [outcome for outcome in found if isinstance(outcome, Outcome)]
+    if len(outcomes) < len(found):
+        raise SystemExit(f"{story}: the default settings fail")
+    print(
+        f"{story}: {sum(o.placed for o in outcomes)} sensors placed, RMSE "
+        f"{1000 * rms([o.rmse for o in outcomes]):.2f} mm, NEES {np.mean([o.nees for o in outcomes]):.2f}"
+    )
+    return outcomes
+
+
+def variations(only: str) -> Iterator[tuple[Story, str, Any, Settings]]:
+    """Each number among the settings, halved and doubled, for the stories that use it."""
+    for name, value in numbers(Settings()):
+        if name.startswith(only):
+            for factor in FACTORS:
+                settings = changed(name, scaled(value, factor))
+                if settings is not None:
+                    stories: tuple[Story, ...] = ("rig", "network")
+                    for story in stories:
+                        if not name.startswith(NETWORK_ONLY if story == "rig" else RIG_ONLY):
+                            yield story, name, scaled(value, factor), settings
+
+
+def numbers(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """All settings that are numbers, or tuples of numbers, by dotted name."""
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from numbers(value, f"{prefix}{name}.")
+        elif not isinstance(value, bool | str) and value is not None:
+            yield prefix + name, value
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """A number, or each of several, times a factor; whole numbers stay whole and at least 1."""
+    if isinstance(value, tuple):
+        return tuple(scaled(one, factor) for one in value)
+    if isinstance(value, dict):
+        return {key: scaled(one, factor) for key, one in value.items()}
+    return max(round(value * factor), 1) if isinstance(value, int) else value * factor
+
+
+def changed(name: str, value: Any) -> Settings | None:
+    """The default settings but for one; None where its bounds forbid that value."""
+    plain: dict[str, Any] = {}
+    inner = plain
+    *parents, last = name.split(".")
+    for key in parents:
+        inner = inner.setdefault(key, {})
+    inner[last] = value
+    try:
+        return Settings.model_validate(plain)
+    except ValidationError:
+        return None
+
+
+def simulated(story: Story, folder: Path, seed: int) -> Path:
+    """Simulates a recording."""
+    if story == "rig":
+        simulate_rig(RigScenario(samples=1), folder, seed)
+    else:
+        simulate_network(NetworkScenario(layout="lab", duration=30.0), folder, seed)
+    return folder
+
+
+def calibrated(folder: Path, settings: Settings) -> Outcome | str:
+    """Calibrates a recording; the message where that fails."""
+    rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
+    rig = rig.model_copy(update={"settings": settings})
+    try:
+        with open_recording(folder / "recording") as recording:
+            found = calibrate(rig, recording)
+    except CalgraphError as error:
+        return str(error)
+    return judged(found, truth)
+
+
+def calibrate(rig: Rig, recording: Recording) -> Calibration:
+    """Calibrates by the story that the rig's target belongs to."""
+    if rig.boards:
+        return calibrate_rig(rig, recording, RigOptions())
+    return calibrate_network(rig, recording, NetworkOptions())
+
+
+def judged(found: Calibration, truth: GroundTruth) -> Outcome:
+    """Errors of a calibration against the ground truth."""
+    poses, errors, nees = {}, [], []
+    for sensor in found.sensors:
+        if sensor.name == found.root:
+            continue
+        poses[sensor.name] = (sensor.T_root_sensor, sensor.covariance)
+        error = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])
+        axes = np.flatnonzero(np.diag(sensor.covariance) > 0)
+        nees.append(error[axes] @ np.linalg.solve(sensor.covariance[np.ix_(axes, axes)], error[axes]) / len(axes))
+        errors.append(float(np.linalg.norm(error[:3])))
+    return Outcome(len(poses), poses, rms(errors), float(np.mean(nees)) if nees else float("nan"))
+
+
+def compare(
+    story: Story, name: str, value: Any, settings: Settings, folders: Sequence[Path], defaults: Sequence[Outcome]
+) -> Change:
+    """Calibrates all recordings of a story with one setting changed."""
+    outcomes = [calibrated(folder, settings) for folder in folders]
+    failures = [outcome for outcome in outcomes if isinstance(outcome, str)]
+    pairs = [(o, d) for o, d in zip(outcomes, defaults, strict=True) if isinstance(o, Outcome)]
+    steps = [
+        whitened(o.poses[sensor][0], *d.poses[sensor])
+        for o, d in pairs
+        for sensor in o.poses.keys() & d.poses.keys()
+    ]
+    return Change(
+        story,
+        name,
+        value,
+        placed=sum(o.placed for o, _ in pairs) - sum(d.placed for d in defaults),
+        moved=rms(np.concatenate(steps)) if steps else float("nan"),
+        rmse=rms([o.rmse for o, _ in pairs]) / rms([d.rmse for _, d in pairs]) if pairs else float("nan"),
+        nees=float(np.mean([o.nees for o, _ in pairs])) if pairs else float("nan"),
+        failure=failures[0].splitlines()[0] if failures else "",
+    )
+
+
+def whitened(T: Array, T_default: Array, covariance: Array) -> Array:
+    """Change of a pose by axis in standard deviations; axes without variance are left out."""
+    stddev = np.sqrt(np.diag(covariance))
+    return np.asarray(se3.difference(T, T_default)[stddev > 0] / stddev[stddev > 0])
+
+
+def rms(numbers: Sequence[float] | Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(numbers))))
+
+
+def written(value: Any) -> str:
+    """A value in few characters."""
+    if isinstance(value, tuple):
+        return "(" + ", ".join(map(written, value)) + ")"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Draws the rooms of the source from the import contract in pyproject.toml: `python docs/house.py`.
+
+Each room may import those below it; rooms on one line do not import each other. The picture is
+docs/images/house.svg.
+"""
+
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PURPOSE = {
+    "cli": "commands",
+    "calibrate": "the two stories",
+    "report": "page of a result",
+    "simulation": "ground truth",
+    "printing": "boards on paper",
+    "viewer": "3-D in the browser",
+    "diagnostics": "verdict, cross-validation, bootstrap, next best pose",
+    "baselines": "the papers' estimators",
+    "estimation": "joint estimators",
+    "graph": "connectivity, start values",
+    "captures": "when the board rests",
+    "pairwise": "poses of two sensors",
+    "detection": "the board in one capture",
+    "tracking": "people through time",
+    "recording": "bags, folders: streams of messages",
+    "result": "Calibration, its files and exports",
+    "config": "rig.yaml and settings",
+    "io": "atomic files, YAML, archives",
+    "sensors": "camera models, scans, clouds",
+    "ransac": "sample and score",
+    "levenberg_marquardt": "the one nonlinear solver",
+    "geometry": "poses, planes",
+    "processes": "parallel work",
+    "errors": "exceptions, Rejected",
+}
+WIDTH, HEIGHT, GAP = 860, 44, 8
+
+
+def layers() -> list[list[str]]:
+    """The rooms, from the top of the house, as the import contract has them."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    house = next(contract for contract in contracts if contract["type"] == "layers")
+    return [[room.strip() for room in line.split("|")] for line in house["layers"]]
+
+
+def room(x: float, y: float, width: float, name: str) -> str:
+    """One room: a box with its name and purpose."""
+    middle = x + width / 2
+    return (
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{HEIGHT}" rx="4" fill="#eef3f7" '
+        f'stroke="#51708a"/>\n<text x="{middle:.1f}" y="{y + 18:.1f}" font-weight="bold">{name}</text>\n'
+        f'<text x="{middle:.1f}" y="{y + 35:.1f}" font-size="12" fill="#444">{PURPOSE[name]}</text>'
+    )
+
+
+def house() -> str:
+    """The picture as SVG."""
+    parts = []
+    for floor, rooms in enumerate(layers()):
+        width = (WIDTH - GAP * (len(rooms) + 1)) / len(rooms)
+        y = GAP + floor * (HEIGHT + GAP)
+        parts += [room(GAP + i * (width + GAP), y, width, name) for i, name in enumerate(rooms)]
+    height = GAP + len(layers()) * (HEIGHT + GAP)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" '
+        'font-family="sans-serif" font-size="14" text-anchor="middle" fill="#222">\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
+    )
+
+
+if __name__ == "__main__":
+    (ROOT / "docs/images/house.svg").write_text(house(), encoding="utf-8")
