@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calgraph.calibrate import DEPTHS
 from calgraph.config import Rig
 from calgraph.config.settings import VerdictSettings
 from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
@@ -89,7 +88,7 @@ def check(seed: int) -> Outcome:
 def solve_recording(rig: Rig, scans: Mapping[str, list[LaserScan]]) -> PlanarPoses:
     """The joint solution of a recording."""
     tracked, rng = track_scanners(rig, scans, "nls"), np.random.default_rng(0)
-    estimates = estimate_scanner_pairs(tracked, rng, depth_stddev=DEPTHS["nls"])
+    estimates = estimate_scanner_pairs(tracked, rng)
     pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
     one = solve_poses(rig, tracked, pairs, JOINT, rng)
     return PlanarPoses(one.names, one.T_root_scanner, one.covariance)

@@ -7,7 +7,6 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.calibrate import DEPTHS
 from calgraph.calibrate.strategies import select_averaging
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.estimation import solve_network
@@ -141,7 +140,7 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
         tracked = track_scanners(rig, scans, feature)
         for icp in {setup.icp for setup in setups if setup.feature == feature}:
             rng = np.random.default_rng(seed)
-            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=DEPTHS[feature])
+            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, feature=feature)
             pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
             if feature == "com" and icp:
                 judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)

@@ -8,6 +8,8 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import evaluate_coplanarity
 from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
 
+DIHEDRAL = 0.15  # rad, between the scan planes of the solutions
+
 
 def segments(T_a_b: Array, rng: np.random.Generator, count: int = 40, sigma: float = 1e-9) -> Array:
     scene = make_boards(rng, count)
@@ -23,7 +25,7 @@ def segments(T_a_b: Array, rng: np.random.Generator, count: int = 40, sigma: flo
 def test_all_lines_are_coplanar_under_the_pose_of_any_mounting(seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = segments(random_pose(rng), rng)
-    gaps = evaluate_coplanarity(solve_coplanar_lines(a, b)[:, None], a, b)[0]
+    gaps = evaluate_coplanarity(solve_coplanar_lines(a, b, DIHEDRAL)[:, None], a, b)[0]
     np.testing.assert_allclose(gaps, 0, atol=1e-6)
 
 
@@ -31,12 +33,16 @@ def test_only_the_dihedral_angle_differs_from_the_truth(rng: np.random.Generator
     """The scan planes of scanners rotated about x by 0.5 intersect in the x axis."""
     T_a_b = se3.pose(so3.exp(np.array([0.5, 0, 0])), np.array([0.3, 0, 0]))
     a, b = segments(T_a_b, rng)
-    difference = se3.difference(solve_coplanar_lines(a, b)[0], T_a_b)
+    difference = se3.difference(solve_coplanar_lines(a, b, DIHEDRAL)[0], T_a_b)
     np.testing.assert_allclose(difference[[0, 1, 2, 4, 5]], 0, atol=1e-6)
 
 
 def test_samples_are_solved_independently(rng: np.random.Generator) -> None:
     several = [segments(random_pose(rng), rng)[:, :, :8] for _ in range(6)]
     pairs = [pair for pair in several if pair.shape[2] == 8]
-    together = solve_coplanar_lines(np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs]))
-    np.testing.assert_allclose(together, np.concatenate([solve_coplanar_lines(a, b) for a, b in pairs]), atol=1e-9)
+    together = solve_coplanar_lines(
+        np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs]), DIHEDRAL
+    )
+    np.testing.assert_allclose(
+        together, np.concatenate([solve_coplanar_lines(a, b, DIHEDRAL) for a, b in pairs]), atol=1e-9
+    )

@@ -289,5 +289,5 @@ def test_centres_of_mass_nearer_than_true_centres_are_corrected(rng: np.random.G
     walks = [wander(rng) for _ in range(2)]
     A, B = se2.pose(0.8, np.array([-3.0, -3.0])), se2.pose(2.3, np.array([3.0, -3.0]))
     a, b = (observe(walks, T, rng, near=0.15) for T in (A, B))
-    found = estimate_scanner_pair("a", "b", a, b, rng, depth_stddev=0.12)
+    found = estimate_scanner_pair("a", "b", a, b, rng, feature="com")
     assert error(found, se2.inverse(A) @ B) < (0.04, 1.0)

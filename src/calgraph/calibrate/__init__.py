@@ -1,7 +1,7 @@
 """The two stories, one screen each: from a recording to a calibrated tree of transforms."""
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.network import DEPTHS, calibrate_network, calibrate_tracks
+from calgraph.calibrate.network import calibrate_network, calibrate_tracks
 from calgraph.calibrate.options import NetworkEstimator, NetworkOptions, Progress, RigOptions, Weights, no_progress
 from calgraph.calibrate.rig import (
     build_problem,
@@ -15,7 +15,7 @@ from calgraph.calibrate.track_recording import track_people
 from calgraph.calibrate.validate import bootstrap_covariances, compare_extrinsics, compare_network_extrinsics
 
 __all__ = [
-    "DEPTHS", "NetworkEstimator", "NetworkOptions", "Progress", "RigOptions", "Weights", "bootstrap_covariances",
+    "NetworkEstimator", "NetworkOptions", "Progress", "RigOptions", "Weights", "bootstrap_covariances",
     "build_problem", "build_problem_from_captures", "calibrate", "calibrate_detections", "calibrate_network",
     "calibrate_rig", "calibrate_tracks", "collect_captures", "compare_extrinsics", "compare_network_extrinsics",
     "no_progress", "solve_problem", "track_people",

@@ -22,11 +22,7 @@ from calgraph.graph import initialize_network
 from calgraph.pairwise import ScannerObservations, estimate_scanner_pairs
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.tracking import CenterFeature, ScannerTracks
-
-# How far off along the sight the centres may lie that each feature gives, as a standard deviation, m. A centre of
-# mass lies three quarters of the radius before the centre.
-DEPTHS: Mapping[CenterFeature, float] = {"com": 0.2, "ellipse": 0.05, "nls": 0.03}
+from calgraph.tracking import ScannerTracks
 
 
 def calibrate_network(
@@ -69,16 +65,17 @@ def calibrate_tracks(
     tracks = _complete_tracks(rig, tracks)
     rng = np.random.default_rng(options.seed)
     tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
-    depth = DEPTHS[options.feature]
+    settings = rig.settings.pairwise.scanners
     pairs = estimate_scanner_pairs(
         tracked,
         rng,
         icp=options.icp,
-        depth_stddev=depth,
+        feature=options.feature,
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
+        settings=settings,
     )
-    observations = {name: ScannerObservations.from_tracks(scanner) for name, scanner in tracked.items()}
+    observations = {name: ScannerObservations.from_tracks(scanner, settings) for name, scanner in tracked.items()}
     initialization = initialize_network(
         rig.root,
         pairs,
@@ -100,6 +97,7 @@ def calibrate_tracks(
             graph,
             settings=rig.settings.estimation.network,
             acceleration_density=rig.settings.tracking.acceleration_density,
+            pair_settings=settings,
         )
         joint = solution()
         if earlier:

@@ -147,13 +147,16 @@ def build_problem_from_captures(
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
     detections = captures.detections
-    pairs = estimate_pairs(detections, rig.board_size, rng, lambda done: progress("pairing", done))
+    settings = rig.settings.pairwise.board
+    pairs = estimate_pairs(
+        detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
+    )
     start = select_initialization(options.start)
     tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under a joint solution.
         joint = solve_hypergraph(tree, select_successful(pairs), detections, keep=options.keep)
-        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size)
+        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size, settings)
         tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     solver = SolverOptions(
         estimator=options.estimator, keep=options.keep, folds=options.folds, estimate=options.estimate

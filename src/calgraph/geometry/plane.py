@@ -30,6 +30,12 @@ def distance(planes: Array, points: Array) -> Array:
     return np.asarray((points @ planes[..., :3, None])[..., 0] + planes[..., 3:])
 
 
+def distance_jacobian(planes: Array, points: Array) -> Array:
+    """Derivatives (..., N, 3) of the distances of points (..., N, 3) by the chart of :func:`retract`."""
+    along = points @ tangent_basis(planes[..., :3])
+    return np.concatenate([along, np.ones((*along.shape[:-1], 1))], axis=-1)
+
+
 def fit(points: Array, weights: Array | None = None) -> Array:
     """The total-least-squares plane (4,) of points (N, 3), N >= 3, oriented towards the origin.
 

@@ -6,16 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import BoardPairSettings
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, plane_of
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
 from calgraph.pairwise.pairwise_estimate import (
-    Linearization,
     Matches,
     PairwiseEstimate,
     compute_information,
     compute_normalized_rms,
+    linearize_at,
     refine_pose,
     resolve_ambiguity,
     squared_residual_function,
@@ -36,6 +37,7 @@ def estimate_pair(
     rng: np.random.Generator,
     *,
     refine: bool = True,
+    settings: BoardPairSettings = BoardPairSettings(),
 ) -> PairwiseEstimate | Rejected:
     """Estimates ``T_a_b`` from the captures in which both sensors have detections.
 
@@ -48,6 +50,7 @@ def estimate_pair(
         rng: random generator for the samples.
         refine: fit the inliers once more, weighted by their covariances; the paper keeps the solution of its
             solver, which has equal weights.
+        settings: gates, errors and limits.
 
     Returns:
         The estimate, or the reason why the pair cannot be estimated.
@@ -57,16 +60,19 @@ def estimate_pair(
         return Rejected("no capture in which both detected the board")
     kinds = _geometric_kind(candidates_a[common[0]][0]), _geometric_kind(candidates_b[common[0]][0])
     if kinds == ("line", "plane"):
-        swapped = estimate_pair(sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng, refine=refine)
+        swapped = estimate_pair(
+            sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng, refine=refine, settings=settings
+        )
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
 
-    table, matches = _build_matches(candidates_a, candidates_b, board_size)
+    table, matches = _build_matches(candidates_a, candidates_b, board_size, settings)
     if len(common) < matches.sample_size:
         return Rejected(f"both detected the board in {len(common)} captures, {matches.sample_size} are needed")
     groups = _group_alternatives(table, candidates_a, candidates_b)
     found = find_consensus(
-        groups, matches.sample_size, matches.solve, squared_residual_function(matches), 1.0, rng=rng
-    )
+        groups, matches.sample_size, matches.solve, squared_residual_function(matches, settings), 1.0, rng=rng,
+        confidence=settings.ransac_confidence, max_samples=settings.ransac_max_samples,
+    )  # fmt: skip
     min_inliers = max(matches.sample_size, _min_match_count(matches, len(table)))
     if found is None or found.inlier_count < min_inliers:
         return Rejected(
@@ -76,10 +82,10 @@ def estimate_pair(
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):
         minima = matches.find_local_minima(found.inliers)
-        T_a_b, angle = resolve_ambiguity(T_a_b, minima, matches, found.inliers)
+        T_a_b, angle = resolve_ambiguity(T_a_b, minima, matches, found.inliers, settings)
     if refine:
-        T_a_b = refine_pose(T_a_b, matches, found.inliers)
-    return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle)
+        T_a_b = refine_pose(T_a_b, matches, found.inliers, settings)
+    return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle, settings)
 
 
 def reselect_inliers(
@@ -88,11 +94,12 @@ def reselect_inliers(
     candidates_a: Candidates,
     candidates_b: Candidates,
     board_size: tuple[float, float],
+    settings: BoardPairSettings = BoardPairSettings(),
 ) -> PairwiseEstimate | Rejected:
     """Reselects a pair's inliers under a pose from the joint solution of all sensors.
 
-    The gate of RANSAC is wide, because a pose from few captures is uncertain. Here the gate is 3.5 robust standard
-    deviations of the inliers' residuals.
+    The gate of RANSAC is wide, because a pose from few captures is uncertain. Here it is relative to the robust
+    standard deviation of the inliers' residuals.
 
     Args:
         estimate: as found by :func:`estimate_pair`.
@@ -100,33 +107,35 @@ def reselect_inliers(
         candidates_a: detections by the estimate's sensor a.
         candidates_b: detections by its sensor b.
         board_size: width and height of the (largest) board, m.
+        settings: gates and errors.
 
     Returns:
         The estimate at ``T_a_b`` with the new inliers; rejected if fewer than a minimal sample are left.
     """
     capture = estimate.matches[0, 0]
     if (_geometric_kind(candidates_a[capture][0]), _geometric_kind(candidates_b[capture][0])) == ("line", "plane"):
-        swapped = reselect_inliers(estimate.inverse(), se3.inverse(T_a_b), candidates_b, candidates_a, board_size)
+        T_b_a = se3.inverse(T_a_b)
+        swapped = reselect_inliers(estimate.inverse(), T_b_a, candidates_b, candidates_a, board_size, settings)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
-    table, matches = _build_matches(candidates_a, candidates_b, board_size)
-    r2 = squared_residual_function(matches)(T_a_b[None])[0]
+    table, matches = _build_matches(candidates_a, candidates_b, board_size, settings)
+    r2 = squared_residual_function(matches, settings)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
-    gate = min(1.0, 3.5**2 * scale2)
+    gate = min(1.0, settings.reselection_gate**2 * scale2)
     inliers = select_best_of_groups(r2 / gate, _group_alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
         count = int(estimate.inliers.sum())
         return Rejected(f"all {count} shared captures were rejected as outliers by the joint solution")
     sensors = estimate.sensor_a, estimate.sensor_b
-    return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle)
+    return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle, settings)
 
 
 def _build_matches(
-    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float]
+    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float], settings: BoardPairSettings
 ) -> tuple[NDArray[np.intp], Matches]:
     table = tabulate_matches(candidates_a, candidates_b)
     a = [candidates_a[capture][i] for capture, i, _ in table]
     b = [candidates_b[capture][j] for capture, _, j in table]
-    return table, _MATCH_BUILDERS[_geometric_kind(a[0]), _geometric_kind(b[0])](a, b, size)
+    return table, _MATCH_BUILDERS[_geometric_kind(a[0]), _geometric_kind(b[0])](a, b, size, settings)
 
 
 def _min_match_count(matches: Matches, count: int) -> int:
@@ -142,13 +151,13 @@ def _evaluate_estimate(
     matches: Matches,
     inliers: NDArray[np.bool_],
     alternative_pose_angle: float,
+    settings: BoardPairSettings,
 ) -> PairwiseEstimate:
-    at = matches.linearize(T_a_b[None])
-    at = Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
+    at = linearize_at(T_a_b, matches)
     rms = np.sqrt(np.mean(at.residuals**2, axis=-1))
     return PairwiseEstimate(
         *sensors, T_a_b, compute_information(at, inliers), table, inliers, rms,
-        alternative_pose_angle, compute_normalized_rms(at, inliers),
+        alternative_pose_angle, compute_normalized_rms(at, inliers, settings.flatness),
     )  # fmt: skip
 
 
@@ -163,6 +172,7 @@ def estimate_pairs(
     progress: Callable[[float], None] = lambda _done: None,
     *,
     refine: bool = True,
+    settings: BoardPairSettings = BoardPairSettings(),
 ) -> PairwiseEstimates:
     """Estimates the relative pose of every pair of sensors, as :func:`estimate_pair` does.
 
@@ -172,11 +182,14 @@ def estimate_pairs(
         rng: random generator for the samples.
         progress: called with the completed fraction, 0..1.
         refine: as for :func:`estimate_pair`.
+        settings: as for :func:`estimate_pair`.
     """
     names = list(itertools.combinations(detections, 2))
     pairs = {}
     for done, (a, b) in enumerate(names, start=1):
-        pairs[a, b] = estimate_pair(a, b, detections[a], detections[b], board_size, rng, refine=refine)
+        pairs[a, b] = estimate_pair(
+            a, b, detections[a], detections[b], board_size, rng, refine=refine, settings=settings
+        )
         progress(done / len(names))
     return pairs
 
@@ -191,6 +204,7 @@ def reselect_all_inliers(
     T_root_sensor: Mapping[str, Array],
     detections: Mapping[str, Candidates],
     board_size: tuple[float, float],
+    settings: BoardPairSettings = BoardPairSettings(),
 ) -> PairwiseEstimates:
     """Reselects the inliers of every pair under joint poses, as :func:`reselect_inliers` does.
 
@@ -199,12 +213,13 @@ def reselect_all_inliers(
         T_root_sensor: joint poses (4, 4); pairs with a sensor that has none stay as they are.
         detections: by sensor and capture.
         board_size: width and height of the (largest) board, m.
+        settings: as for :func:`reselect_inliers`.
     """
     chosen = dict(pairs)
     for (a, b), pair in pairs.items():
         if not isinstance(pair, Rejected) and a in T_root_sensor and b in T_root_sensor:
             T_a_b = se3.inverse(T_root_sensor[a]) @ T_root_sensor[b]
-            chosen[a, b] = reselect_inliers(pair, T_a_b, detections[a], detections[b], board_size)
+            chosen[a, b] = reselect_inliers(pair, T_a_b, detections[a], detections[b], board_size, settings)
     return chosen
 
 
@@ -255,19 +270,27 @@ def _stack_segments(detections: Sequence[Detection]) -> tuple[Array, Array]:
     return np.array([d.endpoints for d in segments]), np.array([d.covariance for d in segments])
 
 
-MatchBuilder = Callable[[Sequence[Detection], Sequence[Detection], tuple[float, float]], Matches]
+Size = tuple[float, float]
+MatchBuilder = Callable[[Sequence[Detection], Sequence[Detection], Size, BoardPairSettings], Matches]
 
 
-def _build_plane_plane(a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float]) -> Matches:
-    return PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), min(size) / 2, float(np.hypot(*size)))
+def _build_plane_plane(
+    a: Sequence[Detection], b: Sequence[Detection], size: Size, settings: BoardPairSettings
+) -> Matches:
+    radius, diagonal = min(size) / 2, float(np.hypot(*size))
+    return PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), radius, diagonal, settings)
 
 
-def _build_plane_line(a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float]) -> Matches:
-    return PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), float(np.hypot(*size)))
+def _build_plane_line(
+    a: Sequence[Detection], b: Sequence[Detection], size: Size, settings: BoardPairSettings
+) -> Matches:
+    return PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), float(np.hypot(*size)), settings)
 
 
-def _build_line_line(a: Sequence[Detection], b: Sequence[Detection], size: tuple[float, float]) -> Matches:
-    return LineLineMatches(*_stack_segments(a), *_stack_segments(b), float(np.hypot(*size)))
+def _build_line_line(
+    a: Sequence[Detection], b: Sequence[Detection], size: Size, settings: BoardPairSettings
+) -> Matches:
+    return LineLineMatches(*_stack_segments(a), *_stack_segments(b), float(np.hypot(*size)), settings)
 
 
 _MATCH_BUILDERS: Mapping[tuple[str, str], MatchBuilder] = {

@@ -9,12 +9,8 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 
-# The dihedral angle is unobservable. A small value brings the two segments of each board near each other; with a
-# smaller one the scan planes would nearly coincide, in which case all lines are coplanar, rad.
-_DIHEDRAL_ANGLE = 0.15
 
-
-def solve_coplanar_lines(a: Array, b: Array) -> Array:
+def solve_coplanar_lines(a: Array, b: Array, dihedral_angle: float) -> Array:
     """Solves for poses under which the lines of each sample are coplanar.
 
     In coordinates (direction, moment) of lines in their scan planes, ``l_a @ E @ l_b = 0``. The last element of
@@ -24,6 +20,7 @@ def solve_coplanar_lines(a: Array, b: Array) -> Array:
     Args:
         a: (K, m, 2, 3) end points of m >= 7 segments in K samples, frame a, z = 0, m.
         b: (K, m, 2, 3) end points of the matching segments, frame b, z = 0, m.
+        dihedral_angle: unobservable angle between the scan planes, rad.
 
     Returns:
         T_a_b (K, 4, 4); NaN for samples whose intersection lies at infinity.
@@ -46,7 +43,7 @@ def solve_coplanar_lines(a: Array, b: Array) -> Array:
     frame_a, frame_b = _line_frame(axis_a), _line_frame(axis_b)
     # The dihedral angle is such that both scanners observe the boards on the same side of the intersection.
     sides = np.sum(_signed_distances(a, axis_a, scale) * _signed_distances(b, axis_b, scale), axis=1)
-    dihedral = np.where(sides < 0, np.pi - _DIHEDRAL_ANGLE, _DIHEDRAL_ANGLE)
+    dihedral = np.where(sides < 0, np.pi - dihedral_angle, dihedral_angle)
     R = frame_a @ _rotation_about_x(dihedral) @ np.swapaxes(frame_b, -1, -2)
     origin_a = _closest_point(axis_a) + np.where(reversed_, shift[1], shift[0])[:, None] * frame_a[..., 0]
     return se3.pose(R, scale * (origin_a - (R @ _closest_point(axis_b)[..., None])[..., 0]))

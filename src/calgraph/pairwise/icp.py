@@ -13,39 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.track_registration import rigid_motion_covariance
 from calgraph.pairwise.visibility_map import is_free_space
 
-# Neighbours on either side of a point to which a line is fitted, largest distance between neighbours on one wall
-# (m, and as a fraction of their range), and largest standard deviation of the points from the line, m.
-_NEIGHBOURS_PER_SIDE = 3
-_MAX_NEIGHBOUR_DISTANCE = (0.15, 0.05)
-_MAX_LINE_STDDEV = 0.03
-# Largest angle between the normals of matched points, rad. Normals point to the scanner: a wall has two sides.
-_MAX_NORMAL_ANGLE = np.radians(25)
-# Match distance (m): bounds of the initial one (a smaller one would miss walls that contradict the initial pose),
-# the final one, and the factor per step.
-_INITIAL_MATCH_DISTANCE, _FINAL_MATCH_DISTANCE, _MATCH_DISTANCE_FACTOR = (0.5, 0.8), 0.06, 0.7
+# Limit on steps; the match distance takes 6 to 8 of them to shrink.
 _MAX_STEPS = 25
-# Least number of matches, and their least share of matching and contradicting points: a point contradicts if the
-# other scanner measures farther than it by more than the margin, m.
-_MIN_MATCHES = 25
-_MIN_MATCH_SHARE = 0.5
-_FREE_SPACE_MARGIN = 0.3
-# Errors of the points of one wall are correlated (range bias, plaster, mounting height, m): weights are divided by
-# this number of points.
-_CORRELATED_POINTS = 10.0
-_WALL_ERROR = 0.01
-# A direction is observable if its standard deviation is below this (m; m at the lever arm for the angle).
-_MAX_STDDEV = 0.03
-_LEVER_ARM = 3.0
-# χ² with three degrees of freedom, 99.9 %: beyond it background and tracks contradict each other. Standard
-# deviations of the initial pose are multiplied by the factor: in a few seconds scanners measure one side of people
-# only.
-_MAX_CHI2 = 16.3
-_PRIOR_STDDEV_FACTOR = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +63,18 @@ class StaticBackground:
 
     points: Array
     """(N, 2) in order of angle, m, scanner frame; NaN rows are breaks."""
+    settings: ScannerPairSettings = ScannerPairSettings()
 
     @cached_property
     def oriented_points(self) -> _SurfacePoints:
         """The points on lines, with normals."""
-        return _fit_lines(self.points)
+        return _fit_lines(self.points, self.settings.icp)
 
 
 def align_backgrounds(
     T_a_b: Array, covariance: Array, background_a: StaticBackground, background_b: StaticBackground, sigma: float
 ) -> IcpResult | Rejected:
-    """Aligns b's static background to a's, from an initial pose.
+    """Aligns b's static background to a's, from an initial pose, with the settings of a.
 
     Args:
         T_a_b: (3, 3) initial pose.
@@ -111,67 +87,69 @@ def align_backgrounds(
         The alignment; rejected if the overlap is too small, if no direction is observable, or if background and
         initial pose contradict each other.
     """
+    settings, max_beam_gap = background_a.settings.icp, background_a.settings.visibility.max_beam_gap
     a, b = background_a.oriented_points, background_b.oriented_points
-    if min(len(a.points), len(b.points)) < _MIN_MATCHES:
+    if min(len(a.points), len(b.points)) < settings.min_matches:
         return Rejected("too little static background")
     lever = float(np.median(np.linalg.norm(b.points, axis=1)))
     guess_stddev = np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2])) + lever**2 * covariance[2, 2])
-    match_distance = float(np.clip(3 * guess_stddev, *_INITIAL_MATCH_DISTANCE))
-    noise2 = sigma**2 + _WALL_ERROR**2
+    match_distance = float(np.clip(3 * guess_stddev, settings.min_initial_distance, settings.max_initial_distance))
+    noise2 = (sigma**2 + settings.wall_error**2) * settings.correlated_points
+    scale = np.array([1, 1, 1 / settings.lever_arm])
+    scale2 = np.outer(scale, scale)
     T = T_a_b
     for _ in range(_MAX_STEPS):
-        matches = _match_points(T, a, b, match_distance)
-        if len(matches[0]) < _MIN_MATCHES:
+        matches = _match_points(T, a, b, match_distance, settings)
+        if len(matches[0]) < settings.min_matches:
             return Rejected(f"only {len(matches[0])} points of the static background overlap")
         H, g = _build_normal_equations(T, a, b, matches, noise2, match_distance)
-        directions, values = _find_observable_directions(H)
-        step = np.asarray(-_SCALE * (directions @ ((directions.T @ (_SCALE * g)) / values)), dtype=np.float64)
+        directions, values = _find_observable_directions(H * scale2, settings.max_stddev)
+        step = np.asarray(-scale * (directions @ ((directions.T @ (scale * g)) / values)), dtype=np.float64)
         T = se2.retract(T, step)
         converged = float(np.max(np.abs(step))) < 1e-4
-        if converged and match_distance <= _FINAL_MATCH_DISTANCE:
+        if converged and match_distance <= settings.final_distance:
             break
-        match_distance = max(_FINAL_MATCH_DISTANCE, match_distance * _MATCH_DISTANCE_FACTOR)
-    matches = _match_points(T, a, b, _FINAL_MATCH_DISTANCE)
+        match_distance = max(settings.final_distance, match_distance * settings.distance_factor)
+    matches = _match_points(T, a, b, settings.final_distance, settings)
     b_in_a, a_in_b = se2.apply(T, b.points), se2.apply(se2.inverse(T), a.points)
-    contradicting = int(is_free_space(background_a.points, b_in_a, _FREE_SPACE_MARGIN).sum())
-    contradicting += int(is_free_space(background_b.points, a_in_b, _FREE_SPACE_MARGIN).sum())
-    if len(matches[0]) < _MIN_MATCHES or len(matches[0]) < _MIN_MATCH_SHARE * (len(matches[0]) + contradicting):
+    margins = settings.free_space_margin, max_beam_gap
+    contradicting = int(is_free_space(background_a.points, b_in_a, *margins).sum())
+    contradicting += int(is_free_space(background_b.points, a_in_b, *margins).sum())
+    count = len(matches[0])
+    if count < settings.min_matches or count < settings.min_match_share * (count + contradicting):
         return Rejected(f"{contradicting} static points of one lie in the free space of the other")
-    H, _ = _build_normal_equations(T, a, b, matches, noise2, _FINAL_MATCH_DISTANCE)
-    directions, values = _find_observable_directions(H)
+    H, _ = _build_normal_equations(T, a, b, matches, noise2, settings.final_distance)
+    directions, values = _find_observable_directions(H * scale2, settings.max_stddev)
     if not directions.shape[1]:
         return Rejected("the static background determines no direction")
-    scale2 = np.outer(_SCALE, _SCALE)
-    deviation = directions.T @ (se2.difference(T, T_a_b) / _SCALE)
+    deviation = directions.T @ (se2.difference(T, T_a_b) / scale)
     prior_covariance = directions.T @ (covariance / scale2) @ directions
-    wall_covariance = directions.T @ (_wall_error_covariance(T, a, matches[1]) / scale2) @ directions
+    wall_covariance = _wall_error_covariance(T, a, matches[1], settings.wall_error)
+    wall_covariance = directions.T @ (wall_covariance / scale2) @ directions
     icp_covariance = np.diag(1 / values) + wall_covariance
-    total = _PRIOR_STDDEV_FACTOR**2 * prior_covariance + icp_covariance
-    if deviation @ np.linalg.solve(total, deviation) > _MAX_CHI2:
+    total = settings.prior_stddev_factor**2 * prior_covariance + icp_covariance
+    if deviation @ np.linalg.solve(total, deviation) > settings.max_mahalanobis2:
         return Rejected("static background and tracks contradict each other")
     information = directions @ np.linalg.solve(icp_covariance, directions.T) / scale2
-    return IcpResult(T, information, directions, len(matches[0]))
+    return IcpResult(T, information, directions, count)
 
 
-# Tangent vectors divided by it are in metres.
-_SCALE = np.array([1, 1, 1 / _LEVER_ARM])
-
-
-def _fit_lines(background: Array) -> _SurfacePoints:
+def _fit_lines(background: Array, settings: IcpSettings) -> _SurfacePoints:
     """Selects the points of (N, 2) whose neighbours in order of angle lie on a line, and fits their normals."""
-    n, width = len(background), 2 * _NEIGHBOURS_PER_SIDE + 1
+    n, width = len(background), 2 * settings.neighbours_per_side + 1
     if n < width:
         return _SurfacePoints(np.zeros((0, 2)), np.zeros((0, 2)))
     windows = np.lib.stride_tricks.sliding_window_view(background, width, axis=0)
-    ranges = np.linalg.norm(windows[..., _NEIGHBOURS_PER_SIDE], axis=1)
+    ranges = np.linalg.norm(windows[..., settings.neighbours_per_side], axis=1)
     gaps = np.linalg.norm(np.diff(windows, axis=2), axis=1)
     # Comparisons with NaN are False, so windows over a break are dropped.
-    max_gap = np.maximum(_MAX_NEIGHBOUR_DISTANCE[0], _MAX_NEIGHBOUR_DISTANCE[1] * ranges)
+    max_gap = np.maximum(settings.max_neighbour_distance, settings.max_neighbour_ratio * ranges)
     windows = windows[(gaps < max_gap[:, None]).all(axis=1)]
     centered = windows - windows.mean(axis=2, keepdims=True)
     values, vectors = np.linalg.eigh(centered @ np.swapaxes(centered, 1, 2) / width)
-    straight = (values[:, 0] < _MAX_LINE_STDDEV**2) & (values[:, 1] > 9 * values[:, 0])
-    points, normals = windows[straight, :, _NEIGHBOURS_PER_SIDE], vectors[straight, :, 0]
+    straight = values[:, 0] < settings.max_line_stddev**2
+    straight &= values[:, 1] > settings.min_elongation2 * values[:, 0]
+    points, normals = windows[straight, :, settings.neighbours_per_side], vectors[straight, :, 0]
     normals = np.where(np.sum(normals * points, axis=1, keepdims=True) > 0, -normals, normals)
     return _SurfacePoints(points, normals)
 
@@ -179,14 +157,16 @@ def _fit_lines(background: Array) -> _SurfacePoints:
 _Matches = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
-def _match_points(T: Array, a: _SurfacePoints, b: _SurfacePoints, match_distance: float) -> _Matches:
+def _match_points(
+    T: Array, a: _SurfacePoints, b: _SurfacePoints, match_distance: float, settings: IcpSettings
+) -> _Matches:
     """Indices of points of b and of the nearest points of a, with similar normals, within the match distance."""
     x = se2.apply(T, b.points)
-    distance, nearest = a.tree.query(x, distance_upper_bound=match_distance + _MAX_NEIGHBOUR_DISTANCE[0])
+    distance, nearest = a.tree.query(x, distance_upper_bound=match_distance + settings.max_neighbour_distance)
     of_b = np.flatnonzero(np.isfinite(distance))
     of_a = nearest[of_b]
     normal = a.normals[of_a]
-    matched = np.sum(normal * (b.normals[of_b] @ T[:2, :2].T), axis=1) > np.cos(_MAX_NORMAL_ANGLE)
+    matched = np.sum(normal * (b.normals[of_b] @ T[:2, :2].T), axis=1) > np.cos(settings.max_normal_angle)
     matched &= np.abs(np.sum(normal * (x[of_b] - a.points[of_a]), axis=1)) < match_distance
     return of_b[matched], of_a[matched]
 
@@ -199,21 +179,21 @@ def _build_normal_equations(
     normal = a.normals[of_a]
     r = np.sum(normal * (rotated + T[:2, 2] - a.points[of_a]), axis=1)
     J = np.column_stack([normal, normal[:, 1] * rotated[:, 0] - normal[:, 0] * rotated[:, 1]])
-    w = 1 / (noise2 * _CORRELATED_POINTS * (1 + (2 * r / match_distance) ** 2))
+    w = 1 / (noise2 * (1 + (2 * r / match_distance) ** 2))
     return J.T @ (w[:, None] * J), J.T @ (w * r)
 
 
-def _find_observable_directions(H: Array) -> tuple[Array, Array]:
-    """Observable directions (3, k), scaled to metres, and their information (k,)."""
-    values, vectors = np.linalg.eigh(H * np.outer(_SCALE, _SCALE))
-    observable = values > _MAX_STDDEV**-2
+def _find_observable_directions(H: Array, max_stddev: float) -> tuple[Array, Array]:
+    """Observable directions (3, k) and their information (k,) of a matrix scaled to metres."""
+    values, vectors = np.linalg.eigh(H)
+    observable = values > max_stddev**-2
     return vectors[:, observable], values[observable]
 
 
-def _wall_error_covariance(T_a_b: Array, a: _SurfacePoints, of_a: NDArray[np.intp]) -> Array:
+def _wall_error_covariance(T_a_b: Array, a: _SurfacePoints, of_a: NDArray[np.intp], wall_error: float) -> Array:
     """Covariance (3, 3) of the pose due to errors common to a wall; shorter walls have larger errors of angle."""
     x, normal = a.points[of_a], a.normals[of_a]
     center = x.mean(axis=0)
     offset = x - center
     extent = float(np.sqrt(np.mean((normal[:, 1] * offset[:, 0] - normal[:, 0] * offset[:, 1]) ** 2)))
-    return rigid_motion_covariance(T_a_b, center, _WALL_ERROR, _WALL_ERROR / max(extent, 0.1))
+    return rigid_motion_covariance(T_a_b, center, wall_error, wall_error / max(extent, 0.1))

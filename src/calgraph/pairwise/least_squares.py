@@ -7,12 +7,9 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 
-# Directions (m and rad) along which the residuals' RMS changes by less than this per unit are not moved.
-_MIN_RMS_SLOPE = 0.03
-
 
 def gauss_newton(
-    T: Array, residuals: Callable[[Array], tuple[Array, Array]], iterations: int = 12
+    T: Array, residuals: Callable[[Array], tuple[Array, Array]], min_rms_slope: float, iterations: int = 12
 ) -> tuple[Array, Array]:
     """Minimizes K independent sums of squares over poses.
 
@@ -20,6 +17,8 @@ def gauss_newton(
         T: (K, 4, 4) start values.
         residuals: poses (K, 4, 4) to residuals (K, m) and their Jacobians (K, m, 6) for se3.retract; NaN for
             infeasible poses, to which no step is taken.
+        min_rms_slope: change of the residuals' RMS per unit of a direction (m or rad) below which it keeps its
+            start value.
         iterations: maximum number of steps.
 
     Returns:
@@ -34,7 +33,7 @@ def gauss_newton(
         g = np.einsum("kmi,km->ki", J, r) / r.shape[1]
         values, vectors = np.linalg.eigh(H)
         along = np.einsum("kji,kj->ki", vectors, g)
-        step = np.where(values > _MIN_RMS_SLOPE**2, along / (values + damping[:, None]), 0.0)
+        step = np.where(values > min_rms_slope**2, along / (values + damping[:, None]), 0.0)
         trial = se3.retract(T, -np.einsum("kij,kj->ki", vectors, step))
         r_trial, J_trial = residuals(trial)
         trial_cost = _mean_square(r_trial)

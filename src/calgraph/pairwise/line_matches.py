@@ -6,16 +6,11 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, se_n, so3
 from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
 from calgraph.pairwise.least_squares import axis_aligned_rotations, gauss_newton
 from calgraph.pairwise.pairwise_estimate import Linearization
-
-# A start is worth refining from the linear solution only if every unknown moves the residuals by this much of
-# what it would move a single point (RMS over the sample): below it, noise decides the unknown.
-_MIN_CONDITION = 0.02
-# Of the plain mountings, so many are refined for each sample.
-_REFINED_STARTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +29,7 @@ class PlaneLineMatches:
     """(M, 6, 6) of the end points."""
     max_center_distance: float
     """Largest distance between the two centres: the board's diagonal, m."""
+    settings: BoardPairSettings
 
     @property
     def sample_size(self) -> int:
@@ -50,26 +46,22 @@ class PlaneLineMatches:
         n = np.repeat(self.planes[samples, :3], 2, axis=1)
         d = np.repeat(self.planes[samples, 3], 2, axis=1)
         x = self.endpoints[samples].reshape(len(samples), -1, 3)
-
-        def residuals(T: Array) -> tuple[Array, Array]:
-            return _evaluate_plane_distances(T, n, d, x)
-
         A = np.concatenate([x[..., :1] * n, x[..., 1:2] * n, n], axis=-1)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         if self._determined:
             h = np.einsum("kij,ki,kli,kl->kj", Vt, 1 / np.maximum(s, 1e-9), U, -d)
             R = se_n.nearest_rotation(np.stack([h[:, :3], h[:, 3:6], np.cross(h[:, :3], h[:, 3:6])], axis=-1))
-            T, _ = gauss_newton(se3.pose(R, _solve_translation(R, n, d, x)), residuals)
+            T, _ = self._minimize(R, n, d, x)
             T[s[:, -1] < 1e-6 * s[:, 0]] = np.nan
             return T
-        starts = _select_rotations(axis_aligned_rotations(), n, d, x)
+        starts = self._select_rotations(axis_aligned_rotations(), n, d, x)
         count = starts.shape[1]
         n, d, x = (np.repeat(v, count, axis=0) for v in (n, d, x))
         R = starts.reshape(-1, 3, 3)
-        T, cost = gauss_newton(se3.pose(R, _solve_translation(R, n, d, x)), residuals)
+        T, cost = self._minimize(R, n, d, x)
         # Of solutions with similar residuals, the one with the smallest rotation from its start.
         angle = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
-        best = np.argmin((cost + (0.02 * angle) ** 2).reshape(-1, count), axis=1)
+        best = np.argmin((cost + (self.settings.rotation_penalty * angle) ** 2).reshape(-1, count), axis=1)
         return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
 
     def find_local_minima(self, chosen: NDArray[np.bool_]) -> Array:
@@ -82,12 +74,26 @@ class PlaneLineMatches:
         n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
         d = np.broadcast_to(np.repeat(self.planes[chosen, 3], 2), n.shape[:2])
         x = np.broadcast_to(self.endpoints[chosen].reshape(-1, 3), n.shape)
-        T, _ = gauss_newton(
-            se3.pose(starts, _solve_translation(starts, n, d, x)),
-            lambda T: _evaluate_plane_distances(T, n, d, x),
-            iterations=40,
-        )
-        return T
+        return self._minimize(starts, n, d, x, iterations=40)[0]
+
+    def _select_rotations(self, starts: Array, n: Array, d: Array, x: Array) -> Array:
+        """Selects for each sample the rotations (K, k, 3, 3) of (S, 3, 3) that fit best with some translation."""
+        r = np.einsum("kpi,sij,kpj->ksp", n, starts, x, optimize=True) + d[:, None]
+        inverse = np.linalg.pinv(n, rcond=self.settings.min_translation_spread)
+        r -= np.einsum("kpi,kiq,ksq->ksp", n, inverse, r, optimize=True)
+        order = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")
+        return starts[order[:, : self.settings.refined_starts]]
+
+    def _minimize(self, R: Array, n: Array, d: Array, x: Array, iterations: int = 12) -> tuple[Array, Array]:
+        """Poses (K, 4, 4) from start rotations, and mean squared distances (K,).
+
+        Start translations are zero in directions that the normals do not determine.
+        """
+        r = np.sum(n * (x @ np.swapaxes(R, -1, -2)), axis=-1) + d
+        inverse = np.linalg.pinv(n, rcond=self.settings.min_translation_spread)
+        start = se3.pose(R, -(inverse @ r[..., None])[..., 0])
+        residuals = partial(_evaluate_plane_distances, n=n, d=d, x=x)
+        return gauss_newton(start, residuals, self.settings.min_rms_slope, iterations)
 
     @cached_property
     def _determined(self) -> bool:
@@ -95,7 +101,7 @@ class PlaneLineMatches:
         n = np.repeat(self.planes[:, :3], 2, axis=0)
         x = self.endpoints.reshape(-1, 3)
         s = np.linalg.svd(np.concatenate([x[:, :1] * n, x[:, 1:2] * n, n], axis=-1), compute_uv=False)
-        return bool(len(s) == 9 and s[-1] > _MIN_CONDITION * np.sqrt(len(n)))
+        return bool(len(s) == 9 and s[-1] > self.settings.min_condition * np.sqrt(len(n)))
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Computes the distances of the two end points from the plane."""
@@ -104,9 +110,8 @@ class PlaneLineMatches:
         arm = x_a - T_a_b[:, None, None, :3, 3]
         n_a = np.broadcast_to(n, x_a.shape)
         jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
-        along = x_a @ plane.tangent_basis(self.planes[:, :3])
-        chart = np.concatenate([along, np.ones((*along.shape[:-1], 1))], axis=-1)
-        covariance = chart @ self.covariances_a @ np.swapaxes(chart, -1, -2)
+        by_a = plane.distance_jacobian(self.planes, x_a)
+        covariance = by_a @ self.covariances_a @ np.swapaxes(by_a, -1, -2)
         n_b = np.einsum("kji,mj->kmi", T_a_b[:, :3, :3], self.planes[:, :3])
         blocks = self.covariances_b.reshape(-1, 2, 3, 2, 3)
         covariance = covariance + np.einsum("kmi,mpiqj,kmj->kmpq", n_b, blocks, n_b)
@@ -130,6 +135,7 @@ class LineLineMatches:
     covariances_b: Array
     max_center_distance: float
     """Largest distance between the two midpoints: the board's diagonal, m."""
+    settings: BoardPairSettings
 
     sample_size: int = 8
 
@@ -140,16 +146,17 @@ class LineLineMatches:
         no crossing point on that line, so it is unobservable (see :func:`evaluate_coplanarity`).
         """
         a, b = self.endpoints_a[samples], self.endpoints_b[samples]
-        T, _ = gauss_newton(
-            solve_coplanar_lines(a, b),
-            partial(_regularized_coplanarity, a=a, b=b, prior_stddev=20 * self.max_center_distance),
-        )
-        return T
+        start = solve_coplanar_lines(a, b, self.settings.dihedral_angle)
+        residuals = partial(
+            _regularized_coplanarity, a=a, b=b, min_sine=self.settings.min_scan_plane_sine,
+            gap_weight=self.settings.center_gap_weight / self.max_center_distance,
+        )  # fmt: skip
+        return gauss_newton(start, residuals, self.settings.min_rms_slope)[0]
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Computes the distance of the two lines times the sine of their angle: zero if they are coplanar."""
         a, b = self.endpoints_a, self.endpoints_b
-        r, jacobian, by_a, by_b = evaluate_coplanarity(T_a_b[:, None], a, b)
+        r, jacobian, by_a, by_b = evaluate_coplanarity(T_a_b[:, None], a, b, self.settings.min_scan_plane_sine)
         covariance = np.einsum("kmi,mij,kmj->km", by_a, self.covariances_a, by_a)
         covariance = covariance + np.einsum("kmi,mij,kmj->km", by_b, self.covariances_b, by_b)
         return Linearization(r[..., None], jacobian[..., None, :], covariance[..., None, None])
@@ -161,23 +168,22 @@ class LineLineMatches:
         return np.asarray(distance <= self.max_center_distance)
 
 
-# Sine of the angle between scan planes below which coplanarity does not determine their pose.
-_MIN_SCAN_PLANE_SINE = 0.05
-
-
-def evaluate_coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
+def evaluate_coplanarity(
+    T_a_b: Array, a: Array, b: Array, min_sine: float = BoardPairSettings().min_scan_plane_sine
+) -> tuple[Array, Array, Array, Array]:
     """``(u × R v) · (R m_b + t - m_a) / s`` for lines with unit directions u, v through the middles m_a, m_b.
 
     With the sine s of the angle between the scan planes z = 0 of a and b, this is the distance between the two
     points where the lines cross the scan planes' intersection, times the sines of the lines' angles with it.
     Without the division, any pose with coinciding scan planes would fit: all lines would be coplanar.
     Rotating b about that line has no effect: a pair of 2-D scanners alone determines five of its six unknowns.
-    Scan planes within 3 degrees of each other hardly determine their pose: NaN.
+    Nearly parallel scan planes hardly determine their pose: NaN.
 
     Args:
         T_a_b: (..., 4, 4).
         a: (..., 2, 3) end points in frame a, m.
         b: (..., 2, 3) end points in frame b, m.
+        min_sine: least sine of the angle between the scan planes.
 
     Returns:
         Residuals (...), m, and their derivatives by T_a_b (..., 6), by a (..., 6) and by b (..., 6).
@@ -200,7 +206,7 @@ def evaluate_coplanarity(T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array
     by_b = np.concatenate([-turn_b + normal_b / 2, turn_b + normal_b / 2], axis=-1)
     z_b = R[..., :, 2]
     s = np.hypot(z_b[..., 0], z_b[..., 1])
-    s = np.where(s < _MIN_SCAN_PLANE_SINE, np.nan, s)
+    s = np.where(s < min_sine, np.nan, s)
     jacobian = jacobian / s[..., None]
     jacobian[..., 3:] += (r * z_b[..., 2] / s**3)[..., None] * np.cross(z_b, [0.0, 0.0, 1.0])
     return r / s, jacobian, np.broadcast_to(by_a / s[..., None], jacobian.shape), by_b / s[..., None]
@@ -221,28 +227,15 @@ def _evaluate_plane_distances(T: Array, n: Array, d: Array, x: Array) -> tuple[A
     return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
 
 
-def _select_rotations(starts: Array, n: Array, d: Array, x: Array) -> Array:
-    """Selects for each sample the rotations (K, k, 3, 3) out of (S, 3, 3) that fit best with some translation."""
-    r = np.einsum("kpi,sij,kpj->ksp", n, starts, x, optimize=True) + d[:, None]
-    r -= np.einsum("kpi,kiq,ksq->ksp", n, np.linalg.pinv(n, rcond=0.05), r, optimize=True)
-    chosen = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")[:, :_REFINED_STARTS]
-    return starts[chosen]
-
-
-def _solve_translation(R: Array, n: Array, d: Array, x: Array) -> Array:
-    """Solves for translations (K, 3) given rotations; zero in directions that the normals do not determine."""
-    r = np.sum(n * (x @ np.swapaxes(R, -1, -2)), axis=-1) + d
-    return np.asarray(-(np.linalg.pinv(n, rcond=0.05) @ r[..., None])[..., 0])
-
-
-def _regularized_coplanarity(T: Array, a: Array, b: Array, prior_stddev: float) -> tuple[Array, Array]:
-    """Coplanarity residuals, and the gaps between midpoints with the weight of a prior with a wide ``stddev``."""
-    r, J, _, _ = evaluate_coplanarity(T[:, None], a, b)
-    scale = 0.02 / prior_stddev
+def _regularized_coplanarity(
+    T: Array, a: Array, b: Array, gap_weight: float, min_sine: float
+) -> tuple[Array, Array]:
+    """Coplanarity residuals, and the weighted gaps between midpoints."""
+    r, J, _, _ = evaluate_coplanarity(T[:, None], a, b, min_sine)
     Rm = np.einsum("kij,kmj->kmi", T[:, :3, :3], b.mean(axis=2))
     gap = Rm + T[:, None, :3, 3] - a.mean(axis=2)
     J_gap = np.concatenate([np.broadcast_to(np.eye(3), (*Rm.shape, 3)), -so3.hat(Rm)], axis=-1)
     return (
-        np.concatenate([r, scale * gap.reshape(len(T), -1)], axis=1),
-        np.concatenate([J, scale * J_gap.reshape(len(T), -1, 6)], axis=1),
+        np.concatenate([r, gap_weight * gap.reshape(len(T), -1)], axis=1),
+        np.concatenate([J, gap_weight * J_gap.reshape(len(T), -1, 6)], axis=1),
     )

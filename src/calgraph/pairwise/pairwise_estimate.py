@@ -7,23 +7,13 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, se3, so3
 
-# Two detections agree if they differ by no more than this many standard deviations ...
-_INLIER_GATE = 3.0
-# ... of their noise together with what no noise model knows: the board's bend, range bias, stamps (m).
-MODEL_ERROR = 0.01
-# How far a board is from a plane, m.
-_FLATNESS = 0.002
-# Steps at most from a minimal sample's pose to that of all inliers, and the standard deviation (m and rad) beyond
-# which a direction is left as it is: the inliers' noise would move it anywhere.
+# Limit on Gauss-Newton steps from the pose of a minimal sample to that of all inliers: 3 to 5 suffice.
 _MAX_STEPS = 20
-_MAX_STDDEV = 0.1
-# A pose fits as well as another if its sum of squared whitened residuals is at most so much larger (times their
-# scatter), and it is another one if turned by more than this, rad.
-_AMBIGUITY_MARGIN = 12.0
-_MIN_ALTERNATIVE_ANGLE = np.radians(5)
-
+# Added to the covariances for their information, m: keeps those of exact detections regular.
+_MIN_STDDEV = 1e-4
 
 MatchFilter = Literal["ransac", "none"]
 """Matches that the joint solution uses: the inliers (``ransac``), or the first candidates of each capture."""
@@ -98,34 +88,31 @@ class Matches(Protocol):
         """(K, M) whether both detections can lie on one board of the given size."""
 
 
-def squared_residual_function(matches: Matches) -> Callable[[Array], Array]:
+def squared_residual_function(matches: Matches, settings: BoardPairSettings) -> Callable[[Array], Array]:
     """Returns the map from poses to squared residuals (K, M) over the squared gate; infinite if not feasible."""
 
     def evaluate(T_a_b: Array) -> Array:
         at = matches.linearize(T_a_b)
-        variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + MODEL_ERROR**2
-        r2 = np.mean(at.residuals**2 / variance, axis=-1) / _INLIER_GATE**2
+        variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + settings.model_error**2
+        r2 = np.mean(at.residuals**2 / variance, axis=-1) / settings.inlier_gate**2
         return np.asarray(np.where(matches.feasible(T_a_b), r2, np.inf))
 
     return evaluate
 
 
-def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> Array:
+def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_], settings: BoardPairSettings) -> Array:
     """Refines a pose (4, 4) on all inliers by Gauss-Newton; unobservable directions keep their start value."""
 
-    def build_normal_equations(T: Array) -> tuple[Array, Array, float]:
-        at = matches.linearize(T[None])
-        r, J, covariance = at.residuals[0][inliers], at.jacobian[0][inliers], at.covariance[0][inliers]
-        W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
-        H = np.einsum("mki,mkl,mlj->ij", J, W, J)
-        return H, np.einsum("mki,mkl,ml->i", J, W, r), float(np.einsum("mk,mkl,ml->", r, W, r))
+    def evaluate(T: Array) -> tuple[Array, Array, float]:
+        return _build_normal_equations(linearize_at(T, matches), inliers, settings.flatness)
 
-    H, g, cost = build_normal_equations(T_a_b)
+    min_information = settings.max_stddev**-2
+    H, g, cost = evaluate(T_a_b)
     for _ in range(_MAX_STEPS):
         values, vectors = np.linalg.eigh(H)
-        along = np.where(values > _MAX_STDDEV**-2, vectors.T @ g / np.maximum(values, _MAX_STDDEV**-2), 0.0)
+        along = np.where(values > min_information, vectors.T @ g / np.maximum(values, min_information), 0.0)
         trial = se3.retract(T_a_b, -np.asarray(vectors @ along, dtype=np.float64))
-        trial_H, trial_g, trial_cost = build_normal_equations(trial)
+        trial_H, trial_g, trial_cost = evaluate(trial)
         if not trial_cost < cost * (1 - 1e-6):
             break
         T_a_b, H, g, cost = trial, trial_H, trial_g, trial_cost
@@ -133,7 +120,7 @@ def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_]) -> A
 
 
 def resolve_ambiguity(
-    T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_]
+    T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_], settings: BoardPairSettings
 ) -> tuple[Array, float]:
     """Selects the pose that fits all inliers best, and measures whether another fits equally well.
 
@@ -142,6 +129,7 @@ def resolve_ambiguity(
         others: (K, 4, 4) other minima.
         matches: of the pair.
         inliers: (M,) of T_a_b.
+        settings: flatness, margin and angle of ambiguous poses.
 
     Returns:
         The pose, and the angle (rad) to the farthest other one that fits equally well; 0 if there is none.
@@ -149,34 +137,44 @@ def resolve_ambiguity(
     poses = np.concatenate([T_a_b[None], others])
     at = matches.linearize(poses)
     r, covariance = at.residuals[:, inliers], at.covariance[:, inliers]
-    W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[2]))
+    W = np.linalg.inv(covariance + settings.flatness**2 * np.eye(r.shape[2]))
     cost = np.einsum("pmk,pmkl,pml->p", r, W, r)
     cost[~matches.feasible(poses)[:, inliers].all(axis=1)] = np.inf
     best = int(np.argmin(cost))
-    margin = _AMBIGUITY_MARGIN * max(1.0, cost[best] / max(r[0].size - 6, 1))
+    margin = settings.ambiguity_margin * max(1.0, cost[best] / max(r[0].size - 6, 1))
     if cost[0] <= cost[best] + margin:
         best = 0
     angle = np.linalg.norm(so3.log(poses[:, :3, :3] @ poses[best, :3, :3].T), axis=-1)
-    ambiguous = (cost <= cost.min() + margin) & (angle > _MIN_ALTERNATIVE_ANGLE)
+    ambiguous = (cost <= cost.min() + margin) & (angle > settings.min_alternative_angle)
     return poses[best], float(np.max(angle, initial=0.0, where=ambiguous))
 
 
-def compute_normalized_rms(at: Linearization, inliers: NDArray[np.bool_]) -> float:
-    """RMS of the inliers' residuals, whitened by their covariances and the board's flatness."""
-    r, covariance = at.residuals[inliers], at.covariance[inliers]
-    W = np.linalg.inv(covariance + _FLATNESS**2 * np.eye(r.shape[1]))
-    return float(np.sqrt(np.einsum("mk,mkl,ml->", r, W, r) / max(r.size - 6, 1)))
+def linearize_at(T_a_b: Array, matches: Matches) -> Linearization:
+    """Linearizes all matches at one pose (4, 4)."""
+    at = matches.linearize(T_a_b[None])
+    return Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
+
+
+def compute_normalized_rms(at: Linearization, inliers: NDArray[np.bool_], flatness: float) -> float:
+    """RMS of the inliers' residuals, whitened by their covariances and the board's flatness (m)."""
+    _, _, chi2 = _build_normal_equations(at, inliers, flatness)
+    return float(np.sqrt(chi2 / max(at.residuals[inliers].size - 6, 1)))
 
 
 def compute_information(at: Linearization, inliers: NDArray[np.bool_]) -> Array:
     """Information (6, 6) of the inliers, divided by their reduced chi-squared where it exceeds 1."""
+    H, _, chi2 = _build_normal_equations(at, inliers, _MIN_STDDEV)
+    return np.asarray(H / max(1.0, chi2 / max(at.residuals[inliers].size - 6, 1)))
+
+
+def _build_normal_equations(
+    at: Linearization, inliers: NDArray[np.bool_], stddev: float
+) -> tuple[Array, Array, float]:
+    """Matrix (6, 6), gradient (6,) and chi-squared of the inliers, with an additional error per residual, m."""
     r, J, covariance = at.residuals[inliers], at.jacobian[inliers], at.covariance[inliers]
-    floor = 1e-8 * np.eye(r.shape[1])
-    W = np.linalg.inv(covariance + floor)
+    W = np.linalg.inv(covariance + stddev**2 * np.eye(r.shape[1]))
     H = np.einsum("mki,mkl,mlj->ij", J, W, J)
-    chi2 = float(np.einsum("mk,mkl,ml->", r, W, r))
-    degrees_of_freedom = max(r.size - 6, 1)
-    return np.asarray(H / max(1.0, chi2 / degrees_of_freedom))
+    return H, np.einsum("mki,mkl,ml->i", J, W, r), float(np.einsum("mk,mkl,ml->", r, W, r))
 
 
 def select_matches(pair: PairwiseEstimate, keep: MatchFilter) -> NDArray[np.bool_]:

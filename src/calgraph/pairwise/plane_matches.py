@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, se_n
 from calgraph.pairwise.pairwise_estimate import Linearization
 
@@ -26,6 +27,7 @@ class PlanePlaneMatches:
     """Distance from the centre at which planes are compared: half of the board's shorter side, m."""
     max_center_distance: float
     """Largest distance between the two centres: the board's diagonal, m."""
+    settings: BoardPairSettings
 
     sample_size: int = 3
 
@@ -37,7 +39,7 @@ class PlanePlaneMatches:
         # n_i · t + d_i - d_j = 0; coplanar normals do not determine the translation.
         normal_matrix = np.einsum("kmi,kmj->kij", n_a, n_a)
         eigenvalues = np.linalg.eigvalsh(normal_matrix)
-        solvable = eigenvalues[:, 0] > 1e-4 * eigenvalues[:, 2]
+        solvable = eigenvalues[:, 0] > self.settings.min_normal_spread**2 * eigenvalues[:, 2]
         safe = np.where(solvable[:, None, None], normal_matrix, np.eye(3))
         t = np.linalg.solve(safe, np.einsum("kmi,km->ki", n_a, d_b - d_a)[..., None])[..., 0]
         t[~solvable] = np.nan
@@ -53,21 +55,17 @@ class PlanePlaneMatches:
         n_a = np.broadcast_to(self.planes_a[:, None, :3], x_a.shape)
         arm = x_a - T_a_b[:, None, None, :3, 3]
         jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
-        by_a = _distance_by_chart(self.planes_a, x_a)
-        by_b = _distance_by_chart(self.planes_b, x_b)
+        by_a = plane.distance_jacobian(self.planes_a, x_a)
+        by_b = plane.distance_jacobian(self.planes_b, x_b)
         covariance = by_a @ self.covariances_a @ np.swapaxes(by_a, -1, -2)
         covariance = covariance + by_b @ self.covariances_b @ np.swapaxes(by_b, -1, -2)
         return Linearization(plane.distance(self.planes_a, x_a), jacobian, covariance)
 
     def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
-        """Tests whether the normals differ by less than 30 degrees, and the centres by less than a board."""
+        """Tests whether the angle between the normals and the distance between the centres are small enough."""
         x_a = se3.apply(T_a_b, self.centers_b)
         n_a = self.planes_b[:, :3] @ np.swapaxes(T_a_b[:, :3, :3], -1, -2)
         close = np.linalg.norm(x_a - self.centers_a, axis=-1) <= self.max_center_distance
-        return np.asarray(close & (np.sum(n_a * self.planes_a[:, :3], axis=-1) > np.cos(np.radians(30))))
-
-
-def _distance_by_chart(planes: Array, points: Array) -> Array:
-    """Derivatives (..., M, k, 3) of the distances at points (..., M, k, 3) by the charts of planes (M, 4)."""
-    along = points @ plane.tangent_basis(planes[:, :3])
-    return np.concatenate([along, np.ones((*along.shape[:-1], 1))], axis=-1)
+        return np.asarray(
+            close & (np.sum(n_a * self.planes_a[:, :3], axis=-1) > np.cos(self.settings.max_normal_angle))
+        )

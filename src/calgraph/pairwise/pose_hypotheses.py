@@ -7,21 +7,12 @@ Source: Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple st
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import ProposalSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
-
-# Lengths of the stretches, ticks; the last one is the whole trajectory. Short ones survive identity switches.
-_STRETCH_LENGTHS = (30, 80, 1_000_000)
-# A stretch gives a hypothesis if it has at least this many ticks, this extent (standard deviation of positions,
-# m), and at most this RMS distance after alignment (m).
-_MIN_TICKS = 6
-_MIN_EXTENT = 0.15
-_MAX_FIT_RMS = 0.3
-# Maximum number of hypotheses.
-_MAX_PROPOSALS = 200
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, to_ticks
 
 
-def propose_poses(pairs: SimultaneousPairs, rng: np.random.Generator) -> Array:
+def propose_poses(pairs: SimultaneousPairs, settings: ProposalSettings, rng: np.random.Generator) -> Array:
     """Proposes poses (K, 3, 3) from stretches of every combination of a trajectory of a with one of b.
 
     The stretches with the largest extent and the smallest RMS distance come first, then a random selection.
@@ -31,17 +22,17 @@ def propose_poses(pairs: SimultaneousPairs, rng: np.random.Generator) -> Array:
     trajectories, ticks = trajectories[order], pairs.a.tick[pairs.row_a][order]
     moments = _compute_moments(pairs.x_a[order], pairs.x_b[order])
     poses, scores = [], []
-    for length in _STRETCH_LENGTHS:
+    for length in (*map(to_ticks, settings.stretch_durations), np.iinfo(np.intp).max):
         begins = np.diff(trajectories, prepend=-1).astype(bool) | np.diff(ticks // length, prepend=-1).astype(bool)
-        T, fit, extent = _fit_stretches(moments, np.flatnonzero(begins))
-        usable = (extent > _MIN_EXTENT) & (fit < _MAX_FIT_RMS)
+        T, fit, extent = _fit_stretches(moments, np.flatnonzero(begins), to_ticks(settings.min_duration))
+        usable = (extent > settings.min_extent) & (fit < settings.max_rms)
         poses.append(T[usable])
-        scores.append(extent[usable] / (fit[usable] + 0.05))
+        scores.append(extent[usable] / (fit[usable] + settings.noise))
     T, score = np.concatenate(poses), np.concatenate(scores)
     order = np.argsort(-score)
-    if len(order) > _MAX_PROPOSALS:
-        first, rest = order[: _MAX_PROPOSALS // 2], order[_MAX_PROPOSALS // 2 :]
-        order = np.concatenate([first, rng.choice(rest, _MAX_PROPOSALS - len(first), replace=False)])
+    if len(order) > settings.max_count:
+        first, rest = np.split(order, [settings.max_count // 2])
+        order = np.concatenate([first, rng.choice(rest, settings.max_count - len(first), replace=False)])
     return np.asarray(T[order])
 
 
@@ -52,12 +43,13 @@ def _compute_moments(x_a: Array, x_b: Array) -> Array:
     return np.column_stack([np.ones(len(x_a)), x_a, x_b, dot, cross, *squares])
 
 
-def _fit_stretches(moments: Array, starts: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+def _fit_stretches(moments: Array, starts: NDArray[np.intp], min_ticks: int) -> tuple[Array, Array, Array]:
     """Fits poses to all stretches of all combinations of trajectories (Kabsch).
 
     Args:
-        moments: (M, 9) as :func:`_moments` gives them, stretch by stretch.
-        starts: (K,) where the stretches begin.
+        moments: (M, 9) from :func:`_compute_moments`, ordered by stretch.
+        starts: (K,) first row of each stretch.
+        min_ticks: least number of rows of a stretch.
 
     Returns:
         Poses (K, 3, 3), RMS distances (K,), m, and extents of the trajectories (K,), m; infinite distances for
@@ -74,4 +66,4 @@ def _fit_stretches(moments: Array, starts: NDArray[np.intp]) -> tuple[Array, Arr
     T[:, :2, 2] = center_a - np.einsum("kij,kj->ki", T[:, :2, :2], center_b)
     fit = np.sqrt(np.maximum(spread_a + spread_b - 2 * np.hypot(dot, cross), 0))
     extent = np.sqrt(np.maximum(np.minimum(spread_a, spread_b), 0))
-    return T, np.where(count < _MIN_TICKS, np.inf, fit), extent
+    return T, np.where(count < min_ticks, np.inf, fit), extent

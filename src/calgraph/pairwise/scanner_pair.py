@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import HypothesisSettings, RegistrationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import StaticBackground, align_backgrounds
@@ -21,10 +22,9 @@ from calgraph.pairwise.synchronized_tracks import (
     SimultaneousPairs,
     TrackSamples,
     pair_samples,
+    to_ticks,
 )
 from calgraph.pairwise.track_registration import (
-    ASSOCIATION_GATE,
-    DEPTH_STDDEV,
     TrackRegistration,
     compute_pose_costs,
     compute_registration_information,
@@ -32,44 +32,11 @@ from calgraph.pairwise.track_registration import (
 )
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.processes import parallel_map
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking import CenterFeature, ScannerTracks
 
-# Simultaneous pairs on which hypotheses are scored roughly, coarsely and finely, numbers of hypotheses that are
-# registered coarsely and finely, and least number of samples of a on which hypotheses are scored.
-_ROUGH_PAIRS = 300
-_COARSE_PAIRS = 1200
-_FINE_PAIRS = 6_000
-_COARSE_HYPOTHESES = 6
-_FINE_HYPOTHESES = 4
-_MIN_SAMPLES = 20
-# Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m.
-_PROPOSAL_STDDEV = 0.3
-# Distance within which the other scanner detects an object under a correct pose, m, and least number of expected
-# detections to judge a pose.
-_DETECTION_RADIUS = 0.5
-_MIN_EXPECTED = 20
-# A pose is rejected if a larger share of the expected detections is missed. Under correct poses the share is
-# mostly below 0.2, but up to 0.5 where furniture occludes people from one of the two.
-_MAX_MISSED_SHARE = 0.5
-# Two hypotheses are duplicates if they differ by less than this, m and rad.
-_SAME_POSE = (0.5, np.radians(8))
-# Least number of matches, their least share of the expected ones, their least ratio to those by chance, and the
-# least ratio of a score to that of the best hypothesis.
-_MIN_TICKS = 20
-_MIN_MATCHED_SHARE = 0.25
-_MIN_CHANCE_RATIO = 2.0
-_MIN_SCORE_RATIO = 0.4
-# Standard deviation of the distance between different people with similar trajectories under a wrong pose, and
-# between two tracks of one person, m. Least log likelihood ratio of the two: a perfect fit of 2 s has 52, a fit
-# with 9 cm needs 9 s for the same.
-_COINCIDENCE_STDDEV, _TRACK_STDDEV = 0.15, 0.01
-_MIN_WEIGHT_OF_EVIDENCE = 45.0
-# A scanner often detects people at a place if it has this number of samples within this distance of it, m.
-_NEIGHBOUR_RADIUS = 0.4
-_MIN_NEIGHBOURS = 3
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
-# Maximum number of positions whose neighbours are counted.
+# Maximum number of positions whose neighbours are counted: the standard error of a share is below 3 %.
 _MAX_QUERIES = 300
 
 
@@ -99,18 +66,14 @@ class PoseHypothesis:
         """Number of matches times their share of the expected ones."""
         return self.observations * self.matched_share
 
-    @property
-    def weight_of_evidence(self) -> float:
+    def weight_of_evidence(self, settings: HypothesisSettings) -> float:
         """Log likelihood ratio of the matches: same people against different people with similar trajectories.
 
         Source: Good, "Probability and the weighing of evidence", 1950. It is scaled by the share of matches among
         the expected ones. Positions are treated as independent, which they are not: it is not a probability.
         """
-        return (
-            self.matched_share
-            * self.observations
-            * float(np.log(_COINCIDENCE_STDDEV / np.hypot(self.model_error, _TRACK_STDDEV)))
-        )
+        stddev = np.hypot(self.model_error, settings.track_stddev)
+        return self.matched_share * self.observations * float(np.log(settings.coincidence_stddev / stddev))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +86,9 @@ class _ScannerData:
     """Standard deviation of the background's ranges, m."""
 
     @classmethod
-    def from_tracks(cls, tracked: ScannerTracks) -> "_ScannerData":
-        return cls(ScannerObservations.from_tracks(tracked), StaticBackground(tracked.background), tracked.sigma)
+    def from_tracks(cls, tracked: ScannerTracks, settings: ScannerPairSettings) -> "_ScannerData":
+        observations = ScannerObservations.from_tracks(tracked, settings)
+        return cls(observations, StaticBackground(tracked.background, settings), tracked.sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,27 +116,28 @@ def estimate_scanner_pairs(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    depth_stddev: float = DEPTH_STDDEV,
+    feature: CenterFeature = "nls",
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
+    settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
-    """Estimates the relative pose of every pair of scanners, as :func:`estimate_network_pair` does.
+    """Estimates the relative pose of every pair of scanners, as :func:`estimate_scanner_pair` does.
 
     Args:
         tracked: tracks and background of each scanner, by its name.
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m: some
-            centimetres for fitted ellipses, 0.1 and more for centres of mass.
+        feature: how the centres of tracked objects were estimated.
         jobs: maximum number of processes, see :func:`calgraph.processes.parallel_map`; does not affect the result.
         progress: called with the completed fraction, 0..1.
+        settings: gates, priors and limits.
     """
-    scanners = {name: _ScannerData.from_tracks(tracks) for name, tracks in tracked.items()}
+    scanners = {name: _ScannerData.from_tracks(tracks, settings) for name, tracks in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
     pairs = [(scanners[a], scanners[b]) for a, b in names]
     # Random numbers are drawn here in a fixed order, so that results do not depend on the number of processes.
-    proposals = [_propose_hypotheses(a.observations.samples, b.observations.samples, rng) for a, b in pairs]
-    work = [(*names[k], *pairs[k], proposals[k], icp, depth_stddev) for k in range(len(names))]
+    proposals = [_propose_hypotheses(a, b, rng, settings) for a, b in pairs]
+    work = [(names[k], *pairs[k], proposals[k], icp, feature, settings) for k in range(len(names))]
     found = parallel_map(_evaluate_hypotheses, work, jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress)
     return dict(zip(names, found, strict=True))
 
@@ -185,7 +150,8 @@ def estimate_scanner_pair(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    depth_stddev: float = DEPTH_STDDEV,
+    feature: CenterFeature = "nls",
+    settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> ScannerPairEstimate | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners tracked.
 
@@ -196,98 +162,108 @@ def estimate_scanner_pair(
         b: those of b.
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m: some
-            centimetres for fitted ellipses, 0.1 and more for centres of mass.
+        feature: how the centres of tracked objects were estimated.
+        settings: gates, priors and limits.
 
     Returns:
         The best hypotheses, or the reason why there is none.
     """
-    of_a, of_b = _ScannerData.from_tracks(a), _ScannerData.from_tracks(b)
-    proposals = _propose_hypotheses(of_a.observations.samples, of_b.observations.samples, rng)
-    return _evaluate_hypotheses(name_a, name_b, of_a, of_b, proposals, icp, depth_stddev)
+    of_a, of_b = _ScannerData.from_tracks(a, settings), _ScannerData.from_tracks(b, settings)
+    proposals = _propose_hypotheses(of_a, of_b, rng, settings)
+    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, feature, settings)
 
 
-def _propose_hypotheses(a: TrackSamples, b: TrackSamples, rng: np.random.Generator) -> Array | Rejected:
+def _propose_hypotheses(
+    a: _ScannerData, b: _ScannerData, rng: np.random.Generator, settings: ScannerPairSettings
+) -> Array | Rejected:
     """Proposes poses (K, 3, 3)."""
-    pairs = pair_samples(a, b)
-    seconds = len(np.unique(pairs.a.tick[pairs.row_a])) * TICK_PERIOD
-    if seconds < _MIN_TICKS * TICK_PERIOD:
-        needed = _MIN_TICKS * TICK_PERIOD
-        return Rejected(f"both tracked somebody at the same time for {seconds:.1f} s, {needed:.1f} s are needed")
-    poses = propose_poses(pairs, rng)
+    pairs = pair_samples(a.observations.samples, b.observations.samples)
+    count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), settings.hypotheses.min_matched_time
+    if count < to_ticks(needed):
+        return Rejected(
+            f"both tracked somebody at the same time for {count * TICK_PERIOD:.1f} s, {needed:.1f} s are needed"
+        )
+    poses = propose_poses(pairs, settings.proposals, rng)
     if not len(poses):
         return Rejected("no trajectory of one has the shape of one of the other, or all are too short")
     return poses
 
 
 def _evaluate_hypotheses(
-    name_a: str,
-    name_b: str,
-    scanner_a: _ScannerData,
-    scanner_b: _ScannerData,
+    names: tuple[str, str],
+    a: _ScannerData,
+    b: _ScannerData,
     proposals: Array | Rejected,
     icp: bool,
-    depth_stddev: float,
+    feature: CenterFeature,
+    settings: ScannerPairSettings,
 ) -> ScannerPairEstimate | Rejected:
     """Registers and scores proposed poses, coarsely, then finely."""
     if isinstance(proposals, Rejected):
         return proposals
-    a, b = scanner_a.observations.samples, scanner_b.observations.samples
-    maps = scanner_a.observations.visibility, scanner_b.observations.visibility
-    pairs = pair_samples(a, b)
-    rough, coarse, fine = (
-        _subsample_pairs(pairs, wanted) for wanted in (_ROUGH_PAIRS, _COARSE_PAIRS, _FINE_PAIRS)
-    )
-    refuted = contradicts_visibility(
-        proposals,
-        rough,
-        *maps,
-        radius=_DETECTION_RADIUS + _PROPOSAL_STDDEV,
-        min_expected=_MIN_EXPECTED * len(rough) / len(pairs),
-        max_missed_share=_MAX_MISSED_SHARE,
-    )
-    proposals = proposals[~refuted]
-    proposals = _select_distinct(
-        proposals, compute_pose_costs(proposals, coarse, _PROPOSAL_STDDEV), _COARSE_HYPOTHESES
-    )
+    limits = settings.hypotheses
+    depth_stddev = _depth_stddev(feature, settings.registration)
+    pairs = pair_samples(a.observations.samples, b.observations.samples)
+    wanted = limits.rough_pairs, limits.coarse_pairs, limits.fine_pairs
+    rough, coarse, fine = (_subsample_pairs(pairs, count, limits.min_samples) for count in wanted)
+
+    def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
+        visibility = settings.visibility
+        return contradicts_visibility(
+            poses, subsampled, a.observations.visibility, b.observations.visibility,
+            radius=visibility.detection_radius + pose_error,
+            min_expected=visibility.min_expected * len(subsampled) / len(pairs),
+            max_missed_share=visibility.max_missed_share,
+        )  # fmt: skip
+
+    def register(T: Array, subsampled: SimultaneousPairs, model_error: float) -> TrackRegistration | None:
+        return register_tracks(T, subsampled, model_error, depth_stddev, settings.registration)
+
+    proposals = proposals[~contradict(proposals, rough, limits.proposal_stddev)]
+    costs = compute_pose_costs(proposals, coarse, limits.proposal_stddev, settings.registration.gate)
     registrations = [
         fit
-        for T in proposals
-        if (fit := register_tracks(T, coarse, depth_stddev=depth_stddev, steps=3)) is not None
+        for T in _select_distinct(proposals, costs, limits.coarse_count, settings.hypotheses)
+        if (fit := register(T, coarse, settings.registration.max_model_error))
     ]
-    refuted = contradicts_visibility(
-        _stack_poses(registrations),
-        coarse,
-        *maps,
-        radius=_DETECTION_RADIUS,
-        min_expected=_MIN_EXPECTED * len(coarse) / len(pairs),
-        max_missed_share=_MAX_MISSED_SHARE,
-    )
+    refuted = contradict(_stack_poses(registrations), coarse, 0.0)
     registrations = [fit for fit, wrong in zip(registrations, refuted, strict=True) if not wrong]
     if not registrations:
         return Rejected("under every proposed pose, one does not detect what the other tracks in its view")
-    shares = np.array(
-        [len(fit.matches) / max(_expected_matches(fit.T_a_b, coarse, a, b), 1) for fit in registrations]
-    )
-    scores = np.array([len(fit.matches) for fit in registrations]) * shares
-    promising = (shares >= _MIN_MATCHED_SHARE) & (scores >= _MIN_SCORE_RATIO * np.max(scores, initial=0.0))
-    poses = _select_distinct(_stack_poses(registrations)[promising], -scores[promising], _FINE_HYPOTHESES)
-    refined = [register_tracks(T, fine, depth_stddev=depth_stddev, steps=3, model_error=0.1) for T in poses]
+    counts = np.array([len(fit.matches) for fit in registrations])
+    shares = counts / [_count_expected(fit.T_a_b, coarse, a, b, settings.hypotheses) for fit in registrations]
+    promising = shares >= limits.min_matched_share
+    promising &= counts * shares >= limits.min_score_ratio * np.max(counts * shares)
+    poses = _stack_poses(registrations)[promising]
+    poses = _select_distinct(poses, -(counts * shares)[promising], limits.fine_count, settings.hypotheses)
     hypotheses = [
-        _build_hypothesis(fit, fine, a, b, len(pairs), depth_stddev) for fit in refined if fit is not None
+        _build_hypothesis(fit, fine, a, b, len(pairs), depth_stddev, settings)
+        for T in poses
+        if (fit := register(T, fine, settings.registration.fine_model_error))
     ]
     hypotheses.sort(key=lambda h: -h.score)
-    kept = [h for h in hypotheses if _is_credible(h)]
+    kept = [h for h in hypotheses if _is_credible(h, settings.hypotheses)]
     if not kept:
-        most = round(max(map(len, (fit.matches for fit in registrations)), default=0) * len(pairs) / len(coarse))
+        seconds = round(max(counts) * len(pairs) / len(coarse)) * TICK_PERIOD
         return Rejected(
-            f"no pose hypothesis is credible: the best one matches {most * TICK_PERIOD:.1f} s of tracks, which "
-            "chance or similar trajectories explain as well"
+            f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
+            "similar trajectories explain as well"
         )
-    kept = [h for h in kept if h.score >= _MIN_SCORE_RATIO * kept[0].score]
+    kept = [h for h in kept if h.score >= limits.min_score_ratio * kept[0].score]
     if icp:
-        kept = [_align_with_background(h, scanner_a, scanner_b) for h in kept]
-    return ScannerPairEstimate(name_a, name_b, tuple(kept))
+        kept = [_align_with_background(h, a, b) for h in kept]
+    return ScannerPairEstimate(*names, tuple(kept))
+
+
+def _depth_stddev(feature: CenterFeature, settings: RegistrationSettings) -> float:
+    """Prior standard deviation of the distance from tracked to true centres along the beam, m."""
+    match feature:
+        case "com":
+            return settings.depth_stddev_com
+        case "ellipse":
+            return settings.depth_stddev_ellipse
+        case "nls":
+            return settings.depth_stddev_nls
 
 
 def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:
@@ -295,81 +271,86 @@ def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:
     return np.array([fit.T_a_b for fit in fits]).reshape(-1, 3, 3)
 
 
-def _is_credible(h: PoseHypothesis) -> bool:
+def _is_credible(h: PoseHypothesis, settings: HypothesisSettings) -> bool:
     """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""
     return (
-        h.observations >= max(_MIN_TICKS, _MIN_CHANCE_RATIO * h.chance_observations)
-        and h.weight_of_evidence >= _MIN_WEIGHT_OF_EVIDENCE
-        and h.matched_share >= _MIN_MATCHED_SHARE
+        h.observations
+        >= max(to_ticks(settings.min_matched_time), settings.min_chance_ratio * h.chance_observations)
+        and h.weight_of_evidence(settings) >= settings.min_weight_of_evidence
+        and h.matched_share >= settings.min_matched_share
     )
 
 
-def _subsample_pairs(pairs: SimultaneousPairs, wanted: int) -> SimultaneousPairs:
+def _subsample_pairs(pairs: SimultaneousPairs, wanted: int, min_samples: int) -> SimultaneousPairs:
     """Selects every n-th tick to leave about ``wanted`` pairs; all pairs if too few samples would be left."""
     step = max(1, round(len(pairs) / wanted))
     subsampled = pair_samples(pairs.a.subsample(step), pairs.b.subsample(step))
-    return subsampled if len(np.unique(subsampled.row_a)) >= _MIN_SAMPLES else pairs
+    return subsampled if len(np.unique(subsampled.row_a)) >= min_samples else pairs
 
 
-def _select_distinct(T: Array, cost: Array, count: int) -> Array:
+def _select_distinct(T: Array, cost: Array, count: int, settings: HypothesisSettings) -> Array:
     """Selects up to ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
     kept: list[Array] = []
     for i in np.argsort(cost):
-        if not any(_are_close(T[i], other) for other in kept):
+        d = se2.difference(np.array(kept).reshape(-1, 3, 3), T[i])
+        same = (np.hypot(d[:, 0], d[:, 1]) < settings.same_position) & (np.abs(d[:, 2]) < settings.same_angle)
+        if not same.any():
             kept.append(T[i])
         if len(kept) == count:
             break
     return np.array(kept)
 
 
-def _are_close(T: Array, other: Array) -> bool:
-    d = se2.difference(T, other)
-    return bool(np.hypot(d[0], d[1]) < _SAME_POSE[0] and abs(d[2]) < _SAME_POSE[1])
-
-
 def _build_hypothesis(
     fit: TrackRegistration,
     pairs: SimultaneousPairs,
-    a: TrackSamples,
-    b: TrackSamples,
+    a: _ScannerData,
+    b: _ScannerData,
     count: int,
     depth_stddev: float,
+    settings: ScannerPairSettings,
 ) -> PoseHypothesis:
-    scale = count / len(pairs)
+    scale, gate = count / len(pairs), settings.registration.gate
+    expected = _count_expected(fit.T_a_b, pairs, a, b, settings.hypotheses)
     return PoseHypothesis(
         fit.T_a_b,
-        compute_registration_information(fit, pairs, depth_stddev),
+        compute_registration_information(fit, pairs, depth_stddev, settings.registration),
         round(len(fit.matches) * scale),
-        _expected_by_chance(fit, pairs, b) * scale,
-        min(len(fit.matches) / max(_expected_matches(fit.T_a_b, pairs, a, b), 1), 1.0),
-        float(compute_pose_costs(fit.T_a_b[None], pairs)[0]),
+        _count_by_chance(fit, pairs, b.observations.samples, gate) * scale,
+        min(len(fit.matches) / expected, 1.0),
+        float(compute_pose_costs(fit.T_a_b[None], pairs, settings.registration.max_model_error, gate)[0]),
         fit.model_error,
         uses_background=False,
     )
 
 
-def _expected_by_chance(fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples) -> float:
+def _count_by_chance(fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples, gate: float) -> float:
     """Expected number of a's samples that match one of b by chance, from matches at all times.
 
     If both scanners detect people all the time in one narrow passage, the number is large under any pose that
     superimposes the passages.
     """
-    radius = np.sqrt(ASSOCIATION_GATE * (float(np.median(pairs.variance)) + fit.model_error**2))
+    radius = np.sqrt(gate * (float(np.median(pairs.variance)) + fit.model_error**2))
     sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // _MAX_QUERIES)]
     near = _count_neighbours(sampled, se2.inverse(fit.T_a_b), b, radius)
     return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(pairs.a.tick)
 
 
-def _expected_matches(T_a_b: Array, pairs: SimultaneousPairs, a: TrackSamples, b: TrackSamples) -> float:
-    """Expected number of matches under a correct pose: samples where the other scanner often detects people."""
-    return max(_count_observable(se2.inverse(T_a_b), pairs.a, b), _count_observable(T_a_b, pairs.b, a))
+def _count_expected(
+    T_a_b: Array, pairs: SimultaneousPairs, a: _ScannerData, b: _ScannerData, settings: HypothesisSettings
+) -> float:
+    """Expected number (>= 1) of matches under a correct pose: samples where the other often detects people."""
+    of_a = _count_observable(se2.inverse(T_a_b), pairs.a, b.observations.samples, settings)
+    of_b = _count_observable(T_a_b, pairs.b, a.observations.samples, settings)
+    return max(of_a, of_b, 1)
 
 
-def _count_observable(T: Array, samples: TrackSamples, other: TrackSamples) -> float:
+def _count_observable(T: Array, samples: TrackSamples, other: TrackSamples, settings: HypothesisSettings) -> float:
     overlapping = (samples.tick >= other.tick.min()) & (samples.tick <= other.tick.max())
     x = samples.positions[overlapping]
     sampled = x[:: max(1, len(x) // _MAX_QUERIES)]
-    return float(np.mean(_count_neighbours(sampled, T, other, _NEIGHBOUR_RADIUS) >= _MIN_NEIGHBOURS)) * len(x)
+    near = _count_neighbours(sampled, T, other, settings.neighbour_radius)
+    return float(np.mean(near >= settings.min_neighbours)) * len(x)
 
 
 def _count_neighbours(x: Array, T: Array, samples: TrackSamples, radius: float) -> NDArray[np.intp]:

@@ -11,24 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from calgraph.config.settings import ResamplingSettings
 from calgraph.geometry import Array
 from calgraph.tracking import ScannerTracks, Track
 
 Indices = NDArray[np.intp]
 
 TICK_PERIOD = 0.1
-"""Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz."""
-# Tracks are interpolated over gaps up to this, s, or up to this multiple of their median interval.
-_MAX_GAP = 0.5
-_MAX_GAP_INTERVALS = 2.5
-# Acceleration of a walking person within a gap, standard deviation, m/s².
-_MAX_ACCELERATION = 1.0
-# A track continues an earlier one that ended at most this long before it (s), within this distance of the
-# predicted position (m) ...
-_MAX_JOIN_GAP = 0.8
-_MAX_JOIN_DISTANCE = 0.25
-# ... plus this speed times the gap, m/s.
-_MAX_JOIN_SPEED = 0.7
+"""Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Not a setting, as
+numbers of matches, and with them weights of evidence, are in ticks."""
+
+
+def to_ticks(seconds: float) -> int:
+    """Rounds a duration, s, to ticks."""
+    return round(seconds / TICK_PERIOD)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,18 +134,18 @@ def pair_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousPairs:
     return SimultaneousPairs(a, b, row_a, np.repeat(first, count) + within)
 
 
-def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
+def resample_tracks(tracked: ScannerTracks, settings: ResamplingSettings = ResamplingSettings()) -> TrackSamples:
     """Interpolates a scanner's tracks at the ticks of the clock common to all scanners."""
     tracks = [track for track in tracked.tracks if len(track.times)]
-    parts = [_interpolate_at_ticks(walk, i) for i, walk in enumerate(_join_tracks(tracks))]
+    parts = [_interpolate_at_ticks(joined, i, settings) for i, joined in enumerate(_join_tracks(tracks, settings))]
     if not parts:
         return TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)))
-    tick, walk, x, v, S = (np.concatenate(column) for column in zip(*parts, strict=True))
+    tick, trajectory, x, v, S = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(tick, kind="stable")
-    return TrackSamples(tick[order], walk[order], x[order], v[order], S[order])
+    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order])
 
 
-def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
+def _join_tracks(tracks: Sequence[Track], settings: ResamplingSettings) -> list[list[Track]]:
     """Joins tracks that continue each other: a new period ends all tracks, but not the motion of the objects.
 
     A wrong join has only local effects, since trajectories are compared in short stretches.
@@ -163,7 +159,8 @@ def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
     gap = begin[None] - end[:, None]
     predicted = x_end[:, None] + (v_end[:, None] + v_begin[None]) / 2 * gap[..., None]
     distance = np.linalg.norm(predicted - x_begin[None], axis=-1)
-    fits = (gap > 0) & (gap < _MAX_JOIN_GAP) & (distance < _MAX_JOIN_DISTANCE + _MAX_JOIN_SPEED * gap)
+    fits = (gap > 0) & (gap < settings.max_join_gap)
+    fits &= distance < settings.max_join_distance + settings.max_join_speed * gap
     distance = np.where(fits, distance, np.inf)
     next_of, previous_of = np.argmin(distance, axis=1), np.argmin(distance, axis=0)
     trajectories: list[list[Track]] = []
@@ -179,7 +176,9 @@ def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
     return trajectories
 
 
-def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices, Indices, Array, Array, Array]:
+def _interpolate_at_ticks(
+    tracks: Sequence[Track], number: int, settings: ResamplingSettings
+) -> tuple[Indices, Indices, Array, Array, Array]:
     """Cubic Hermite interpolation of one trajectory through its positions and velocities, except in long gaps."""
     t = np.concatenate([track.times for track in tracks])
     x = np.concatenate([track.positions for track in tracks])
@@ -193,7 +192,7 @@ def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices
     tick = np.arange(np.ceil(t[0] / TICK_PERIOD), np.floor(t[-1] / TICK_PERIOD) + 1).astype(np.intp)
     k = np.clip(np.searchsorted(t, tick * TICK_PERIOD, "right") - 1, 0, len(t) - 2)
     h = np.diff(t)
-    bridged = h[k] <= max(_MAX_GAP, _MAX_GAP_INTERVALS * float(np.median(h)))
+    bridged = h[k] <= max(settings.max_gap, settings.max_gap_intervals * float(np.median(h)))
     tick, k = tick[bridged], k[bridged]
     gap = h[k][:, None]
     u = (tick * TICK_PERIOD - t[k])[:, None] / gap
@@ -206,7 +205,7 @@ def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices
     velocities = (1 - u) * v[k] + u * v[k + 1]
     # The errors of neighbouring samples of one smoother are nearly equal and do not average out. The unknown
     # acceleration in between adds most variance in the middle of the gap.
-    acceleration_variance = (_MAX_ACCELERATION * (u * (1 - u) * gap) ** 2)[..., None] ** 2
+    acceleration_variance = (settings.acceleration * (u * (1 - u) * gap) ** 2)[..., None] ** 2
     w = u[..., None]
     covariances = (1 - w) * S[k] + w * S[k + 1] + acceleration_variance * np.eye(2)
     return tick, np.full(len(tick), number, dtype=np.intp), positions, velocities, covariances

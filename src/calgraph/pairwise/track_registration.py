@@ -10,30 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import RegistrationSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, to_ticks
 
-ASSOCIATION_GATE = 9.21
-"""Squared Mahalanobis distance up to which two positions match: χ² with two degrees of freedom, 99 %."""
-# Standard deviation of errors beyond the tracks' covariances, m: start value and upper limit, and lower limit.
-_MAX_MODEL_ERROR = 0.15
-_MIN_MODEL_ERROR = 0.005
-DEPTH_STDDEV = 0.03
-"""Prior standard deviation of the distance from tracked to true centres along the beam, m."""
-# Prior standard deviation of the clock offset, s.
-_CLOCK_STDDEV = 0.01
-# Error that does not average out over time: either scanner measures other sides and another gait, m.
-_SYSTEMATIC_STDDEV = 0.008
-# Squared Mahalanobis distance at which the Cauchy loss halves a pair's weight.
-_CAUCHY_SCALE2 = 6.0
-# Least number of matches of a registration.
-_MIN_PAIRS = 4
-# Gauss-Newton steps, each with new associations.
-_ITERATIONS = 6
-# Largest lag of the autocorrelation, steps; and shortest correlation time, ticks: people turn another side to a
-# scanner every half second, which the residuals of a few seconds understate.
+# Largest lag of the autocorrelation, steps: later residuals are independent.
 _MAX_LAG = 100
-_MIN_CORRELATION_TIME = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,47 +35,48 @@ class TrackRegistration:
 def register_tracks(
     T_a_b: Array,
     pairs: SimultaneousPairs,
-    *,
-    depth_stddev: float = DEPTH_STDDEV,
-    steps: int = _ITERATIONS,
-    model_error: float = _MAX_MODEL_ERROR,
+    model_error: float,
+    depth_stddev: float,
+    settings: RegistrationSettings,
 ) -> TrackRegistration | None:
     """Fits pose, clock offset and depths to the matches of simultaneous pairs, with new matches at every step.
 
     Args:
         T_a_b: (3, 3) initial pose.
         pairs: all simultaneous pairs.
+        model_error: initial standard deviation of the distance between both scanners' centres of one object, m.
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m.
-        steps: number of Gauss-Newton steps.
-        model_error: standard deviation of the distance between both scanners' centres of one object, m.
+        settings: gate, losses and priors.
 
     Returns:
-        The registration, or None if there are fewer than four matches.
+        The registration, or None if there are too few matches.
     """
-    nuisance = np.zeros(3)
-    for _ in range(steps):
-        matches, d2 = _associate(T_a_b, nuisance, pairs, model_error)
-        if len(matches) < _MIN_PAIRS:
+    nuisance, prior = np.zeros(3), _build_prior(depth_stddev, settings)
+    for _ in range(settings.steps):
+        matches, d2 = _associate(T_a_b, nuisance, pairs, model_error, settings.gate)
+        if len(matches) < settings.min_matches:
             return None
         r, J, S = _linearize(T_a_b, nuisance, pairs, matches)
-        W = _invert_symmetric(S + model_error**2 * np.eye(2)) / (1 + d2 / _CAUCHY_SCALE2)[:, None, None]
-        H, g = _build_normal_equations(r, J, W, nuisance, depth_stddev)
+        W = _invert_symmetric(S + model_error**2 * np.eye(2)) / (1 + d2 / settings.cauchy_scale2)[:, None, None]
+        H, g = _build_normal_equations(r, J, W, nuisance, prior)
         step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         T_a_b = se2.retract(T_a_b, step[:3])
         nuisance = nuisance + step[3:]
-        model_error = _estimate_model_error(r + J @ step, S)
-    matches, _ = _associate(T_a_b, nuisance, pairs, model_error)
-    return TrackRegistration(T_a_b, nuisance, matches, model_error) if len(matches) >= _MIN_PAIRS else None
+        model_error = _estimate_model_error(r + J @ step, S, settings)
+    matches, _ = _associate(T_a_b, nuisance, pairs, model_error, settings.gate)
+    return (
+        TrackRegistration(T_a_b, nuisance, matches, model_error) if len(matches) >= settings.min_matches else None
+    )
 
 
-def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: float = _MAX_MODEL_ERROR) -> Array:
+def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: float, gate: float) -> Array:
     """Truncated squared distances to the nearest neighbours over the gate: mean (K,) over a's samples.
 
     Covariances are replaced by their mean over all directions, for speed.
     """
     x_a, y_a = pairs.x_a.T
     x_b, y_b = pairs.x_b.T
-    scale = 1 / (ASSOCIATION_GATE * (pairs.variance + model_error**2))
+    scale = 1 / (gate * (pairs.variance + model_error**2))
     out = np.empty(len(T_a_b))
     for k, T in enumerate(T_a_b):  # the arrays of one pose fit into the processor's cache
         x = T[0, 0] * x_b + T[0, 1] * y_b + (T[0, 2] - x_a)
@@ -104,19 +87,19 @@ def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: floa
 
 
 def _associate(
-    T_a_b: Array, nuisance: Array, pairs: SimultaneousPairs, model_error: float
+    T_a_b: Array, nuisance: Array, pairs: SimultaneousPairs, model_error: float, gate: float
 ) -> tuple[NDArray[np.intp], Array]:
     """Rows (P,) of mutual nearest neighbours within the gate, and their squared Mahalanobis distances."""
     differences = _compute_differences(T_a_b, nuisance, pairs)
     rough = np.sum(differences**2, axis=1) / (pairs.variance + model_error**2)
     # The exact covariance matters for the gate only, not for the choice of the nearest neighbour.
-    near = np.flatnonzero(rough < 4 * ASSOCIATION_GATE)
+    near = np.flatnonzero(rough < 4 * gate)
     if not len(near):
         return near, np.zeros(0)
     near = near[pairs.are_mutual_nearest(near, rough[near])]
     r, _, S = _linearize(T_a_b, nuisance, pairs, near)
     d2 = _mahalanobis2(r, _invert_symmetric(S + model_error**2 * np.eye(2)))
-    return near[d2 < ASSOCIATION_GATE], d2[d2 < ASSOCIATION_GATE]
+    return near[d2 < gate], d2[d2 < gate]
 
 
 def _linearize(
@@ -143,10 +126,12 @@ def _compute_differences(
     return np.asarray(se2.apply(T, corrected_b) - corrected_a)
 
 
-def _build_normal_equations(
-    r: Array, J: Array, W: Array, nuisance: Array, depth_stddev: float
-) -> tuple[Array, Array]:
-    prior = np.array([0, 0, 0, _CLOCK_STDDEV**-2, depth_stddev**-2, depth_stddev**-2])
+def _build_prior(depth_stddev: float, settings: RegistrationSettings) -> Array:
+    """Prior information (6,) of pose, clock offset and depths."""
+    return np.array([0, 0, 0, settings.clock_stddev**-2, depth_stddev**-2, depth_stddev**-2])
+
+
+def _build_normal_equations(r: Array, J: Array, W: Array, nuisance: Array, prior: Array) -> tuple[Array, Array]:
     J, WJ = J.reshape(-1, 6), (W @ J).reshape(-1, 6)
     H = J.T @ WJ + np.diag(prior)
     g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
@@ -154,15 +139,16 @@ def _build_normal_equations(
     return H + 1e-6 * np.eye(6), g
 
 
-def _estimate_model_error(r: Array, S: Array) -> float:
+def _estimate_model_error(r: Array, S: Array, settings: RegistrationSettings) -> float:
     """Robust standard deviation (m) of the residuals beyond their covariances."""
     observed = float(np.median(np.sum(r**2, axis=1))) / 1.386  # the median of χ² with two degrees of freedom
     expected = float(np.mean(np.trace(S, axis1=1, axis2=2))) / 2
-    return float(np.clip(np.sqrt(max(observed - expected, 0.0)), _MIN_MODEL_ERROR, _MAX_MODEL_ERROR))
+    error = np.sqrt(max(observed - expected, 0.0))
+    return float(np.clip(error, settings.min_model_error, settings.max_model_error))
 
 
 def compute_registration_information(
-    fit: TrackRegistration, pairs: SimultaneousPairs, depth_stddev: float = DEPTH_STDDEV
+    fit: TrackRegistration, pairs: SimultaneousPairs, depth_stddev: float, settings: RegistrationSettings
 ) -> Array:
     """Inverse covariance (3, 3) of the pose's error in the fixed axes of a, marginalized over clock and depths.
 
@@ -174,21 +160,22 @@ def compute_registration_information(
     W = _invert_symmetric(S + fit.model_error**2 * np.eye(2))
     d2 = _mahalanobis2(r, W)
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
-    trajectories = pairs.trajectories[rows]
-    ticks = pairs.a.tick[pairs.row_a[rows]]
-    correlation = max(estimate_correlation_time(whitened, trajectories, ticks), _MIN_CORRELATION_TIME)
+    correlation = estimate_correlation_time(whitened, pairs.trajectories[rows], pairs.a.tick[pairs.row_a[rows]])
+    correlation = max(correlation, to_ticks(settings.min_correlation_time))
+    prior = _build_prior(depth_stddev, settings)
     degrees_of_freedom = max(2 * len(rows) / correlation - 6, 1.0)
-    variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, 0.1)
-    H, _ = _build_normal_equations(r, J, W / (variance_factor * correlation), fit.nuisance, depth_stddev)
-    covariance = np.linalg.inv(H)[:3, :3] + _systematic_covariance(fit.T_a_b, pairs.x_a[rows])
+    variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, settings.min_variance_factor)
+    H, _ = _build_normal_equations(r, J, W / (variance_factor * correlation), fit.nuisance, prior)
+    systematic = _systematic_covariance(fit.T_a_b, pairs.x_a[rows], settings.systematic_stddev)
+    covariance = np.linalg.inv(H)[:3, :3] + systematic
     return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-def _systematic_covariance(T_a_b: Array, x_a: Array) -> Array:
+def _systematic_covariance(T_a_b: Array, x_a: Array, stddev: float) -> Array:
     """Covariance (3, 3) of the pose due to errors common to all positions (P, 2) and to those at either end."""
     center = x_a.mean(axis=0)
     extent = np.sqrt(np.mean(np.sum((x_a - center) ** 2, axis=1)))
-    return rigid_motion_covariance(T_a_b, center, _SYSTEMATIC_STDDEV, _SYSTEMATIC_STDDEV / max(float(extent), 0.1))
+    return rigid_motion_covariance(T_a_b, center, stddev, stddev / max(float(extent), 0.1))
 
 
 def rigid_motion_covariance(T_a_b: Array, center: Array, shift: float, turn: float) -> Array:

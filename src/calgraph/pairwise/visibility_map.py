@@ -11,22 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
+from calgraph.config.settings import ScannerPairSettings, VisibilitySettings
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
 from calgraph.tracking import ScannerTracks
 
 Flags = NDArray[np.bool_]
-
-# Width of a map's cells; distance before the background from which objects are detected; and least range, m.
-_CELL_SIZE = 0.2
-_BACKGROUND_MARGIN = 0.5
-_MIN_RANGE = 0.4
-# The visible region ends at the range beyond which this share of the detections lies.
-_RANGE_TAIL = 0.05
-# A cell is visible, too, if it and its neighbours have at least this number of detections.
-_MIN_DETECTIONS = 3
-# Largest angle between two background points for the space between their beams to be free, rad.
-_MAX_BEAM_GAP = np.radians(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,17 +27,19 @@ class VisibilityMap:
     """(N, N) by x and y in cells of the scanner's frame, the scanner in the centre; False along the border."""
     coverage_intervals: Array
     """(W, 2) begin and end of the intervals in which the scanner measured, s, ascending."""
+    cell_size: float
+    """Width of the cells, m."""
 
     def covers(self, x: Array) -> Flags:
         """Tests whether positions (..., 2), m, are visible to the scanner: (...)."""
         size = len(self.visible)
-        cell = np.clip(x * (1 / _CELL_SIZE) + size / 2, 0, size - 1).astype(np.intp)
+        cell = np.clip(x * (1 / self.cell_size) + size / 2, 0, size - 1).astype(np.intp)
         return np.asarray(self.visible.ravel()[cell[..., 0] * size + cell[..., 1]])
 
     @property
     def max_range(self) -> float:
         """Upper bound of the range of visible positions, m."""
-        return float(np.sqrt(0.5) * _CELL_SIZE * len(self.visible))
+        return float(np.sqrt(0.5) * self.cell_size * len(self.visible))
 
     def measures_at(self, times: Array) -> Flags:
         """Tests whether the scanner measured at times (M,), s: (M,)."""
@@ -63,36 +55,43 @@ class ScannerObservations:
     visibility: VisibilityMap
 
     @classmethod
-    def from_tracks(cls, tracked: ScannerTracks) -> "ScannerObservations":
+    def from_tracks(
+        cls, tracked: ScannerTracks, settings: ScannerPairSettings = ScannerPairSettings()
+    ) -> "ScannerObservations":
         """Resamples a scanner's tracks at the common ticks and builds its visibility map."""
-        samples = resample_tracks(tracked)
-        return cls(samples, build_visibility_map(tracked, samples))
+        samples = resample_tracks(tracked, settings.resampling)
+        return cls(samples, build_visibility_map(tracked, samples, settings.visibility))
 
     def subsample(self, step: int) -> "ScannerObservations":
         """Selects every ``step``-th tick; the map is unchanged."""
         return replace(self, samples=self.samples.subsample(step))
 
 
-def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> VisibilityMap:
+def build_visibility_map(
+    tracked: ScannerTracks, samples: TrackSamples, settings: VisibilitySettings = VisibilitySettings()
+) -> VisibilityMap:
     """Builds the map: free space before the background up to the usual detection range, and cells with detections.
 
     Args:
         tracked: tracks and background of the scanner.
         samples: the resampled tracks.
+        settings: cells, margins and the numbers of detections.
     """
     ranges = np.linalg.norm(samples.positions, axis=1)
-    max_range = float(np.quantile(ranges, 1 - _RANGE_TAIL)) if len(ranges) else 0.0
-    half = int(np.ceil(max_range / _CELL_SIZE)) + 1
-    middles = (np.arange(-half, half) + 0.5) * _CELL_SIZE
+    max_range = float(np.quantile(ranges, 1 - settings.range_tail)) if len(ranges) else 0.0
+    half = int(np.ceil(max_range / settings.cell_size)) + 1
+    middles = (np.arange(-half, half) + 0.5) * settings.cell_size
     x = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
     r = np.linalg.norm(x, axis=1)
-    within = (r > _MIN_RANGE) & (r < max_range) & is_free_space(tracked.background, x, _BACKGROUND_MARGIN)
-    cells = np.clip(samples.positions / _CELL_SIZE + half, 0, 2 * half - 1).astype(np.intp)
+    within = (r > settings.min_range) & (r < max_range)
+    within &= is_free_space(tracked.background, x, settings.background_margin, settings.max_beam_gap)
+    cells = np.clip(samples.positions / settings.cell_size + half, 0, 2 * half - 1).astype(np.intp)
     counts = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
-    detected = convolve(counts, np.ones((3, 3)), mode="constant") >= _MIN_DETECTIONS
+    detected = convolve(counts, np.ones((3, 3)), mode="constant") >= settings.min_detections
     visible = within.reshape(counts.shape) | detected
     visible[[0, -1]] = visible[:, [0, -1]] = False
-    return VisibilityMap(visible, _sampled_interval(samples) if tracked.coverage is None else tracked.coverage)
+    coverage = _sampled_interval(samples) if tracked.coverage is None else tracked.coverage
+    return VisibilityMap(visible, coverage, settings.cell_size)
 
 
 def _sampled_interval(samples: TrackSamples) -> Array:
@@ -100,13 +99,14 @@ def _sampled_interval(samples: TrackSamples) -> Array:
     return samples.times[[0, -1]][None] if len(samples.tick) else np.zeros((0, 2))
 
 
-def is_free_space(background: Array, x: Array, margin: float) -> Flags:
+def is_free_space(background: Array, x: Array, margin: float, max_beam_gap: float) -> Flags:
     """Tests whether a scanner measures background farther than points of its frame.
 
     Args:
         background: (N, 2) its static points, m; NaN rows are breaks.
         x: (M, 2) points, m.
         margin: least distance of the background behind a point, m.
+        max_beam_gap: largest angle between two background points with free space between them, rad.
 
     Returns:
         (M,) mask.
@@ -120,7 +120,7 @@ def is_free_space(background: Array, x: Array, margin: float) -> Flags:
     at, r = np.arctan2(x[:, 1], x[:, 0]), np.linalg.norm(x, axis=1)
     k = np.clip(np.searchsorted(bearing, at), 1, len(bearing) - 1)
     # Space between two beams is free up to the smaller of their ranges.
-    between = (at - bearing[k - 1] < _MAX_BEAM_GAP) & (bearing[k] - at < _MAX_BEAM_GAP)
+    between = (at - bearing[k - 1] < max_beam_gap) & (bearing[k] - at < max_beam_gap)
     return np.asarray(between & (r < np.minimum(ranges[k - 1], ranges[k]) - margin))
 
 
@@ -142,9 +142,8 @@ def find_missed_detections(
     """
     a, b = pairs.a, pairs.b
     moved = se2.apply(T_a_b, b.positions)
-    expected_a = visibility_b.covers(se2.apply(se2.inverse(T_a_b), a.positions)) & visibility_b.measures_at(
-        a.times
-    )
+    expected_a = visibility_b.covers(se2.apply(se2.inverse(T_a_b), a.positions))
+    expected_a &= visibility_b.measures_at(a.times)
     expected_b = visibility_a.covers(moved) & visibility_a.measures_at(b.times)
     expected = np.concatenate([expected_a, expected_b], axis=1)
     difference = moved[:, pairs.row_b] - pairs.x_a

@@ -36,7 +36,17 @@ from calgraph.config.settings.network_estimation import (
     RangeNoiseSettings,
     TrackGroupingSettings,
 )
-from calgraph.config.settings.pairwise import BoardPairSettings, PairwiseSettings, ScannerPairSettings
+from calgraph.config.settings.pairwise import (
+    BoardPairSettings,
+    HypothesisSettings,
+    IcpSettings,
+    PairwiseSettings,
+    ProposalSettings,
+    RegistrationSettings,
+    ResamplingSettings,
+    ScannerPairSettings,
+    VisibilitySettings,
+)
 from calgraph.config.settings.stages import Settings
 from calgraph.config.settings.tracking import TrackingSettings
 
@@ -55,6 +65,8 @@ __all__ = [
     "EstimationSettings",
     "GraphSettings",
     "HeadingSearchSettings",
+    "HypothesisSettings",
+    "IcpSettings",
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
     "MaxMessageSettings",
@@ -63,8 +75,11 @@ __all__ = [
     "NetworkDiagnosticsSettings",
     "NetworkEstimationSettings",
     "PairwiseSettings",
+    "ProposalSettings",
     "RangeNoiseSettings",
     "RegionSettings",
+    "RegistrationSettings",
+    "ResamplingSettings",
     "RigDiagnosticsSettings",
     "RigEstimationSettings",
     "ScannerDetectionSettings",
@@ -75,4 +90,5 @@ __all__ = [
     "TrackGroupingSettings",
     "TrackingSettings",
     "VerdictSettings",
+    "VisibilitySettings",
 ]

@@ -1,14 +1,275 @@
 """Settings of relative poses of two sensors."""
 
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
 from calgraph.config.strict_model import StrictModel
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Angle = Annotated[float, Field(gt=0, lt=np.pi / 2)]
+Count = Annotated[int, Field(ge=1)]
 
 
 class BoardPairSettings(StrictModel):
     """Two sensors that detect one board."""
 
+    inlier_gate: Positive = 3.0
+    """Standard deviations up to which two detections of RANSAC agree: 99.7 % of a normal distribution."""
+    model_error: Positive = 0.01
+    """Standard deviation of errors that no noise model describes (bend of the board, range bias, stamps), m; added
+    to the detections' covariances for RANSAC, which has to be lenient: its poses come from minimal samples."""
+    reselection_gate: Positive = 3.5
+    """Robust standard deviations of the inliers' residuals up to which matches are inliers of a joint pose; 3.5 is
+    the usual limit of modified z-scores (Iglewicz and Hoaglin, 1993)."""
+    ransac_confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
+    """Probability of a sample without outliers at which RANSAC stops: a pair fails by chance once in 10,000."""
+    ransac_max_samples: Count = 2000
+    """Limit on samples of RANSAC: enough for that confidence with up to 49 % outliers in samples of 8 line
+    matches, and with up to 83 % in samples of 3 plane matches."""
+    flatness: Positive = 0.001
+    """Standard deviation of a board's surface from its plane, m: a rigid sheet of 1 m bends by 1 to 2 mm."""
+    max_stddev: Positive = 0.1
+    """Standard deviation of a direction, m and rad, above which refinement does not move it: with weaker data the
+    step would be noise, and the pose from RANSAC is closer."""
+    ambiguity_margin: Positive = 12.0
+    """Increase of chi-squared up to which another minimum fits equally well: 95 % of six degrees of freedom
+    (12.6)."""
+    min_alternative_angle: Angle = float(np.radians(5))
+    """Angle from which a second minimum counts as another pose, rad (5 degrees): above the error of a pose."""
+    max_normal_angle: Angle = float(np.radians(30))
+    """Angle between the normals of two planes above which they are not one board, rad (30 degrees): far more than
+    the error of a plane through a distant board, and less than the angle between most surfaces of a room."""
+    min_condition: Share = 0.02
+    """Least effect of every unknown of the linear plane–line solution on the residuals (RMS), over its effect on a
+    single point: below it noise decides the unknown, and poses are searched from axis-aligned mountings
+    instead."""
+    min_normal_spread: Share = 0.01
+    """Least singular value of the normals of three planes, over the largest, for a sample to have a solution."""
+    min_translation_spread: Share = 0.05
+    """The same for a direction of plane–line translations, which keep their start value where it is smaller."""
+    refined_starts: Count = 6
+    """Number of axis-aligned rotations that are refined for each plane–line sample, of 24: the best quarter."""
+    rotation_penalty: Positive = 0.02
+    """Penalty on the rotation from an axis-aligned mounting, m/rad: selects among minima that fit equally well."""
+    min_rms_slope: Positive = 0.03
+    """Change of the residuals' RMS per unit of a direction (m or rad) below which a sample does not determine
+    it."""
+    min_scan_plane_sine: Share = 0.05
+    """Sine of the angle between two scan planes (3 degrees) below which coplanarity does not determine their pose:
+    its residual, divided by this sine, multiplies noise by more than 20."""
+    dihedral_angle: Angle = 0.15
+    """Unobservable angle between the scan planes of two 2-D scanners, rad: small values bring the segments of each
+    board near each other; near min_scan_plane_sine all lines would be coplanar."""
+    center_gap_weight: Positive = 0.001
+    """Weight of the gap between the centres of two segments, in board diagonals, beside their coplanarity, in m:
+    it holds the dihedral angle without an effect on directions that are observable."""
+
+
+class ResamplingSettings(StrictModel):
+    """Tracks at the ticks of the common clock, 0.1 s apart."""
+
+    max_gap: Positive = 0.5
+    """Gap of a track that is interpolated, s: about one step of a person, who seldom turns within it."""
+    max_gap_intervals: Positive = 2.5
+    """The same in median intervals of the track, for slow scanners: two missed scans."""
+    acceleration: Positive = 1.0
+    """Standard deviation of the acceleration within a gap, m/s²: walking people start and turn with 1 to 2
+    m/s²."""
+    max_join_gap: Positive = 0.8
+    """Longest time between two tracks of one trajectory, s: a new period begins within some scans."""
+    max_join_distance: Positive = 0.25
+    """Distance from the predicted position at which a track continues another, m: half of a person's width."""
+    max_join_speed: Positive = 0.7
+    """Additional distance per second of the gap, m/s: half of a walking speed."""
+
+
+class VisibilitySettings(StrictModel):
+    """Where a scanner detects every moving object, and poses that contradict it."""
+
+    cell_size: Positive = 0.2
+    """Width of a map's cells, m: half of a person's width, so that paths are covered without gaps."""
+    background_margin: Positive = 0.5
+    """Distance before the static background from which an object stands out, m: a person's width."""
+    min_range: Positive = 0.4
+    """Range below which people are not detected reliably, m: they fill the view."""
+    range_tail: Share = 0.05
+    """Share of detections beyond the range up to which all objects are expected to be detected."""
+    min_detections: Count = 3
+    """Detections in a cell and its neighbours that make it visible: one or two may be clutter."""
+    max_beam_gap: Angle = float(np.radians(2))
+    """Angle between two background points up to which the space between their beams is free, rad (2 degrees):
+    twice the resolution of the coarsest scanners."""
+    detection_radius: Positive = 0.5
+    """Distance within which a detection by the other scanner is of the same object under a correct pose, m: a
+    person's width, errors of clocks and of the pose."""
+    min_expected: Count = 20
+    """Expected detections from which a pose is judged by missed ones: 2 s of one person."""
+    max_missed_share: Share = 0.5
+    """Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and
+    up to 0.5 where furniture occludes people from one of the two."""
+
+
+class ProposalSettings(StrictModel):
+    """Pose hypotheses from stretches of two trajectories."""
+
+    stretch_durations: tuple[Positive, ...] = (3.0, 8.0)
+    """Lengths of the stretches, s; whole trajectories are used, too. Short ones survive identity switches of the
+    tracker, long ones determine the angle."""
+    min_duration: Positive = 0.6
+    """Shortest part of a stretch that both tracked, s."""
+    min_extent: Positive = 0.15
+    """Least standard deviation of the positions in a stretch, m: a shorter one does not determine the angle."""
+    max_rms: Positive = 0.3
+    """Largest RMS distance of an aligned stretch, m: twice the registration's max_model_error."""
+    noise: Positive = 0.05
+    """RMS distance of tracks of one person, m, below which a better fit does not rank higher."""
+    max_count: Count = 200
+    """Number of hypotheses that are scored: half of them the best, half random; bounds the time for crowds."""
+
+
+class RegistrationSettings(StrictModel):
+    """The pose that fits simultaneous tracks best, with clock offset and depths."""
+
+    gate: Positive = 9.21
+    """Squared Mahalanobis distance up to which positions match: chi-squared, two degrees of freedom, 99 %."""
+    cauchy_scale2: Positive = 6.0
+    """Squared Mahalanobis distance at which the Cauchy loss halves a weight: chi-squared, 95 %."""
+    max_model_error: Positive = 0.15
+    """Largest standard deviation of distances beyond the tracks' covariances, and that of the coarse stage, m:
+    half of a person's depth, as two scanners measure opposite sides."""
+    fine_model_error: Positive = 0.1
+    """The same where the fine stage starts, m: coarse poses have errors of some centimetres."""
+    min_model_error: Positive = 0.005
+    """Its lower limit, m: a few matches may coincide by chance."""
+    clock_stddev: Positive = 0.01
+    """Prior standard deviation of the clock offset of two scanners, s: clocks synchronized by NTP."""
+    depth_stddev_nls: Positive = 0.03
+    """Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of
+    fixed size: bodies differ from it by some centimetres."""
+    depth_stddev_ellipse: Positive = 0.05
+    """The same for direct ellipse fits, m, whose size is unknown."""
+    depth_stddev_com: Positive = 0.2
+    """The same for centres of mass, m: that of a half circle lies 0.6 to 0.8 of the radius before the centre."""
+    systematic_stddev: Positive = 0.008
+    """Standard deviation of errors that do not average out, m: the sides of a body and its gait as measured from
+    two directions."""
+    min_variance_factor: Positive = 0.1
+    """Lower limit of the factor by which covariances are scaled to the residuals: few matches may coincide."""
+    min_correlation_time: Positive = 0.5
+    """Shortest correlation time of residuals, s: people turn another side to a scanner at every step, which a few
+    seconds of residuals alone understate."""
+    min_matches: Count = 4
+    """Least number of matches of a registration: eight coordinates for six unknowns."""
+    steps: Count = 3
+    """Gauss–Newton steps of each stage, each with new matches: proposals are near enough for matches to settle."""
+
+
+class IcpSettings(StrictModel):
+    """Point-to-line ICP of the static backgrounds of two scanners."""
+
+    neighbours_per_side: Count = 3
+    """Neighbours on either side of a point to which a line is fitted: seven points average noise, within 0.2 m at
+    4 m and half a degree."""
+    max_neighbour_distance: Positive = 0.15
+    """Distance between neighbours on one wall, m, up to which they are connected."""
+    max_neighbour_ratio: Positive = 0.05
+    """The same as a fraction of their range: half a degree at 10 degrees of incidence."""
+    max_line_stddev: Positive = 0.03
+    """Largest standard deviation of neighbours from their line, m: three times the usual noise of a range."""
+    min_elongation2: Positive = 9.0
+    """Least ratio of the neighbours' variances along and across the line: a standard deviation three times as
+    long."""
+    max_normal_angle: Angle = float(np.radians(25))
+    """Angle between the normals of matched points, rad (25 degrees): the error of a line through seven noisy
+    points and of the initial pose; less than half of the angle between two walls of a room."""
+    min_initial_distance: Positive = 0.5
+    """Least match distance of the first step, m: a smaller one misses walls that contradict the initial pose."""
+    max_initial_distance: Positive = 0.8
+    """Largest match distance of the first step, m: with a larger one the two walls of a corridor match."""
+    final_distance: Positive = 0.06
+    """Match distance of the last step, m: three standard deviations of noise and walls."""
+    distance_factor: Annotated[float, Field(gt=0, lt=1)] = 0.7
+    """Factor of the match distance from one step to the next."""
+    min_matches: Count = 25
+    """Least number of matches: a wall of 1 m at 2 m and one degree."""
+    min_match_share: Share = 0.5
+    """Least share of matches among matching and contradicting points."""
+    free_space_margin: Positive = 0.3
+    """Distance by which a point has to lie before the other scanner's background to contradict it, m."""
+    correlated_points: Positive = 10.0
+    """Number of points of one wall with a common error, by which weights are divided."""
+    wall_error: Positive = 0.01
+    """Standard deviation of errors common to a wall, m: range bias, plaster, mounting height."""
+    max_stddev: Positive = 0.03
+    """Standard deviation above which a direction is not observable from walls, m (for the angle: m at lever_arm):
+    tracks determine most directions to some centimetres."""
+    lever_arm: Positive = 3.0
+    """Distance at which an angle is measured in metres, m: half of a usual room."""
+    max_mahalanobis2: Positive = 16.3
+    """Squared Mahalanobis distance above which background and tracks contradict each other: chi-squared, three
+    degrees of freedom, 99.9 %."""
+    prior_stddev_factor: Positive = 2.0
+    """Factor on the standard deviations of the initial pose in this test: in a few seconds scanners measure one
+    side of people only, which covariances of tracks do not contain."""
+
+
+class HypothesisSettings(StrictModel):
+    """Scores of pose hypotheses, and those that are credible."""
+
+    rough_pairs: Count = 300
+    """Simultaneous pairs on which all proposals are tested for missed detections; bounds the time."""
+    coarse_pairs: Count = 1200
+    """Simultaneous pairs on which proposals are scored and registered coarsely; bounds the time."""
+    fine_pairs: Count = 6000
+    """Simultaneous pairs on which the best hypotheses are registered; bounds the time."""
+    coarse_count: Count = 6
+    """Proposals that are registered coarsely: with fewer, correct ones are lost in crowds."""
+    fine_count: Count = 4
+    """Hypotheses that are registered finely, and kept at most."""
+    min_samples: Count = 20
+    """Samples of a that subsampling leaves at least."""
+    proposal_stddev: Positive = 0.3
+    """Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m."""
+    same_position: Positive = 0.5
+    """Distance below which two hypotheses are one if their angle is, too, m."""
+    same_angle: Angle = float(np.radians(8))
+    """Angle below which two hypotheses are one if their distance is, too, rad (8 degrees)."""
+    min_matched_time: Positive = 2.0
+    """Least duration of matches, s: two steps of a person, which determine position and direction."""
+    min_matched_share: Share = 0.25
+    """Least share of matches among expected ones: a quarter remains where furniture occludes half of the positions
+    from either scanner."""
+    min_chance_ratio: Positive = 2.0
+    """Least ratio of matches to those by chance, where both scanners track people all the time in one passage."""
+    min_score_ratio: Share = 0.4
+    """Least ratio of a hypothesis's score to the best one's: alternatives below it are not kept."""
+    coincidence_stddev: Positive = 0.15
+    """Standard deviation of the distance between different people on similar trajectories under a wrong pose,
+    m."""
+    track_stddev: Positive = 0.01
+    """Standard deviation of the distance between two tracks of one person, m, below which fits do not count
+    more."""
+    min_weight_of_evidence: Positive = 45.0
+    """Least weight of evidence of a hypothesis, a log likelihood ratio: a perfect fit of 2 s has 52, a fit with 9
+    cm needs 9 s for the same. Chosen on benchmarks/short_networks.py."""
+    neighbour_radius: Positive = 0.4
+    """Distance within which a scanner's other detections show that it detects people at a place, m."""
+    min_neighbours: Count = 3
+    """Number of detections within that distance for a match to be expected there."""
+
 
 class ScannerPairSettings(StrictModel):
     """Two scanners that track the same people."""
+
+    resampling: ResamplingSettings = ResamplingSettings()
+    visibility: VisibilitySettings = VisibilitySettings()
+    proposals: ProposalSettings = ProposalSettings()
+    registration: RegistrationSettings = RegistrationSettings()
+    hypotheses: HypothesisSettings = HypothesisSettings()
+    icp: IcpSettings = IcpSettings()
 
 
 class PairwiseSettings(StrictModel):

@@ -49,8 +49,10 @@ def assemble_network(
     """
     tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
     clock_offsets = {} if joint is None else dict(zip(names, joint.clock_offset.tolist(), strict=True))
+    settings = rig.settings.pairwise.scanners.resampling
     samples = {
-        name: resample_tracks(_correct_clock(one, clock_offsets.get(name, 0.0))) for name, one in tracked.items()
+        name: resample_tracks(_correct_clock(one, clock_offsets.get(name, 0.0)), settings)
+        for name, one in tracked.items()
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, People
-from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
+from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.estimation.network.heading_search import search_headings
 from calgraph.estimation.network.model_error import estimate_model_error
@@ -80,6 +80,7 @@ def solve_network(
     prior: ScannerPrior | None = None,
     settings: NetworkEstimationSettings = NetworkEstimationSettings(),
     acceleration_density: float = TrackingSettings().acceleration_density,
+    pair_settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> NetworkSolution:
     """Solves jointly for scanner poses, clock offsets, and paths and radii of bodies.
 
@@ -92,6 +93,7 @@ def solve_network(
         prior: of scanner poses, from an earlier calibration.
         settings: of the estimate.
         acceleration_density: spectral density of a body's acceleration, m²/s³.
+        pair_settings: of the ICP of static backgrounds.
     """
     T_root_scanner = averaged.T_root_node
     edges = [
@@ -131,7 +133,7 @@ def solve_network(
         range_sigma = estimate_range_noise(network, state, equations, background)
         network = _update_weights(replace(network, range_sigma=range_sigma), state)
         network = replace(network, model_error_variance=estimate_model_error(network, state))
-        walls = _register_walls(tracked, network, state)
+        walls = _register_walls(tracked, network, state, pair_settings)
         network = replace(network, walls=(*walls, *_select_bridges(network, walls, edges)))
         state, equations = optimize_network(network, state, iterations=settings.iterations)
         if np.all(np.abs(network.model_error_variance / previous - 1) < errors.tolerance):
@@ -255,7 +257,10 @@ def _compute_weights(
 
 
 def _register_walls(
-    tracked: Sequence[ScannerTracks], network: NetworkProblem, state: NetworkState
+    tracked: Sequence[ScannerTracks],
+    network: NetworkProblem,
+    state: NetworkState,
+    pair_settings: ScannerPairSettings,
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body."""
     pairs = {
@@ -268,7 +273,7 @@ def _register_walls(
     prior_covariance = np.diag(
         np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
     )
-    backgrounds = [icp.StaticBackground(scanner.background) for scanner in tracked]
+    backgrounds = [icp.StaticBackground(scanner.background, pair_settings) for scanner in tracked]
     walls = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
