@@ -261,8 +261,7 @@ def errors_of_measurements(recording: Recording, name: str) -> Array:
             errors.append((detection.pixels - seen).ravel())
         else:
             n, t = T_sensor_board[:3, 2], T_sensor_board[:3, 3]
-            ranges = np.linalg.norm(detection.points, axis=1)
-            errors.append(ranges * (1 - n @ t / (detection.points @ n)))
+            errors.append(detection.ranges - n @ t / (detection.directions @ n))
     return np.concatenate(errors)
 
 

@@ -97,7 +97,7 @@ def scenario_of(sensors: int, captures: int) -> RigScenario:
 def numbers(captured: CaptureSet) -> int:
     """How many numbers the detections measure."""
     found = [d for seen in captured.detections.values() for (d,) in seen.values()]
-    return sum(2 * len(d.pixels) if isinstance(d, BoardCorners) else len(d.points) for d in found)
+    return sum(2 * len(d.pixels) if isinstance(d, BoardCorners) else len(d.ranges) for d in found)
 
 
 def joint_solution(problem: Problem) -> RigSolution:

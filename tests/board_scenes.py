@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from calgraph.detection import Detection, PlanePatch, Segment
+from calgraph.detection import Detection, PlanePatch, Segment, to_beams
 from calgraph.geometry import Array, plane, se3, so3
 
 SIZE = (1.2, 0.9)
@@ -39,7 +39,7 @@ def make_patch(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003)
     about_center[2, :2] = -T_s_board[:3, 3] @ plane.tangent_basis(truth[:3])
     root = about_center * [sigma / 0.3, sigma / 0.3, sigma]
     noisy = plane.retract(truth, root @ rng.normal(size=3))
-    return PlanePatch(noisy, root @ root.T, np.empty((0, 3)), T_s_board[:3, 3])
+    return PlanePatch(noisy, root @ root.T, np.empty(0), np.empty((0, 3)), T_s_board[:3, 3])
 
 
 def make_segment(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.003) -> Segment | None:
@@ -56,7 +56,7 @@ def make_segment(T_s_board: Array, rng: np.random.Generator, sigma: float = 0.00
         return None
     ends = np.array(cuts)
     ends[:, :2] += rng.normal(size=(2, 2)) * sigma
-    return Segment(ends, np.diag([sigma**2, sigma**2, 1e-8] * 2), ends)
+    return Segment(ends, np.diag([sigma**2, sigma**2, 1e-8] * 2), *to_beams(ends))
 
 
 def detect_boards(

@@ -17,7 +17,7 @@ from calgraph.errors import Rejected
 from calgraph.sensors import LaserScan, RecordedMessage, Trigger
 
 RIG = Rig(root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")})
-SEGMENTS = (Segment(np.zeros((2, 3)), np.eye(6), np.zeros((0, 3))),)
+SEGMENTS = (Segment(np.zeros((2, 3)), np.eye(6), np.zeros(0), np.zeros((0, 3))),)
 
 
 class Scanner:

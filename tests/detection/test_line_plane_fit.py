@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calgraph.detection import to_beams
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.geometry import Array, plane
 
@@ -42,7 +43,7 @@ def test_outliers_do_not_move_a_line(rng: np.random.Generator) -> None:
 
 def test_an_exact_plane_is_found_exactly() -> None:
     start = plane.retract(PLANE, np.array([0.04, -0.03, 0.05]))
-    fit = fit_plane(beams_at_plane(12), 0.01, 1e-3, start)
+    fit = fit_plane(*to_beams(beams_at_plane(12)), 0.01, 1e-3, start)
     assert fit is not None
     assert np.allclose(fit.parameters, PLANE, atol=1e-9)
 
@@ -54,7 +55,7 @@ def test_noise_along_the_beam_does_not_turn_an_inclined_plane() -> None:
     errors, squares = [], []
     for seed in range(60):
         noisy = exact * (1 + np.random.default_rng(seed).normal(0, 0.03, far.shape) / far)
-        fit = fit_plane(noisy, 0.03, 1e-4, PLANE)
+        fit = fit_plane(*to_beams(noisy), 0.03, 1e-4, PLANE)
         assert fit is not None
         B = plane.tangent_basis(PLANE[:3])
         errors.append(np.append(B.T @ fit.parameters[:3], fit.parameters[3] - PLANE[3]))
@@ -69,7 +70,7 @@ def test_too_few_beams_are_no_line() -> None:
 
 def test_points_on_one_line_are_no_plane() -> None:
     points = np.array([2.0, -1.0, 1.0]) + np.linspace(0, 1, 20)[:, None] * np.array([0.0, 1.0, 0.0])
-    fit = fit_plane(points, 0.01, 0.001, plane.fit(points))
+    fit = fit_plane(*to_beams(points), 0.01, 0.001, plane.fit(points))
     assert fit is None
 
 
@@ -80,7 +81,10 @@ def test_covariance_follows_the_residuals_if_they_exceed_the_stated_noise(
     exact = beams_at_plane(25)
     far = np.linalg.norm(exact, axis=1, keepdims=True)
     noisy = exact * (1 + rng.normal(0, 0.02, far.shape) / far)
-    right, low = fit_plane(noisy, 0.02, 1e-4, PLANE), fit_plane(noisy, 0.02 / understated, 1e-4, PLANE)
+    right, low = (
+        fit_plane(*to_beams(noisy), 0.02, 1e-4, PLANE),
+        fit_plane(*to_beams(noisy), 0.02 / understated, 1e-4, PLANE),
+    )
     assert right is not None
     assert low is not None
     assert np.sqrt(low.covariance[2, 2] / right.covariance[2, 2]) == pytest.approx(1.0, abs=0.1)

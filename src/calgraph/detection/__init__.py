@@ -2,7 +2,15 @@
 
 from calgraph.detection.camera import Averaging, CameraDetector, find_boards
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment, plane_of
+from calgraph.detection.detections import (
+    BoardCorners,
+    Detection,
+    DetectionResult,
+    PlanePatch,
+    Segment,
+    plane_of,
+    to_beams,
+)
 from calgraph.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,
@@ -15,5 +23,5 @@ from calgraph.detection.lidar3d import find_patches
 __all__ = [
     "Averaging", "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "DetectionResult",
     "Landmarks", "PlanePatch", "Segment", "board_corners_from_pixels", "compute_landmarks", "find_boards",
-    "find_patches", "find_segments", "plane_of", "plane_patch_from_points", "segment_from_points",
+    "find_patches", "find_segments", "plane_of", "plane_patch_from_points", "segment_from_points", "to_beams",
 ]  # fmt: skip

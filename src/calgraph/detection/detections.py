@@ -16,14 +16,21 @@ class PlanePatch:
     """(4,) unit normal and offset in the sensor frame, oriented towards the sensor (d >= 0)."""
     covariance: Array
     """(3, 3) of the plane in the chart of :func:`calgraph.geometry.plane.retract`."""
-    points: Array
-    """(N, 3) measured points on the board, sensor frame, m."""
+    ranges: Array
+    """(N,) measured along the beams that end on the board, m."""
+    directions: Array
+    """(N, 3) unit vectors of these beams, sensor frame."""
     center: Array
     """(3,) centre of the patch, projected on the plane, m."""
     match: float = 1.0
     """Score, 0 to 1, of its outline against a board of the known size."""
     edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
     """(M, 2, 3) its edges: unit vectors of the last beam on the board and the first one past it."""
+
+    @property
+    def points(self) -> Array:
+        """(N, 3) ends of the beams, sensor frame, m."""
+        return self.ranges[:, None] * self.directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +41,10 @@ class Segment:
     """(2, 3) the outermost beams projected on the fitted line, in order of angle, sensor frame, m."""
     covariance: Array
     """(6, 6) of the two end points, with a tiny variance in z."""
-    points: Array
-    """(N, 3) measured points on the board, sensor frame, m."""
+    ranges: Array
+    """(N,) measured along the beams that end on the board, m."""
+    directions: Array
+    """(N, 3) unit vectors of these beams, sensor frame."""
     match: float = 1.0
     """Score, 0 to 1, of its length, straightness and ends against a board of the known size."""
     edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
@@ -45,6 +54,11 @@ class Segment:
     def center(self) -> Array:
         """(3,) the middle of the segment, m."""
         return np.asarray(self.endpoints.mean(axis=0))
+
+    @property
+    def points(self) -> Array:
+        """(N, 3) ends of the beams, sensor frame, m."""
+        return self.ranges[:, None] * self.directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +92,12 @@ Detection = PlanePatch | Segment | BoardCorners
 
 DetectionResult = tuple[Detection, ...] | Rejected
 """Candidates for the board in one capture, the best first, or why there is none."""
+
+
+def to_beams(points: Array) -> tuple[Array, Array]:
+    """Ranges (N,), m, and unit directions (N, 3) of beams from the origin that end at points (N, 3)."""
+    ranges = np.linalg.norm(points, axis=1)
+    return ranges, points / ranges[:, None]
 
 
 def plane_of(detection: PlanePatch | BoardCorners) -> tuple[Array, Array]:

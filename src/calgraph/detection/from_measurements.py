@@ -6,7 +6,7 @@ from calgraph.config import PixelNoise, RangeNoise
 from calgraph.config.settings import BoardPoseSettings, SurfaceFitSettings
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import make_board_corners
-from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
+from calgraph.detection.detections import BoardCorners, PlanePatch, Segment, to_beams
 from calgraph.detection.lidar2d import build_segment
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.errors import InputError, Rejected
@@ -75,12 +75,13 @@ def plane_patch_from_points(
     if len(points) < 4:
         return Rejected(f"a plane needs four points, got {len(points)}")
     noise = noise or RangeNoise()
-    fit = fit_plane(points, noise.range, noise.angle, plane.fit(points), settings)
+    ranges, directions = to_beams(points)
+    fit = fit_plane(ranges, directions, noise.range, noise.angle, plane.fit(points), settings)
     if fit is None:
         return Rejected(f"the {len(points)} points lie on no plane, or on one along the beams")
     middle = points[fit.inliers].mean(axis=0)
     center = middle - plane.distance(fit.parameters, middle[None]) * fit.parameters[:3]
-    return PlanePatch(fit.parameters, fit.covariance, points[fit.inliers], center)
+    return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center)
 
 
 def segment_from_points(
@@ -103,7 +104,7 @@ def segment_from_points(
     if points[:, 2].any():
         raise InputError("points: must lie in the scan plane, z = 0")
     _check_beams(points)
-    ranges = np.linalg.norm(points, axis=1)
+    ranges, directions = to_beams(points)
     # Angles relative to the middle beam, so that no board lies across the wrap at ±pi.
     middle = float(np.arctan2(*points[:, 1::-1].sum(axis=0)))
     angles = middle + np.angle(np.exp(1j * (np.arctan2(points[:, 1], points[:, 0]) - middle)))
@@ -116,7 +117,7 @@ def segment_from_points(
     if fit is None or fit.parameters[1] <= 0:
         return Rejected(f"the ends of the {len(beams)} beams lie on no line, or on one along the beams")
     ends = np.array([angles[fit.inliers].min(), angles[fit.inliers].max()])
-    return build_segment(ends, float(np.diff(beams).min()), fit, points[fit.inliers])
+    return build_segment(ends, float(np.diff(beams).min()), fit, ranges[fit.inliers], directions[fit.inliers])
 
 
 def _fit_normal_form(points: Array) -> Array:

@@ -282,8 +282,8 @@ def _score_end(scan: AveragedScan, line: _LineCandidate, direction: int, setting
 def _make_segment(
     scan: AveragedScan, line: _LineCandidate, match: float, radius: float, settings: DetectionSettings
 ) -> Segment:
-    points = np.column_stack([scan.points[line.beams], np.zeros(len(line.beams))])
-    segment = build_segment(scan.angles[line.beams[[0, -1]]], scan.spacing, line.fit, points, match)
+    ranges, directions = scan.ranges[line.beams], scan.directions[line.beams]
+    segment = build_segment(scan.angles[line.beams[[0, -1]]], scan.spacing, line.fit, ranges, directions, match)
     return replace(segment, edges=_find_edges(scan, line.fit, segment.center[:2], radius, settings))
 
 
@@ -297,22 +297,26 @@ def _find_edges(
     along = np.where(np.isfinite(predicted), p * np.tan(scan.angles - angle), np.inf)
     center = float(middle @ [-np.sin(angle), np.cos(angle)])
     near = select_beams_with_margin(np.abs(along - center) < radius)
-    directions = np.stack([np.cos(scan.angles), np.sin(scan.angles), np.zeros_like(scan.angles)], axis=-1)[near]
     sigma = line.scale * float(np.median(scan.sigma_range[near]))
     thickness = max(settings.scanner.same_surface_sigmas * sigma, settings.scanner.min_thickness)
     # Beams that are not consecutive are different scan lines.
     scan_line = near - np.arange(len(near))
-    return find_board_edges(directions, (scan.ranges - predicted)[near], scan_line, thickness, settings.scanner)
+    return find_board_edges(
+        scan.directions[near], (scan.ranges - predicted)[near], scan_line, thickness, settings.scanner
+    )
 
 
-def build_segment(ends: Array, spacing: float, line: SurfaceFit, points: Array, match: float = 1.0) -> Segment:
+def build_segment(
+    ends: Array, spacing: float, line: SurfaceFit, ranges: Array, directions: Array, match: float = 1.0
+) -> Segment:
     """Builds the detection: outermost beams projected on the line, with the covariance of line and beam spacing.
 
     Args:
         ends: (2,) angles of the outermost beams, ascending, rad.
         spacing: angle between neighbouring beams, rad.
         line: through all beams.
-        points: (N, 3) their ends, m.
+        ranges: (N,) of the beams, m.
+        directions: (N, 3) unit vectors of the beams.
         match: as in :class:`Segment`.
 
     """
@@ -329,4 +333,4 @@ def build_segment(ends: Array, spacing: float, line: SurfaceFit, points: Array, 
     for i in range(2):
         block = slice(3 * i, 3 * i + 3)
         covariance[block, block] += np.outer(t, t) * spacings[i] ** 2 / 12 + np.diag([0, 0, _Z_VARIANCE])
-    return Segment(p * n + s[:, None] * t, covariance, points, match)
+    return Segment(p * n + s[:, None] * t, covariance, ranges, directions, match)

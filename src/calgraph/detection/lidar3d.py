@@ -14,7 +14,7 @@ from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import PlanePatch
+from calgraph.detection.detections import PlanePatch, to_beams
 from calgraph.detection.line_plane_fit import fit_plane
 from calgraph.detection.rectangle_fit import BoardRectangle, fit_rectangle, measure_solidity_and_isolation
 from calgraph.detection.region_growing import grow_flat_regions
@@ -150,12 +150,13 @@ def _fit_patch(
         key=lambda matched: matched[0],
     )
     interior = members[_select_interior(points[members], rectangle, match, settings.lidar3d)]
-    fit = fit_plane(points[interior], noise.range, noise.angle, surface, settings.scanner.fit)
+    ranges, directions = to_beams(points[interior])
+    fit = fit_plane(ranges, directions, noise.range, noise.angle, surface, settings.scanner.fit)
     if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
     center = rectangle.center - (n @ rectangle.center + d) * n
-    return PlanePatch(fit.parameters, fit.covariance, points[interior[fit.inliers]], center, match)
+    return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, match)
 
 
 def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
@@ -271,8 +272,10 @@ def _explain_no_match(cells: Cells, regions: Sequence[Indices], boards: Sequence
 class _ScanLines:
     """The beams of one sweep in scan order. Sweeps have the same beams: one shows all edges."""
 
-    points: Array
-    """(N, 3) m."""
+    ranges: Array
+    """(N,) m."""
+    directions: Array
+    """(N, 3) unit vectors."""
     scan_line: Indices
     """(N,) scan line of each."""
     parallax: float
@@ -284,10 +287,10 @@ def _order_by_scan_line(cloud: PointCloud, settings: DetectionSettings) -> _Scan
     valid = np.linalg.norm(cloud.points, axis=1) > settings.lidar3d.min_range
     points = cloud.points[valid]
     if cloud.rings is None:
-        return _ScanLines(points, np.zeros(len(points), dtype=np.intp), settings.scanner.edges.parallax)
+        return _ScanLines(*to_beams(points), np.zeros(len(points), dtype=np.intp), settings.scanner.edges.parallax)
     rings = cloud.rings[valid]
     order = np.lexsort([np.arctan2(points[:, 1], points[:, 0]), rings])
-    return _ScanLines(points[order], rings[order].astype(np.intp), 0.0)
+    return _ScanLines(*to_beams(points[order]), rings[order].astype(np.intp), 0.0)
 
 
 def _find_edges(
@@ -295,8 +298,7 @@ def _find_edges(
 ) -> Array:
     """(M, 2, 3) edges of the patch within ``radius`` of its centre."""
     n, d, min_cosine = patch.plane[:3], patch.plane[3], settings.scanner.fit.min_cosine
-    ranges = np.linalg.norm(lines.points, axis=1)
-    directions = lines.points / ranges[:, None]
+    ranges, directions = lines.ranges, lines.directions
     cosine = -(directions @ n)
     predicted = np.where(cosine > min_cosine, d / np.maximum(cosine, min_cosine), np.inf)
     intersections = np.minimum(predicted, np.linalg.norm(patch.center) + 2 * radius)[:, None] * directions

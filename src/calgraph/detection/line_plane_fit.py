@@ -79,7 +79,8 @@ def whiten_line(
 
 
 def fit_plane(
-    points: Array,
+    ranges: Array,
+    directions: Array,
     sigma_range: float,
     sigma_angle: float,
     start: Array,
@@ -88,7 +89,8 @@ def fit_plane(
     """The plane through the ends of beams from the origin, in two rounds of rejection.
 
     Args:
-        points: (N, 3) ends of the beams, m.
+        ranges: (N,) m.
+        directions: (N, 3) unit vectors of the beams.
         sigma_range: of each beam, m.
         sigma_angle: of each beam's direction, about each axis, rad.
         start: (4,) near the solution, oriented towards the origin.
@@ -98,8 +100,6 @@ def fit_plane(
         The fit, or None if fewer than four beams agree or the beams graze the plane.
 
     """
-    ranges = np.linalg.norm(points, axis=1)
-    directions = points / ranges[:, None]
 
     def whitened(planes: Array) -> tuple[Array, Array]:
         n, d = planes[:3], planes[3]

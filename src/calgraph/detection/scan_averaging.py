@@ -37,9 +37,14 @@ class AveragedScan:
         return self.angles[beams], self.ranges[beams], self.sigma_range[beams], self.sigma_angle[beams]
 
     @property
+    def directions(self) -> Array:
+        """(N, 3) unit vectors of the beams."""
+        return np.stack([np.cos(self.angles), np.sin(self.angles), np.zeros_like(self.angles)], axis=-1)
+
+    @property
     def points(self) -> Array:
         """(N, 2) end points in the scan plane, m."""
-        return np.asarray(self.ranges[:, None] * np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1))
+        return self.ranges[:, None] * self.directions[:, :2]
 
 
 def average_scans(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calgraph.captures import CaptureSet, Hold, RecordingTimeline, SensorCapture, SensorTimes, collect_detections
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection import DetectionResult, PlanePatch, compute_landmarks
+from calgraph.detection import DetectionResult, PlanePatch, compute_landmarks, to_beams
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.camera import make_board_corners
 from calgraph.detection.lidar2d import build_segment
@@ -167,13 +167,14 @@ def _detect_plane(
     true = plane.towards_origin(plane.from_pose(T_sensor_board))
     _, points = _simulate_ranges(scanner, hits, true, options, rng)
     noise = _range_noise(scanner, options)
-    fit = fit_plane(points, noise.range, noise.angle, true, options.settings.scanner.fit)
+    beams = to_beams(points)
+    fit = fit_plane(*beams, noise.range, noise.angle, true, options.settings.scanner.fit)
     if fit is None:
         return Rejected("the beams graze the board")
     middle = points.mean(axis=0)
     center = middle - plane.distance(fit.parameters, middle[None]) * fit.parameters[:3]
     edges = _edge_directions(scanner, board, T_sensor_board, rng)
-    return (PlanePatch(fit.parameters, fit.covariance, points, center, edges=edges),)
+    return (PlanePatch(fit.parameters, fit.covariance, *beams, center, edges=edges),)
 
 
 def _detect_segment(
@@ -188,8 +189,9 @@ def _detect_segment(
     if len(hits) < _MIN_BEAMS:
         return Rejected(f"only {len(hits)} beams hit the board")
     true = plane.towards_origin(plane.from_pose(T_sensor_board))
-    ranges, points = _simulate_ranges(scanner, hits, true, options, rng)
-    angles, noise = np.tile(scanner.pattern.angles[hits], options.scans_per_hold), _range_noise(scanner, options)
+    ranges, _ = _simulate_ranges(scanner, hits, true, options, rng)
+    beams, noise = np.tile(hits, options.scans_per_hold), _range_noise(scanner, options)
+    angles = scanner.pattern.angles[beams]
     # The cut of the plane n x + d = 0 with z = 0; its normal points at the scanner, the line's away from it.
     start = np.array([np.arctan2(-true[1], -true[0]), true[3] / np.hypot(true[0], true[1])])
     sigmas = np.full_like(ranges, noise.range), np.full_like(ranges, noise.angle)
@@ -197,7 +199,7 @@ def _detect_segment(
     if fit is None:
         return Rejected("the beams graze the board")
     spacing = float(np.diff(scanner.pattern.angles[:2])[0])
-    segment = build_segment(angles[[0, len(hits) - 1]], spacing, fit, points)
+    segment = build_segment(angles[[0, len(hits) - 1]], spacing, fit, ranges, scanner.pattern.directions[beams])
     length, least = float(np.linalg.norm(np.diff(segment.endpoints, axis=0))), min(board.size) / 3
     if length < least:
         return Rejected(f"the scan cuts off a corner of the board, {length:.2f} m long")

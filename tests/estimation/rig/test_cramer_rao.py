@@ -48,7 +48,7 @@ def measurements(rig: Rig, captured: CaptureSet, name: str, capture: int) -> Cal
         corners, camera, pixel = detection.corners_board, captured.cameras[name], spec.noise.pixel
         return lambda T: np.array([camera.project(p).ravel() for p in se3.apply(T, corners)]) / pixel
     assert not isinstance(detection, BoardCorners)
-    directions = detection.points / np.linalg.norm(detection.points, axis=1)[:, None]
+    directions = detection.directions
     sigma = spec.noise.range
     return lambda T: (
         np.array([n @ t / (directions @ n) for n, t in zip(T[:, :3, 2], T[:, :3, 3], strict=True)]) / sigma

@@ -29,8 +29,7 @@ def biased(right: DetectedRig) -> DetectedRig:
     def longer(name: str, detection: Detection) -> Detection:
         if name != "laser_front" or isinstance(detection, BoardCorners):
             return detection
-        ranges = np.linalg.norm(detection.points, axis=1, keepdims=True)
-        return replace(detection, points=detection.points * (1 + 0.03 / ranges))
+        return replace(detection, ranges=detection.ranges + 0.03)
 
     return right.map_detections(longer)
 

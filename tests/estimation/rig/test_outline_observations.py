@@ -38,7 +38,9 @@ def edges_of(T_sensor_board: Array, places: Array) -> Array:
 
 
 def patch(edges: Array) -> PlanePatch:
-    return PlanePatch(np.array([0, 0, -1, 2.0]), np.eye(3), np.zeros((0, 3)), np.array([0, 0, 2.0]), edges=edges)
+    return PlanePatch(
+        np.array([0, 0, -1, 2.0]), np.eye(3), np.zeros(0), np.zeros((0, 3)), np.array([0, 0, 2.0]), edges=edges
+    )
 
 
 def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:

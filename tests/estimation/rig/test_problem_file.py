@@ -15,7 +15,7 @@ import pytest
 from board_scenes import detect_boards, make_boards, random_pose
 from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, PlanePatch
+from calgraph.detection import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem
 from calgraph.estimation.rig.problem_file import DETECTIONS
@@ -46,8 +46,10 @@ def problem() -> Problem:
     patches: dict[int, tuple[Detection, ...]] = detect_boards("plane", np.eye(4), scene, rng)
     for capture, (patch,) in patches.items():
         assert isinstance(patch, PlanePatch)
-        with_points = dataclasses.replace(patch, points=rng.normal(size=(capture, 3)), match=0.1 * capture)
-        patches[capture] = (with_points, dataclasses.replace(patch, points=np.asfortranarray(np.ones((2, 3)))))
+        ranges, directions = to_beams(rng.normal(size=(capture, 3)))
+        with_beams = dataclasses.replace(patch, ranges=ranges, directions=directions, match=0.1 * capture)
+        two = dataclasses.replace(patch, ranges=np.ones(2), directions=np.asfortranarray(np.ones((2, 3))))
+        patches[capture] = (with_beams, two)
     patches = dict(reversed(patches.items()))
     segments = detect_boards("line", random_pose(rng), scene, rng)
     ugly = np.array([np.nan, np.inf, -0.0, 5e-324, 1 / 3, -np.inf])
@@ -151,11 +153,35 @@ def test_what_is_solved_lies_in_memory_as_what_comes_from_a_file(problem: Proble
 @pytest.mark.parametrize("kind", DETECTIONS, ids=lambda kind: str(kind.__name__))
 def test_every_field_of_a_detection_has_its_column(kind: type[Detection]) -> None:
     fields = {field.name for field in dataclasses.fields(kind)}
-    assert set(DETECTIONS[kind].columns) == fields | {"sensor", "capture", "candidate"}
+    derived = {"points"} if "ranges" in fields else set()
+    assert set(DETECTIONS[kind].columns) == fields | derived | {"sensor", "capture", "candidate"}
 
 
 def test_every_kind_of_detection_has_its_table() -> None:
     assert set(DETECTIONS) == set(Detection.__args__)
+
+
+def test_beams_of_files_of_version_0_1_are_those_of_their_points(problem: Problem, saved: Path) -> None:
+    def drop_beams(members: dict[str, bytes]) -> None:
+        for name in [n for n in members if "/ranges" in n or "/directions" in n]:
+            del members[name]
+
+    again = load_problem(rewritten(saved, drop_beams)).captured.detections["lidar"]
+    for capture, (patch, _) in problem.captured.detections["lidar"].items():
+        older = again[capture][0]
+        assert isinstance(patch, PlanePatch)
+        assert isinstance(older, PlanePatch)
+        np.testing.assert_allclose(older.ranges, patch.ranges, rtol=1e-15)
+        np.testing.assert_allclose(older.directions, patch.directions, rtol=0, atol=1e-15)
+
+
+def test_beams_must_be_as_many_as_their_ranges(problem: Problem, saved: Path) -> None:
+    found = [d for by in problem.captured.detections["lidar"].values() for d in by if isinstance(d, PlanePatch)]
+    ranges = [patch.ranges[:-1] for patch in found]
+    path = with_array(saved, "planes/ranges", np.concatenate(ranges))
+    path = with_array(path, "planes/ranges.rows", np.array([len(r) for r in ranges]))
+    with pytest.raises(InputError, match=r"planes/ranges\.rows: must be those of planes/points and planes/dir"):
+        load_problem(path)
 
 
 def test_numpy_reads_it_without_pickle(saved: Path) -> None:

@@ -201,12 +201,12 @@ class RangeObservations:
         cls, board: Sequence[int], detections: Sequence[PlanePatch | Segment], noise: RangeNoise
     ) -> "RangeObservations":
         """The views of these boards in their detections."""
-        points = np.concatenate([np.empty((0, 3)), *(d.points for d in detections)])
-        ranges = np.linalg.norm(points, axis=1)
+        ranges = np.concatenate([np.empty(0), *(d.ranges for d in detections)])
+        directions = np.concatenate([np.empty((0, 3)), *(d.directions for d in detections)])
         return cls(
             np.array(board, dtype=np.intp),
-            start_indices([len(d.points) for d in detections]),
-            np.asfortranarray(points / ranges[:, None]),
+            start_indices([len(d.ranges) for d in detections]),
+            np.asfortranarray(directions),
             ranges,
             noise,
             np.full(len(ranges), noise.range),

@@ -1,6 +1,6 @@
 """Reading and writing a problem, to the last bit; docs/formats.md describes the file's members."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
+from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, to_beams
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem
 from calgraph.geometry import Array
@@ -26,15 +26,18 @@ FORMAT = "calgraph-problem/2"
 _STRUCTURE = "problem.json"
 
 _PLACE = {"sensor": INDEX, "capture": INDEX, "candidate": INDEX}
+_BEAMS = {"ranges": Column(ragged=True), "directions": Column((3,), ragged=True)}
+_POINTS = {"points": Column((3,), ragged=True), **_BEAMS}
+"""Beams, and their end points for other programs: they are not read where there are ranges and directions."""
 DETECTIONS: Mapping[type[Detection], Table] = {
     PlanePatch: Table("planes", {
         **_PLACE,
-        "plane": Column((4,)), "covariance": Column((3, 3)), "points": Column((3,), ragged=True),
+        "plane": Column((4,)), "covariance": Column((3, 3)), **_POINTS,
         "center": Column((3,)), "match": NUMBER, "edges": Column((2, 3), ragged=True),
     }),
     Segment: Table("segments", {
         **_PLACE,
-        "endpoints": Column((2, 3)), "covariance": Column((6, 6)), "points": Column((3,), ragged=True),
+        "endpoints": Column((2, 3)), "covariance": Column((6, 6)), **_POINTS,
         "match": NUMBER, "edges": Column((2, 3), ragged=True),
     }),
     BoardCorners: Table("corners", {
@@ -159,7 +162,8 @@ def _encode(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     )  # fmt: skip
     for kind, table in DETECTIONS.items():
         arrays |= table.pack([
-            {"sensor": number[name], "capture": capture, "candidate": k, **vars(detection)}
+            {"sensor": number[name], "capture": capture, "candidate": k, **vars(detection),
+             "points": getattr(detection, "points", None)}
             for name, by_capture in captured.detections.items()
             for capture, found in by_capture.items()
             for k, detection in enumerate(found) if isinstance(detection, kind)
@@ -195,7 +199,7 @@ def _holds(sensors: Sequence[str], arrays: Arrays) -> tuple[Hold, ...]:
 def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, tuple[Detection, ...]]]:
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in sensors}
     for kind, table in DETECTIONS.items():
-        for row in table.unpack_named(arrays, sensors):
+        for row in _unpack_detections(table, arrays, sensors):
             by_capture, capture, candidate = (
                 detections[row.pop("sensor")],
                 row.pop("capture"),
@@ -209,6 +213,21 @@ def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, t
                 )
             by_capture[capture] = (*before, kind(**row))
     return detections
+
+
+def _unpack_detections(table: Table, arrays: Arrays, sensors: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Rows of a table of detections; in files of version 0.1 beams are stated by their end points alone."""
+    older = "points" in table.columns and not any(f"{table.name}/{field}" in arrays for field in _BEAMS)
+    kept = {field: column for field, column in table.columns.items() if not (older and field in _BEAMS)}
+    for row in Table(table.name, kept).unpack_named(arrays, sensors):
+        points = row.pop("points", None)
+        if older:
+            row |= dict(zip(_BEAMS, to_beams(points), strict=True))
+        if points is not None and not len(points) == len(row["ranges"]) == len(row["directions"]):
+            raise InputError(
+                f"{table.name}/ranges.rows: must be those of {table.name}/points and {table.name}/directions"
+            )
+        yield row
 
 
 def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:
