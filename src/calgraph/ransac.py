@@ -1,8 +1,8 @@
 """The sample-and-score loop, with the scores of RANSAC and MSAC.
 
 Sources: Fischler and Bolles, "Random sample consensus", CACM 1981 (sampling, count of inliers, stopping rule);
-Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there); Chum, Matas, Kittler,
-"Locally optimized RANSAC", DAGM 2003 (re-solving from the inliers of every new best).
+Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there). There is no local
+optimization (Chum, Matas, Kittler, DAGM 2003): callers refine the model on its inliers with their covariances.
 """
 
 from collections.abc import Callable
@@ -49,7 +49,6 @@ def find_consensus(
     confidence: float = 0.9999,
     max_samples: int = 2000,
     batch: int = 100,
-    refinement_steps: int = 5,
 ) -> RansacResult | None:
     """Finds the model with the lowest robust cost by random sampling.
 
@@ -60,8 +59,7 @@ def find_consensus(
     Args:
         groups: (N,) group of each datum, any non-negative integers.
         sample_size: number of data in a minimal sample.
-        solve: indices (K, m) of K samples of m >= sample_size data, to K models (K, ...). A sample without
-            solution gets NaN. It is also called with all inliers of a model (K = 1, m = their number).
+        solve: indices (K, sample_size) of K samples to K models (K, ...). A sample without solution gets NaN.
         squared_residuals: models (K, ...) to (K, N) squared residuals; NaN counts as infinite.
         threshold2: squared residual up to which a datum is an inlier, in the same units.
         rng: source of the samples.
@@ -69,8 +67,6 @@ def find_consensus(
         confidence: stop once an all-inlier sample has been drawn with this probability.
         max_samples: stop after this many samples.
         batch: samples solved and scored in one call.
-        refinement_steps: limit on re-solving a new best model from its inliers, which stops when the cost does not
-            fall.
 
     Returns:
         The best model, or None if there are fewer groups than ``sample_size`` or no sample has a solution.
@@ -101,29 +97,22 @@ def find_consensus(
         winner = int(np.argmin(costs))
         if costs[winner] < best_cost:
             best, best_cost = models[winner], float(costs[winner])
-            for _ in range(refinement_steps):
-                inlier_indices = np.flatnonzero(
-                    select_best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
-                )
-                if len(inlier_indices) < sample_size:
-                    break
-                refined = solve(inlier_indices[None])
-                if not np.isfinite(refined).all():
-                    break
-                costs, refined_is_inlier = score_models(refined)
-                if costs[0] >= best_cost:
-                    break
-                best, best_cost, is_inlier, winner = refined[0], float(costs[0]), refined_is_inlier, 0
             inlier_probability = float(np.mean(is_inlier[winner] / sizes)) ** sample_size
-            required = (
-                np.log(1 - confidence) / np.log1p(-min(inlier_probability, 1 - 1e-12))
-                if inlier_probability > 0
-                else np.inf
-            )
+            required = _required_samples(inlier_probability, confidence)
     if best is None:
         return None
     inliers = select_best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
     return RansacResult(best, inliers, best_cost, sample_count)
+
+
+def _required_samples(inlier_probability: float, confidence: float) -> float:
+    """Number of samples after which one without outliers has been drawn with the given probability.
+
+    Args:
+        inlier_probability: of a sample without outliers: the share of inliers to the power of the sample size.
+        confidence: required probability.
+    """
+    return float(np.log1p(-confidence) / np.log1p(-np.clip(inlier_probability, 1e-300, 1 - 1e-12)))
 
 
 def _draw_samples(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
