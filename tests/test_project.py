@@ -159,3 +159,20 @@ def test_citation_states_the_version_and_the_licence_of_the_package() -> None:
     stated = {key: str(citation[key]) for key in ("title", "version", "license")}
     assert stated == {"title": project()["name"], "version": project()["version"], "license": project()["license"]}
     assert citation["cff-version"] == "1.2.0"
+
+
+@pytest.mark.parametrize("story", ["A rig", "A network"])
+def test_the_reading_path_of_a_story_is_short(story: str) -> None:
+    page = (ROOT / "docs/architecture.md").read_text()
+    section = page.split(f"### {story}\n")[1].split("\n## ")[0].split("\n### ")[0]
+    files = re.findall(r"^\| `(\S+\.py)`", section, re.MULTILINE)
+    lines = sum(len((ROOT / "src/calgraph" / file).read_text().splitlines()) for file in files)
+    assert 5 <= len(files) <= 10
+    assert lines <= 2000
+
+
+def test_the_picture_of_the_house_shows_the_import_contract() -> None:
+    rooms = re.findall(r'font-weight="bold">(\w+)<', (ROOT / "docs/images/house.svg").read_text(encoding="utf-8"))
+    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    layers = next(c for c in tools["importlinter"]["contracts"] if c["type"] == "layers")["layers"]
+    assert rooms == [room.strip() for line in layers for room in line.split("|")]
