@@ -43,7 +43,7 @@ TRUE = {
     "laser": se3.from_xyz_quaternion(np.array([0.6, 0.1, -0.3]), np.array([0.03, 0.05, 0.0, 1.0])),
     "camera": se3.from_xyz_quaternion(np.array([0.4, 0.1, -0.1]), np.array([-0.5, 0.49, -0.5, 0.51])),
 }
-camera = rig.cameras()["camera"].intrinsics.camera()
+camera = rig.camera_models()["camera"]
 corners = np.array([[x, y, 0.0] for x in (-0.25, 0.25) for y in (-0.25, 0.25)])
 
 

@@ -127,7 +127,7 @@ def test_intrinsics_and_tiny_noise_are_read_back(tmp_path: Path) -> None:
     camera = again.sensors["camera"]
     assert isinstance(camera, CameraSpec)
     assert camera.intrinsics is not None
-    assert camera.intrinsics.camera().K[1, 2] == 612.725
+    assert camera.intrinsics.to_camera().K[1, 2] == 612.725
 
 
 BOARD = "{kind: board, size: [1.0, 0.8], "

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calgraph.config import Rig
-from calgraph.recording import with_intrinsics
+from calgraph.recording import resolve_intrinsics
 from calgraph.report import write_report
 from calgraph.result import Calibration
 from calgraph.simulation import RigScenario
@@ -16,7 +16,7 @@ from simulated_rigs import calibrate, simulate_scenario
 @pytest.fixture(scope="module")
 def found() -> tuple[Calibration, Rig]:
     rig, recording, _ = simulate_scenario(RigScenario())
-    return calibrate(rig, recording), with_intrinsics(rig, recording)
+    return calibrate(rig, recording), resolve_intrinsics(rig, recording)
 
 
 def test_it_is_small_and_quick(found: tuple[Calibration, Rig], tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from calgraph.config import Intrinsics, load_rig
-from calgraph.recording.intrinsics import camera_from_yaml
+from calgraph.recording.camera_info import camera_from_yaml
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def test_rig_yaml_of_the_page_is_read(examples: list[str], tmp_path: Path) -> No
 
 def test_intrinsics_of_the_page_are_read(examples: list[str]) -> None:
     text = next(text for text in examples if text.startswith("intrinsics:"))
-    assert Intrinsics(**YAML(typ="safe").load(text)["intrinsics"]).camera().distortion.size == 4
+    assert Intrinsics(**YAML(typ="safe").load(text)["intrinsics"]).to_camera().distortion.size == 4
 
 
 def test_camera_info_of_the_page_is_read(examples: list[str]) -> None:

@@ -172,7 +172,7 @@ def board_pose(outline: BoardOutline) -> Array:
 def _view(outline: BoardOutline, sensor: SensorPose, rig: Rig, rng: np.random.Generator) -> Iterator[BoardView]:
     T_sensor_board = se3.inverse(sensor.T_root_sensor) @ board_pose(outline)
     if sensor.kind == "camera":
-        camera = rig.cameras()[sensor.name].intrinsics.camera()  # type: ignore[union-attr]
+        camera = rig.cameras()[sensor.name].intrinsics.to_camera()  # type: ignore[union-attr]
         pixels = camera.project(se3.apply(T_sensor_board, compute_landmarks(rig.boards[0]).corners.reshape(-1, 3)))
         if camera.contains(pixels).all():
             off = rng.normal(0, PIXEL, pixels.shape)

@@ -18,7 +18,7 @@ from calgraph.report.image_view import render_camera_images
 from calgraph.report.overlays import compute_overlay
 from calgraph.report.thumbnails import render_thumbnail
 from calgraph.result import Calibration, Snapshot
-from calgraph.result.used_intrinsics import calibrated_cameras
+from calgraph.result.calibrated_cameras import calibrated_cameras
 
 
 def colored_traces(html: str) -> list[dict[str, Any]]:

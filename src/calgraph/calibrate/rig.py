@@ -39,7 +39,7 @@ from calgraph.estimation import (
 )
 from calgraph.graph import SpanningTree, initialize_rig
 from calgraph.pairwise import estimate_pairs, reselect_all_inliers, select_successful
-from calgraph.recording import Recording, read_cameras
+from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, RecordedMessage
 
@@ -125,7 +125,7 @@ def collect_captures(
         raise CalibrationError(
             f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
         )
-    cameras = read_cameras(rig, recording)
+    cameras = resolve_intrinsics(rig, recording).camera_models()
     timeline = _read_timeline(rig, recording, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)

@@ -35,7 +35,7 @@ def captures_from_detections(
         InputError: a sensor is not the rig's, a detection does not fit the sensor's kind, or a camera has no
                 intrinsics.
     """
-    cameras = _stated_intrinsics(rig) if cameras is None else cameras
+    cameras = rig.camera_models() if cameras is None else cameras
     missing = set(rig.cameras()) - set(cameras)
     if missing:
         raise InputError(f"cameras: lacks {', '.join(sorted(missing))}")
@@ -68,8 +68,3 @@ def _to_candidates(rig: Rig, name: str, capture: int, result: GivenDetections | 
                 f"{type(detection).__name__} in capture {capture}"
             )
     return candidates or Rejected("no detection was given")
-
-
-def _stated_intrinsics(rig: Rig) -> Mapping[str, CameraModel]:
-    """The intrinsics stated in the rig."""
-    return {name: spec.intrinsics.camera() for name, spec in rig.cameras().items() if spec.intrinsics}

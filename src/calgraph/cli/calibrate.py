@@ -14,7 +14,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
-from calgraph.recording import open_recordings, with_intrinsics
+from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, save_scene, to_json
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def calibrate(
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
             )
         with open_recordings(recordings) as recording, progress_bars() as progress:
-            rig = with_intrinsics(rig, recording)
+            rig = resolve_intrinsics(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
         write_results(calibration, rig, folder)
     show_results(calibration, out, json=json)

@@ -19,7 +19,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically, write_text
-from calgraph.recording import open_recordings, with_intrinsics
+from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         return problem
     with open_recordings(recordings) as recording, progress_bars() as progress:
         return story.build_problem(
-            with_intrinsics(rig, recording), recording, story.RigOptions(seed=seed), progress
+            resolve_intrinsics(rig, recording), recording, story.RigOptions(seed=seed), progress
         )
 
 

@@ -12,7 +12,7 @@ from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically
-from calgraph.recording import open_recording, with_intrinsics
+from calgraph.recording import open_recording, resolve_intrinsics
 from calgraph.simulation import RigScenario, load_truth, simulate_rig
 
 
@@ -35,7 +35,7 @@ def demo(
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
-                rig = with_intrinsics(rig, recording)
+                rig = resolve_intrinsics(rig, recording)
                 calibration = calibrate_rig(rig, recording, RigOptions(), progress)
         (folder / "result").mkdir()
         write_results(calibration, rig, folder / "result")

@@ -16,7 +16,7 @@ from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.config import load_rig
 from calgraph.errors import CalibrationError, InputError
-from calgraph.recording import open_recordings, with_intrinsics
+from calgraph.recording import open_recordings, resolve_intrinsics
 
 if TYPE_CHECKING:
     from calgraph.calibrate import Progress
@@ -73,7 +73,7 @@ def _problem(files: list[Path], seed: int, progress: "Progress") -> "Problem":
         return load_problem(files[0])
     rig = load_rig(files[0])
     with open_recordings(files[1:]) as recording:
-        rig = with_intrinsics(rig, recording)
+        rig = resolve_intrinsics(rig, recording)
         return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
 
 

@@ -61,7 +61,18 @@ class Intrinsics(StrictModel):
             raise invalid("distortion", f"{self.model} has {allowed} coefficients, got {len(self.distortion)}")
         return self
 
-    def camera(self) -> CameraModel:
+    @classmethod
+    def from_camera(cls, camera: CameraModel) -> "Intrinsics":
+        """The intrinsics of a camera model."""
+        return cls(
+            model=camera.model,
+            width=camera.width,
+            height=camera.height,
+            K=(*camera.focal.tolist(), *camera.principal_point.tolist()),
+            distortion=tuple(camera.distortion.tolist()),
+        )
+
+    def to_camera(self) -> CameraModel:
         """The camera model with these intrinsics."""
         fx, fy, cx, cy = self.K
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
@@ -197,6 +208,10 @@ class Rig(StrictModel):
     def cameras(self) -> Mapping[str, CameraSpec]:
         """The cameras by name."""
         return {name: s for name, s in self.sensors.items() if isinstance(s, CameraSpec)}
+
+    def camera_models(self) -> dict[str, CameraModel]:
+        """Models of the cameras whose intrinsics are stated; see :func:`calgraph.recording.resolve_intrinsics`."""
+        return {name: spec.intrinsics.to_camera() for name, spec in self.cameras().items() if spec.intrinsics}
 
     def to_plain(self) -> dict[str, Any]:
         """All keys, defaults included, as plain values for rig.resolved.yaml."""

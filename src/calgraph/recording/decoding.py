@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import Array
+from calgraph.recording.camera_info import camera_model
 from calgraph.recording.images import decode_image, pixels_from_buffer
-from calgraph.recording.intrinsics import camera_model
 from calgraph.recording.message_types import MessageType
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
 from calgraph.recording.recording import wrap_errors

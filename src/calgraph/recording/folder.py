@@ -13,9 +13,9 @@ from ruamel.yaml import YAML
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.images import decode_image
-from calgraph.recording.intrinsics import camera_from_yaml
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns

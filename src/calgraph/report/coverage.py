@@ -11,7 +11,7 @@ from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.formatting import format_fixed
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.used_intrinsics import calibrated_cameras
+from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.sensors import CameraModel
 
 # Cells along a camera's longer side, of the azimuth, and of elevations and ranges.

@@ -10,8 +10,8 @@ from calgraph.geometry import Array
 from calgraph.report.formatting import escape_html, format_count, format_length, format_significant
 from calgraph.report.overlays import Overlay, compute_overlay
 from calgraph.result import BoardView, Calibration, SensorPose, Snapshot
+from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.result.evidence import rms
-from calgraph.result.used_intrinsics import calibrated_cameras
 from calgraph.sensors import CameraModel
 
 # Largest number of images on the page, largest and smallest number per camera, and initially expanded ones.

@@ -31,7 +31,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
     Args:
         calibration: to report.
         rig: its configuration. Cameras without intrinsics have no images with overlays;
-            :func:`calgraph.recording.with_intrinsics` adds them.
+            :func:`calgraph.recording.resolve_intrinsics` adds them.
         path: the file, e.g. ``OUT/report.html``.
 
     Raises:

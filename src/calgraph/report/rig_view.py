@@ -25,7 +25,7 @@ from calgraph.report.figures import (
 )
 from calgraph.report.rig_shapes import SCALE_95, Polyline, camera_frustum, ellipsoid_mesh, frame_axes, scan_circle
 from calgraph.result import Calibration, SensorPose
-from calgraph.result.used_intrinsics import calibrated_cameras
+from calgraph.result.calibrated_cameras import calibrated_cameras
 
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # Smallest longest semi-axis of a visible ellipsoid, relative to the axes of a frame.

@@ -1,5 +1,6 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
+from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
@@ -14,35 +15,11 @@ from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.table import to_dataframe
 from calgraph.result.transform_tree import TransformTree
-from calgraph.result.used_intrinsics import calibrated_cameras
 
 __all__ = [
-    "FORMATS",
-    "BoardOutline",
-    "BoardView",
-    "Calibration",
-    "CaptureRow",
-    "Edge",
-    "EstimatedParameter",
-    "Evidence",
-    "ExtrinsicsFile",
-    "FloorView",
-    "HeldOutError",
-    "Pictures",
-    "SensorPose",
-    "Snapshot",
-    "Suggestion",
-    "TransformTree",
-    "Verdict",
-    "calibrated_cameras",
-    "colorize_from_snapshots",
-    "export", "join_covariances",
-    "load_calibration",
-    "load_scene",
-    "read_extrinsics",
-    "save_calibration",
-    "save_captures",
-    "save_scene",
-    "to_dataframe",
-    "to_json",
+    "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter", "Evidence",
+    "ExtrinsicsFile", "FloorView", "HeldOutError", "Pictures", "SensorPose", "Snapshot", "Suggestion",
+    "TransformTree", "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
+    "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_scene",
+    "to_dataframe", "to_json",
 ]  # fmt: skip

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.config import CameraSpec, Rig
+from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io import format_yaml
 from calgraph.io.yaml_writing import flow_sequence
+from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import format_coordinate
 from calgraph.sensors import CameraModel
@@ -24,7 +25,7 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
 
     Args:
         calibration: the poses.
-        rig: topics of the cameras, and intrinsics where rig.yaml states them.
+        rig: topics of the cameras, and intrinsics, as estimated or as rig.yaml states them.
         cameras: intrinsics by sensor; they take precedence over those of the rig.
 
     Raises:
@@ -35,27 +36,21 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
     if not names:
         raise InputError("a Kalibr camchain needs a camera, this calibration has none")
     specs = rig.cameras() if rig else {}
+    models = {**calibrated_cameras(calibration, rig), **cameras} if rig else cameras
     chain: dict[str, Any] = {}
     for index, name in enumerate(names):
         entry: dict[str, Any] = {"cam_overlaps": flow_sequence(i for i in range(len(names)) if i != index)}
         if index > 0:
             entry["T_cn_cnm1"] = _matrix(calibration.transform(name, names[index - 1]))
-        entry |= _intrinsics(name, _camera(name, specs, cameras))
+        if name not in models:
+            raise InputError(
+                f"the intrinsics of {name!r} are not known; state them in rig.yaml (sensors.{name}.intrinsics)"
+            )
+        entry |= _intrinsics(name, models[name])
         if name in specs:
             entry["rostopic"] = specs[name].topic
         chain[f"cam{index}"] = entry
     return format_yaml(chain, "\n".join([_COMMENT, *(f"cam{i}: {name!r}" for i, name in enumerate(names))]))
-
-
-def _camera(name: str, specs: Mapping[str, CameraSpec], cameras: Mapping[str, CameraModel]) -> CameraModel:
-    spec = specs.get(name)
-    if name in cameras:
-        return cameras[name]
-    if spec and spec.intrinsics:
-        return spec.intrinsics.camera()
-    raise InputError(
-        f"the intrinsics of {name!r} are not known; state them in rig.yaml (sensors.{name}.intrinsics)"
-    )
 
 
 def _intrinsics(name: str, camera: CameraModel) -> dict[str, Any]:

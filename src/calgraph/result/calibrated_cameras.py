@@ -1,4 +1,4 @@
-"""The intrinsics that a calibration goes with."""
+"""The intrinsics that belong to a calibration's poses."""
 
 from collections.abc import Mapping
 
@@ -10,9 +10,8 @@ from calgraph.sensors import CameraModel
 
 
 def calibrated_cameras(calibration: Calibration, rig: Rig) -> Mapping[str, CameraModel]:
-    """By camera its intrinsics, the estimated ones where they were; none of those that nobody states."""
-    stated = {name: spec.intrinsics.camera() for name, spec in rig.cameras().items() if spec.intrinsics}
-    return {name: _apply_estimates(calibration, name, camera) for name, camera in stated.items()}
+    """Camera models by sensor, with the estimated intrinsics if any, else with those stated in the rig."""
+    return {name: _apply_estimates(calibration, name, camera) for name, camera in rig.camera_models().items()}
 
 
 def _apply_estimates(calibration: Calibration, name: str, camera: CameraModel) -> CameraModel:
