@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
 from calgraph.tracking.association import associate
 from calgraph.tracking.clusters import Clusters
@@ -28,7 +29,7 @@ def identities(*paths: Array, detected: NDArray[np.bool_] | None = None) -> list
     detected = np.ones((len(paths), len(paths[0])), dtype=bool) if detected is None else detected
     scan, path = np.nonzero(detected.T)
     found = one_beam_each(scan, np.stack(paths)[path, scan])
-    return [path[members].tolist() for members in associate(found, 0.1, 0.5)]
+    return [path[members].tolist() for members in associate(found, 0.1, 0.5, AssociationSettings())]
 
 
 def line(start: tuple[float, float], velocity: tuple[float, float], scans: int = 60) -> Array:
@@ -66,7 +67,10 @@ def test_clutter_starts_no_identity(rng: np.random.Generator) -> None:
 
 
 def test_no_objects_give_no_identity() -> None:
-    assert associate(one_beam_each(np.empty(0, dtype=np.intp), np.empty((0, 2))), 0.1, 0.5) == []
+    assert (
+        associate(one_beam_each(np.empty(0, dtype=np.intp), np.empty((0, 2))), 0.1, 0.5, AssociationSettings())
+        == []
+    )
 
 
 def test_a_crowd_keeps_its_identities() -> None:

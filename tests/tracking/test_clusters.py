@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, ScanBackground
 from calgraph.tracking.clusters import Clusters, cluster_foreground, subtract_background
@@ -12,6 +13,7 @@ from calgraph.tracking.static_scene import StaticScene
 ANGLES = np.radians(np.arange(-90, 90.25, 0.5))
 EMPTY = StaticScene(ScanBackground(ANGLES, np.full(len(ANGLES), 8.0)), np.empty((0, 2)), 0.02)
 WIDTH = 0.5
+SETTINGS = ClusterSettings()
 
 
 def scan(*objects: tuple[float, float, float], stamp: float = 0.0, increment: float = 1e-4) -> LaserScan:
@@ -25,7 +27,7 @@ def scan(*objects: tuple[float, float, float], stamp: float = 0.0, increment: fl
 
 
 def found(*scans: LaserScan) -> Clusters:
-    return cluster_foreground(subtract_background(stack_scans(scans), EMPTY), WIDTH, 0.02)
+    return cluster_foreground(subtract_background(stack_scans(scans), EMPTY, SETTINGS), WIDTH, 0.02, SETTINGS)
 
 
 def test_one_object_is_one_cluster() -> None:

@@ -33,7 +33,7 @@ def test_an_update_by_hand() -> None:
 
 def test_the_distance_counts_prediction_and_measurement() -> None:
     squared, determinant = mahalanobis_distance(
-        initial_state(np.zeros(2), np.eye(2)), np.array([3.0, 0.0]), 2 * np.eye(2)
+        initial_state(np.zeros(2), np.eye(2), 1.5), np.array([3.0, 0.0]), 2 * np.eye(2)
     )
     assert squared == pytest.approx(3.0)
     assert determinant == pytest.approx(9.0)
@@ -71,24 +71,25 @@ def walk(rng: np.random.Generator) -> tuple[Array, Array, Array]:
 
 
 def test_smoothed_states_are_the_dense_least_squares(walk: tuple[Array, Array, Array]) -> None:
-    smoothed, _ = smooth_tracks(*walk, acceleration_density=0.5, gate=np.inf)
+    smoothed, _ = smooth_tracks(*walk, acceleration_density=0.5, gate=np.inf, speed_sigma=1.5)
     np.testing.assert_allclose(smoothed.mean, solve_densely(*walk, 0.5)[0], atol=1e-8)
 
 
 def test_smoothed_covariances_are_those_of_the_dense_least_squares(walk: tuple[Array, Array, Array]) -> None:
-    smoothed, _ = smooth_tracks(*walk, acceleration_density=0.5, gate=np.inf)
+    smoothed, _ = smooth_tracks(*walk, acceleration_density=0.5, gate=np.inf, speed_sigma=1.5)
     np.testing.assert_allclose(smoothed.covariance, solve_densely(*walk, 0.5)[1], atol=1e-8)
 
 
 def test_padding_changes_nothing(walk: tuple[Array, Array, Array]) -> None:
     times, z, R = walk
-    alone, _ = smooth_tracks(times, z, R, 0.5, np.inf)
+    alone, _ = smooth_tracks(times, z, R, 0.5, np.inf, 1.5)
     padded, _ = smooth_tracks(
         np.stack([np.append(times, [times[-1]] * 5)] * 2),
         np.stack([np.concatenate([z, np.full((5, 2), np.nan)])] * 2),
         np.stack([np.concatenate([R, np.full((5, 2, 2), np.nan)])] * 2),
         0.5,
         np.inf,
+        1.5,
     )
     np.testing.assert_allclose(padded.mean[1, :30], alone.mean, atol=1e-9)
 
@@ -96,6 +97,6 @@ def test_padding_changes_nothing(walk: tuple[Array, Array, Array]) -> None:
 def test_a_measurement_outside_the_gate_is_rejected(walk: tuple[Array, Array, Array]) -> None:
     times, z, R = walk
     z[20] += 5.0
-    smoothed, used = smooth_tracks(times, z, R, 0.5, 13.8)
+    smoothed, used = smooth_tracks(times, z, R, 0.5, 13.8, 1.5)
     assert not used[20]
     assert np.linalg.norm(smoothed.mean[20, :2] - [times[20], np.sin(times[20])]) < 0.1

@@ -11,7 +11,7 @@ def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:
     scan = np.concatenate(detected)
     ends = np.cumsum([len(s) for s in detected])
     identities = np.split(np.arange(len(scan)), ends[:-1])
-    return split_into_periods(identities, scan, np.asarray(0.1 * scan, dtype=np.float64))
+    return split_into_periods(identities, scan, np.asarray(0.1 * scan, dtype=np.float64), 0.4)
 
 
 def test_one_object_all_the_time_is_one_period() -> None:
@@ -35,4 +35,4 @@ def test_a_missed_scan_starts_no_period() -> None:
 
 
 def test_no_objects_give_no_period() -> None:
-    assert split_into_periods([], np.empty(0, dtype=np.intp), np.empty(0)) == ()
+    assert split_into_periods([], np.empty(0, dtype=np.intp), np.empty(0), 0.4) == ()

@@ -29,7 +29,13 @@ def track_people(
         scans, stated = _read_scans(recording, {rig.topics[name]: name for name in names}, progress)
         frames |= stated
         tracks |= track_scanners(
-            scans, target, noise, feature=options.feature, jobs=options.jobs, progress=tracking
+            scans,
+            target,
+            noise,
+            feature=options.feature,
+            settings=rig.settings.tracking,
+            jobs=options.jobs,
+            progress=tracking,
         )
     return tracks, frames
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.filtering import (
@@ -18,13 +19,6 @@ from calgraph.tracking.filtering import (
     update,
 )
 
-# Squared Mahalanobis distance that a true match exceeds with probability 1e-3 (χ², two degrees of freedom).
-GATE = 13.8
-# A candidate becomes an identity with this many matches, and is dropped after more missed scans than these.
-_MIN_MATCHES = 5
-_MAX_MISSED_SCANS = 2
-# An identity without a match is predicted for this long, s: longer than an occlusion by another person lasts.
-_MAX_COAST_TIME = 1.0
 # Cost of a pair outside the gate: above any true cost.
 _GATED_COST = 1e6
 
@@ -42,7 +36,9 @@ class _ActiveTracks:
     """Scans since the last match."""
 
 
-def associate(objects: Clusters, centre_sigma: float, acceleration_density: float) -> list[NDArray[np.intp]]:
+def associate(
+    objects: Clusters, center_sigma: float, acceleration_density: float, settings: AssociationSettings
+) -> list[NDArray[np.intp]]:
     """Associates objects over all scans by their centroids (global nearest neighbour).
 
     In every scan the predicted identities and the objects are matched one to one, at the least total cost. An
@@ -51,15 +47,17 @@ def associate(objects: Clusters, centre_sigma: float, acceleration_density: floa
 
     Args:
         objects: of all scans.
-        centre_sigma: standard deviation of a centroid about the object's centre, m.
+        center_sigma: standard deviation of a centroid about the object's centre, m.
         acceleration_density: spectral density of the acceleration, m²/s³.
+        settings: of the association.
 
     Returns:
         For every identity its clusters, in order of time.
     """
     centroids = objects.centroids
-    R = centre_sigma**2 * np.eye(2)
-    active = _ActiveTracks(initial_state(np.empty((0, 2)), np.empty((0, 2, 2))), np.empty(0))
+    R = center_sigma**2 * np.eye(2)
+    nothing = initial_state(np.empty((0, 2)), np.empty((0, 2, 2)), settings.initial_speed_sigma)
+    active = _ActiveTracks(nothing, np.empty(0))
     finished: list[list[int]] = []
     bounds = np.flatnonzero(np.diff(objects.scan, prepend=-1, append=-1))
     scan_times = np.array([objects.times[low:high].mean() for low, high in pairwise(bounds)])
@@ -67,19 +65,26 @@ def associate(objects: Clusters, centre_sigma: float, acceleration_density: floa
     # Scans without any object need no prediction step: one over the whole gap is the same.
     for k, (low, high) in enumerate(pairwise(bounds)):
         active.state = predict(active.state, transitions.at(k))
-        _prune(active, scan_times[k], finished)
-        _match(active, np.arange(low, high), centroids[low:high], R, scan_times[k])
-    finished.extend(members for members in active.members if len(members) >= _MIN_MATCHES)
+        _prune(active, scan_times[k], finished, settings)
+        _match(active, np.arange(low, high), centroids[low:high], R, scan_times[k], settings)
+    finished.extend(members for members in active.members if len(members) >= settings.min_matches)
     return [np.array(members, dtype=np.intp) for members in sorted(finished)]
 
 
-def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: Array, now: float) -> None:
+def _match(
+    active: _ActiveTracks,
+    index: NDArray[np.intp],
+    centroids: Array,
+    R: Array,
+    now: float,
+    settings: AssociationSettings,
+) -> None:
     """Updates the identities with their objects of this scan, and starts new ones with the rest."""
     squared, determinant = mahalanobis_distance(
         Gaussian(active.state.mean[:, None], active.state.covariance[:, None]), centroids[None], R
     )
     # The likelihood's determinant keeps a vague prediction from taking the object of a sharp one.
-    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), _GATED_COST)
+    cost = np.where(squared <= settings.gate, squared + np.log(determinant / np.linalg.det(R)), _GATED_COST)
     rows, columns = linear_sum_assignment(cost)
     matched = cost[rows, columns] < _GATED_COST
     rows, columns = rows[matched], columns[matched]
@@ -99,7 +104,7 @@ def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: 
     unmatched[columns] = False
     if unmatched.any():
         new = np.flatnonzero(unmatched)
-        initial = initial_state(centroids[new], np.broadcast_to(R, (len(new), 2, 2)))
+        initial = initial_state(centroids[new], np.broadcast_to(R, (len(new), 2, 2)), settings.initial_speed_sigma)
         active.state = Gaussian(
             np.concatenate([active.state.mean, initial.mean]),
             np.concatenate([active.state.covariance, initial.covariance]),
@@ -109,12 +114,14 @@ def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: 
         active.missed_scans.extend([0] * len(new))
 
 
-def _prune(active: _ActiveTracks, now: float, finished: list[list[int]]) -> None:
+def _prune(active: _ActiveTracks, now: float, finished: list[list[int]], settings: AssociationSettings) -> None:
     """Ends identities that were missed for too long, and candidates that were not confirmed."""
     keep = []
     for row, (members, missed_scans) in enumerate(zip(active.members, active.missed_scans, strict=True)):
-        confirmed = len(members) >= _MIN_MATCHES
-        if now - active.last_match[row] <= _MAX_COAST_TIME and (confirmed or missed_scans <= _MAX_MISSED_SCANS):
+        confirmed = len(members) >= settings.min_matches
+        if now - active.last_match[row] <= settings.max_coast_time and (
+            confirmed or missed_scans <= settings.max_missed_scans
+        ):
             keep.append(row)
         elif confirmed:
             finished.append(members)

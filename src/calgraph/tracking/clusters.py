@@ -8,19 +8,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
 from calgraph.tracking.scan_stack import ScanRun
 from calgraph.tracking.static_scene import StaticScene
-
-# Largest distance of neighbouring points on one surface: m, plus a multiple of the beam spacing.
-_MAX_GAP = (0.12, 2.5)
-# Beams without a measurement within a surface.
-_MAX_MISSING_BEAMS = 2
-# Parts up to this joint width, relative to the target's, are one object: two legs, or both sides of an occluder.
-_MAX_MERGED_WIDTH = 1.4
-# Wider clusters, relative to the target's width, are not one target.
-_MAX_WIDTH = 1.8
-_MIN_POINTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +70,13 @@ class Foreground:
     """(S,) angle between neighbouring beams of each scan, rad."""
 
 
-def subtract_background(runs: Sequence[ScanRun], scene: StaticScene) -> Foreground:
+def subtract_background(runs: Sequence[ScanRun], scene: StaticScene, settings: ClusterSettings) -> Foreground:
     """Keeps the beams that end before the static background."""
     before = np.cumsum([0, *map(len, runs)])
     empty_run = ScanRun(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
     parts = [
-        _foreground_of_run(run, scene, int(first)) for run, first in zip((*runs, empty_run), before, strict=True)
+        _foreground_of_run(run, scene, int(first), settings)
+        for run, first in zip((*runs, empty_run), before, strict=True)
     ]
     return Foreground(
         np.concatenate([part.scan for part in parts]),
@@ -97,7 +89,7 @@ def subtract_background(runs: Sequence[ScanRun], scene: StaticScene) -> Foregrou
     )
 
 
-def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foreground:
+def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int, settings: ClusterSettings) -> Foreground:
     """The foreground of successive scans, of which the first has this index."""
     scan, beam = np.nonzero(scene.background.is_foreground(run.angles, run.ranges))
     field_of_view = abs(run.angles[-1] - run.angles[0]) if len(run.angles) > 1 else 0.0
@@ -108,7 +100,9 @@ def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foregrou
     outside = (neighbors < 0) | (neighbors >= len(run.angles))
     neighbor_ranges = run.ranges[scan[:, None], np.clip(neighbors, 0, len(run.angles) - 1)]
     # NaN, no measurement, is not nearer.
-    at_occlusion = outside | (neighbor_ranges < (ranges * (1 - _MAX_GAP[1] * spacing) - _MAX_GAP[0])[:, None])
+    at_occlusion = outside | (
+        neighbor_ranges < (ranges * (1 - settings.max_gap_spacings * spacing) - settings.max_gap)[:, None]
+    )
     return Foreground(
         first + scan, beam, run.angles[beam], ranges,
         np.asarray(run.stamps[scan] + beam * run.increments[scan]), at_occlusion.any(axis=1),
@@ -116,27 +110,32 @@ def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foregrou
     )  # fmt: skip
 
 
-def cluster_foreground(beams: Foreground, width: float, sigma: float) -> Clusters:
+def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: ClusterSettings) -> Clusters:
     """Groups foreground beams to objects.
 
     Args:
         beams: foreground of all scans.
         width: largest width of the target, m.
         sigma: noise of a range, m.
+        settings: of the clusters.
 
     Returns:
         Objects of at least two beams that are not clearly wider than the target.
     """
     points = beams.ranges[:, None] * np.stack([np.cos(beams.angles), np.sin(beams.angles)], axis=-1)
     if not len(points):
-        return _build_clusters(beams, points, np.empty(0, dtype=np.intp), width)
+        return _build_clusters(beams, points, np.empty(0, dtype=np.intp), width, settings)
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-    allowed = _MAX_GAP[0] + 3 * sigma + _MAX_GAP[1] * beams.ranges[1:] * beams.spacing[beams.scan[1:]]
-    apart = (np.diff(beams.scan) != 0) | (np.diff(beams.beam) > 1 + _MAX_MISSING_BEAMS) | (step > allowed)
-    parts = np.concatenate([[0], np.cumsum(apart)])
-    return _build_clusters(
-        beams, points, _merge_parts(beams, points, parts, _MAX_MERGED_WIDTH * width + 2 * sigma), width
+    allowed = (
+        settings.max_gap
+        + settings.max_gap_sigmas * sigma
+        + settings.max_gap_spacings * beams.ranges[1:] * beams.spacing[beams.scan[1:]]
     )
+    apart = (np.diff(beams.scan) != 0) | (np.diff(beams.beam) > 1 + settings.max_missing_beams) | (step > allowed)
+    parts = np.concatenate([[0], np.cumsum(apart)])
+    merged_width = settings.max_merged_width * width + settings.max_merged_sigmas * sigma
+    labels = _merge_parts(beams, points, parts, merged_width)
+    return _build_clusters(beams, points, labels, width, settings)
 
 
 def _merge_parts(beams: Foreground, points: Array, parts: NDArray[np.intp], max_width: float) -> NDArray[np.intp]:
@@ -157,7 +156,9 @@ def _merge_parts(beams: Foreground, points: Array, parts: NDArray[np.intp], max_
     return np.asarray(connected_components(graph, directed=False)[1][parts], dtype=np.intp)
 
 
-def _build_clusters(beams: Foreground, points: Array, label: NDArray[np.intp], width: float) -> Clusters:
+def _build_clusters(
+    beams: Foreground, points: Array, label: NDArray[np.intp], width: float, settings: ClusterSettings
+) -> Clusters:
     """Sorts points by cluster and drops the clusters whose size excludes the target."""
     order = np.lexsort((label, beams.scan))
     cluster_of = np.cumsum(np.diff(label[order], prepend=-1) != 0) - 1
@@ -165,7 +166,9 @@ def _build_clusters(beams: Foreground, points: Array, label: NDArray[np.intp], w
     count = np.diff(first, append=len(cluster_of))
     if len(first):
         extent = np.maximum.reduceat(points[order], first) - np.minimum.reduceat(points[order], first)
-        good = (np.hypot(extent[:, 0], extent[:, 1]) <= _MAX_WIDTH * width) & (count >= _MIN_POINTS)
+        good = (np.hypot(extent[:, 0], extent[:, 1]) <= settings.max_width * width) & (
+            count >= settings.min_points
+        )
         order = order[np.repeat(good, count)]
         count = count[good]
         first = np.cumsum(count) - count

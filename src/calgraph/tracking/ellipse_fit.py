@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import EllipseSettings
 from calgraph.geometry import Array, ellipse
 
 _ITERATIONS = 8
 # Steps smaller than this, m and rad, end the iterations.
 _CONVERGED = 5e-4
-# Huber threshold in standard deviations: arms, and beams that hit the edge of the object, lie beyond it.
-_HUBER = 2.5
 # Information that regularises unobservable directions, 1/m² and 1/rad²: the orientation of a circle, or the pose
 # of an ellipse through two points. It is negligible where anything is observed.
 _REGULARIZATION = 1e-3
@@ -62,7 +61,11 @@ class OrientationPrior:
 
 
 def fit_ellipses(
-    groups: PointGroups, radii: tuple[float, float], prior: OrientationPrior, sigma: float
+    groups: PointGroups,
+    radii: tuple[float, float],
+    prior: OrientationPrior,
+    sigma: float,
+    settings: EllipseSettings,
 ) -> EllipseFits:
     """Fits centre and orientation of ellipses with fixed radii.
 
@@ -76,6 +79,7 @@ def fit_ellipses(
         radii: of the ellipse, m; equal ones make a circle.
         prior: of the orientation; also its start value.
         sigma: noise of a point, m.
+        settings: of the fit.
     """
     fixed_radii = np.broadcast_to(radii, (len(groups.points), 2))
     shape = np.concatenate([_initial_centers(groups, radii, prior), prior.angle[:, None], fixed_radii], axis=-1)
@@ -83,8 +87,8 @@ def fit_ellipses(
     weights = groups.used.astype(float)
     for _ in range(_ITERATIONS):
         residual, J, tangents, off = _linearize(shape, phases, groups.points)
-        weights = groups.used / np.maximum(1.0, np.abs(residual) / (_HUBER * sigma))
-        H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma)
+        weights = groups.used / np.maximum(1.0, np.abs(residual) / (settings.huber_sigmas * sigma))
+        H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma, settings.min_edge_sigma)
         step = np.asarray(np.linalg.solve(H, g[..., None])[..., 0])
         # A short arc barely constrains the orientation: a full step from a poor start may flip it.
         step[:, 2] = np.clip(step[:, 2], -0.3, 0.3)
@@ -96,11 +100,11 @@ def fit_ellipses(
         if np.abs(step).max(initial=0.0) < _CONVERGED:
             break
     residual, J, _, _ = _linearize(shape, phases, groups.points)
-    H, _ = _normal_equations(groups, shape, prior, residual, J, weights, sigma)
+    H, _ = _normal_equations(groups, shape, prior, residual, J, weights, sigma, settings.min_edge_sigma)
     freedom = np.maximum(groups.used.sum(axis=1) - 2, 1)
     reduced_chi2 = (weights * residual**2).sum(axis=1) / (sigma**2 * freedom)
     covariance = np.linalg.inv(H)[:, :2, :2] * np.maximum(reduced_chi2, 1.0)[:, None, None]
-    centers, covariances = _discard_implausible(groups, shape[:, :2], covariance, max(radii))
+    centers, covariances = _discard_implausible(groups, shape[:, :2], covariance, max(radii), settings)
     return EllipseFits(centers, covariances, reduced_chi2)
 
 
@@ -152,12 +156,13 @@ def _normal_equations(
     J: Array,
     weights: Array,
     sigma: float,
+    min_edge_sigma: float,
 ) -> tuple[Array, Array]:
     """Information (C, 3, 3) and gradient (C, 3) of all terms, for a step of centre and orientation."""
     weighted = (weights / sigma**2)[..., None] * J
     H = np.swapaxes(weighted, -1, -2) @ J
     g = (weighted * residual[..., None]).sum(axis=1)
-    off, across, information = _symmetry_residual(groups, shape)
+    off, across, information = _symmetry_residual(groups, shape, min_edge_sigma)
     H[:, :2, :2] += information[:, None, None] * across[:, :, None] * across[:, None, :]
     g[:, :2] += (information * off)[:, None] * across
     prior_information = 1 / prior.sigma**2
@@ -168,7 +173,7 @@ def _normal_equations(
     return H + _REGULARIZATION * np.eye(3), g
 
 
-def _symmetry_residual(groups: PointGroups, shape: Array) -> tuple[Array, Array, Array]:
+def _symmetry_residual(groups: PointGroups, shape: Array, min_sigma: float) -> tuple[Array, Array, Array]:
     """Lateral offset (C,) of the outline's middle from the centre, m; its direction (C, 2); its information."""
     bearing = np.arctan2(groups.points[..., 1], groups.points[..., 0])
     ahead = np.arctan2(shape[:, 1], shape[:, 0])
@@ -178,12 +183,12 @@ def _symmetry_residual(groups: PointGroups, shape: Array) -> tuple[Array, Array,
     distance = np.linalg.norm(shape[:, :2], axis=-1)
     across = np.stack([-np.sin(ahead), np.cos(ahead)], axis=-1)
     # Each edge is uniform within one beam spacing: the variance of the mean of both is 1/24 of its square.
-    sigma = np.maximum(distance * groups.spacing / np.sqrt(24), 1e-3)
+    sigma = np.maximum(distance * groups.spacing / np.sqrt(24), min_sigma)
     return distance * (left + right) / 2, across, np.where(groups.clipped, 0.0, 1 / sigma**2)
 
 
 def _discard_implausible(
-    groups: PointGroups, centers: Array, covariances: Array, radius: float
+    groups: PointGroups, centers: Array, covariances: Array, radius: float, settings: EllipseSettings
 ) -> tuple[Array, Array]:
     """Replaces fits by NaN whose centre is not near the points and behind them."""
     means = groups.centroids
@@ -191,8 +196,10 @@ def _discard_implausible(
     off = centers - means
     implausible = ~np.isfinite(covariances).all(axis=(1, 2)) | ~np.isfinite(centers).all(axis=1)
     # An uncertainty as large as the object carries no information.
-    implausible |= np.trace(covariances, axis1=1, axis2=2) > radius**2
-    implausible |= (np.linalg.norm(off, axis=-1) > 2 * radius) | ((off * sight).sum(axis=-1) < -0.2 * radius)
+    implausible |= np.trace(covariances, axis1=1, axis2=2) > (settings.max_center_sigma * radius) ** 2
+    implausible |= (np.linalg.norm(off, axis=-1) > settings.max_center_distance * radius) | (
+        (off * sight).sum(axis=-1) < -settings.max_center_lead * radius
+    )
     return np.where(implausible[:, None], np.nan, centers), np.where(
         implausible[:, None, None], np.nan, covariances
     )

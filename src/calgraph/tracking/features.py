@@ -8,32 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, People
+from calgraph.config.settings import CentroidSettings, EllipseSettings, TrackingSettings
 from calgraph.geometry import Array, ellipse
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.ellipse_fit import OrientationPrior, PointGroups, fit_ellipses
 
 CenterFeature = Literal["com", "ellipse", "nls"]
 
-# The mean of the beams on an ellipse lies this part of its radius before its centre (π/4 for a far scanner).
-_CENTROID_DEPTH = 0.75
-# Its lateral standard deviation, relative to the radius: where a part of the object is hidden, and otherwise.
-_CLIPPED_LATERAL, _LATERAL = 0.5, 0.1
-# Standard deviations of people's shoulders about the normal of their walk, rad, and of the velocity of their
-# centroids, m/s; objects slower than the minimum, m/s, have no heading.
-_SHOULDER_SIGMA = 0.15
-_CENTROID_VELOCITY_SIGMA = 0.2
-_MIN_HEADING_SPEED = 0.2
-# Relative error of people's radii: a fit to many beams is biased by as much.
-_RADIUS_ERROR = 0.06
-# Standard deviation that a hidden side adds to a fit, relative to the radius: which part is visible is unknown.
-_CLIPPED_SIGMA = 0.15
 # Radii of a free ellipse are plausible within these multiples of the target's.
 _RADIUS_BOUNDS = (0.3, 2.0)
 # Objects are fitted in batches of similar size, so that padding stays small.
 _BATCH = 2048
-# The misfit of the ellipse model is measured on this many objects with the most beams, of at least as many beams.
-_MISFIT_SAMPLE = 200
-_MISFIT_MIN_BEAMS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +61,7 @@ def measure_centers(
     target: People | Cylinder,
     velocities: ObjectVelocities,
     sigma: float,
+    settings: TrackingSettings,
 ) -> MeasuredCenters:
     """Measures the centres of objects.
 
@@ -87,99 +73,119 @@ def measure_centers(
         target: what they are.
         velocities: of the objects; people's shoulders are across their walk.
         sigma: noise of a point, m.
+        settings: of tracking.
     """
     if feature == "com":
-        return _measure_centroids(objects, target_radii(target), sigma)
+        return _measure_centroids(objects, target_radii(target), sigma, settings.centroid)
     if feature == "ellipse":
-        return _measure_direct_ellipses(objects, target_radii(target), sigma)
+        return _measure_direct_ellipses(objects, target_radii(target), sigma, settings.centroid)
+    radius_error = 0.0 if isinstance(target, Cylinder) else settings.ellipse.people_radius_error
     return _measure_fixed_ellipses(
-        objects, target_radii(target), velocities, sigma, 0.0 if isinstance(target, Cylinder) else _RADIUS_ERROR
+        objects, target_radii(target), velocities, sigma, radius_error, settings.ellipse
     )
 
 
-def _measure_centroids(objects: Clusters, radii: tuple[float, float], sigma: float) -> MeasuredCenters:
+def _measure_centroids(
+    objects: Clusters, radii: tuple[float, float], sigma: float, settings: CentroidSettings
+) -> MeasuredCenters:
     radius = float(np.mean(radii))
     bias = _radial_covariances(
         objects.centroids,
-        np.full(len(objects), (_CENTROID_DEPTH * radius) ** 2),
-        _lateral_bias(objects, radius) ** 2,
+        np.full(len(objects), (settings.depth * radius) ** 2),
+        _lateral_sigma(objects, radius, settings) ** 2,
     )
     # The outermost beams on an object differ from scan to scan: variance of two uniform edges.
     edge = np.linalg.norm(objects.centroids, axis=-1) * objects.spacing / np.sqrt(24)
     noise = _radial_covariances(
-        objects.centroids, sigma**2 / objects.count + (_LATERAL * radius) ** 2, sigma**2 / objects.count + edge**2
+        objects.centroids,
+        sigma**2 / objects.count + (settings.lateral_sigma * radius) ** 2,
+        sigma**2 / objects.count + edge**2,
     )
     return MeasuredCenters(objects.centroids, noise, bias)
 
 
-def _measure_direct_ellipses(objects: Clusters, radii: tuple[float, float], sigma: float) -> MeasuredCenters:
+def _measure_direct_ellipses(
+    objects: Clusters, radii: tuple[float, float], sigma: float, settings: CentroidSettings
+) -> MeasuredCenters:
     shapes = _map_batches(objects, 5, lambda groups, _: ellipse.fit_direct(groups.points, groups.used))
     with np.errstate(invalid="ignore"):
         plausible = (shapes[:, 4] > _RADIUS_BOUNDS[0] * min(radii)) & (
             shapes[:, 3] < _RADIUS_BOUNDS[1] * max(radii)
         )
         plausible &= np.linalg.norm(shapes[:, :2] - objects.centroids, axis=-1) < _RADIUS_BOUNDS[1] * max(radii)
-    centroids = _measure_centroids(objects, radii, sigma)
+    centroids = _measure_centroids(objects, radii, sigma, settings)
     radius = float(np.mean(radii))
     sight = objects.centroids / np.maximum(np.linalg.norm(objects.centroids, axis=-1, keepdims=True), 1e-9)
-    positions = np.where(plausible[:, None], shapes[:, :2], objects.centroids + _CENTROID_DEPTH * radius * sight)
+    positions = np.where(plausible[:, None], shapes[:, :2], objects.centroids + settings.depth * radius * sight)
     # Free radii and the centre are correlated along the line of sight; residuals do not measure by how much.
-    across = sigma**2 / objects.count + _lateral_bias(objects, radius) ** 2
+    across = sigma**2 / objects.count + _lateral_sigma(objects, radius, settings) ** 2
     free = _radial_covariances(objects.centroids, np.full(len(objects), (0.5 * radius) ** 2), across)
     moved_back = _radial_covariances(
-        objects.centroids, np.full(len(objects), (0.25 * radius) ** 2), _lateral_bias(objects, radius) ** 2
+        objects.centroids,
+        np.full(len(objects), (0.25 * radius) ** 2),
+        _lateral_sigma(objects, radius, settings) ** 2,
     )
     noise = np.where(plausible[:, None, None], free, centroids.noise)
     return MeasuredCenters(positions, noise, np.where(plausible[:, None, None], 0.0, moved_back))
 
 
 def _measure_fixed_ellipses(
-    objects: Clusters, radii: tuple[float, float], velocities: ObjectVelocities, sigma: float, radius_error: float
+    objects: Clusters,
+    radii: tuple[float, float],
+    velocities: ObjectVelocities,
+    sigma: float,
+    radius_error: float,
+    settings: EllipseSettings,
 ) -> MeasuredCenters:
     speed = np.linalg.norm(velocities.values, axis=-1)
     heading = np.arctan2(velocities.values[:, 1], velocities.values[:, 0])
     with np.errstate(divide="ignore"):
         heading_sigma = np.where(
-            speed > _MIN_HEADING_SPEED,
-            np.hypot(_SHOULDER_SIGMA, np.sqrt(velocities.variances + _CENTROID_VELOCITY_SIGMA**2) / speed),
+            speed > settings.min_heading_speed,
+            np.hypot(settings.shoulder_sigma, np.sqrt(velocities.variances + settings.velocity_sigma**2) / speed),
             np.inf,
         )
     # The first radius of people is that of their shoulders, across the walk.
     prior = OrientationPrior(heading + np.pi / 2, heading_sigma)
-    sigma = _estimate_point_sigma(objects, radii, prior, sigma)
+    sigma = _estimate_point_sigma(objects, radii, prior, sigma, settings)
 
     def fit_batch(groups: PointGroups, chosen: NDArray[np.intp]) -> Array:
-        fits = fit_ellipses(groups, radii, OrientationPrior(prior.angle[chosen], prior.sigma[chosen]), sigma)
+        fits = fit_ellipses(
+            groups, radii, OrientationPrior(prior.angle[chosen], prior.sigma[chosen]), sigma, settings
+        )
         return np.concatenate([fits.centers, fits.covariances.reshape(-1, 4)], axis=-1)
 
     result = _map_batches(objects, 6, fit_batch)
     radius = float(np.mean(radii))
-    occlusion_variance = np.where(objects.clipped, (_CLIPPED_SIGMA * radius) ** 2, 0.0)
+    occlusion_variance = np.where(objects.clipped, (settings.clipped_sigma * radius) ** 2, 0.0)
     noise = result[:, 2:].reshape(-1, 2, 2) + occlusion_variance[:, None, None] * np.eye(2)
     # Wrong radii shift the centre along the line of sight; laterally the outline's edges constrain it.
     along = np.full(len(objects), (radius_error * radius) ** 2)
-    return MeasuredCenters(result[:, :2], noise, _radial_covariances(objects.centroids, along, along / 4))
+    return MeasuredCenters(
+        result[:, :2], noise, _radial_covariances(objects.centroids, along, settings.lateral_bias**2 * along)
+    )
 
 
 def _estimate_point_sigma(
-    objects: Clusters, radii: tuple[float, float], prior: OrientationPrior, sigma: float
+    objects: Clusters, radii: tuple[float, float], prior: OrientationPrior, sigma: float, settings: EllipseSettings
 ) -> float:
     """Standard deviation of a point on the target: range noise and misfit of the ellipse model, m.
 
     A single object of few beams does not determine it; those with the most beams do jointly.
     """
-    best = np.argsort(objects.count, kind="stable")[-_MISFIT_SAMPLE:]
-    best = best[objects.count[best] >= _MISFIT_MIN_BEAMS]
+    best = np.argsort(objects.count, kind="stable")[-settings.misfit_objects :]
+    best = best[objects.count[best] >= settings.misfit_min_beams]
     if not len(best):
         return sigma
     fits = fit_ellipses(
-        _pad_groups(objects, best), radii, OrientationPrior(prior.angle[best], prior.sigma[best]), sigma
+        _pad_groups(objects, best), radii, OrientationPrior(prior.angle[best], prior.sigma[best]), sigma, settings
     )
     return float(sigma * np.sqrt(max(1.0, np.median(fits.reduced_chi2))))
 
 
-def _lateral_bias(objects: Clusters, radius: float) -> Array:
-    return np.where(objects.clipped, _CLIPPED_LATERAL * radius, _LATERAL * radius)
+def _lateral_sigma(objects: Clusters, radius: float, settings: CentroidSettings) -> Array:
+    ratio = np.where(objects.clipped, settings.clipped_lateral_sigma, settings.lateral_sigma)
+    return ratio * radius
 
 
 def _radial_covariances(points: Array, along: Array, across: Array) -> Array:

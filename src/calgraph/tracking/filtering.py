@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 
-# Prior standard deviation of a new object's velocity per axis, m/s.
-_INITIAL_SPEED_SIGMA = 1.5
-
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
@@ -27,12 +24,12 @@ class Gaussian:
     """(..., 4, 4)."""
 
 
-def initial_state(z: Array, R: Array) -> Gaussian:
-    """The state after one measured centre (..., 2) with covariance (..., 2, 2)."""
+def initial_state(z: Array, R: Array, speed_sigma: float) -> Gaussian:
+    """The state after one measured centre (..., 2) with covariance (..., 2, 2) and a velocity sigma, m/s."""
     mean = np.concatenate([z, np.zeros_like(z)], axis=-1)
     covariance = np.zeros((*z.shape[:-1], 4, 4))
     covariance[..., :2, :2] = R
-    covariance[..., [2, 3], [2, 3]] = _INITIAL_SPEED_SIGMA**2
+    covariance[..., [2, 3], [2, 3]] = speed_sigma**2
     return Gaussian(mean, covariance)
 
 
@@ -91,7 +88,7 @@ def mahalanobis_distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Ar
 
 
 def smooth_tracks(
-    times: Array, z: Array, R: Array, acceleration_density: float, gate: float
+    times: Array, z: Array, R: Array, acceleration_density: float, gate: float, speed_sigma: float
 ) -> tuple[Gaussian, NDArray[np.bool_]]:
     """Filters forward and smooths backward many tracks of equal length.
 
@@ -101,6 +98,7 @@ def smooth_tracks(
         R: (..., T, 2, 2) their covariances, m².
         acceleration_density: spectral density of the acceleration, m²/s³.
         gate: measurements with a larger squared Mahalanobis distance from their prediction are rejected.
+        speed_sigma: prior standard deviation of the velocity along each axis, m/s.
 
     Returns:
         The smoothed states (..., T), and a mask (..., T) of the measurements that were used.
@@ -110,7 +108,7 @@ def smooth_tracks(
     z = np.where(measured[..., None], z, 0.0)
     R = np.where(measured[..., None, None], R, np.eye(2))
     used = measured.copy()
-    filtered, predicted = [initial_state(z[..., 0, :], R[..., 0, :, :])], []
+    filtered, predicted = [initial_state(z[..., 0, :], R[..., 0, :, :], speed_sigma)], []
     transitions = constant_velocity(np.diff(times, axis=-1), acceleration_density)
     for k in range(1, steps):
         prediction = predict(filtered[-1], transitions.at(k - 1))

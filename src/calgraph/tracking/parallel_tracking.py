@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from calgraph.config import Cylinder, People, RangeNoise
+from calgraph.config.settings import TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.processes import parallel_map
 from calgraph.tracking.features import CenterFeature
@@ -20,6 +21,7 @@ def track_scanners(
     noise: Mapping[str, RangeNoise],
     *,
     feature: CenterFeature = "nls",
+    settings: TrackingSettings = TrackingSettings(),
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[str, ScannerTracks | Rejected]:
@@ -32,6 +34,7 @@ def track_scanners(
         target: what moves.
         noise: by scanner.
         feature: how centres are measured.
+        settings: of tracking.
         jobs: processes at most, see :func:`calgraph.processes.parallel_map`.
         progress: called with the fraction done, 0 to 1.
 
@@ -39,6 +42,6 @@ def track_scanners(
         CalibrationError: a process was killed.
     """
     beams = sum(run.ranges.size for runs in scans.values() for run in runs)
-    work = [(runs, target, noise[name], feature) for name, runs in scans.items()]
+    work = [(runs, target, noise[name], feature, settings) for name, runs in scans.items()]
     found = parallel_map(track_runs, work, jobs if beams > _MIN_PARALLEL_BEAMS else 1, progress)
     return dict(zip(scans, found, strict=True))

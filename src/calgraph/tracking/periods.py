@@ -8,9 +8,6 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 
-# An object that is not detected for longer has left the view, s.
-_MAX_GAP = 0.4
-
 
 @dataclass(frozen=True, eq=False)
 class TrackSegment:
@@ -22,7 +19,7 @@ class TrackSegment:
 
 
 def split_into_periods(
-    identities: Sequence[NDArray[np.intp]], scan: NDArray[np.intp], times: Array
+    identities: Sequence[NDArray[np.intp]], scan: NDArray[np.intp], times: Array, max_undetected: float
 ) -> tuple[TrackSegment, ...]:
     """Splits identities wherever the set of visible objects changes, or they are not detected themselves.
 
@@ -30,11 +27,16 @@ def split_into_periods(
         identities: clusters of each, in order of time.
         scan: (C,) the scan of each cluster.
         times: (C,) s.
+        max_undetected: an object that is not detected for longer has left the view, s.
 
     Returns:
         The segments by period, then in the order of the identities; periods are numbered from 0.
     """
-    intervals = [s for members in identities for s in np.split(members, _gap_indices(times[members]))]
+    intervals = [
+        s
+        for members in identities
+        for s in np.split(members, np.flatnonzero(np.diff(times[members]) > max_undetected) + 1)
+    ]
     if not intervals:
         return ()
     # The set changes where an interval begins, and after its last scan.
@@ -51,7 +53,3 @@ def split_into_periods(
             (TrackSegment(renumbered[p.period], p.members) for p in segments), key=lambda segment: segment.period
         )
     )
-
-
-def _gap_indices(times: Array) -> NDArray[np.intp]:
-    return np.flatnonzero(np.diff(times) > _MAX_GAP) + 1

@@ -8,9 +8,6 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan
 
-# Longest time between two scans of one coverage interval, s; an object may pass undetected in a longer one.
-_MAX_BREAK = 0.5
-
 
 @dataclass(frozen=True, eq=False)
 class ScanRun:
@@ -68,8 +65,8 @@ def stack_scans(scans: Iterable[LaserScan]) -> tuple[ScanRun, ...]:
     return builder.runs()
 
 
-def coverage_intervals(runs: Sequence[ScanRun]) -> Array:
-    """(W, 2) start and end of the intervals in which a scanner measured without a break, s."""
+def coverage_intervals(runs: Sequence[ScanRun], max_gap: float) -> Array:
+    """(W, 2) start and end of the intervals without a time longer than ``max_gap`` between scans, s."""
     stamps = np.concatenate([run.stamps for run in runs])
-    breaks = np.flatnonzero(np.diff(stamps) > _MAX_BREAK)
+    breaks = np.flatnonzero(np.diff(stamps) > max_gap)
     return np.column_stack([stamps[[0, *breaks + 1]], stamps[[*breaks, -1]]])

@@ -6,22 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import TrackingSettings
 from calgraph.geometry import Array
-from calgraph.tracking.association import GATE
 from calgraph.tracking.features import MeasuredCenters
 from calgraph.tracking.filtering import smooth_tracks
 
 # Segments smoothed in one batch; they are of similar length, so that padding stays small.
 _BATCH = 64
-# Unmodelled noise is estimated from centres this far apart in time, s, given at least this many triples.
-_LAG = 0.2
-_MIN_TRIPLES = 20
 # Median of χ² with two degrees of freedom.
 _CHI2_MEDIAN = 1.386
 # Bisections: they resolve the variance to 2^-24 of its bracket.
 _BISECTIONS = 24
-# Part of the unmodelled variance that is correlated over longer times than the smoother averages.
-_CORRELATED_PART = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +32,7 @@ class SmoothedSegment:
 
 
 def smooth_segments(
-    segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, acceleration_density: float
+    segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, settings: TrackingSettings
 ) -> tuple[SmoothedSegment, ...]:
     """Smooths each segment separately.
 
@@ -45,7 +40,7 @@ def smooth_segments(
         segments: the clusters of each.
         times: (C,) of the clusters, s.
         measured: (C,) their centres; missing ones, and those outside the gate, are left out.
-        acceleration_density: spectral density of the acceleration, m²/s³.
+        settings: of tracking.
 
     Returns:
         One for each segment, in their order; empty where nothing was measured.
@@ -56,14 +51,14 @@ def smooth_segments(
     by_length = [i for i in sorted(range(len(kept)), key=lambda i: len(kept[i])) if len(kept[i])]
     for low in range(0, len(by_length), _BATCH):
         batch = by_length[low : low + _BATCH]
-        together = _smooth_batch([kept[i] for i in batch], times, measured, acceleration_density)
+        together = _smooth_batch([kept[i] for i in batch], times, measured, settings)
         for i, smoothed in zip(batch, together, strict=True):
             result[i] = smoothed
     return tuple(result)
 
 
 def add_unmodeled_noise(
-    segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, acceleration_density: float
+    segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, settings: TrackingSettings
 ) -> MeasuredCenters:
     """Adds the noise that the scatter of the centres about a smooth motion shows beyond the stated noise.
 
@@ -73,8 +68,12 @@ def add_unmodeled_noise(
     """
     valid = np.asarray(np.isfinite(measured.positions).all(axis=1))
     kept = [_sort_by_time(members[valid[members]], times) for members in segments]
-    triples = np.concatenate([_triples(members, times) for members in kept]) if kept else np.empty((0, 3), int)
-    if len(triples) < _MIN_TRIPLES:
+    triples = (
+        np.concatenate([_triples(members, times, settings.smoothing.lag) for members in kept])
+        if kept
+        else np.empty((0, 3), int)
+    )
+    if len(triples) < settings.smoothing.min_triples:
         return measured
     before, here, after = triples.T
     dt_before, dt_after = times[here] - times[before], times[after] - times[here]
@@ -83,23 +82,25 @@ def add_unmodeled_noise(
     share = w[..., None] ** 2
     V = measured.noise[here] + share * measured.noise[before] + (1 - w[..., None]) ** 2 * measured.noise[after]
     # The second difference of twice integrated white noise (Särkkä, section 6.2).
-    V = V + (acceleration_density * (dt_before * dt_after) ** 1.5 / 6)[:, None, None] * np.eye(2)
+    V = V + (settings.acceleration_density * (dt_before * dt_after) ** 1.5 / 6)[:, None, None] * np.eye(2)
     low, high = 0.0, float((off**2).sum(axis=1).max())
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(V + 1.5 * middle * np.eye(2)), off)
         low, high = (middle, high) if np.median(squared) > _CHI2_MEDIAN else (low, middle)
     excess = low * np.eye(2)
-    return MeasuredCenters(measured.positions, measured.noise + excess, measured.bias + _CORRELATED_PART * excess)
+    return MeasuredCenters(
+        measured.positions, measured.noise + excess, measured.bias + settings.smoothing.bias_share * excess
+    )
 
 
-def _triples(members: NDArray[np.intp], times: Array) -> NDArray[np.intp]:
-    """(N, 3) triples of clusters: about ``_LAG`` before, at, and about ``_LAG`` after a time."""
+def _triples(members: NDArray[np.intp], times: Array, lag: float) -> NDArray[np.intp]:
+    """(N, 3) triples of clusters: about a lag before, at, and about a lag after a time, s."""
     t = times[members]
-    before, after = np.searchsorted(t, t - 1.25 * _LAG), np.searchsorted(t, t + 0.75 * _LAG)
+    before, after = np.searchsorted(t, t - 1.25 * lag), np.searchsorted(t, t + 0.75 * lag)
     inside = np.flatnonzero(after < len(t))
     i, j, k = before[inside], inside, after[inside]
-    near = (t[j] - t[i] > 0.5 * _LAG) & (t[k] - t[j] < 1.5 * _LAG)
+    near = (t[j] - t[i] > 0.5 * lag) & (t[k] - t[j] < 1.5 * lag)
     return np.asarray(np.stack([members[i], members[j], members[k]], axis=1)[near])
 
 
@@ -108,14 +109,21 @@ def _sort_by_time(members: NDArray[np.intp], times: Array) -> NDArray[np.intp]:
 
 
 def _smooth_batch(
-    segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, acceleration_density: float
+    segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, settings: TrackingSettings
 ) -> list[SmoothedSegment]:
     """Smooths segments padded to the longest; the padding repeats the last time without a measurement."""
     lengths = np.array([len(members) for members in segments])
     column = np.arange(lengths.max())
     index = np.stack([members[np.minimum(column, len(members) - 1)] for members in segments])
     z = np.where((column < lengths[:, None])[..., None], measured.positions[index], np.nan)
-    state, used = smooth_tracks(times[index], z, measured.noise[index], acceleration_density, GATE)
+    state, used = smooth_tracks(
+        times[index],
+        z,
+        measured.noise[index],
+        settings.acceleration_density,
+        settings.association.gate,
+        settings.association.initial_speed_sigma,
+    )
     chosen = [np.flatnonzero(row) for row in used]
     return [
         SmoothedSegment(members[steps], state.mean[k, steps], state.covariance[k, steps])

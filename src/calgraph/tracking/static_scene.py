@@ -10,26 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import StaticSceneSettings
 from calgraph.geometry import Array
 from calgraph.sensors import ScanBackground, find_nearest_beams
 from calgraph.tracking.scan_stack import ScanRun
-
-# Scans that the background is learned from, evenly spaced: more do not change it.
-_MAX_SCANS = 512
-# Width of a depth bin, m; hits are counted over a bin and its two neighbours.
-_BIN = 0.05
-# A static depth has at least this fraction of all scans, and hits in this fraction of the recording's parts ...
-_MIN_HIT_FRACTION = 0.1
-_MIN_PART_FRACTION = 0.6
-# ... of which there are this many.
-_PARTS = 10
-# A foreground beam ends at least this much nearer than the background: m, and in standard deviations of the beam.
-_MARGIN = 0.08
-_MARGIN_SIGMAS = 5.0
-# Ranges this near to a beam's most frequent depth determine its noise, m.
-_NOISE_WINDOW = 0.15
-# Neighbouring static points farther apart than this, m plus a multiple of the beam spacing, lie on two surfaces.
-_MAX_GAP = (0.10, 6.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,25 +28,26 @@ class StaticScene:
     """Range noise, the median over the beams with exactly one static depth, m; NaN if there are none."""
 
 
-def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
+def learn_static_scene(runs: Sequence[ScanRun], settings: StaticSceneSettings) -> StaticScene | None:
     """Learns the static background from a whole recording.
 
     Args:
         runs: the scans of one stationary scanner; those with other beams are matched by angle.
+        settings: of the static scene.
 
     Returns:
         The scene, or None if no scan has any beam.
     """
-    kept = _subsample_evenly(runs)
+    kept = _subsample_evenly(runs, settings.max_scans)
     if not kept:
         return None
     angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
     ranges = np.concatenate([_resample_to_angles(angles, run) for run in kept])
-    nearest, usual, single = _static_depths(ranges)
-    off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
+    nearest, usual, single = _static_depths(ranges, settings)
+    off = np.where(np.abs(ranges - usual) < settings.noise_window, ranges - usual, np.nan)
     spread = _robust_spread(off)
     mean_range = usual + _column_median(off)
-    margin = np.maximum(_MARGIN, _MARGIN_SIGMAS * np.where(np.isfinite(spread), spread, 0.0))
+    margin = np.maximum(settings.margin, settings.margin_sigmas * np.where(np.isfinite(spread), spread, 0.0))
     limit = np.where(np.isfinite(nearest), nearest - margin, np.inf)
     padded = np.pad(limit, 1, mode="edge")
     # A beam also takes its neighbours' depths, because at an edge its direction is uncertain too.
@@ -70,13 +55,15 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     clean = single & np.isfinite(mean_range)
     points = np.stack([mean_range * np.cos(angles), mean_range * np.sin(angles)], axis=-1)
     sigma = float(np.median(spread[clean])) if clean.any() else np.nan
-    return StaticScene(ScanBackground(angles, limit), _insert_breaks(points, clean, mean_range, angles), sigma)
+    return StaticScene(
+        ScanBackground(angles, limit), _insert_breaks(points, clean, mean_range, angles, settings), sigma
+    )
 
 
-def _subsample_evenly(runs: Sequence[ScanRun]) -> list[ScanRun]:
+def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
     """Every 2^k-th scan, with the smallest k that keeps no more than a bounded number; none without beams."""
     count = sum(map(len, runs))
-    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / _MAX_SCANS))))
+    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / max_scans))))
     kept, passed = [], 0
     for run in runs:
         chosen = slice(-passed % stride, None, stride)
@@ -98,20 +85,21 @@ def _resample_to_angles(angles: Array, run: ScanRun) -> Array:
     return rows
 
 
-def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _static_depths(ranges: Array, settings: StaticSceneSettings) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The static depths in each column of (S, B) ranges.
 
     Returns:
         (B,) the nearest static depth, m, and (B,) the most frequent one, NaN where a beam has none; and (B,)
         which beams have one static depth only.
     """
+    depth_bin = settings.depth_bin
     scan, beams = np.nonzero(np.isfinite(ranges))
     scans, count = ranges.shape
     if not len(scan):
         nothing = np.full(count, np.nan)
         return nothing, nothing, np.zeros(count, dtype=bool)
-    bins = (ranges[scan, beams] / _BIN).astype(np.intp)
-    parts = min(_PARTS, scans)
+    bins = (ranges[scan, beams] / depth_bin).astype(np.intp)
+    parts = min(settings.parts, scans)
     part = scan * parts // scans
     # hits[t, d, b]: how often beam b ended at depth d in part t; one bin of margin at either end.
     shape = (parts, int(bins.max()) + 3, count)
@@ -119,16 +107,16 @@ def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     hits = np.bincount(cell, minlength=int(np.prod(shape))).reshape(shape)
     window_hits = hits[:, :-2] + hits[:, 1:-1] + hits[:, 2:]
     total_hits = window_hits.sum(axis=0)
-    static = (total_hits >= max(_MIN_HIT_FRACTION * scans, 1)) & (
-        (window_hits > 0).sum(axis=0) >= _MIN_PART_FRACTION * parts
+    static = (total_hits >= max(settings.min_hit_ratio * scans, 1)) & (
+        (window_hits > 0).sum(axis=0) >= settings.min_part_ratio * parts
     )
-    depths = (np.arange(len(static)) + 0.5) * _BIN
+    depths = (np.arange(len(static)) + 0.5) * depth_bin
     any_static = static.any(axis=0)
     # The smallest range near the nearest static bin's centre is that bin's; a bin beside the surface has hits too.
-    nearest = np.where(any_static, depths[np.argmax(static, axis=0)] + _BIN, np.nan)
+    nearest = np.where(any_static, depths[np.argmax(static, axis=0)] + depth_bin, np.nan)
     usual = np.where(any_static, depths[np.argmax(np.where(static, total_hits, -1), axis=0)], np.nan)
-    farthest = depths[len(depths) - 1 - np.argmax(static[::-1], axis=0)] - _BIN
-    return nearest, usual, any_static & (farthest - nearest < 2 * _BIN)
+    farthest = depths[len(depths) - 1 - np.argmax(static[::-1], axis=0)] - depth_bin
+    return nearest, usual, any_static & (farthest - nearest < 2 * depth_bin)
 
 
 def _column_median(values: Array) -> Array:
@@ -145,12 +133,20 @@ def _robust_spread(values: Array) -> Array:
     return 1.4826 * _column_median(np.abs(values - _column_median(values)))
 
 
-def _insert_breaks(points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array) -> Array:
+def _insert_breaks(
+    points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array, settings: StaticSceneSettings
+) -> Array:
     """The clean points of (B, 2), with a NaN row between neighbours that do not lie on one surface."""
     chosen = np.flatnonzero(clean)
     if not len(chosen):
         return np.empty((0, 2))
     gap = np.linalg.norm(np.diff(points[chosen], axis=0), axis=-1)
     spacing = float(np.median(np.diff(angles))) * ranges[chosen[:-1]] if len(angles) > 1 else np.zeros(len(gap))
-    cuts = np.flatnonzero((gap > _MAX_GAP[0] + _MAX_GAP[1] * spacing) | (np.diff(chosen) > 3)) + 1
+    cuts = (
+        np.flatnonzero(
+            (gap > settings.max_gap + settings.max_gap_spacings * spacing)
+            | (np.diff(chosen) > 1 + settings.max_missing_beams)
+        )
+        + 1
+    )
     return np.insert(points[chosen], cuts, np.nan, axis=0)

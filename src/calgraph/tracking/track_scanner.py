@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, People, RangeNoise
+from calgraph.config.settings import MotionSettings, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.sensors import LaserScan
 from calgraph.tracking.association import associate
@@ -27,16 +28,14 @@ from calgraph.tracking.track import Hits, ScannerTracks, Track
 
 _log = logging.getLogger(__name__)
 
-# Spectral density of a walker's acceleration, m²/s³: 1 m/s² with a correlation time of half a second.
-_ACCELERATION_DENSITY = 0.5
-# Shorter tracks, s, or shorter paths, m, are not of a walking person but of a flickering edge or a chair.
-_MIN_DURATION = 0.5
-_MIN_TRAVEL = 0.4
-_MIN_DETECTIONS = 5
-
 
 def track_scanner(
-    scans: Iterable[LaserScan], target: People | Cylinder, noise: RangeNoise, *, feature: CenterFeature = "nls"
+    scans: Iterable[LaserScan],
+    target: People | Cylinder,
+    noise: RangeNoise,
+    *,
+    feature: CenterFeature = "nls",
+    settings: TrackingSettings = TrackingSettings(),
 ) -> ScannerTracks | Rejected:
     """Tracks everything that moves through the view of a stationary scanner (lrf-network, sections III-B and C).
 
@@ -44,77 +43,87 @@ def track_scanner(
         scans: in order of time.
         target: what moves: people, or a cylinder.
         noise: of the scanner; used only where the static background is too sparse to measure it.
-        feature: how centres are measured, see :func:`calgraph.tracking.features.centres`.
+        feature: how centres are measured, see :func:`calgraph.tracking.features.measure_centers`.
+        settings: of tracking.
 
     Returns:
         Tracks and background, or the reason why there are none.
     """
-    return track_runs(stack_scans(scans), target, noise, feature)
+    return track_runs(stack_scans(scans), target, noise, feature, settings)
 
 
 def track_runs(
-    runs: Sequence[ScanRun], target: People | Cylinder, noise: RangeNoise, feature: CenterFeature
+    runs: Sequence[ScanRun],
+    target: People | Cylinder,
+    noise: RangeNoise,
+    feature: CenterFeature,
+    settings: TrackingSettings,
 ) -> ScannerTracks | Rejected:
     """Tracks as :func:`track_scanner` does, from stacked scans."""
-    scene = learn_static_scene(runs)
+    scene = learn_static_scene(runs, settings.static_scene)
     if scene is None:
         return Rejected("no scan has any beam")
     sigma = scene.sigma if np.isfinite(scene.sigma) else noise.range
-    # Ranges are quantised; residuals below a few millimetres carry no information.
-    sigma = max(sigma, 0.003)
-    objects = cluster_foreground(subtract_background(runs, scene), target_width(target), sigma)
+    sigma = max(sigma, settings.min_range_sigma)
+    beams = subtract_background(runs, scene, settings.clusters)
+    objects = cluster_foreground(beams, target_width(target), sigma, settings.clusters)
     if not len(objects):
         return Rejected(
             "no object of the target's size was detected in front of the static background in any scan"
         )
-    centre_sigma = 0.5 * float(np.mean(target_radii(target)))
+    center_sigma = settings.association.centroid_sigma * float(np.mean(target_radii(target)))
     identities = [
         members
-        for members in associate(objects, centre_sigma, _ACCELERATION_DENSITY)
-        if _is_moving_target(objects, members)
+        for members in associate(objects, center_sigma, settings.acceleration_density, settings.association)
+        if _is_moving_target(objects, members, settings.motion)
     ]
-    segments = split_into_periods(identities, objects.scan, objects.times)
-    velocities = _estimate_velocities(objects, segments, target, sigma)
-    measured = measure_centers(feature, objects, target, velocities, sigma)
-    tracks = _build_tracks(segments, objects, measured)
+    segments = split_into_periods(identities, objects.scan, objects.times, settings.motion.max_undetected)
+    velocities = _estimate_velocities(objects, segments, target, sigma, settings)
+    measured = measure_centers(feature, objects, target, velocities, sigma, settings)
+    tracks = _build_tracks(segments, objects, measured, settings)
     if not tracks:
+        motion = settings.motion
         return Rejected(
             f"{len(objects)} objects of the target's size were detected in {len(np.unique(objects.scan))} scans, "
-            f"but none could be tracked for {_MIN_DURATION:g} s and {_MIN_TRAVEL:g} m"
+            f"but none could be tracked for {motion.min_duration:g} s and {motion.min_travel:g} m"
         )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
-    return ScannerTracks(tracks, scene.points, sigma, coverage_intervals(runs))
+    return ScannerTracks(tracks, scene.points, sigma, coverage_intervals(runs, settings.motion.max_scan_gap))
 
 
-def _is_moving_target(objects: Clusters, members: NDArray[np.intp]) -> bool:
+def _is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:
     """Whether an identity moved like a walking person, rather than stood or flickered."""
-    if len(members) < _MIN_DETECTIONS or objects.times[members[-1]] - objects.times[members[0]] < _MIN_DURATION:
+    duration = objects.times[members[-1]] - objects.times[members[0]]
+    if len(members) < settings.min_detections or duration < settings.min_duration:
         return False
-    low, high = np.quantile(objects.centroids[members], [0.05, 0.95], axis=0)
-    return bool(np.hypot(*(high - low)) >= _MIN_TRAVEL)
+    quantiles = [settings.travel_quantile, 1 - settings.travel_quantile]
+    low, high = np.quantile(objects.centroids[members], quantiles, axis=0)
+    return bool(np.hypot(*(high - low)) >= settings.min_travel)
 
 
 def _estimate_velocities(
-    objects: Clusters, segments: Sequence[TrackSegment], target: People | Cylinder, sigma: float
+    objects: Clusters,
+    segments: Sequence[TrackSegment],
+    target: People | Cylinder,
+    sigma: float,
+    settings: TrackingSettings,
 ) -> ObjectVelocities:
     """Velocities of the objects from their smoothed centroids."""
     velocities = ObjectVelocities(np.zeros((len(objects), 2)), np.full(len(objects), np.inf))
-    measured = measure_centers("com", objects, target, velocities, sigma)
-    for track in smooth_segments(
-        [segment.members for segment in segments], objects.times, measured, _ACCELERATION_DENSITY
-    ):
+    measured = measure_centers("com", objects, target, velocities, sigma, settings)
+    for track in smooth_segments([segment.members for segment in segments], objects.times, measured, settings):
         velocities.values[track.members] = track.mean[:, 2:]
         velocities.variances[track.members] = np.trace(track.covariance[:, 2:, 2:], axis1=1, axis2=2) / 2
     return velocities
 
 
 def _build_tracks(
-    segments: Sequence[TrackSegment], objects: Clusters, measured: MeasuredCenters
+    segments: Sequence[TrackSegment], objects: Clusters, measured: MeasuredCenters, settings: TrackingSettings
 ) -> tuple[Track, ...]:
     """Tracks of the segments that have enough measurements."""
     members = [segment.members for segment in segments]
-    measured = add_unmodeled_noise(members, objects.times, measured, _ACCELERATION_DENSITY)
-    smoothed = smooth_segments(members, objects.times, measured, _ACCELERATION_DENSITY)
+    measured = add_unmodeled_noise(members, objects.times, measured, settings)
+    smoothed = smooth_segments(members, objects.times, measured, settings)
     return tuple(
         Track(
             objects.times[motion.members],
@@ -125,7 +134,7 @@ def _build_tracks(
             _hits_of_clusters(objects, motion.members),
         )
         for segment, motion in zip(segments, smoothed, strict=True)
-        if len(motion.members) >= _MIN_DETECTIONS
+        if len(motion.members) >= settings.motion.min_detections
     )
 
 

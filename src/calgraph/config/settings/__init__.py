@@ -48,9 +48,19 @@ from calgraph.config.settings.pairwise import (
     VisibilitySettings,
 )
 from calgraph.config.settings.stages import Settings
-from calgraph.config.settings.tracking import TrackingSettings
+from calgraph.config.settings.tracking import (
+    AssociationSettings,
+    CentroidSettings,
+    ClusterSettings,
+    EllipseSettings,
+    MotionSettings,
+    SmoothingSettings,
+    StaticSceneSettings,
+    TrackingSettings,
+)
 
 __all__ = [
+    "AssociationSettings",
     "BaselineSettings",
     "BoardEdgeSettings",
     "BoardPairSettings",
@@ -59,9 +69,12 @@ __all__ = [
     "CameraDetectionSettings",
     "CameraNoiseSettings",
     "CaptureSettings",
+    "CentroidSettings",
     "CloudBackgroundSettings",
+    "ClusterSettings",
     "DetectionSettings",
     "DiagnosticsSettings",
+    "EllipseSettings",
     "EstimationSettings",
     "GraphSettings",
     "HeadingSearchSettings",
@@ -72,6 +85,7 @@ __all__ = [
     "MaxMessageSettings",
     "ModelErrorSettings",
     "MotionDetectionSettings",
+    "MotionSettings",
     "NetworkDiagnosticsSettings",
     "NetworkEstimationSettings",
     "PairwiseSettings",
@@ -85,6 +99,8 @@ __all__ = [
     "ScannerDetectionSettings",
     "ScannerPairSettings",
     "Settings",
+    "SmoothingSettings",
+    "StaticSceneSettings",
     "SurfaceFitSettings",
     "TagSettings",
     "TrackGroupingSettings",
