@@ -1,10 +1,11 @@
+import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.ransac import Indices, Score, find_consensus
+from calgraph.ransac import Indices, Score, find_consensus, select_best_of_groups
 
 
 def _line_problem(points: Array) -> tuple[Callable[[Indices], Array], Callable[[Array], Array]]:
@@ -76,3 +77,87 @@ def test_stops_early_on_clean_data(rng: np.random.Generator) -> None:
     found = find_consensus(np.arange(60), 2, solve, residuals, 1e-6, rng=rng, max_samples=100_000)
     assert found is not None
     assert found.samples <= 100
+
+
+def _half_outliers(groups: int) -> tuple[Callable[[Indices], Array], Callable[[Array], Array]]:
+    """A model 0 that the first half of the data agrees with, from samples of these; 1 from others, for none."""
+
+    def solve(samples: Indices) -> Array:
+        return np.where((samples < groups // 2).all(axis=1), 0.0, 1.0)[:, None]
+
+    def squared_residuals(models: Array) -> Array:
+        return np.where(np.arange(groups) < groups // 2, models, 1.0) * 100
+
+    return solve, squared_residuals
+
+
+@pytest.mark.parametrize("size", [2, 3, 5])
+@pytest.mark.parametrize("confidence", [0.9, 0.9999])
+def test_stops_after_the_number_of_samples_for_the_confidence(size: int, confidence: float) -> None:
+    # Fischler and Bolles, 1981: 1 - (1 - w^m)^k = confidence, with w = 0.5.
+    needed = math.ceil(math.log(1 - confidence) / math.log(1 - 0.5**size))
+    solve, residuals = _half_outliers(1000)
+    rng = np.random.default_rng(1)
+    found = find_consensus(
+        np.arange(1000), size, solve, residuals, 1.0, rng=rng, batch=1, confidence=confidence, max_samples=10_000
+    )
+    assert found is not None
+    assert found.samples == needed
+    assert found.inlier_count == 500
+
+
+def test_alternatives_lower_the_probability_of_a_good_sample() -> None:
+    # Each group has a correct and a wrong datum: half of all samples' members are correct.
+    solve, residuals = _half_outliers(1000)
+    rng = np.random.default_rng(1)
+    groups = np.tile(np.arange(500), 2)
+    found = find_consensus(groups, 3, solve, residuals, 1.0, rng=rng, batch=1, max_samples=10_000)
+    assert found is not None
+    assert found.samples == math.ceil(math.log(1e-4) / math.log(1 - 0.5**3))
+    assert found.inlier_count == 500
+
+
+def test_gives_up_after_the_largest_number_of_samples(rng: np.random.Generator) -> None:
+    solve, residuals = _half_outliers(1000)
+    found = find_consensus(np.arange(1000), 12, solve, residuals, 1.0, rng=rng, batch=32, max_samples=200)
+    assert found is not None
+    assert found.samples == 200
+
+
+@pytest.mark.parametrize(("score", "cost"), [("ransac", 3.0), ("msac", 3.0 + 5 * 0.25)])
+def test_cost_counts_outliers_or_sums_truncated_residuals(
+    score: Score, cost: float, rng: np.random.Generator
+) -> None:
+    r2 = np.array([0.25, 0.25, 0.25, 0.25, 0.25, 1.5, np.nan, 100.0])
+
+    def solve(samples: Indices) -> Array:
+        return np.zeros((len(samples), 1))
+
+    found = find_consensus(np.arange(8), 2, solve, lambda m: 4 * r2 + 0 * m, 4.0, rng=rng, score=score)
+    assert found is not None
+    assert found.cost == cost
+    assert found.inliers.tolist() == [True] * 5 + [False] * 3
+    assert found.inlier_count == 5
+
+
+@pytest.mark.parametrize("n", [6, 1000])
+def test_a_sample_takes_each_group_once(n: int, rng: np.random.Generator) -> None:
+    drawn: list[Indices] = []
+
+    def solve(samples: Indices) -> Array:
+        drawn.append(samples)
+        return np.full((len(samples), 1), np.nan)
+
+    find_consensus(np.arange(n), 4, solve, lambda m: np.zeros((len(m), n)), 1.0, rng=rng, max_samples=3000)
+    samples = np.concatenate(drawn)
+    assert samples.shape == (3000, 4)
+    assert all(len(set(sample)) == 4 for sample in samples.tolist())
+    counts = np.bincount(samples.ravel(), minlength=n)
+    assert abs(counts / counts.mean() - 1).max() < (0.1 if n == 6 else 2.0)
+
+
+def test_best_of_groups_is_one_within_the_threshold_in_each() -> None:
+    r2 = np.array([0.5, 0.2, 1.0, 1.1, np.nan, 0.3, 0.3])
+    groups = np.array([7, 7, 2, 5, 5, 9, 9])
+    chosen = select_best_of_groups(r2, groups)
+    assert chosen.tolist() == [False, True, True, False, False, True, False]

@@ -51,7 +51,7 @@ class PairwiseEstimate:
         # Inverse of se3.inverse_covariance's Jacobian: a perturbation of T_b_a as one of T_a_b.
         J = np.zeros((6, 6))
         J[:3, :3] = J[3:, 3:] = -R
-        J[:3, 3:] = -so3.hat(self.T_a_b[:3, 3]) @ R
+        J[:3, 3:] = so3.hat(self.T_a_b[:3, 3]) @ R
         return PairwiseEstimate(
             self.sensor_b, self.sensor_a, se3.inverse(self.T_a_b), J.T @ self.information @ J,
             self.matches[:, [0, 2, 1]], self.inliers, self.residuals,

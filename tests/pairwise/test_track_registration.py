@@ -1,0 +1,215 @@
+"""Registration of simultaneous tracks: pose, clock offset, depths, correlation time, and weight of evidence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.config.settings import HypothesisSettings, ProposalSettings, RegistrationSettings, ResamplingSettings
+from calgraph.geometry import Array, se2
+from calgraph.pairwise.pose_hypotheses import propose_poses
+from calgraph.pairwise.scanner_pair import PoseHypothesis
+from calgraph.pairwise.synchronized_tracks import (
+    SimultaneousPairs,
+    TrackSamples,
+    pair_samples,
+    resample_tracks,
+    to_ticks,
+)
+from calgraph.pairwise.track_registration import (
+    compute_pose_costs,
+    estimate_correlation_time,
+    register_tracks,
+    rigid_motion_covariance,
+)
+from calgraph.tracking import ScannerTracks, Track
+
+T_A_B = se2.pose(0.7, np.array([1.5, -0.8]))
+SETTINGS = RegistrationSettings()
+
+
+def position(t: Array) -> Array:
+    """A figure of eight of 4 by 2 m, frame a."""
+    return np.column_stack([2 * np.sin(0.5 * t), np.sin(t)]) + np.array([3.0, 2.0])
+
+
+def velocity(t: Array) -> Array:
+    return np.column_stack([np.cos(0.5 * t), np.cos(t)])
+
+
+def samples(
+    T_a_s: Array, ticks: Array, delay: float = 0.0, near: float = 0.0, sigma: float = 0.01
+) -> TrackSamples:
+    """Of a scanner whose clock is ahead by ``delay`` s, and that tracks people ``near`` m before their centres."""
+    t = ticks * 0.1 - delay
+    T = se2.inverse(T_a_s)
+    x, v = se2.apply(T, position(t)), velocity(t) @ T[:2, :2].T
+    x = x * (1 - near / np.linalg.norm(x, axis=1, keepdims=True))
+    S = np.tile(sigma**2 * np.eye(2), (len(t), 1, 1))
+    return TrackSamples(ticks.astype(np.intp), np.zeros(len(t), np.intp), x, v, S)
+
+
+def simultaneous(delay: float = 0.0, near: float = 0.0, count: int = 300) -> SimultaneousPairs:
+    ticks = np.arange(float(count))
+    return pair_samples(samples(np.eye(3), ticks, 0.0, near), samples(T_A_B, ticks, delay, near))
+
+
+def test_registration_finds_the_pose() -> None:
+    start = se2.retract(T_A_B, np.array([0.1, -0.05, 0.05]))
+    fit = register_tracks(start, simultaneous(), 0.15, 0.03, replace_steps(6))
+    assert fit is not None
+    np.testing.assert_allclose(se2.difference(fit.T_a_b, T_A_B), 0, atol=1e-6)
+    assert len(fit.matches) == 300
+    assert fit.model_error == SETTINGS.min_model_error
+
+
+def replace_steps(steps: int) -> RegistrationSettings:
+    return RegistrationSettings(steps=steps)
+
+
+def test_registration_estimates_the_clock_offset() -> None:
+    fit = register_tracks(T_A_B, simultaneous(delay=0.02), 0.15, 0.03, replace_steps(10))
+    assert fit is not None
+    assert fit.nuisance[0] == pytest.approx(0.02, rel=0.05)
+    assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.002
+
+
+def test_registration_estimates_depths() -> None:
+    fit = register_tracks(T_A_B, simultaneous(near=0.05), 0.15, 0.2, replace_steps(10))
+    assert fit is not None
+    np.testing.assert_allclose(fit.nuisance[1:], 0.05, rtol=0.1)
+    assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.005
+
+
+def test_too_few_matches_have_no_registration() -> None:
+    assert register_tracks(T_A_B, simultaneous(count=3), 0.15, 0.03, SETTINGS) is None
+    assert register_tracks(T_A_B, simultaneous(count=4), 0.15, 0.03, SETTINGS) is not None
+
+
+def test_costs_are_truncated_squared_distances_over_the_gate() -> None:
+    pairs = simultaneous()
+    poses = np.array([T_A_B, se2.retract(T_A_B, np.array([0.1, 0, 0])), se2.retract(T_A_B, np.array([9.0, 0, 0]))])
+    variance = 2 * 0.01**2 + 0.15**2
+    np.testing.assert_allclose(
+        compute_pose_costs(poses, pairs, 0.15, 9.21), [0, 0.01 / (9.21 * variance), 1], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(("correlation", "expected"), [(0.0, 1.0), (0.8, 9.0)])
+@pytest.mark.parametrize("step", [1, 4])
+def test_correlation_time_of_an_autoregressive_process(correlation: float, expected: float, step: int) -> None:
+    # Integrated autocorrelation time of an AR(1) process: (1 + c) / (1 - c).
+    rng = np.random.default_rng(2)
+    noise = rng.normal(size=(20_000, 2))
+    r = np.zeros_like(noise)
+    for k in range(1, len(r)):
+        r[k] = correlation * r[k - 1] + noise[k]
+    ticks = step * np.tile(np.arange(2000), 10)
+    found = estimate_correlation_time(r, np.repeat(np.arange(10), 2000), ticks)
+    assert found == pytest.approx(expected, rel=0.2)
+
+
+def test_correlation_time_does_not_reach_across_series() -> None:
+    # Every series is constant: correlated within, independent of the others.
+    r = np.repeat(np.random.default_rng(3).normal(size=(400, 2)), 2, axis=0)
+    found = estimate_correlation_time(r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400))
+    assert found == pytest.approx(3.0, rel=0.1)
+
+
+def test_covariance_of_a_rigid_motion_about_a_centre() -> None:
+    # A turn by phi about (2, 0) moves the origin by -2 phi along y.
+    C = rigid_motion_covariance(np.eye(3), np.array([2.0, 0.0]), 0.01, 0.1)
+    np.testing.assert_allclose(C, [[1e-4, 0, 0], [0, 1e-4 + 0.04, -0.02], [0, -0.02, 0.01]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("share", "error", "expected"), [(1.0, 0.0, 270.805), (0.5, 0.0, 135.403), (1.0, 0.15, 0.0)]
+)
+def test_weight_of_evidence_is_a_log_likelihood_ratio(share: float, error: float, expected: float) -> None:
+    h = PoseHypothesis(np.eye(3), np.eye(3), 100, 0.0, share, 0.1, error, uses_background=False)
+    found = h.weight_of_evidence(HypothesisSettings())
+    assert found == pytest.approx(expected, abs=0.3)
+    assert h.score == 100 * share
+
+
+def test_the_first_proposal_is_the_pose() -> None:
+    poses = propose_poses(simultaneous(), ProposalSettings(), np.random.default_rng(0))
+    np.testing.assert_allclose(se2.difference(poses[0], T_A_B), 0, atol=1e-9)
+
+
+def test_proposals_are_limited_to_the_best_and_a_random_selection() -> None:
+    ticks = np.arange(300.0)
+    several = [replace(samples(np.eye(3), ticks + 37 * k), tick=ticks.astype(np.intp)) for k in range(6)]
+    merged = TrackSamples(
+        np.tile(ticks.astype(np.intp), 6), np.repeat(np.arange(6), 300),
+        *(np.concatenate([getattr(s, name) for s in several]) for name in ("positions", "velocities", "covariances")),
+    )  # fmt: skip
+    order = np.argsort(merged.tick, kind="stable")
+    merged = TrackSamples(*(getattr(merged, name)[order] for name in vars(several[0]) if name != "tree"))
+    pairs = pair_samples(merged, merged)
+    everything = propose_poses(pairs, ProposalSettings(max_rms=1.0), np.random.default_rng(0))
+    limited = propose_poses(pairs, ProposalSettings(max_rms=1.0, max_count=20), np.random.default_rng(0))
+    assert len(everything) > 40
+    assert len(limited) == 20
+    np.testing.assert_array_equal(limited[:10], everything[:10])
+
+
+@pytest.mark.parametrize(("extent", "usable"), [(0.14, False), (0.16, True)])
+def test_short_trajectories_propose_no_pose(extent: float, usable: bool) -> None:
+    # On a straight line of uniform positions the standard deviation is length / sqrt(12).
+    ticks = np.arange(20)
+    x = np.column_stack([np.linspace(0, extent * np.sqrt(12), 20), np.zeros(20)])
+    S = np.tile(1e-4 * np.eye(2), (20, 1, 1))
+    line = TrackSamples(ticks, np.zeros(20, np.intp), x + np.array([2, 0]), np.ones((20, 2)), S)
+    assert (
+        len(propose_poses(pair_samples(line, line), ProposalSettings(), np.random.default_rng(0))) > 0
+    ) == usable
+
+
+def track(times: Array, sigma: float = 0.01, period: int = 0) -> Track:
+    S = np.tile(sigma**2 * np.eye(2), (len(times), 1, 1))
+    return Track(times, position(times), velocity(times), S, period=period)
+
+
+def test_tracks_are_interpolated_at_the_ticks() -> None:
+    tracked = ScannerTracks((track(np.arange(0.03, 6.0, 0.08)),), np.zeros((0, 2)), 0.01)
+    found = resample_tracks(tracked)
+    assert found.tick.tolist() == list(range(1, 60))
+    np.testing.assert_allclose(found.positions, position(found.times), atol=1e-6)
+    np.testing.assert_allclose(found.velocities, velocity(found.times), atol=1e-3)
+    np.testing.assert_allclose(np.sqrt(found.covariances[:, 0, 0]), 0.01, rtol=0.02)
+    np.testing.assert_allclose(found.covariances[:, 0, 1], 0, atol=1e-12)
+
+
+def test_acceleration_adds_variance_in_the_middle_of_a_gap() -> None:
+    # h = 0.4 s: a * (u (1 - u) h)^2 with u = 0.5 is 1 cm for 1 m/s^2.
+    tracked = ScannerTracks((track(np.array([0.0, 0.4, 0.8])),), np.zeros((0, 2)), 0.01)
+    found = resample_tracks(tracked, ResamplingSettings(acceleration=1.0))
+    assert found.tick.tolist() == list(range(9))
+    expected = [0.01**2, 0.01**2 + 0.01**2]
+    np.testing.assert_allclose(found.covariances[[0, 2], 0, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "bridged"), [(0.45, True), (0.55, False)])
+def test_long_gaps_are_not_interpolated(gap: float, bridged: bool) -> None:
+    times = np.concatenate([np.arange(0, 1.01, 0.1), 1.0 + gap + np.arange(0, 1.01, 0.1)])
+    found = resample_tracks(ScannerTracks((track(times),), np.zeros((0, 2)), 0.01))
+    assert (12 in found.tick.tolist()) == bridged
+
+
+@pytest.mark.parametrize(("gap", "trajectories"), [(0.3, 1), (0.7, 1), (0.9, 2)])
+def test_tracks_of_successive_periods_are_joined(gap: float, trajectories: int) -> None:
+    tracks = track(np.arange(0, 2.01, 0.1)), track(2.0 + gap + np.arange(0, 2.01, 0.1), period=1)
+    found = resample_tracks(ScannerTracks(tracks, np.zeros((0, 2)), 0.01))
+    assert len(np.unique(found.trajectory)) == trajectories
+
+
+def test_tracks_at_other_places_are_not_joined() -> None:
+    first, second = track(np.arange(0, 2.01, 0.1)), track(2.3 + np.arange(0, 2.01, 0.1), period=1)
+    apart = replace(second, positions=second.positions + np.array([0.6, 0.0]))
+    found = resample_tracks(ScannerTracks((first, apart), np.zeros((0, 2)), 0.01))
+    assert len(np.unique(found.trajectory)) == 2
+
+
+def test_durations_are_rounded_to_ticks() -> None:
+    assert [to_ticks(s) for s in (0.6, 2.0, 8.0, 0.04)] == [6, 20, 80, 0]
