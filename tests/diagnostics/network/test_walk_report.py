@@ -16,6 +16,7 @@ T_ROOT = {
 }
 START = 1000.0
 SIGMA = 0.02
+MAX_DISTANCE, MIN_TICKS = 0.5, 5
 
 
 def simulate_walk(begin: float, end: float, y: float) -> Array:
@@ -57,7 +58,7 @@ def samples(rng: np.random.Generator) -> dict[str, TrackSamples]:
 def rows_of(name: str, samples: dict[str, TrackSamples], connected: tuple[str, ...]) -> list[CaptureRow]:
     poses = {n: T_ROOT[n] for n in connected}
     return [
-        row for row in build_walk_rows(samples, match_across_scanners(samples, poses), START) if row.sensor == name
+        row for row in build_walk_rows(samples, match_across_scanners(samples, poses, MAX_DISTANCE), START, MIN_TICKS) if row.sensor == name
     ]
 
 
@@ -98,7 +99,7 @@ def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSam
 
 
 def test_walks_are_numbered_in_order_of_time(samples: dict[str, TrackSamples]) -> None:
-    rows = build_walk_rows(samples, match_across_scanners(samples, T_ROOT), START)
+    rows = build_walk_rows(samples, match_across_scanners(samples, T_ROOT, MAX_DISTANCE), START, MIN_TICKS)
     assert [row.capture for row in rows] == list(range(6))
     assert [row.start for row in rows] == sorted(row.start for row in rows)
 
@@ -109,15 +110,15 @@ def test_whitened_residuals_have_unit_variance() -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
         samples = {n: resample_tracks(build_tracks(n, [simulate_walk(0, 3, 0)], rng)) for n in ("west", "east")}
-        chi2.append(float(np.mean(match_across_scanners(samples, T_ROOT).residuals ** 2)))
+        chi2.append(float(np.mean(match_across_scanners(samples, T_ROOT, MAX_DISTANCE).residuals ** 2)))
     assert abs(np.mean(chi2) - 1) < 0.12
 
 
 def test_without_tracks_there_are_no_matches(rng: np.random.Generator) -> None:
     samples = {n: resample_tracks(build_tracks(n, [], rng)) for n in T_ROOT}
-    matches = match_across_scanners(samples, T_ROOT)
+    matches = match_across_scanners(samples, T_ROOT, MAX_DISTANCE)
     assert matches.residuals.shape == (0, 2)
-    assert build_walk_rows(samples, matches, START) == ()
+    assert build_walk_rows(samples, matches, START, MIN_TICKS) == ()
 
 
 def test_the_floor_plan_is_in_the_root_frame(rng: np.random.Generator) -> None:

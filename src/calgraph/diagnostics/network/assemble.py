@@ -56,7 +56,7 @@ def assemble_network(
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
-    matches = match_across_scanners(samples, planar)
+    matches = match_across_scanners(samples, planar, rig.settings.estimation.network.grouping.max_distance)
     inliers = graph.select_edges(averaged.inliers)
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
@@ -95,7 +95,7 @@ def assemble_network(
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
             edges=tuple(_build_edge(pair, found, inlier_poses, parents) for pair, found in pairs.items()),
-            captures=build_walk_rows(samples, matches, start),
+            captures=build_walk_rows(samples, matches, start, rig.settings.diagnostics.network.min_shared_ticks),
             unconnected={
                 name: _explain_unconnected(name, followed, pairs) for name in rig.sensors if name not in names
             },

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
+from calgraph.config.settings import NetworkDiagnosticsSettings
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
-# Sets of one size that are all tested; where there are more, the best smaller set grows by one node.
+# Sets of one size that are all tested, in about a second; where there are more, the best smaller set grows by one
+# node.
 _MAX_SETS = 3000
-# Rounding errors of stated poses, m and rad.
-_ROUNDING = (1e-4, 1e-4, 1e-5)
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class MovedScanner:
 
 
 def find_moved_scanners(
-    before: PlanarPoses, after: PlanarPoses, false_alarm_probability: float
+    before: PlanarPoses, after: PlanarPoses, false_alarm_probability: float, settings: NetworkDiagnosticsSettings
 ) -> tuple[str, tuple[MovedScanner, ...]]:
     """Finds the scanners that have moved between two sets of poses, and how far.
 
@@ -42,13 +42,15 @@ def find_moved_scanners(
         before: poses of the same scanners, in the frame of the same root.
         after: estimated independently.
         false_alarm_probability: as in :func:`find_displaced_nodes`.
+        settings: the rounding of poses.
 
     Returns:
         A scanner that has not moved, the root if possible; and the displacements relative to it.
     """
     after = after.select(before.names)
     difference = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    covariance = before.covariance + after.covariance + np.diag(np.tile(np.square(_ROUNDING), len(before.names)))
+    rounding = [settings.position_rounding, settings.position_rounding, settings.rotation_rounding]
+    covariance = before.covariance + after.covariance + np.diag(np.tile(np.square(rounding), len(before.names)))
     nodes = find_displaced_nodes(before.T_root_scanner, difference, covariance, false_alarm_probability)
     reference = next(name for k, name in enumerate(before.names) if k not in nodes)
     selected = [reference, *(before.names[k] for k in nodes)]

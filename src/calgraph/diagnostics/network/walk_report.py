@@ -17,13 +17,10 @@ from calgraph.pairwise.synchronized_tracks import (
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import ScannerTracks
 
-# Two scanners detect one person where their positions are within this distance, m; a walk counts as shared from
-# this number of ticks on.
-_MAX_DISTANCE = 0.5
-_MIN_SHARED_TICKS = 5
-# Sizes of the report: whitened residuals of the histogram, static points and positions of the floor plan.
+# Sizes of the report, for pages of a few megabytes: whitened residuals of the histogram, static points and positions of the floor plan.
 _MAX_RESIDUALS, _MAX_POINTS, _MAX_POSITIONS = 20_000, 12_000, 30_000
-# Size of the cells that static points are thinned to, m; lines of walks are split at longer gaps, ticks.
+# Size of the cells that static points are thinned to, m, a pixel of the floor plan; lines of walks are split at longer
+# gaps, ticks.
 _CELL_SIZE = 0.03
 _MAX_GAP_TICKS = 10
 
@@ -32,6 +29,8 @@ _MAX_GAP_TICKS = 10
 class CrossScannerMatches:
     """Positions that several scanners of a network detected at the same time."""
 
+    max_distance: float
+    """Of simultaneous positions of one person, m."""
     distance: Mapping[str, Array]
     """(S,) by scanner, from each of its samples to its nearest match, m; infinite without a match."""
     others_active: Mapping[str, NDArray[np.bool_]]
@@ -41,13 +40,14 @@ class CrossScannerMatches:
 
 
 def match_across_scanners(
-    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
+    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array], max_distance: float
 ) -> CrossScannerMatches:
     """Matches the samples of all pairs of connected scanners.
 
     Args:
         samples: by scanner; those without a pose are left out.
         T_root_scanner: poses (3, 3) of the connected scanners.
+        max_distance: of simultaneous positions of one person, m.
     """
     names = [name for name in samples if name in T_root_scanner]
     distance = {name: np.full(len(samples[name].tick), np.inf) for name in names}
@@ -58,13 +58,13 @@ def match_across_scanners(
         others_active[a][both.row_a] = others_active[b][both.row_b] = True
         offset = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
         d = np.linalg.norm(offset, axis=-1)
-        matched = np.flatnonzero(d < _MAX_DISTANCE)
+        matched = np.flatnonzero(d < max_distance)
         matched = matched[both.are_mutual_nearest(matched, d[matched])] if len(matched) else matched
         np.minimum.at(distance[a], both.row_a[matched], d[matched])
         np.minimum.at(distance[b], both.row_b[matched], d[matched])
         residuals.append(_whiten(offset, both, matched, T_root_scanner[a], T_root_scanner[b]))
     pooled = np.concatenate(residuals)
-    return CrossScannerMatches(distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
+    return CrossScannerMatches(max_distance, distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
 
 
 def _whiten(
@@ -77,7 +77,7 @@ def _whiten(
 
 
 def build_walk_rows(
-    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float
+    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float, min_ticks: int
 ) -> tuple[CaptureRow, ...]:
     """One row for each scanner and walk, in order of time: whether another scanner detected it too, or why not.
 
@@ -85,13 +85,14 @@ def build_walk_rows(
         samples: by scanner.
         matches: of the connected ones among them.
         start: of the recording, s.
+        min_ticks: matched samples of a shared walk.
     """
     rows = [
         (
             float(of_scanner.tick[walk[0]]) * TICK_PERIOD - start,
             float(of_scanner.tick[walk[-1]]) * TICK_PERIOD - start,
             name,
-            *_assess_walk(name, walk, matches),
+            *_assess_walk(name, walk, matches, min_ticks),
         )
         for name, of_scanner in samples.items()
         for walk in _split_walks(of_scanner)
@@ -100,21 +101,21 @@ def build_walk_rows(
 
 
 def _assess_walk(
-    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, min_ticks: int
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
         return False, "its scanner is not connected to the root", None
     d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
-    if len(d) >= _MIN_SHARED_TICKS:
+    if len(d) >= min_ticks:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
+        return False, f"another scanner detected it for less than {min_ticks * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,
-            f"other scanners detected people at that time, but not within {_MAX_DISTANCE:g} m of it",
+            f"other scanners detected people at that time, but not within {matches.max_distance:g} m of it",
             None,
         )
     return False, "no other scanner detected a person at that time", None
