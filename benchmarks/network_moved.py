@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.config.settings import VerdictSettings
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
@@ -24,7 +24,7 @@ from calgraph.simulation import NetworkScenario, build_network, network_rig, sim
 from network_runs import JOINT, USUAL_PEOPLE, solve_poses, track_scanners
 
 MINUTE = 60.0
-FALSE_ALARM_PROBABILITY = VerdictSettings().false_alarm_probability
+SETTINGS = DiagnosticsSettings()
 STEP = (0.03, np.radians(0.5))
 """m and rad."""
 
@@ -76,11 +76,9 @@ def check(seed: int) -> Outcome:
         rig, {name: [scan for scan in one if scan.stamp < middle] for name, one in scans.items()}
     )
     later = {name: [scan for scan in one if scan.stamp >= middle] for name, one in scans.items()}
-    _, alarms = find_moved_scanners(before, solve_recording(rig, later), FALSE_ALARM_PROBABILITY)
+    _, alarms = find_moved_scanners(before, solve_recording(rig, later), SETTINGS)
     moved_scans = [scan for scan in simulate_scans(shifted, pushed) if scan.stamp >= middle]
-    _, named = find_moved_scanners(
-        before, solve_recording(rig, {**later, pushed.name: moved_scans}), FALSE_ALARM_PROBABILITY
-    )
+    _, named = find_moved_scanners(before, solve_recording(rig, {**later, pushed.name: moved_scans}), SETTINGS)
     displacement = next(((one.distance, one.rotation) for one in named if one.name == pushed.name), ())
     return Outcome(pushed.name, tuple(one.name for one in named), displacement, tuple(one.name for one in alarms))
 

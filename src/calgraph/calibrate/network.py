@@ -101,7 +101,9 @@ def calibrate_tracks(
         )
         joint = solution()
         if earlier:
-            prior = build_consistent_prior(extract_earlier_poses(earlier, rig.root), names, joint)
+            prior = build_consistent_prior(
+                extract_earlier_poses(earlier, rig.root), names, joint, rig.settings.diagnostics
+            )
             joint = solution(prior=prior)
         progress("solving", 1.0)
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}

@@ -71,4 +71,4 @@ def compare_network_extrinsics(
 ) -> tuple[Calibration, ExtrinsicsComparison]:
     """Comparison of the given poses of a network with its calibration, as :func:`compare_extrinsics` for a rig."""
     calibration = calibrate_network(rig, recording, options, progress)
-    return calibration, compare_network_poses(calibration, given, tolerance, rig.settings.diagnostics.verdict)
+    return calibration, compare_network_poses(calibration, given, tolerance, settings=rig.settings.diagnostics)

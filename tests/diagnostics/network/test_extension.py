@@ -1,14 +1,26 @@
 """Extension of a network: prior, scanners that only the earlier calibration has, and moved scanners."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.extension import extract_earlier_poses, merge_calibrations, remove_scanners
-from calgraph.errors import InputError
+from calgraph.config.settings import DiagnosticsSettings
+from calgraph.diagnostics.network.extension import (
+    build_consistent_prior,
+    extract_earlier_poses,
+    merge_calibrations,
+    remove_scanners,
+)
+from calgraph.errors import CalibrationError, InputError
+from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
+from calgraph.result import Calibration, Edge
 from known_networks import calibration, four_scanners
+
+SETTINGS = DiagnosticsSettings()
 
 
 def test_the_gradient_of_the_prior_equals_finite_differences() -> None:
@@ -85,3 +97,53 @@ def test_another_root_is_refused() -> None:
 def test_root_and_unknown_scanners_cannot_be_removed(name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         remove_scanners(calibration(four_scanners(np.random.default_rng(0))), (name,))
+
+
+def edge(a: str, b: str, inliers: int) -> Edge:
+    return Edge(a, b, 2 * inliers, inliers, in_tree=False, residuals=np.zeros(0))
+
+
+def with_edges(calibration: Calibration, *edges: Edge) -> Calibration:
+    return replace(calibration, evidence=replace(calibration.evidence, edges=edges))
+
+
+def test_edges_are_those_of_the_recording_and_others_between_kept_scanners() -> None:
+    poses = four_scanners(np.random.default_rng(3))
+    found = with_edges(calibration(poses.select(("a", "b", "c"))), edge("a", "b", 10))
+    # z was not connected to the earlier network.
+    earlier = with_edges(calibration(poses), edge("a", "b", 7), edge("c", "d", 8), edge("d", "z", 9))
+    merged = merge_calibrations(found, earlier, build_scanner_prior(poses, ("a", "b", "c")))
+    edges = [(one.sensor_a, one.sensor_b, one.inliers) for one in merged.evidence.edges]
+    assert edges == [("a", "b", 10), ("c", "d", 8)]
+
+
+def solve(poses: PlanarPoses) -> NetworkSolution:
+    """A solution with given poses, and standard deviations of 1 mm and 0.1 mrad."""
+    count = len(poses.names)
+    covariance = np.diag(np.tile([1e-6, 1e-6, 1e-8, 1e-6], count))
+    covariance[:4] = 0
+    return NetworkSolution(poses.T_root_scanner, np.zeros(count), covariance, True, 0.005)
+
+
+def known_to_millimetres(rng: np.random.Generator) -> PlanarPoses:
+    poses = four_scanners(rng)
+    return replace(poses, covariance=solve(poses).pose_covariance)
+
+
+def test_a_recording_that_agrees_gives_the_earlier_poses_as_a_prior(rng: np.random.Generator) -> None:
+    earlier = known_to_millimetres(rng)
+    prior = build_consistent_prior(earlier, ("a", "b", "c"), solve(earlier.select(("a", "b", "c"))), SETTINGS)
+    np.testing.assert_array_equal(prior.T_root_scanner, earlier.T_root_scanner[1:3])
+
+
+@pytest.mark.parametrize(
+    ("moved", "advice"),
+    [(2, "give as moved: c"), (0, "its root has moved: calibrate the network anew")],
+)
+def test_moved_scanners_are_named_with_advice(moved: int, advice: str, rng: np.random.Generator) -> None:
+    earlier = known_to_millimetres(rng)
+    T = earlier.T_root_scanner.copy()
+    T[moved, :2, 2] += [0.03, 0.04]
+    solution = solve(replace(earlier, T_root_scanner=se2.inverse(T[0]) @ T))
+    with pytest.raises(CalibrationError, match=rf"{earlier.names[moved]} has moved by 50\.0 mm .*{advice}"):
+        build_consistent_prior(earlier, earlier.names, solution, SETTINGS)

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.diagnostics.network.moved_scanners import find_displaced_nodes, find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
 CHANCE = 1e-3
+SETTINGS = DiagnosticsSettings()
 NAMES = ("a", "b", "c", "d", "e", "f")
 
 
@@ -37,11 +39,13 @@ def measure_again(
 
 def test_the_false_alarm_probability_is_as_stated() -> None:
     """600 networks at 5 %: 30 false alarms, with three standard deviations of 16."""
+    verdict = VerdictSettings(false_alarm_probability=0.05)
+    frequent = DiagnosticsSettings(verdict=verdict)
     alarms = 0
     for seed in range(600):
         rng = np.random.default_rng(seed)
         before = random_network(rng)
-        alarms += bool(find_moved_scanners(before, measure_again(before, rng), 0.05)[1])
+        alarms += bool(find_moved_scanners(before, measure_again(before, rng), frequent)[1])
     assert abs(alarms - 30) < 17
 
 
@@ -51,7 +55,9 @@ def test_only_the_moved_scanner_is_named(node: int, step: tuple[float, float, fl
     for seed in range(20):
         rng = np.random.default_rng(seed)
         before = random_network(rng)
-        reference, moved = find_moved_scanners(before, measure_again(before, rng, {node: np.array(step)}), CHANCE)
+        reference, moved = find_moved_scanners(
+            before, measure_again(before, rng, {node: np.array(step)}), SETTINGS
+        )
         assert [one.name for one in moved] == [NAMES[node]], seed
         assert reference == ("b" if node == 0 else "a")
 
@@ -59,7 +65,9 @@ def test_only_the_moved_scanner_is_named(node: int, step: tuple[float, float, fl
 def test_distance_and_rotation_equal_the_displacement() -> None:
     rng = np.random.default_rng(4)
     before = random_network(rng)
-    _, (moved,) = find_moved_scanners(before, measure_again(before, rng, {2: np.array([0.3, -0.4, 0.1])}), CHANCE)
+    _, (moved,) = find_moved_scanners(
+        before, measure_again(before, rng, {2: np.array([0.3, -0.4, 0.1])}), SETTINGS
+    )
     assert moved.distance == pytest.approx(0.5, abs=0.02)
     assert moved.rotation == pytest.approx(0.1, abs=0.003)
 
@@ -69,7 +77,9 @@ def test_two_moved_scanners_are_named_even_if_one_is_the_root() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         before = random_network(rng)
-        assert [one.name for one in find_moved_scanners(before, measure_again(before, rng, steps), CHANCE)[1]] == [
+        assert [
+            one.name for one in find_moved_scanners(before, measure_again(before, rng, steps), SETTINGS)[1]
+        ] == [
             "a",
             "d",
         ]
@@ -79,7 +89,7 @@ def test_of_two_scanners_the_root_is_assumed_to_have_stayed() -> None:
     rng = np.random.default_rng(0)
     before = random_network(rng, 2)
     after = measure_again(before, rng, {0: np.array([0.1, 0, 0])})
-    reference, moved = find_moved_scanners(before, after, CHANCE)
+    reference, moved = find_moved_scanners(before, after, SETTINGS)
     assert (reference, [one.name for one in moved]) == ("a", ["b"])
 
 
@@ -95,3 +105,12 @@ def test_three_of_thirty_are_found_by_the_incremental_search() -> None:
     difference[[4, 9, 20]] += [0.03, 0.02, 0.0]
     spread = np.diag(np.tile([1e-6, 1e-6, 1e-8], count))
     assert find_displaced_nodes(T, difference, spread, CHANCE) == (4, 9, 20)
+
+
+def test_a_second_node_is_named_by_the_degrees_of_freedom_that_remain() -> None:
+    # The squared distance of node 2 is 25: beyond the 0.999 quantile for six degrees of freedom, 22.5, but not for
+    # the nine without a displaced node, 27.9.
+    T = se2.pose(np.array([0.0, 1.0, 2.0, 3.0]), np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]]))
+    difference = np.zeros((4, 3))
+    difference[1, 0], difference[2, 1] = 20.0, 5.0
+    assert find_displaced_nodes(T, difference, np.eye(12), CHANCE) == (1, 2)

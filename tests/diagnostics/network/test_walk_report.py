@@ -1,9 +1,16 @@
 """Capture rows of walks, residuals between scanners, and floor plans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
+from calgraph.diagnostics.network.walk_report import (
+    CrossScannerMatches,
+    build_floor_views,
+    build_walk_rows,
+    match_across_scanners,
+)
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
@@ -25,15 +32,17 @@ def simulate_walk(begin: float, end: float, y: float) -> Array:
     return np.column_stack([times, times - START, np.full(len(times), y)])
 
 
-def build_tracks(name: str, walks: list[Array], rng: np.random.Generator) -> ScannerTracks:
-    """Tracks of walks given in the root frame, with noise of the stated covariance."""
+def build_tracks(
+    name: str, walks: list[Array], rng: np.random.Generator, sigma: tuple[float, float] = (SIGMA, SIGMA)
+) -> ScannerTracks:
+    """Tracks of walks given in the root frame, with noise of the stated covariance in the scanner frame."""
     T_scanner_root = se2.inverse(T_ROOT[name])
     tracks = tuple(
         Track(
             w[:, 0],
-            se2.apply(T_scanner_root, w[:, 1:]) + rng.normal(0, SIGMA, (len(w), 2)),
+            se2.apply(T_scanner_root, w[:, 1:]) + rng.normal(0, sigma, (len(w), 2)),
             np.tile(T_scanner_root[:2, 0], (len(w), 1)),
-            np.tile(SIGMA**2 * np.eye(2), (len(w), 1, 1)),
+            np.tile(np.diag(np.square(sigma)), (len(w), 1, 1)),
             period=0,
         )
         for w in walks
@@ -55,11 +64,13 @@ def samples(rng: np.random.Generator) -> dict[str, TrackSamples]:
     }
 
 
+def match(samples: dict[str, TrackSamples], names: tuple[str, ...] = tuple(T_ROOT)) -> CrossScannerMatches:
+    return match_across_scanners(samples, {name: T_ROOT[name] for name in names}, MAX_DISTANCE)
+
+
 def rows_of(name: str, samples: dict[str, TrackSamples], connected: tuple[str, ...]) -> list[CaptureRow]:
-    poses = {n: T_ROOT[n] for n in connected}
-    return [
-        row for row in build_walk_rows(samples, match_across_scanners(samples, poses, MAX_DISTANCE), START, MIN_TICKS) if row.sensor == name
-    ]
+    rows = build_walk_rows(samples, match(samples, connected), START, MIN_TICKS)
+    return [row for row in rows if row.sensor == name]
 
 
 def test_a_shared_walk_is_used(samples: dict[str, TrackSamples]) -> None:
@@ -75,6 +86,14 @@ def test_a_walk_of_one_scanner_is_rejected_with_a_reason(samples: dict[str, Trac
     assert [(row.used, row.reason, row.residual) for row in rows[1:]] == [
         (False, "other scanners detected people at that time, but not within 0.5 m of it", None),
         (False, "no other scanner detected a person at that time", None),
+    ]
+
+
+def test_reasons_are_given_from_the_side_of_either_scanner(samples: dict[str, TrackSamples]) -> None:
+    rows = rows_of("east", samples, ("west", "east"))
+    assert [(row.used, row.reason) for row in rows] == [
+        (True, ""),
+        (False, "other scanners detected people at that time, but not within 0.5 m of it"),
     ]
 
 
@@ -99,24 +118,25 @@ def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSam
 
 
 def test_walks_are_numbered_in_order_of_time(samples: dict[str, TrackSamples]) -> None:
-    rows = build_walk_rows(samples, match_across_scanners(samples, T_ROOT, MAX_DISTANCE), START, MIN_TICKS)
+    rows = build_walk_rows(samples, match(samples), START, MIN_TICKS)
     assert [row.capture for row in rows] == list(range(6))
     assert [row.start for row in rows] == sorted(row.start for row in rows)
 
 
 def test_whitened_residuals_have_unit_variance() -> None:
     """Squared residuals of 40 seeds, 60 each: the mean deviates from 1 by 0.12 with a probability of 1e-4."""
+    walk, sigma = simulate_walk(0, 3, 0), (SIGMA, 3 * SIGMA)
     chi2 = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        samples = {n: resample_tracks(build_tracks(n, [simulate_walk(0, 3, 0)], rng)) for n in ("west", "east")}
-        chi2.append(float(np.mean(match_across_scanners(samples, T_ROOT, MAX_DISTANCE).residuals ** 2)))
+        samples = {name: resample_tracks(build_tracks(name, [walk], rng, sigma)) for name in ("west", "east")}
+        chi2.append(float(np.mean(match(samples).residuals ** 2)))
     assert abs(np.mean(chi2) - 1) < 0.12
 
 
 def test_without_tracks_there_are_no_matches(rng: np.random.Generator) -> None:
     samples = {n: resample_tracks(build_tracks(n, [], rng)) for n in T_ROOT}
-    matches = match_across_scanners(samples, T_ROOT, MAX_DISTANCE)
+    matches = match(samples)
     assert matches.residuals.shape == (0, 2)
     assert build_walk_rows(samples, matches, START, MIN_TICKS) == ()
 
@@ -134,6 +154,27 @@ def test_the_floor_plan_is_in_the_root_frame(rng: np.random.Generator) -> None:
     assert view.sensor == "east"
     np.testing.assert_allclose(view.background[:, 1], -2.0, atol=1e-9)
     np.testing.assert_allclose(line[:, 1], 1.5, atol=5 * SIGMA)
+
+
+def test_times_of_the_floor_plan_count_from_the_start_of_the_recording(rng: np.random.Generator) -> None:
+    tracks = {"east": build_tracks("east", [simulate_walk(1, 3, 1.5)], rng)}
+    samples = {name: resample_tracks(one) for name, one in tracks.items()}
+    (view,) = build_floor_views(tracks, samples, T_ROOT, START)
+    (times,), (line,) = view.times, view.tracks
+    assert times[0] == pytest.approx(1.0, abs=0.1)
+    # The person walks at 1 m/s.
+    np.testing.assert_allclose(line[:, 0], times, atol=5 * SIGMA)
+
+
+def test_lines_of_the_floor_plan_break_at_gaps_of_a_second(rng: np.random.Generator) -> None:
+    walk = simulate_walk(0, 6, 1.5)
+    tracks = {"east": build_tracks("east", [walk], rng)}
+    samples = resample_tracks(tracks["east"])
+    kept = np.delete(np.arange(len(samples.tick)), slice(20, 40))
+    gap = replace(samples, **{name: getattr(samples, name)[kept] for name in ("tick", "positions", "covariances")},
+                  trajectory=samples.trajectory[kept])  # fmt: skip
+    (view,) = build_floor_views(tracks, {"east": gap}, T_ROOT, START)
+    assert [round(float(times[0])) for times in view.times] == [0, 4]
 
 
 def test_the_floor_plan_of_a_long_recording_is_thinned(rng: np.random.Generator) -> None:

@@ -80,8 +80,8 @@ class NetworkDiagnosticsSettings(StrictModel):
     """Ticks (0.1 s) at which another scanner has to track a walk for the report to call it shared: half a second,
     one step."""
     position_rounding: float = Field(default=1e-4, gt=0)
-    """m; error of poses by rounding in files, added before moved scanners are searched: URDF and tf files are often
-    written by hand with four decimals."""
+    """m; error of poses by rounding in files, added before moved scanners are searched: URDF and tf files are
+    often written by hand with four decimals."""
     rotation_rounding: float = Field(default=1e-5, gt=0)
     """rad; the same of angles, of which files have about five decimals."""
 

@@ -65,9 +65,7 @@ def assemble_network(
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _find_parents(inliers, names)
     T_root_sensor = se2.to_se3(T_root_scanner)
-    inlier_poses = {
-        frozenset((names[i], names[j])): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges
-    }
+    inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
         sensors=tuple(
@@ -137,19 +135,18 @@ def _find_parents(inliers: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
 def _build_edge(
     pair: tuple[str, str],
     found: ScannerPairEstimate | Rejected,
-    inlier_poses: Mapping[frozenset[str], tuple[Array, Array]],
+    inlier_poses: Mapping[tuple[str, str], tuple[Array, Array]],
     parents: Mapping[str, str],
 ) -> Edge:
     a, b = pair
     if isinstance(found, Rejected):
         return Edge(a, b, 0, 0, in_tree=False, residuals=np.zeros(0), note=found.reason)
-    poses = inlier_poses.get(frozenset(pair))
+    poses = inlier_poses.get(pair)
     if poses is None:
         note = "contradicts the other pairs"
         shared = _count_shared(found.hypotheses[0])
         return Edge(a, b, shared, 0, in_tree=False, residuals=np.zeros(0), note=note)
-    T_root_a, T_root_b = poses if (a, b) == (found.sensor_a, found.sensor_b) else poses[::-1]
-    T_a_b = se2.inverse(T_root_a) @ T_root_b
+    T_a_b = se2.inverse(poses[0]) @ poses[1]
     distance, nearest = min(
         ((float(np.linalg.norm(se2.difference(T_a_b, h.T_a_b)[:2])), h) for h in found.hypotheses),
         key=lambda candidate: candidate[0],

@@ -5,15 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses, lift_covariance
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, SensorPose, Verdict
-
-# Probability of naming a moved scanner in a network in which none has moved.
-_FALSE_ALARM_PROBABILITY = 1e-3
 
 
 def extract_earlier_poses(earlier: Calibration, root: str) -> PlanarPoses:
@@ -65,20 +63,23 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
     )
 
 
-def build_consistent_prior(earlier: PlanarPoses, names: Sequence[str], solution: NetworkSolution) -> ScannerPrior:
+def build_consistent_prior(
+    earlier: PlanarPoses, names: Sequence[str], solution: NetworkSolution, settings: DiagnosticsSettings
+) -> ScannerPrior:
     """The prior of earlier poses, provided that the recording alone does not contradict them.
 
     Args:
         earlier: the earlier poses.
         names: scanners of the recording, the root first.
         solution: their joint solution from the recording alone.
+        settings: of the test.
 
     Raises:
         CalibrationError: scanners have moved since; the message names them with their displacements.
     """
     found = PlanarPoses(tuple(names), solution.T_root_scanner, solution.pose_covariance)
     shared = [name for name in names if name in earlier.names]
-    reference, moved = find_moved_scanners(earlier.select(shared), found, _FALSE_ALARM_PROBABILITY)
+    reference, moved = find_moved_scanners(earlier.select(shared), found, settings)
     if moved:
         moved_names = [one.name for one in moved]
         displacements = "; ".join(f"{one.name} has moved by {one}" for one in moved)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.config.settings import VerdictSettings
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.comparison import ExtrinsicsComparison, SensorComparison, Tolerance, match_poses
 from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.errors import InputError
@@ -16,7 +16,8 @@ def compare_network_poses(
     found: Calibration,
     given: ExtrinsicsFile,
     tolerance: Tolerance | None = None,
-    settings: VerdictSettings = VerdictSettings(),
+    *,
+    settings: DiagnosticsSettings,
 ) -> ExtrinsicsComparison:
     """Compares given poses of a network with estimated ones, and finds the fewest scanners that have moved.
 
@@ -28,18 +29,18 @@ def compare_network_poses(
         found: the calibration of the recording.
         given: the poses to be checked.
         tolerance: deviations that are acceptable.
-        settings: the probability of a false alarm.
+        settings: the probability of a false alarm, and the rounding of poses.
 
     Raises:
         InputError: the root or all other scanners are not in the file, or no fixed transforms connect them there.
     """
-    compared = match_poses(found, given, tolerance, settings.false_alarm_probability)
+    compared = match_poses(found, given, tolerance, settings.verdict.false_alarm_probability)
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
     before = PlanarPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
         poses = _extract_given_poses(given.calibration).change_root(frames[found.root])
         before = replace(before, covariance=poses.select(tuple(frames.values())).covariance)
-    reference, moved = find_moved_scanners(before, extract_planar_poses(found), settings.false_alarm_probability)
+    reference, moved = find_moved_scanners(before, extract_planar_poses(found), settings)
     from_reference = compared.compare_in_frame(reference, {})
     moved_by_name = {one.name: one for one in moved}
     sensors = (

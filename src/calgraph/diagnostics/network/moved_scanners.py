@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
-from calgraph.config.settings import NetworkDiagnosticsSettings
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
@@ -34,24 +34,27 @@ class MovedScanner:
 
 
 def find_moved_scanners(
-    before: PlanarPoses, after: PlanarPoses, false_alarm_probability: float, settings: NetworkDiagnosticsSettings
+    before: PlanarPoses, after: PlanarPoses, settings: DiagnosticsSettings
 ) -> tuple[str, tuple[MovedScanner, ...]]:
     """Finds the scanners that have moved between two sets of poses, and how far.
 
     Args:
         before: poses of the same scanners, in the frame of the same root.
         after: estimated independently.
-        false_alarm_probability: as in :func:`find_displaced_nodes`.
-        settings: the rounding of poses.
+        settings: the probability of a false alarm, and the rounding of poses.
 
     Returns:
         A scanner that has not moved, the root if possible; and the displacements relative to it.
     """
     after = after.select(before.names)
     difference = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    rounding = [settings.position_rounding, settings.position_rounding, settings.rotation_rounding]
-    covariance = before.covariance + after.covariance + np.diag(np.tile(np.square(rounding), len(before.names)))
-    nodes = find_displaced_nodes(before.T_root_scanner, difference, covariance, false_alarm_probability)
+    network = settings.network
+    rounding = [network.position_rounding, network.position_rounding, network.rotation_rounding]
+    of_rounding = np.diag(np.tile(np.square(rounding), len(before.names)))
+    covariance = before.covariance + after.covariance + of_rounding
+    nodes = find_displaced_nodes(
+        before.T_root_scanner, difference, covariance, settings.verdict.false_alarm_probability
+    )
     reference = next(name for k, name in enumerate(before.names) if k not in nodes)
     selected = [reference, *(before.names[k] for k in nodes)]
     T_before = before.change_root(reference).select(selected).T_root_scanner

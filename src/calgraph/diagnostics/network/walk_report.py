@@ -17,10 +17,11 @@ from calgraph.pairwise.synchronized_tracks import (
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import ScannerTracks
 
-# Sizes of the report, for pages of a few megabytes: whitened residuals of the histogram, static points and positions of the floor plan.
+# Sizes of the report, for pages of a few megabytes: whitened residuals of the histogram, static points and
+# positions of the floor plan.
 _MAX_RESIDUALS, _MAX_POINTS, _MAX_POSITIONS = 20_000, 12_000, 30_000
-# Size of the cells that static points are thinned to, m, a pixel of the floor plan; lines of walks are split at longer
-# gaps, ticks.
+# Size of the cells that static points are thinned to, m, a pixel of the floor plan; lines of walks are split at
+# longer gaps, ticks.
 _CELL_SIZE = 0.03
 _MAX_GAP_TICKS = 10
 

@@ -1,0 +1,114 @@
+"""The calibration of a network from its solution: clocks, tree, and evidence of pairs."""
+
+import numpy as np
+import pytest
+
+from calgraph.config import Rig
+from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
+from calgraph.errors import Rejected
+from calgraph.estimation import NetworkSolution
+from calgraph.geometry import se2
+from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+from calgraph.result import Calibration
+from calgraph.tracking import ScannerTracks, Track
+
+NAMES = ("west", "east", "north")
+T_ROOT = se2.pose(np.array([0.0, 2.5, -1.5]), np.array([[0.0, 0.0], [8.0, 1.0], [4.0, 6.0]]))
+OFFSET = np.array([0.0, 0.7, -0.4])
+INFORMATION = np.array([1e4, 1e6, 1e5])
+"""Of the pairs west-east, west-north and east-north, 1/m²."""
+PAIRS = np.array([[0, 1], [0, 2], [1, 2]])
+EMPTY = np.zeros((0, 2))
+
+
+def build_tracks(scanner: int) -> ScannerTracks:
+    """The track of one walk by the clock of a scanner."""
+    times = 1000 + np.arange(0, 4, 0.05)
+    positions = np.column_stack([times - 1000, np.full(len(times), 2.0)])
+    covariances = np.tile(1e-4 * np.eye(2), (len(times), 1, 1))
+    velocities = np.tile([1.0, 0.0], (len(times), 1))
+    T = se2.inverse(T_ROOT[scanner])
+    track = Track(times + OFFSET[scanner], se2.apply(T, positions), velocities, covariances, period=0)
+    return ScannerTracks((track,), EMPTY, 0.01)
+
+
+def build_pair(k: int, error: float = 0.0) -> ScannerPairEstimate:
+    """A pair with 30 matches of 60 expected ones, whose pose is off by ``error`` along x, m."""
+    i, j = PAIRS[k]
+    T = se2.inverse(T_ROOT[i]) @ T_ROOT[j]
+    T[0, 2] += error
+    hypothesis = PoseHypothesis(T, INFORMATION[k] * np.eye(3), 30, 1.0, 0.5, 0.2, 0.0, uses_background=False)
+    return ScannerPairEstimate(NAMES[i], NAMES[j], (hypothesis,))
+
+
+def assemble(joint: bool = True, inliers: tuple[bool, ...] = (True, True, True)) -> Calibration:
+    rig = Rig.model_validate(
+        {
+            "root": "west",
+            "target": {"kind": "people"},
+            "sensors": {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in (*NAMES, "cellar")},
+        }
+    )
+    estimates = [build_pair(k, 0.03 if k == 0 else 0.0) for k in range(3)]
+    pairs: NetworkPairs = {(pair.sensor_a, pair.sensor_b): pair for pair in estimates}
+    pairs = {**pairs, ("west", "cellar"): Rejected("too few"), ("east", "cellar"): Rejected("too few")}
+    T = np.array([pair.T_a_b for pair in estimates])
+    graph = PoseGraph(3, PAIRS, T, INFORMATION[:, None, None] * np.eye(3))
+    covariance = np.zeros((12, 12))
+    covariance[np.arange(4, 12), np.arange(4, 12)] = 1e-6
+    return assemble_network(
+        rig,
+        dict.fromkeys((*NAMES, "cellar"), ""),
+        {**{name: build_tracks(k) for k, name in enumerate(NAMES)}, "cellar": build_tracks(0)},
+        pairs,
+        graph,
+        NAMES,
+        PoseGraphSolution(T_ROOT, np.array(inliers)),
+        1000.0,
+        NetworkSolution(T_ROOT, OFFSET, covariance, True, 0.005) if joint else None,
+    )
+
+
+def test_tracks_are_matched_by_the_clock_of_the_root() -> None:
+    rows = [row for row in assemble().evidence.captures if row.sensor != "cellar"]
+    assert [(row.sensor, row.used) for row in rows] == [(name, True) for name in sorted(NAMES)]
+    assert [row.residual for row in rows] == pytest.approx([0.0] * 3, abs=1e-6)
+
+
+def test_rows_are_by_the_clock_of_the_root() -> None:
+    starts = [row.start for row in assemble().evidence.captures if row.sensor != "cellar"]
+    np.testing.assert_allclose(starts, 0.0, atol=0.1)
+
+
+def test_clock_offsets_are_stated_but_for_the_root() -> None:
+    clocks = [(one.clock_offset, one.clock_offset_stddev) for one in assemble().sensors]
+    assert clocks == [(None, None), (0.7, pytest.approx(0.001)), (-0.4, pytest.approx(0.001))]
+
+
+def test_parents_follow_the_edges_with_the_most_information() -> None:
+    assert [one.parent for one in assemble().sensors] == [None, "north", "west"]
+
+
+def test_an_edge_states_expected_and_matched_positions_and_its_distance_from_the_solution() -> None:
+    first = assemble().evidence.edges[0]
+    assert (first.captures, first.inliers, first.in_tree) == (60, 30, False)
+    np.testing.assert_allclose(first.residuals, [0.03])
+
+
+def test_an_outlier_pair_has_no_inliers() -> None:
+    first = assemble(inliers=(False, True, True)).evidence.edges[0]
+    assert (first.captures, first.inliers, first.note) == (60, 0, "contradicts the other pairs")
+
+
+def test_an_unconnected_scanner_has_the_reasons_of_its_pairs() -> None:
+    assert assemble().evidence.unconnected == {"cellar": "has 1 tracks, but west, east: too few"}
+
+
+def test_without_a_joint_solution_the_covariance_is_that_of_averaging() -> None:
+    found = assemble(joint=False)
+    covariance = found.joint_covariance
+    assert covariance is not None
+    # North is measured directly with 1 mm, and through east with 10 mm.
+    assert np.sqrt(covariance[12, 12]) == pytest.approx(0.001, rel=0.05)
+    assert (found.evidence.estimator, found["north"].clock_offset) == ("averaging", None)
