@@ -30,7 +30,7 @@ SETTINGS = RegistrationSettings()
 
 def position(t: Array) -> Array:
     """A figure of eight of 4 by 2 m, frame a."""
-    return np.column_stack([2 * np.sin(0.5 * t), np.sin(t)]) + np.array([3.0, 2.0])
+    return np.column_stack([3 + 2 * np.sin(0.5 * t), 2 + np.sin(t)])
 
 
 def velocity(t: Array) -> Array:
@@ -142,7 +142,7 @@ def test_proposals_are_limited_to_the_best_and_a_random_selection() -> None:
     several = [replace(samples(np.eye(3), ticks + 37 * k), tick=ticks.astype(np.intp)) for k in range(6)]
     merged = TrackSamples(
         np.tile(ticks.astype(np.intp), 6), np.repeat(np.arange(6), 300),
-        *(np.concatenate([getattr(s, name) for s in several]) for name in ("positions", "velocities", "covariances")),
+        *(np.concatenate([getattr(s, n) for s in several]) for n in ("positions", "velocities", "covariances")),
     )  # fmt: skip
     order = np.argsort(merged.tick, kind="stable")
     merged = TrackSamples(*(getattr(merged, name)[order] for name in vars(several[0]) if name != "tree"))
