@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import track_pairs
 from calgraph.config.settings import HypothesisSettings, ProposalSettings, RegistrationSettings, ResamplingSettings
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.pose_hypotheses import propose_poses
@@ -17,13 +18,16 @@ from calgraph.pairwise.synchronized_tracks import (
     to_ticks,
 )
 from calgraph.pairwise.track_registration import (
+    TrackRegistration,
     compute_pose_costs,
+    compute_registration_information,
     estimate_correlation_time,
     register_tracks,
     rigid_motion_covariance,
 )
 from calgraph.tracking import ScannerTracks, Track
 
+NEAR_POSE = se2.retract(track_pairs.T_A_B, np.array([0.05, -0.04, 0.02]))
 T_A_B = se2.pose(0.7, np.array([1.5, -0.8]))
 SETTINGS = RegistrationSettings()
 
@@ -213,3 +217,88 @@ def test_tracks_at_other_places_are_not_joined() -> None:
 
 def test_durations_are_rounded_to_ticks() -> None:
     assert [to_ticks(s) for s in (0.6, 2.0, 8.0, 0.04)] == [6, 20, 80, 0]
+
+
+def register_walks(
+    pairs: SimultaneousPairs, settings: RegistrationSettings = SETTINGS, depth_stddev: float = 0.03
+) -> TrackRegistration:
+    fit = register_tracks(NEAR_POSE, pairs, settings.max_model_error, depth_stddev, settings)
+    assert fit is not None
+    return fit
+
+
+def test_matches_are_mutual_nearest_neighbours(rng: np.random.Generator) -> None:
+    """Two people in 10 s are 100 samples each, and 400 pairs of simultaneous samples: the right ones match."""
+    pairs = track_pairs.observe_walks(
+        [track_pairs.walk_along_curve(10.0, number) for number in (0, 1)], rng, sigma=0.01
+    )
+    fit = register_walks(pairs)
+    same = pairs.a.trajectory[pairs.row_a[fit.matches]] == pairs.b.trajectory[pairs.row_b[fit.matches]]
+    assert same.mean() > 0.98
+    assert len(fit.matches) > 196
+
+
+@pytest.mark.parametrize("sigma", [0.03, 0.1])
+def test_model_error_is_what_the_covariances_do_not_explain(rng: np.random.Generator, sigma: float) -> None:
+    """Both scanners' noise, less the variance 2 x 0.01² m² that the tracks state."""
+    pairs = track_pairs.observe_walks(
+        [track_pairs.walk_along_curve(100.0)], rng, sigma=sigma / np.sqrt(2), stated_sigma=0.01
+    )
+    expected = np.sqrt(sigma**2 - 2 * 0.01**2)
+    settings = RegistrationSettings(max_model_error=0.5)
+    assert register_walks(pairs, settings).model_error == pytest.approx(expected, rel=0.1)
+
+
+def test_model_error_is_limited(rng: np.random.Generator) -> None:
+    walks = [track_pairs.walk_along_curve(100.0)]
+    assert register_walks(track_pairs.observe_walks(walks, rng)).model_error == 0.005
+    assert (
+        register_walks(
+            track_pairs.observe_walks(walks, rng, sigma=0.2), RegistrationSettings(gate=50.0)
+        ).model_error
+        == 0.15
+    )
+
+
+def test_a_cost_takes_the_nearest_of_simultaneous_samples(rng: np.random.Generator) -> None:
+    pairs = track_pairs.observe_walks([track_pairs.walk_along_curve(10.0, number) for number in range(3)], rng)
+    assert compute_pose_costs(track_pairs.T_A_B[None], pairs, 0.15, 9.21) == pytest.approx([0.0], abs=1e-9)
+
+
+def test_registration_information_matches_the_scatter() -> None:
+    """Mean of a chi-squared with three degrees of freedom: white noise, and nuisances drawn from their priors."""
+    settings = RegistrationSettings(
+        systematic_stddev=1e-6, min_correlation_time=0.1, min_model_error=0.001, cauchy_scale2=1e6, gate=50.0
+    )
+    squared = []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        clock_offset, *depths = rng.normal(size=3) * [0.01, 0.03, 0.03]
+        pairs = track_pairs.observe_walks(
+            [track_pairs.walk_along_curve(20.0)], rng, sigma=0.01, stated_sigma=0.01, clock_offset=clock_offset,
+            depths=(depths[0], depths[1]),
+        )  # fmt: skip
+        fit = register_walks(pairs, settings)
+        d = se2.difference(fit.T_a_b, track_pairs.T_A_B)
+        squared.append(float(d @ compute_registration_information(fit, pairs, 0.03, settings) @ d))
+    assert np.mean(squared) == pytest.approx(3.0, abs=0.6)  # 3 standard deviations
+
+
+def test_systematic_errors_bound_the_information(rng: np.random.Generator) -> None:
+    """Of exact tracks with wide extent: 8 mm of either coordinate of their centre, and 8 mm over the extent."""
+    pairs = track_pairs.observe_walks([track_pairs.walk_along_curve(100.0)], rng, stated_sigma=1e-4)
+    settings = RegistrationSettings(min_model_error=1e-4, clock_stddev=1e-6)
+    fit = register_walks(pairs, settings, depth_stddev=1e-6)
+    covariance = np.linalg.inv(compute_registration_information(fit, pairs, 1e-6, settings))
+    x = pairs.x_a[fit.matches]
+    center, extent = x.mean(axis=0), np.sqrt(np.sum(np.var(x, axis=0)))
+    assert np.sqrt(covariance[2, 2]) == pytest.approx(0.008 / extent, rel=0.01)
+    to_center = np.eye(3)
+    to_center[:2, 2] = track_pairs.T_A_B[1, 2] - center[1], center[0] - track_pairs.T_A_B[0, 2]
+    at_center = to_center @ covariance @ to_center.T
+    np.testing.assert_allclose(np.sqrt(np.diag(at_center)[:2]), 0.008, rtol=0.01)
+
+
+def test_alternating_residuals_have_a_correlation_time_of_one_step() -> None:
+    r: Array = np.tile([1.0, -1.0], 100)[:, None]
+    assert estimate_correlation_time(r, np.zeros(200, dtype=np.intp), np.arange(200)) == 1.0
