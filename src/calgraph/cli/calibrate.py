@@ -11,7 +11,8 @@ from calgraph.cli.common_options import JobsOption, Results, RigFile, WholeJson,
 from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.progress import progress_bars
-from calgraph.config import Rig, load_rig
+from calgraph.cli.setting_options import SetOption, load_rig_with
+from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
 from calgraph.recording import open_recordings, resolve_intrinsics
@@ -159,6 +160,7 @@ def calibrate(
         Path | None,
         typer.Option("--dump", metavar="FILE", help="Board: write what the solution is made from, for solve."),
     ] = None,
+    settings: SetOption = None,
     json: WholeJson = False,
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
@@ -169,7 +171,7 @@ def calibrate(
     """
     from calgraph import calibrate as story  # takes seconds, which --help should not
 
-    rig = load_rig(rig_file)
+    rig = load_rig_with(rig_file, settings)
     if dump and not _is_in(dump, out):
         check_output_path(dump)
     rig_options = {"--estimate": estimate, "--prior": prior, "--rigid": rigid, "--dump": dump}

@@ -16,7 +16,8 @@ from calgraph.cli.common_options import RigFile, available_cores
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
-from calgraph.config import Rig, load_rig
+from calgraph.cli.setting_options import SetOption, load_rig_with
+from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically, write_text
 from calgraph.recording import open_recordings, resolve_intrinsics
@@ -52,6 +53,7 @@ def check(
         typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the calibration found."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
+    settings: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
     """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
@@ -70,7 +72,7 @@ def check(
             f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
         )
     allowed = Tolerance(tolerance[0], float(np.radians(tolerance[1])))
-    rig, given = load_rig(rig_file), read_extrinsics(against)
+    rig, given = load_rig_with(rig_file, settings), read_extrinsics(against)
     with replace_folder_atomically(out) if out else nullcontext() as folder:
         calibration, audit, rig = _compare(rig, recordings, given, allowed, seed)
         content = _content(audit, against, allowed)

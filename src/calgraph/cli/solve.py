@@ -9,6 +9,7 @@ import typer
 from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.common_options import Results, WholeJson
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
+from calgraph.cli.setting_options import SetOption, override_settings
 from calgraph.io import replace_folder_atomically
 
 
@@ -33,6 +34,7 @@ def solve(
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
+    settings: SetOption = None,
     json: WholeJson = False,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
@@ -51,7 +53,8 @@ def solve(
     chosen = {name: choice.value for name, choice in given.items() if choice is not None}
     besides: dict[str, object] = {} if folds is None else {"folds": folds}
     besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
-    problem = replace(problem, solver=problem.solver.model_copy(update=chosen | besides))
+    rig = override_settings(problem.rig, settings)
+    problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
     problem = round_trip(with_prior_poses(problem, known, groups))
     with replace_folder_atomically(out) as folder:
         calibration = solve_problem(problem)

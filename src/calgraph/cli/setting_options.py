@@ -1,0 +1,66 @@
+"""The option ``--set``, which overrides single settings of a rig.yaml."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from calgraph.config import Rig, load_rig
+from calgraph.config.settings import Settings
+from calgraph.errors import InputError
+from calgraph.io.yaml_reading import validate_content
+
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a setting, e.g. detection.lidar3d.min_points=30; repeatable."
+    ),
+]
+
+
+def load_rig_with(path: Path, assignments: Sequence[str] | None) -> Rig:
+    """Reads a rig.yaml, and overrides settings; raises InputError as :func:`override_settings` does."""
+    return override_settings(load_rig(path), assignments)
+
+
+def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
+    """The rig with some settings replaced.
+
+    Args:
+        rig: the rig.
+        assignments: each a key below ``settings`` in rig.yaml, ``=``, and its value as YAML.
+
+    Raises:
+        InputError: an assignment is malformed, or its key or value is invalid.
+    """
+    if not assignments:
+        return rig
+    content = rig.settings.model_dump(mode="json", exclude_none=True)
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not key or not equals:
+            raise InputError(
+                f"--set: must be KEY=VALUE, such as detection.lidar3d.min_points=30, got {assignment!r}"
+            )
+        _assign(content, key.strip().split("."), _parse(key, text))
+    return rig.model_copy(update={"settings": validate_content(Settings, content, Path("--set"))})
+
+
+def _parse(key: str, text: str) -> Any:
+    try:
+        return YAML(typ="safe").load(text)
+    except YAMLError as error:
+        raise InputError(f"--set: the value of {key} is not valid YAML, got {text!r}") from error
+
+
+def _assign(content: dict[str, Any], path: Sequence[str], value: Any) -> None:
+    """Sets a value in nested mappings; a key below a value that is none replaces it, which validation rejects."""
+    *above, last = path
+    for name in above:
+        if not isinstance(content.get(name), dict):
+            content[name] = {}
+        content = content[name]
+    content[last] = value
