@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection import Segment, find_segments
+from calgraph.detection import Segment, find_segments, learn_scan_background
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.sensors import LaserScan, ScanBackground
+from calgraph.sensors import LaserScan
 
 NOISE = RangeNoise(range=0.015, angle=0.0005)
 BOARD = Board(size=(1.0, 0.8))
@@ -92,7 +92,7 @@ def test_finds_a_board_without_background(rng: np.random.Generator) -> None:
 
 
 def test_finds_a_board_with_background(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     segments = accepted(find_segments([measure(rng)], [BOARD], NOISE, background, rng))
     assert len(segments) == 1
     assert np.abs(distances(segments[0])).max() < 0.01
@@ -105,7 +105,7 @@ def test_end_points_come_in_order_of_angle(rng: np.random.Generator) -> None:
 
 
 def test_operator_beside_the_board_does_not_extend_it(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     leg = (*(ENDS[1] + 0.08 * ALONG), 0.08)
     scan = measure(rng, legs=[(float(leg[0]), float(leg[1]), leg[2])])
     best = accepted(find_segments([scan], [BOARD], NOISE, background, rng))[0]
@@ -114,7 +114,7 @@ def test_operator_beside_the_board_does_not_extend_it(rng: np.random.Generator) 
 
 
 def test_a_body_alone_is_a_bad_match(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     result = find_segments([measure(rng, ends=None, legs=[(2.0, 0.3, 0.2)])], [BOARD], NOISE, background, rng)
     assert isinstance(result, Rejected) or result[0].match < 0.35
 
@@ -194,7 +194,7 @@ def test_rejection_names_empty_scans(rng: np.random.Generator) -> None:
 
 
 def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([measure(rng, ends=None) for _ in range(20)])
+    background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     still = [measure(rng, ends=None) for _ in range(5)]
     assert "no foreground beams" in rejection(find_segments(still, [BOARD], NOISE, background, rng))
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection import CloudBackground, PlanePatch, find_patches
+from calgraph.detection import PlanePatch, find_patches, learn_cloud_background
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import PointCloud
@@ -145,7 +145,7 @@ def sparse(solids: Sequence[Solid], rng: np.random.Generator) -> PointCloud:
 
 
 def test_finds_a_held_board_with_a_sparse_lidar_after_background_subtraction(rng: np.random.Generator) -> None:
-    background = CloudBackground.learn([sparse(EMPTY, rng) for _ in range(3)])
+    background = learn_cloud_background([sparse(EMPTY, rng) for _ in range(3)])
     best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng))[0]
     angle, off = error(best)
     assert angle < np.radians(0.4)
@@ -169,7 +169,7 @@ def test_finds_rings_where_the_message_does_not_number_them(rng: np.random.Gener
 
 def test_finds_a_held_board_with_a_spinning_scanner(rng: np.random.Generator) -> None:
     directions = spinner(planes=500, beams=400)
-    background = CloudBackground.learn([measure(EMPTY, directions, rng)])
+    background = learn_cloud_background([measure(EMPTY, directions, rng)])
     cloud = measure(HELD, directions, rng)
     start = perf_counter()
     best = accepted(find_patches([cloud], [BOARD], NOISE, background, rng))[0]
@@ -181,7 +181,7 @@ def test_finds_a_held_board_with_a_spinning_scanner(rng: np.random.Generator) ->
 
 def test_finds_a_board_with_few_coarse_scan_planes(rng: np.random.Generator) -> None:
     directions = spinner(planes=120, beams=400)
-    background = CloudBackground.learn([measure(EMPTY, directions, rng) for _ in range(2)])
+    background = learn_cloud_background([measure(EMPTY, directions, rng) for _ in range(2)])
     best = accepted(find_patches([measure(HELD, directions, rng)], [BOARD], NOISE, background, rng))[0]
     assert error(best)[0] < np.radians(0.8)
 
@@ -282,7 +282,7 @@ def test_rejection_names_empty_clouds(rng: np.random.Generator) -> None:
 
 
 def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
-    background = CloudBackground.learn([sparse(HELD, rng) for _ in range(3)])
+    background = learn_cloud_background([sparse(HELD, rng) for _ in range(3)])
     reason = rejection(find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng))
     assert "background window contains it" in reason
 

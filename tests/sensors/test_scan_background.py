@@ -1,74 +1,43 @@
-"""Foreground of scans against the background of their scanner."""
+"""The background model of a 2-D scanner, and scans matched by the angles of their beams."""
 
 import numpy as np
-import pytest
 
-from calgraph.errors import InputError
-from calgraph.geometry import Array
-from calgraph.sensors import LaserScan, ScanBackground
+from calgraph.sensors import ScanBackground, align_ranges
 
-ANGLES = np.linspace(-1, 1, 201)
+NAN = np.nan
 
 
-def scan(ranges: Array | float, rng: np.random.Generator, noise: float = 0.02) -> LaserScan:
-    return LaserScan(
-        0.0, "laser", ANGLES, np.broadcast_to(ranges, ANGLES.shape) + rng.normal(0, noise, len(ANGLES))
-    )
+def test_limits_lie_before_the_background_and_reach_to_neighbouring_beams() -> None:
+    depths = np.array([4.0, 4.0, 4.0, 2.0, 4.0, 4.0, NAN])
+    background = ScanBackground.from_depths(np.arange(7.0), depths, np.full(7, 0.1))
+    np.testing.assert_allclose(background.min_ranges, [3.9, 3.9, 1.9, 1.9, 1.9, 3.9, 3.9])
 
 
-def test_a_nearer_beam_is_foreground(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([scan(4.0, rng) for _ in range(40)])
-    ranges = np.where(np.abs(ANGLES) < 0.2, 2.0, 4.0)
-    assert np.array_equal(background.foreground(scan(ranges, rng)), np.abs(ANGLES) < 0.2)
+def test_beams_without_a_background_next_to_them_have_no_limit() -> None:
+    background = ScanBackground.from_depths(np.arange(4.0), np.array([3.0, NAN, NAN, NAN]), np.zeros(4))
+    np.testing.assert_array_equal(background.min_ranges, [3.0, 3.0, np.inf, np.inf])
 
 
-def test_noise_is_not_foreground(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([scan(4.0, rng) for _ in range(40)])
-    share = np.mean([background.foreground(scan(4.0, rng)).mean() for _ in range(50)])
-    assert share < 0.002
+def test_each_beam_has_its_own_margin() -> None:
+    background = ScanBackground.from_depths(np.arange(4.0), np.full(4, 3.0), np.array([0.1, 0.1, 0.1, 0.5]))
+    np.testing.assert_allclose(background.min_ranges, [2.9, 2.9, 2.5, 2.5])
 
 
-def test_the_margin_grows_with_the_noise(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([scan(4.0, rng, 0.05) for _ in range(40)])
-    share = np.mean([background.foreground(scan(4.0, rng, 0.05)).mean() for _ in range(50)])
-    assert share < 0.005
+def test_scans_with_the_same_beams_are_taken_as_they_are() -> None:
+    ranges = np.array([[1.0, np.inf, 3.0], [NAN, 5.0, 6.0]])
+    np.testing.assert_array_equal(align_ranges(np.arange(3.0), np.arange(3.0), ranges), [[1, NAN, 3], [NAN, 5, 6]])
 
 
-def test_a_beam_alternating_between_two_depths_is_background_at_both_and_between(
-    rng: np.random.Generator,
-) -> None:
-    def flicker() -> LaserScan:
-        edge = np.abs(ANGLES - 0.3) < 0.002
-        return scan(np.where(edge, rng.choice([2.0, 5.0, rng.uniform(2, 5)]), 5.0), rng)
-
-    background = ScanBackground.build([flicker() for _ in range(60)])
-    assert not any(background.foreground(flicker())[130] for _ in range(60))
-    assert background.foreground(scan(1.5, rng)).sum() == 201
+def test_beams_are_assigned_to_the_nearest_angle() -> None:
+    aligned = align_ranges(np.arange(5.0), np.array([3.4, 0.6, -2.0, 9.0]), np.array([[1.0, 2.0, 3.0, 4.0]]))
+    np.testing.assert_array_equal(aligned, [[3, 2, NAN, 1, 4]])
 
 
-def test_returns_without_a_background_are_foreground(rng: np.random.Generator) -> None:
-    open_sky = np.where(ANGLES > 0, np.inf, 4.0)
-    background = ScanBackground.build([scan(open_sky, rng) for _ in range(20)])
-    assert background.foreground(scan(3.0, rng)).sum() == 201
+def test_of_two_beams_at_one_angle_the_last_with_a_range_counts() -> None:
+    aligned = align_ranges(np.arange(2.0), np.array([0.1, -0.1, 0.2]), np.array([[1.0, 2.0, NAN]]))
+    np.testing.assert_array_equal(aligned, [[2, NAN]])
 
 
-def test_missing_returns_are_not_foreground(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([scan(4.0, rng) for _ in range(20)])
-    nothing = LaserScan(0.0, "laser", ANGLES, np.where(ANGLES > 0, np.nan, np.inf))
-    assert background.foreground(nothing).tolist() == 201 * [False]
-
-
-def test_a_single_stray_return_does_not_become_background(rng: np.random.Generator) -> None:
-    dusty = [scan(4.0, rng) for _ in range(39)] + [scan(1.0, rng)]
-    assert ScanBackground.build(dusty).foreground(scan(2.0, rng)).sum() == 201
-
-
-def test_scans_with_other_beams_are_matched_by_angle(rng: np.random.Generator) -> None:
-    background = ScanBackground.build([scan(4.0, rng) for _ in range(20)])
-    half = LaserScan(0.0, "laser", ANGLES[::-2], np.where(ANGLES[::-2] > 0.5, 2.0, 4.0))
-    assert np.array_equal(background.foreground(half), ANGLES[::-2] > 0.5)
-
-
-def test_an_empty_scan_window_is_named() -> None:
-    with pytest.raises(InputError, match=r"capture\.background"):
-        ScanBackground.build([LaserScan(0.0, "laser", ANGLES, np.full(len(ANGLES), np.inf))])
+def test_halfway_between_two_angles_the_lower_one_is_taken() -> None:
+    aligned = align_ranges(np.arange(3.0), np.array([0.5]), np.array([[7.0]]))
+    np.testing.assert_array_equal(aligned, [[7, NAN, NAN]])

@@ -16,6 +16,8 @@ from calgraph.detection import (
     DetectionResult,
     find_patches,
     find_segments,
+    learn_cloud_background,
+    learn_scan_background,
 )
 from calgraph.errors import InputError
 from calgraph.sensors import (
@@ -71,8 +73,8 @@ def learn_background(
 ) -> Background:
     """The background model of one scanner."""
     if isinstance(spec, Lidar2dSpec):
-        return ScanBackground.build(to_scans(messages))
-    return CloudBackground.learn([m for m in messages if isinstance(m, PointCloud)], settings)
+        return learn_scan_background(to_scans(messages), settings.scan_background)
+    return learn_cloud_background([m for m in messages if isinstance(m, PointCloud)], settings)
 
 
 def to_scans(messages: Iterable[Message]) -> list[LaserScan]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calgraph.config import RangeNoise
 from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.geometry import Array, Index
-from calgraph.sensors import LaserScan
+from calgraph.sensors import LaserScan, align_ranges
 
 # Widest gap of a full turn between last and first beam, in beam spacings: some beams may have no return.
 _SEAM = 20
@@ -69,12 +69,12 @@ def average_scans(
     angles = np.sort(reference.angles)
     if len(angles) < 2:
         return None
-    ranges = np.full((len(scans), len(angles)), np.nan)
-    votes = np.zeros(len(angles))
-    for row, scan, is_foreground in zip(ranges, scans, foreground, strict=True):
-        beams = np.clip(np.rint(np.interp(scan.angles, angles, np.arange(len(angles)))).astype(int), 0, None)
-        row[beams[scan.valid]] = scan.ranges[scan.valid]
-        votes[beams[scan.valid]] += is_foreground[scan.valid]
+    ranges = np.concatenate([align_ranges(angles, scan.angles, scan.ranges[None]) for scan in scans])
+    is_foreground = np.concatenate([
+        align_ranges(angles, scan.angles, np.where(scan.valid, marked, np.nan)[None])
+        for scan, marked in zip(scans, foreground, strict=True)
+    ])  # fmt: skip
+    votes = np.nansum(is_foreground, axis=0)
     answered = np.isfinite(ranges).sum(axis=0)
     kept = np.flatnonzero(2 * answered >= len(scans))
     kept = kept[answered[kept] > 0]

@@ -1,22 +1,12 @@
-"""Background model of a 2-D scanner: the smallest static range of each beam.
+"""Background model of a 2-D scanner: the range of each beam below which a return is foreground."""
 
-Source: MSG-Cal, section III-A (change detection between octrees). In the plane of a 2-D scanner, thresholding the
-range of each beam does the same with a finer resolution.
-"""
-
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors.messages import LaserScan
-
-# Quantile of a beam's background ranges that counts as its nearest depth, and least margin before it, m.
-_DEPTH_QUANTILE = 0.05
-_MIN_MARGIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,33 +19,19 @@ class ScanBackground:
     """(B,) range below which a beam is foreground, m; inf for beams that never measured the background."""
 
     @staticmethod
-    def build(scans: Iterable[LaserScan]) -> "ScanBackground":
-        """Learns the model from scans taken while neither target nor operator were in view.
+    def from_depths(angles: Array, depths: Array, margins: Array) -> "ScanBackground":
+        """The model of beams (B,) whose nearest background is at these depths, m.
 
-        A low quantile of each beam's ranges is its background depth. At an edge, where a beam alternates between
-        two depths or averages them, both and all between them are then background. The limit of a beam is the
-        smallest one of its neighbours and itself, because beam directions are noisy, too; the margin grows with
-        the standard deviation of the beam's ranges.
+        A beam also takes the limits of its neighbours: at an edge its direction is uncertain.
 
-        Raises:
-            InputError: there are no scans, or no scan has a measurement.
-
+        Args:
+            angles: (B,) ascending, rad.
+            depths: (B,) m; NaN where a beam has no background.
+            margins: (B,) least distance of foreground before the background, m.
         """
-        all_scans = list(scans)
-        if not any(scan.valid.any() for scan in all_scans):
-            raise InputError("capture.background: no returns in this window; choose one with measurements")
-        reference = max(all_scans, key=lambda scan: len(scan.angles))
-        angles = np.sort(reference.angles)
-        ranges = np.full((len(all_scans), len(angles)), np.nan)
-        for row, scan in zip(ranges, all_scans, strict=True):
-            row[find_nearest_beams(angles, scan.angles[scan.valid])] = scan.ranges[scan.valid]
-        near = _nearest_depth(ranges)
-        # Only the scatter around the nearest depth: that of all ranges would be the size of the edge.
-        spread = np.where(np.abs(ranges - near) < 0.3, ranges - near, np.nan)
-        sigma = np.sqrt(np.nansum(spread**2, axis=0) / np.maximum(np.isfinite(spread).sum(axis=0), 1))
-        limit = np.where(np.isfinite(near), near - np.maximum(_MIN_MARGIN, 2.5 * sigma), np.inf)
-        padded = np.pad(limit, 1, mode="edge")
-        return ScanBackground(angles, np.minimum(limit, np.minimum(padded[:-2], padded[2:])))
+        limits = np.where(np.isfinite(depths), depths - margins, np.inf)
+        padded = np.pad(limits, 1, mode="edge")
+        return ScanBackground(angles, np.minimum(limits, np.minimum(padded[:-2], padded[2:])))
 
     def foreground(self, scan: LaserScan) -> NDArray[np.bool_]:
         """(N,) mask of the beams of a scan that end clearly before the background."""
@@ -67,12 +43,20 @@ class ScanBackground:
         return np.asarray(np.isfinite(ranges) & (ranges < limit))
 
 
-def _nearest_depth(ranges: Array) -> Array:
-    """A low quantile of each column of (S, B) ranges, NaN ignored; NaN where a column has no range."""
-    ordered = np.sort(ranges, axis=0)  # NaN last
-    count = np.isfinite(ranges).sum(axis=0)
-    row = np.floor(_DEPTH_QUANTILE * np.maximum(count - 1, 0)).astype(np.intp)
-    return np.asarray(ordered[row, np.arange(ranges.shape[1])])
+def align_ranges(angles: Array, beam_angles: Array, ranges: Array) -> Array:
+    """Assigns the values (S, N) of scans with beams (N,) to the nearest of ascending angles (B,).
+
+    Returns:
+        (S, B): NaN where no beam has a finite value; of several such beams the last one.
+    """
+    ranges = np.where(np.isfinite(ranges), ranges, np.nan)
+    nearest = find_nearest_beams(angles, beam_angles)
+    if np.array_equal(nearest, np.arange(len(angles))):
+        return ranges
+    aligned = np.full((len(ranges), len(angles)), np.nan)
+    for beam, column in zip(nearest, ranges.T, strict=True):
+        aligned[:, beam] = np.where(np.isfinite(column), column, aligned[:, beam])
+    return aligned
 
 
 def find_nearest_beams(angles: Array, wanted: Array) -> NDArray[np.intp]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import StaticSceneSettings
 from calgraph.geometry import Array
-from calgraph.sensors import ScanBackground, find_nearest_beams
+from calgraph.sensors import ScanBackground, align_ranges
 from calgraph.tracking.scan_stack import ScanRun
 
 
@@ -42,22 +42,17 @@ def learn_static_scene(runs: Sequence[ScanRun], settings: StaticSceneSettings) -
     if not kept:
         return None
     angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
-    ranges = np.concatenate([_resample_to_angles(angles, run) for run in kept])
+    ranges = np.concatenate([align_ranges(angles, run.angles, run.ranges) for run in kept])
     nearest, usual, single = _static_depths(ranges, settings)
     off = np.where(np.abs(ranges - usual) < settings.noise_window, ranges - usual, np.nan)
     spread = _robust_spread(off)
     mean_range = usual + _column_median(off)
     margin = np.maximum(settings.margin, settings.margin_sigmas * np.where(np.isfinite(spread), spread, 0.0))
-    limit = np.where(np.isfinite(nearest), nearest - margin, np.inf)
-    padded = np.pad(limit, 1, mode="edge")
-    # A beam also takes its neighbours' depths, because at an edge its direction is uncertain too.
-    limit = np.minimum(limit, np.minimum(padded[:-2], padded[2:]))
     clean = single & np.isfinite(mean_range)
     points = np.stack([mean_range * np.cos(angles), mean_range * np.sin(angles)], axis=-1)
     sigma = float(np.median(spread[clean])) if clean.any() else np.nan
-    return StaticScene(
-        ScanBackground(angles, limit), _insert_breaks(points, clean, mean_range, angles, settings), sigma
-    )
+    background = ScanBackground.from_depths(angles, nearest, margin)
+    return StaticScene(background, _insert_breaks(points, clean, mean_range, angles, settings), sigma)
 
 
 def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
@@ -71,18 +66,6 @@ def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
         kept.append(thinned)
         passed += len(run)
     return [run for run in kept if run.ranges.size]
-
-
-def _resample_to_angles(angles: Array, run: ScanRun) -> Array:
-    """(S, B) ranges of a run's scans by the nearest of ascending angles (B,); NaN where nothing was measured."""
-    ranges = np.where(np.isfinite(run.ranges), run.ranges, np.nan)
-    nearest = find_nearest_beams(angles, run.angles)
-    if np.array_equal(nearest, np.arange(len(angles))):
-        return ranges
-    rows = np.full((len(run), len(angles)), np.nan)
-    for beam, column in zip(nearest, ranges.T, strict=True):
-        rows[:, beam] = np.where(np.isfinite(column), column, rows[:, beam])
-    return rows
 
 
 def _static_depths(ranges: Array, settings: StaticSceneSettings) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -194,6 +194,22 @@ class CloudBackgroundSettings(StrictModel):
     """Edge of a direction cell that holds the largest range of the background, 1°: several beams of any LiDAR."""
 
 
+class ScanBackgroundSettings(StrictModel):
+    """The background model of 2-D scanners, learned without target and operator."""
+
+    depth_quantile: float = Field(default=0.05, gt=0, lt=0.5)
+    """Quantile of a beam's ranges that is its nearest depth: one scan in twenty may show dust or a passer-by."""
+    noise_window: float = Field(default=0.3, gt=0)
+    """Ranges within this distance of the nearest depth, m, determine its noise: ten standard deviations of a
+    noisy scanner (30 mm), and less than the jump at an edge of furniture."""
+    min_margin: float = Field(default=0.05, gt=0)
+    """Foreground ends at least this much before the background, m, where a beam shows little noise in the window:
+    the board is half a metre from walls."""
+    margin_sigmas: float = Field(default=2.5, gt=0)
+    """The same in root mean squares of the ranges about the nearest depth: with a quantile of 5 %, foreground ends
+    1.6 + 2.5 x 1.9 = 6.4 standard deviations before the mean."""
+
+
 class DetectionSettings(StrictModel):
     """The target in the messages of one capture."""
 
@@ -201,4 +217,5 @@ class DetectionSettings(StrictModel):
     scanner: ScannerDetectionSettings = ScannerDetectionSettings()
     lidar2d: Lidar2dDetectionSettings = Lidar2dDetectionSettings()
     lidar3d: Lidar3dDetectionSettings = Lidar3dDetectionSettings()
-    background: CloudBackgroundSettings = CloudBackgroundSettings()
+    cloud_background: CloudBackgroundSettings = CloudBackgroundSettings()
+    scan_background: ScanBackgroundSettings = ScanBackgroundSettings()
