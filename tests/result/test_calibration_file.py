@@ -209,7 +209,7 @@ def test_nothing_is_left_behind_but_the_file(saved: Path) -> None:
          "sensors.lidar: is the root, its translation must be 0 and its rotation none"),
         ("grade: good", "grade: fine",
          "quality.verdicts.lidar.grade: must be 'good', 'weak' or 'unobservable', got 'fine'"),
-        ("quality:.*", "", "quality: is missing (How far the poses can be relied on)"),
+        ("quality:.*", "", "quality: is missing (The evidence for the poses)"),
         ("captures: 40", "captures: many", "quality.edges[0].captures: must be a whole number, got 'many'"),
         ("root: lidar", "root: lidar\nroot: lidar", "the key 'root' is given twice"),
     ],

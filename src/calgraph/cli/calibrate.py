@@ -160,7 +160,7 @@ def calibrate(
         Path | None,
         typer.Option("--dump", metavar="FILE", help="Board: write what the solution is made from, for solve."),
     ] = None,
-    settings: SetOption = None,
+    overrides: SetOption = None,
     json: WholeJson = False,
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
@@ -171,7 +171,7 @@ def calibrate(
     """
     from calgraph import calibrate as story  # takes seconds, which --help should not
 
-    rig = load_rig_with(rig_file, settings)
+    rig = load_rig_with(rig_file, overrides)
     if dump and not _is_in(dump, out):
         check_output_path(dump)
     rig_options = {"--estimate": estimate, "--prior": prior, "--rigid": rigid, "--dump": dump}

@@ -53,7 +53,7 @@ def check(
         typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the calibration found."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
-    settings: SetOption = None,
+    overrides: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
     """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
@@ -72,7 +72,7 @@ def check(
             f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
         )
     allowed = Tolerance(tolerance[0], float(np.radians(tolerance[1])))
-    rig, given = load_rig_with(rig_file, settings), read_extrinsics(against)
+    rig, given = load_rig_with(rig_file, overrides), read_extrinsics(against)
     with replace_folder_atomically(out) if out else nullcontext() as folder:
         calibration, audit, rig = _compare(rig, recordings, given, allowed, seed)
         content = _content(audit, against, allowed)

@@ -34,7 +34,7 @@ def solve(
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
-    settings: SetOption = None,
+    overrides: SetOption = None,
     json: WholeJson = False,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
@@ -53,7 +53,7 @@ def solve(
     chosen = {name: choice.value for name, choice in given.items() if choice is not None}
     besides: dict[str, object] = {} if folds is None else {"folds": folds}
     besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
-    rig = override_settings(problem.rig, settings)
+    rig = override_settings(problem.rig, overrides)
     problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
     problem = round_trip(with_prior_poses(problem, known, groups))
     with replace_folder_atomically(out) as folder:

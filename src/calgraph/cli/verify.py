@@ -36,7 +36,7 @@ def verify(
     ],
     rounds: Annotated[int, typer.Option(min=20, help="Number of bootstrap rounds.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Of the draws: same seed, same result.")] = 0,
-    settings: SetOption = None,
+    overrides: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Check whether the covariances of a rig's calibration hold, by a bootstrap over its captures.
@@ -49,7 +49,7 @@ def verify(
     from calgraph.calibrate import bootstrap_covariances  # takes seconds, which --help should not
 
     with progress_bars() as progress:
-        problem = _problem(files, settings, seed, progress)
+        problem = _problem(files, overrides, seed, progress)
         calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
     confidence = problem.rig.settings.diagnostics.rig.bootstrap_confidence
@@ -64,7 +64,7 @@ def verify(
         raise CalibrationError(f"the covariance is optimistic: {', '.join(optimistic)}")
 
 
-def _problem(files: list[Path], settings: list[str] | None, seed: int, progress: "Progress") -> "Problem":
+def _problem(files: list[Path], overrides: list[str] | None, seed: int, progress: "Progress") -> "Problem":
     """The joint problem in a dump, or that of a recording."""
     from calgraph import calibrate as story
     from calgraph.estimation import load_problem
@@ -73,8 +73,8 @@ def _problem(files: list[Path], settings: list[str] | None, seed: int, progress:
         if files[0].suffix in (".yaml", ".yml"):
             raise InputError(f"{files[0]}: a rig needs a recording beside it: verify RIG.yaml RECORDING")
         problem = load_problem(files[0])
-        return replace(problem, rig=override_settings(problem.rig, settings))
-    rig = load_rig_with(files[0], settings)
+        return replace(problem, rig=override_settings(problem.rig, overrides))
+    rig = load_rig_with(files[0], overrides)
     with open_recordings(files[1:]) as recording:
         rig = resolve_intrinsics(rig, recording)
         return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)

@@ -52,7 +52,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
 
 def save_captures(calibration: Calibration, path: Path) -> None:
-    """Writes captures.csv in one step: one row a capture and sensor, which says used, or why not.
+    """Writes captures.csv in one step: one row a capture and sensor: used, or why not.
 
     Raises:
         InputError: ``path`` cannot be written.
@@ -74,7 +74,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry: dict[str, Any] = {} if sensor.parent is None else {"parent": sensor.parent}
     entry["kind"] = sensor.kind
     entry["frame_id"] = sensor.frame_id
-    # So many digits keep poses to better than 1e-12 at any distance that a rig has.
+    # These digits keep poses to better than 1e-12 at any distance within a rig.
     entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
     entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
     entry["covariance"] = _symmetric(sensor.covariance, 9)
@@ -111,8 +111,8 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
 
 def _held_out_error(one: HeldOutError) -> dict[str, Any]:
     numbers = {"rms": one.rms, "median": one.median, "along": one.along, "tilt": one.tilt, "ratio": one.ratio}
-    known = {key: _round_digits([value], 4)[0] for key, value in numbers.items() if value is not None}
-    return {"captures": one.views, "unit": one.unit, **known}
+    finite = {key: _round_digits([value], 4)[0] for key, value in numbers.items() if value is not None}
+    return {"captures": one.views, "unit": one.unit, **finite}
 
 
 def _suggestion(one: Suggestion) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def _verdict(sensor: SensorPose) -> dict[str, str]:
 
 
 def _edges(edges: Sequence[Edge]) -> str:
-    """The end of ``quality``: pairs by the thousand, which a YAML library takes half a minute to write."""
+    """The end of ``quality``: written directly, as a YAML library takes half a minute for thousands of pairs."""
     return "  edges:\n" + "".join(f"  - {{{_edge(edge)}}}\n" for edge in edges) if edges else "  edges: []\n"
 
 
@@ -166,7 +166,7 @@ def _captures(rows: Sequence[CaptureRow]) -> dict[str, Any]:
         by_sensor.setdefault(row.sensor, []).append(row)
     return {
         "windows": {n: flow_sequence(round(float(t), 6) for t in windows[n]) for n in sorted(windows)},
-        "sensors": {name: _used_and_rejected(own) for name, own in by_sensor.items()},
+        "sensors": {name: _used_and_rejected(part) for name, part in by_sensor.items()},
     }
 
 
@@ -183,12 +183,12 @@ def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
 
 
 def _matrix(joint_covariance: Array) -> str:
-    """The rest of the file: numbers by the hundred thousand, which a YAML library takes a minute to write."""
-    # Two sensors may know each other far better than both know the root: more digits for the difference.
+    """The rest of the file: written directly, as a YAML library takes a minute for 100,000 numbers."""
+    # Relative poses may be far more certain than those in the root frame: more digits for the difference.
     rows = (_round_digits(row, 14) for row in 0.5 * (joint_covariance + joint_covariance.T))
     return "  matrix:\n" + "".join(f"  - [{', '.join(map(format_yaml_number, row))}]\n" for row in rows)
 
 
 def _round_digits(values: Iterable[float] | Array, digits: int) -> list[float]:
-    """The values with at most so many significant digits."""
+    """The values rounded to a number of significant digits."""
     return [float(f"{value:.{digits}g}") + 0.0 for value in np.asarray(values, dtype=np.float64)]

@@ -39,9 +39,9 @@ class _Verdict(StrictModel):
 
 class _Sensor(StrictModel):
     parent: str | None = None
-    """The sensor it hangs from in the tree; none for the root."""
+    """The parent in the tree; none for the root."""
     kind: Literal["camera", "lidar2d", "lidar3d"]
-    """What sort of sensor it is."""
+    """The kind of sensor."""
     frame_id: str
     """The name of its frame."""
     translation: Vector3
@@ -85,7 +85,7 @@ class _Captures(StrictModel):
     windows: dict[Count, tuple[Number, Number]]
     """Start and end of each capture, s."""
     sensors: dict[str, _Outcome]
-    """What became of the captures, by sensor."""
+    """Which captures were used, by sensor."""
 
 
 class _HeldOutError(StrictModel):
@@ -115,15 +115,15 @@ class _Quality(StrictModel):
     estimator: str
     """The name of the joint estimator."""
     verdicts: dict[str, _Verdict]
-    """How far each sensor's pose can be relied on."""
+    """The verdict on each sensor's pose."""
     unconnected: dict[str, str] = Field(default_factory=dict)
     remarks: tuple[str, ...] = ()
-    """What was seen and yet not used, and why."""
+    """Warnings about the whole result."""
     residual_rms: dict[str, NonNegative] = Field(default_factory=dict)
     cross_validation: dict[str, _HeldOutError] = Field(default_factory=dict)
     """Errors in captures that were left out, by sensor."""
     suggestions: tuple[_Suggestion, ...] = ()
-    """Further captures that would help most."""
+    """Suggested further captures."""
     edges: tuple[_Edge, ...] = ()
     captures: _Captures = _Captures(windows={}, sensors={})
 
@@ -165,11 +165,11 @@ class _File(StrictModel):
     sensors: dict[str, _Sensor]
     """The sensors with their poses."""
     quality: _Quality
-    """How far the poses can be relied on."""
+    """The evidence for the poses."""
     estimated: tuple[_EstimatedParameter, ...] = ()
-    """What was estimated besides poses."""
+    """Estimated parameters other than poses."""
     joint_covariance: _JointCovariance | None = None
-    """How the errors of all sensors go together."""
+    """The covariance of the errors of all sensors."""
 
     @model_validator(mode="after")
     def _is_of_all_sensors(self) -> "_File":
@@ -219,7 +219,7 @@ def load_calibration(path: Path) -> Calibration:
 
     Raises:
         InputError: the file is missing, is not YAML, has another format or version, or has wrong keys or values,
-            each named on its own line.
+            each on one line.
 
     """
     content = read_yaml(path)

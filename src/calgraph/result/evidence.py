@@ -6,28 +6,33 @@ from typing import Literal
 
 import numpy as np
 
+from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
 
-_UNINFORMATIVE_STDDEV: Mapping[Literal["m", "rad"], float] = {"m": 0.2, "rad": np.radians(10)}
-"""Standard deviations beyond which there is no saying where along an axis a sensor is."""
+# Files do not keep the limits of verdicts, so that texts use their defaults.
+_LIMITS = VerdictSettings()
+_UNOBSERVABLE_STDDEV: Mapping[Literal["m", "rad"], float] = {
+    "m": _LIMITS.unobservable_translation_stddev,
+    "rad": _LIMITS.unobservable_rotation_stddev,
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """The evidence between two sensors."""
+    """The shared observations of two sensors."""
 
     sensor_a: str
     sensor_b: str
     captures: int
-    """How many captures both sensors found the board in; in a network, how many positions of walkers, ten a
-    second, both should have seen."""
+    """Number of captures in which both sensors detected the board; in a network, of tracked positions, ten per
+    second, that both are expected to detect."""
     inliers: int
-    """How many of them the pairwise consensus kept; 0 if the pair could not be calibrated."""
+    """Number of inliers among them; 0 if the pair has no relative pose."""
     in_tree: bool
-    """Whether the start values of the joint solution came along this edge."""
+    """Whether the edge is in the spanning tree that initialized the joint solution."""
     residuals: Array
-    """(inliers,) distances between the two detections under the final poses, m; in a network the one between the
-    pair's own pose and the final one. Empty in a result read back."""
+    """(inliers,) distances between the two detections under the final poses, m; in a network the distance of the
+    pairwise pose from the final one. Empty in a result read back."""
     note: str = ""
     """Why the pair was not used, where it was not."""
     residual_rms: float | None = None
@@ -40,10 +45,10 @@ class Edge:
 
 @dataclass(frozen=True)
 class CaptureRow:
-    """What became of one sensor in one capture, or of one walk that a scanner saw: a row of captures.csv."""
+    """The use of one sensor in one capture, or of one track of a scanner: a row of captures.csv."""
 
     capture: int
-    """Its number; a walk's is of one scanner alone."""
+    """Its number; that of a track counts within its scanner."""
     start: float
     """s from the start of the recording."""
     end: float
@@ -52,29 +57,29 @@ class CaptureRow:
     reason: str
     """Why not, where it was not used."""
     residual: float | None = None
-    """Distance to what the other sensors saw, m, where it was used."""
+    """RMS distance to the detections of other sensors, m, where it was used."""
 
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """How far what a sensor saw is from what the others predict, in captures left out of the solution."""
+    """Cross-validation of a sensor: errors of its measurements as predicted by the others, on held-out captures."""
 
     views: int
-    """How many captures were predicted for it."""
+    """Number of predicted captures."""
     unit: Literal["px", "m"]
     """Of ``rms`` and ``median``: distances between corners, or of beam ends from the board's plane."""
     rms: float
     median: float
     ratio: float
-    """Errors over what noise and the poses' covariances let expect: about 1 if those hold."""
+    """Observed over expected error, given noise and covariances of poses: about 1 if these are consistent."""
     along: float | None = None
     """RMS along the beam, m; None for cameras."""
     tilt: float | None = None
-    """RMS angle between the board's normal as predicted and as seen, rad; None where no view knows it."""
+    """RMS angle between predicted and measured normal of the board, rad; None where no view determines it."""
 
     @property
     def formatted(self) -> tuple[str, str, str, str]:
-        """RMS, median, RMS along the beam and tilt as a person reads them; empty where there is none."""
+        """RMS, median, RMS along the beam and tilt as text; empty where there is none."""
         size = "{:.2f} px".format if self.unit == "px" else _format_millimetres
         along = "" if self.along is None else _format_millimetres(self.along)
         tilt = "" if self.tilt is None else f"{np.degrees(self.tilt):.2f}°"
@@ -83,14 +88,14 @@ class HeldOutError:
 
 @dataclass(frozen=True, eq=False)
 class Suggestion:
-    """A further capture that would make the least certain sensor more certain."""
+    """A further capture that would reduce the uncertainty of the least certain sensor."""
 
     hold: str
     """Where and how to hold the board, in words."""
     sensor: str
     """The sensor that is least certain before it."""
     axis: str
-    """Along or about which of its axes."""
+    """Its least certain axis."""
     unit: Literal["m", "rad"]
     stddev: float
     """Standard deviation along that axis without the capture, but with those suggested before."""
@@ -101,7 +106,7 @@ class Suggestion:
 
     def __str__(self) -> str:
         """The suggestion as a sentence."""
-        if self.expected > _UNINFORMATIVE_STDDEV[self.unit]:
+        if self.expected > _UNOBSERVABLE_STDDEV[self.unit]:
             return f"{self.hold}: a step towards {self.axis} of {self.sensor}, which takes more than one"
         before, after = (_format_stddev(value, self.unit) for value in (self.stddev, self.expected))
         return f"{self.hold}: {self.axis} of {self.sensor} {before} → {after}"
@@ -143,7 +148,7 @@ def _format_millimetres(metres: float) -> str:
 
 
 def _format_stddev(stddev: float, unit: Literal["m", "rad"]) -> str:
-    if stddev > _UNINFORMATIVE_STDDEV[unit]:
+    if stddev > _UNOBSERVABLE_STDDEV[unit]:
         return "unknown"
     return f"±{1000 * stddev:.2g} mm" if unit == "m" else f"±{np.degrees(stddev):.2g}°"
 

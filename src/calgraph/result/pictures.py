@@ -35,15 +35,15 @@ class BoardView:
 
 @dataclass(frozen=True, eq=False)
 class FloorView:
-    """What one scanner of a network saw, for pictures."""
+    """Static background and tracks of one scanner of a network."""
 
     sensor: str
     background: Array
-    """(M, 2) what stood still, thinned, root frame, m."""
+    """(M, 2) static background, thinned, root frame, m."""
     tracks: tuple[Array, ...]
-    """(N, 2) each, where somebody walked, root frame, m."""
+    """(N, 2) each, positions of a moving object, root frame, m."""
     times: tuple[Array, ...] = ()
-    """(N,) each, when they were there by the root's clock, s from the start of the recording."""
+    """(N,) each, times of the positions by the root's clock, s from the start of the recording."""
 
 
 @dataclass(frozen=True, eq=False)
