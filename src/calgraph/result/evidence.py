@@ -62,7 +62,7 @@ class CaptureRow:
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """Cross-validation of a sensor: errors of its measurements as predicted by the others, on held-out captures."""
+    """Cross-validation of a sensor: errors of its measurements on held-out captures, predicted from the others."""
 
     views: int
     """Number of predicted captures."""
