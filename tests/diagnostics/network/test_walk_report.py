@@ -134,6 +134,15 @@ def test_whitened_residuals_have_unit_variance() -> None:
     assert abs(np.mean(chi2) - 1) < 0.12
 
 
+def test_matches_of_people_side_by_side_are_mutual_nearest_neighbours(rng: np.random.Generator) -> None:
+    """Two walks 0.4 m apart, detected by both: 30 ticks of each, and no match of one with the other."""
+    walks = [simulate_walk(0, 3, y) for y in (0.0, 0.4)]
+    samples = {name: resample_tracks(build_tracks(name, walks, rng)) for name in ("west", "east")}
+    matches = match(samples)
+    assert len(matches.residuals) == sum(len(samples[name].tick) for name in samples) / 2
+    assert max(distance.max() for distance in matches.distance.values()) < 6 * SIGMA
+
+
 def test_without_tracks_there_are_no_matches(rng: np.random.Generator) -> None:
     samples = {n: resample_tracks(build_tracks(n, [], rng)) for n in T_ROOT}
     matches = match(samples)

@@ -128,6 +128,18 @@ def test_covariances_are_consistent_with_the_errors(solved: list[NetworkSolution
     assert 0.6 * low < np.sum(squared) < 1.4 * high
 
 
+def test_exact_bodies_have_a_model_error_below_a_millimetre(solved: list[NetworkSolution]) -> None:
+    assert max(solution.model_error for solution in solved) < 0.001
+
+
+def test_clock_standard_deviations_are_those_of_the_covariance() -> None:
+    sigma = np.arange(12.0)
+    solution = NetworkSolution(T_ROOT, OFFSET, np.diag(sigma**2), clocks_estimated=True, model_error=0.01)
+    np.testing.assert_array_equal(solution.clocks[1:], np.column_stack([OFFSET, sigma[3::4]])[1:])
+    assert np.isnan(solution.clocks[0]).all()
+    np.testing.assert_array_equal(np.diag(solution.pose_covariance), np.square([0, 1, 2, 4, 5, 6, 8, 9, 10]))
+
+
 @pytest.mark.parametrize("factor", [0.75, 1.3])
 def test_radii_other_than_the_prior_mean_do_not_bias_poses(factor: float) -> None:
     radii = (0.25 * factor, 0.15 * factor)

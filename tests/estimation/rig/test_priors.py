@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 
 from bundle_scenes import Scene, scene
 from calgraph.captures import CaptureSet
@@ -111,6 +112,26 @@ def test_a_wrong_group_is_reported_by_its_sensors(rng: np.random.Generator) -> N
     doubts = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
     assert set(doubts) == set(PAIR)
     assert all("the rigid group of" in why and "in rig: released" in why for why in doubts.values())
+
+
+def stated_deviations(reason: str) -> float:
+    """Standard deviations in the reason of a contradiction."""
+    return float(reason.split(" standard deviations", maxsplit=1)[0].rsplit(maxsplit=1)[-1])
+
+
+def test_priors_and_groups_are_contradicted_at_the_stated_probability(rng: np.random.Generator) -> None:
+    """Statistics of six degrees of freedom, on either side of their chi-squared limit."""
+    measured, group = EXACT.measured(rng), group_of(EXACT, PAIR, wrong=np.array([0.015, 0, 0, 0, 0, 0]))
+    prior = with_prior(measured, 1, np.array([0, 0, 0.1, 0, 0, 0]))
+    grouped_bundle = replace(measured, body=assign_bodies(EXACT.bundle.sensors, [group]))
+    for bundle, solved, groups, name in (
+        (prior, minimize_bundle(prior, EXACT.truth), [], "camera"),
+        (grouped_bundle, grouped(grouped_bundle, group), [group], "laser"),
+    ):
+        deviations = stated_deviations(find_contradicted_priors(bundle, solved, groups, 0.01)[name])
+        below, above = chdtrc(6, (deviations + 0.06) ** 2), chdtrc(6, (deviations - 0.06) ** 2)
+        assert name not in find_contradicted_priors(bundle, solved, groups, below)
+        assert name in find_contradicted_priors(bundle, solved, groups, above)
 
 
 def test_of_sensors_fixed_to_the_root_the_one_that_is_not_is_named(rng: np.random.Generator) -> None:
