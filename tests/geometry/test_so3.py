@@ -42,6 +42,13 @@ def test_exp_agrees_with_scipy(phi: Array) -> None:
     assert_allclose(so3.exp(phi), Rotation.from_rotvec(phi).as_matrix(), atol=2e-15)
 
 
+@pytest.mark.parametrize("angle", [0.9e-4, 1.1e-4, 2e-3, 9e-3])
+def test_exp_and_log_are_exact_where_series_meet_closed_forms(angle: float) -> None:
+    phi = angle * np.array([0.6, 0.0, -0.8])
+    assert_allclose(so3.exp(phi), Rotation.from_rotvec(phi).as_matrix(), atol=1e-15)
+    assert_allclose(so3.log(so3.exp(phi)), phi, rtol=1e-12)
+
+
 def test_exp_goes_on_beyond_a_full_turn() -> None:
     assert_allclose(so3.exp(np.array([0, 0, 2 * np.pi + 0.3])), so3.exp(np.array([0, 0, 0.3])), atol=1e-14)
 

@@ -153,6 +153,24 @@ def test_wide_fisheye_projects_beyond_ninety_degrees() -> None:
     np.testing.assert_allclose(pixels, [[640 + 300 * 1.7, 480]], atol=1e-9)
 
 
+@pytest.mark.parametrize("degrees", [70, 85, 89])
+def test_pinhole_projects_up_to_ninety_degrees(degrees: float) -> None:
+    direction = np.array([[np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))]])
+    pixels = LENSES["none"].project(direction)
+    np.testing.assert_allclose(pixels, [[641.3 + 702 * np.tan(np.radians(degrees)), 477.2]])
+    np.testing.assert_allclose(LENSES["none"].rays(pixels), direction, atol=1e-9)
+
+
+@pytest.mark.parametrize(("outside", "exists"), [(-0.005, True), (0.005, False)])
+def test_pixels_just_beyond_the_monotonic_range_have_no_ray(outside: float, exists: bool) -> None:
+    camera = CameraModel("fisheye", 1280, 960, K, np.array([-0.054, -0.0784, 0.096, -0.0515]))
+    theta = np.linspace(0, 2, 2_000_001)
+    profile = theta * (1 - 0.054 * theta**2 - 0.0784 * theta**4 + 0.096 * theta**6 - 0.0515 * theta**8)
+    radius = 702 * profile.max()
+    rays = camera.rays(np.array([[641.3 + radius + outside, 477.2]]))
+    assert np.isfinite(rays).all() == exists
+
+
 def test_image_reaches_to_the_outer_edge_of_its_border_pixels() -> None:
     pixels = np.array([[-0.5, 0], [-0.6, 0], [1279.4, 959.4], [1279.5, 3], [np.nan, 3]])
     assert LENSES["none"].contains(pixels).tolist() == [True, False, True, False, False]

@@ -39,6 +39,19 @@ def test_cloud_that_is_not_flat_is_refused() -> None:
         convert_cloud_to_scan(cloud_at([0.0, 0.1], [1, 1], z=0.3))
 
 
+@pytest.mark.parametrize(("z", "ranges"), [(0.021, 1.0), (0.051, 4.0)])
+def test_points_farther_off_the_plane_than_a_hundredth_of_the_range_are_refused(z: float, ranges: float) -> None:
+    # 1 cm, and 1 % of the range.
+    assert len(convert_cloud_to_scan(cloud_at([0.0, 0.1], [ranges, ranges], z=z - 0.002)).ranges) == 2
+    with pytest.raises(RecordingError, match="off z = 0"):
+        convert_cloud_to_scan(cloud_at([0.0, 0.1], [ranges, ranges], z=z))
+
+
+def test_gaps_have_no_more_beams_than_a_turn_can_have() -> None:
+    scan = convert_cloud_to_scan(cloud_at([0.0, 1e-9, 2e-9, 3e-9, 1.0], [1, 1, 1, 1, 1]))
+    assert len(scan.angles) == round(20_000 / (2 * np.pi)) - 1 + 5
+
+
 def test_real_laser_clouds_are_full_turns(data_dir: Path) -> None:
     with open_recording(data_dir / "acfr-rpg-camera-2dlidar") as recording:
         clouds = [record.decode() for record in recording.records(["lasers"])]

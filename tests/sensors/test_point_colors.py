@@ -53,3 +53,26 @@ def test_no_points_have_no_colours() -> None:
     colors, visible = colorize_points(np.zeros((0, 3)), CAMERA, PICTURE)
     assert colors.shape == (0, 3)
     assert visible.shape == (0,)
+
+
+def at_pixel(column: float, depth: float) -> list[float]:
+    return [(column - 320) / 500 * depth, 0.0, depth]
+
+
+@pytest.mark.parametrize(("column", "expected"), [(319.4, [255, 0, 0]), (319.6, [0, 0, 255])])
+def test_a_point_has_the_colour_of_the_nearest_pixel(column: float, expected: list[int]) -> None:
+    colors, _ = colorize_points(np.array([at_pixel(column, 2.0)]), CAMERA, PICTURE)
+    assert colors.tolist() == [expected]
+
+
+@pytest.mark.parametrize(("depth", "expected"), [(2.15, True), (2.25, False)])
+def test_points_behind_others_are_occluded_beyond_the_depth_of_a_surface(depth: float, expected: bool) -> None:
+    # A surface at 2 m is 5 % and 0.1 m deep.
+    _, visible = colorize_points(np.array([at_pixel(315, 2.0), at_pixel(316, depth)]), CAMERA, PICTURE)
+    assert visible.tolist() == [True, expected]
+
+
+def test_points_occlude_others_across_the_border_of_a_cell() -> None:
+    # Cells are 0.02 rad, here 10 pixels, wide.
+    _, visible = colorize_points(np.array([at_pixel(319.5, 2.0), at_pixel(320.5, 5.0)]), CAMERA, PICTURE)
+    assert visible.tolist() == [True, False]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from calgraph.sensors import ScanBackground, align_ranges
+from calgraph.sensors.scan_background import find_nearest_beams
 
 NAN = np.nan
 
@@ -41,3 +42,9 @@ def test_of_two_beams_at_one_angle_the_last_with_a_range_counts() -> None:
 def test_halfway_between_two_angles_the_lower_one_is_taken() -> None:
     aligned = align_ranges(np.arange(3.0), np.array([0.5]), np.array([[7.0]]))
     np.testing.assert_array_equal(aligned, [[7, NAN, NAN]])
+
+
+def test_the_nearest_beam_is_found_for_any_angle() -> None:
+    wanted = np.array([-9.0, 0.4, 0.6, 1.0, 9.0])
+    assert find_nearest_beams(np.array([0.0, 1.0, 3.0]), wanted).tolist() == [0, 0, 1, 1, 2]
+    assert find_nearest_beams(np.array([2.0]), wanted).tolist() == [0] * 5

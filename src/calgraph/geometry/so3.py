@@ -20,7 +20,7 @@ def hat(v: Array) -> Array:
     return out
 
 
-def _series(angle: Array, closed: Array, taylor: Array) -> Array:
+def _series(angle: Array, closed: Array, taylor: Array | float) -> Array:
     return np.where(angle < _SMALL, taylor, closed)
 
 
@@ -30,7 +30,7 @@ def exp(phi: Array) -> Array:
     angle = np.linalg.norm(phi, axis=-1)
     safe = np.maximum(angle, _SMALL)
     a = _series(angle, np.sin(safe) / safe, 1 - angle**2 / 6)[..., None, None]
-    b = _series(angle, (1 - np.cos(safe)) / safe**2, 0.5 - angle**2 / 24)[..., None, None]
+    b = _series(angle, (1 - np.cos(safe)) / safe**2, 0.5)[..., None, None]
     K = hat(phi)
     return np.asarray(np.eye(3) + a * K + b * (K @ K))
 
@@ -85,6 +85,6 @@ def left_jacobian_inverse(phi: Array) -> Array:
     safe = np.maximum(angle, _SMALL)
     half = safe / 2
     # θ/2 · cot(θ/2) stays finite up to θ = 2π, unlike the textbook form with sin θ in the denominator.
-    c = _series(angle, (1 - half / np.tan(half)) / safe**2, 1 / 12 + angle**2 / 720)[..., None, None]
+    c = _series(angle, (1 - half / np.tan(half)) / safe**2, 1 / 12)[..., None, None]
     K = hat(phi)
     return np.asarray(np.eye(3) - 0.5 * K + c * (K @ K))
