@@ -1,0 +1,157 @@
+"""Grades of poses, the words for them, and sensors whose residuals or poses are in question."""
+
+import numpy as np
+import pytest
+
+from calgraph.config.settings import VerdictSettings
+from calgraph.diagnostics.verdict import (
+    axis_names,
+    find_ambiguous_poses,
+    find_inconsistent_sensors,
+    grade_pose,
+    weak_stddev,
+)
+from calgraph.geometry import Array, se3, so3
+from calgraph.pairwise import PairwiseEstimate
+from calgraph.result import Verdict
+
+GOOD = np.array([0.01, 0.01, 0.01, 0.004, 0.004, 0.004])
+TO_THE_SIDE = se3.pose(so3.exp(np.array([0, 0, np.pi / 2])), np.zeros(3))
+"""T_root_sensor of a sensor whose x axis is the root's y axis."""
+
+
+def grade(
+    stddev: Array, kind: str = "lidar3d", T_root_sensor: Array | None = None, ambiguity: float = 0.0
+) -> Verdict:
+    """With standard deviations (6,) along and about the root's axes."""
+    T = np.eye(4) if T_root_sensor is None else T_root_sensor
+    covariance = np.diag(np.square(stddev))
+    return grade_pose("top", kind, T, covariance, ambiguity=ambiguity, data="boards", advice="move {name}")
+
+
+def with_axis(axis: int, stddev: float) -> Array:
+    return np.where(np.arange(6) == axis, stddev, GOOD)
+
+
+def pair(a: str, b: str, angle: float = 0.0, normalized_rms: float = 1.0) -> PairwiseEstimate:
+    nothing = np.zeros((0, 3), dtype=np.intp), np.zeros(0, dtype=np.bool_), np.zeros(0)
+    return PairwiseEstimate(a, b, np.eye(4), np.eye(6), *nothing, angle, normalized_rms)
+
+
+def test_small_standard_deviations_are_good() -> None:
+    assert grade(GOOD) == Verdict("good")
+
+
+@pytest.mark.parametrize(
+    ("axis", "limit"), [(k, 0.02) for k in range(3)] + [(k, np.radians(0.5)) for k in range(3, 6)]
+)
+def test_limits_of_weak_axes(axis: int, limit: float) -> None:
+    assert weak_stddev(VerdictSettings())[axis] == pytest.approx(limit)
+    assert grade(with_axis(axis, 0.99 * limit)).grade == "good"
+    assert grade(with_axis(axis, 1.01 * limit)).grade == "weak"
+
+
+@pytest.mark.parametrize(
+    ("axis", "limit"), [(k, 0.2) for k in range(3)] + [(k, np.radians(10)) for k in range(3, 6)]
+)
+def test_limits_of_unobservable_axes(axis: int, limit: float) -> None:
+    assert grade(with_axis(axis, 0.99 * limit)).grade == "weak"
+    assert grade(with_axis(axis, 1.01 * limit)).grade == "unobservable"
+
+
+def test_a_weak_axis_is_named_with_its_standard_deviation() -> None:
+    assert grade(with_axis(2, 0.035)) == Verdict("weak", "height (z) ±35 mm of top: move top")
+    assert grade(with_axis(3, np.radians(1.2))) == Verdict("weak", "roll (about x) ±1.2° of top: move top")
+    assert grade(with_axis(2, 0.035), "camera") == Verdict("weak", "depth (z) ±35 mm of top: move top")
+
+
+@pytest.mark.parametrize(
+    ("T_root_sensor", "words"),
+    [
+        (TO_THE_SIDE, "sideways (y) ±35 mm"),
+        (se3.inverse(TO_THE_SIDE), "sideways (y) ±35 mm"),
+        # The sensor's x is the root's y, its y the root's z, and its z the root's x.
+        (se3.pose(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), np.zeros(3)), "height (z) ±35 mm"),
+    ],
+)
+def test_axes_are_those_of_the_sensor(T_root_sensor: Array, words: str) -> None:
+    """The covariance is in the root's axes: its x axis is weak."""
+    assert grade(with_axis(0, 0.035), T_root_sensor=T_root_sensor) == Verdict("weak", f"{words} of top: move top")
+
+
+def test_unobservable_axes_are_listed_before_weak_ones() -> None:
+    assert grade(with_axis(1, 0.3)).reason == "sideways (y) of top is not observable from these boards; move top"
+    several = np.array([0.3, 0.03, 0.3, 1.0, 0.001, 0.001])
+    assert grade(several) == Verdict(
+        "unobservable",
+        "forward (x), height (z) and roll (about x) of top are not observable from these boards; "
+        "weakly observable: sideways (y) ±30 mm; move top",
+    )
+
+
+def test_an_ambiguous_pose_is_unobservable() -> None:
+    verdict = grade(GOOD, ambiguity=np.radians(172))
+    assert verdict == Verdict("unobservable", "a pose rotated by 172° fits equally well; move top")
+
+
+def test_an_inconsistent_pose_is_weak_at_best() -> None:
+    for stddev, expected in (
+        (GOOD, Verdict("weak", "residuals are large")),
+        (with_axis(0, 0.03), Verdict("weak", "residuals are large; forward (x) ±30 mm of top: move top")),
+        (
+            with_axis(0, 0.3),
+            Verdict(
+                "unobservable",
+                "forward (x) of top is not observable from these boards; residuals are large; move top",
+            ),
+        ),
+    ):
+        covariance = np.diag(np.square(stddev))
+        found = grade_pose(
+            "top", "lidar3d", np.eye(4), covariance, "residuals are large", data="boards", advice="move {name}"
+        )
+        assert found == expected
+
+
+def test_axes_of_cameras_are_optical() -> None:
+    assert axis_names("camera")[2] == "depth (z)"
+    assert axis_names("lidar2d") == axis_names("lidar3d")
+    assert axis_names("lidar2d")[0] == "forward (x)"
+
+
+def test_a_scanner_is_ambiguous_if_all_its_pairs_with_planes_are() -> None:
+    """Pairs of two 2-D scanners do not count; the smallest angle is reported."""
+    kinds = {"low": "lidar2d", "high": "lidar2d", "camera": "camera", "top": "lidar3d"}
+    pairs = [
+        pair("camera", "low", 3.0),
+        pair("low", "top", 2.0),
+        pair("low", "high", 0.0),
+        pair("camera", "top", 1.0),
+    ]
+    assert find_ambiguous_poses(kinds, pairs) == {"low": 2.0}
+    assert find_ambiguous_poses(kinds, [*pairs, pair("high", "top", 1.5)]) == {"low": 2.0, "high": 1.5}
+    assert find_ambiguous_poses(kinds, [*pairs, pair("top", "low", 0.0)]) == {}
+
+
+def test_a_sensor_is_inconsistent_if_the_residuals_of_all_its_pairs_are_large() -> None:
+    kinds = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d"}
+    pairs = [
+        pair("lidar", "camera", normalized_rms=3.6),
+        pair("camera", "laser", normalized_rms=4.4),
+        pair("lidar", "laser", normalized_rms=2.9),
+    ]
+    assert find_inconsistent_sensors("lidar", kinds, pairs, 3.0) == {
+        "camera": "camera residuals against all other sensors are 4 times the expected noise: "
+        "check its intrinsics, and the sizes of the printed tags or squares"
+    }
+    assert find_inconsistent_sensors("lidar", kinds, pairs, 3.7) == {}
+
+
+def test_of_an_inconsistent_root_all_sensors_are_inconsistent() -> None:
+    kinds = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d"}
+    pairs = [pair("lidar", "camera", normalized_rms=5.0), pair("camera", "laser", normalized_rms=1.0)]
+    found = find_inconsistent_sensors("lidar", kinds, pairs, 3.0)
+    assert set(found) == {"camera", "laser"}
+    assert all(
+        reason.startswith("lidar residuals against all other sensors are 5 times") for reason in found.values()
+    )
