@@ -40,7 +40,7 @@ def test_the_files_are_written(calibrated: tuple[Path, Result]) -> None:
 
 
 def test_every_start_can_be_chosen() -> None:
-    assert set(StartChoice) == {"tree", "identity", *get_args(AveragingMethod)}
+    assert set(get_args(StartChoice)) == {"tree", "identity", *get_args(AveragingMethod)}
 
 
 def test_the_poses_are_those_of_the_robot(calibrated: tuple[Path, Result], simulated: Path) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
@@ -21,21 +21,13 @@ from calgraph.result import Calibration, load_calibration, save_calibration, sav
 if TYPE_CHECKING:
     from calgraph.estimation import Estimator
 
-
-class EstimatorChoice(StrEnum):
-    """Values of --estimator."""
-
-    bundle = "bundle"
-    hypergraph = "hypergraph"
-    joint = "joint"
-    averaging = "averaging"
-
-
-class FilterChoice(StrEnum):
-    """Values of --filter."""
-
-    ransac = "ransac"
-    none = "none"
+EstimatorChoice = Literal["bundle", "hypergraph", "joint", "averaging"]
+FilterChoice = Literal["ransac", "none"]
+StartChoice = Literal["tree", "identity", "consensus", "l1mc", "triangles", "spectral", "irls"]
+TagsChoice = Literal["pnp", "mean_plane"]
+FeatureChoice = Literal["com", "ellipse", "nls"]
+AverageChoice = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
+WeightsChoice = Literal["uniform", "weighted"]
 
 
 class EstimateChoice(StrEnum):
@@ -50,50 +42,6 @@ EstimateOption = Annotated[
     list[EstimateChoice] | None,
     typer.Option("--estimate", help="Board: estimate this besides poses; repeatable."),
 ]
-
-
-class StartChoice(StrEnum):
-    """Values of --start."""
-
-    tree = "tree"
-    identity = "identity"
-    consensus = "consensus"
-    l1mc = "l1mc"
-    triangles = "triangles"
-    spectral = "spectral"
-    irls = "irls"
-
-
-class TagsChoice(StrEnum):
-    """Values of --tags."""
-
-    pnp = "pnp"
-    mean_plane = "mean_plane"
-
-
-class FeatureChoice(StrEnum):
-    """Values of --feature."""
-
-    com = "com"
-    ellipse = "ellipse"
-    nls = "nls"
-
-
-class AverageChoice(StrEnum):
-    """Values of --average."""
-
-    consensus = "consensus"
-    l1mc = "l1mc"
-    triangles = "triangles"
-    spectral = "spectral"
-    irls = "irls"
-
-
-class WeightsChoice(StrEnum):
-    """Values of --weights."""
-
-    uniform = "uniform"
-    weighted = "weighted"
 
 
 def calibrate(
@@ -111,7 +59,7 @@ def calibrate(
     ] = None,
     keep: Annotated[
         FilterChoice, typer.Option("--filter", help="Use the matches that agree, or all (the paper compares).")
-    ] = FilterChoice.ransac,
+    ] = "ransac",
     folds: Annotated[
         int, typer.Option(min=0, help="Board: parts in which captures are left out for cross-validation; 0: none.")
     ] = 5,
@@ -120,7 +68,7 @@ def calibrate(
         typer.Option(
             "--start", help="Board: start of the joint solution; all but tree and identity use every pair."
         ),
-    ] = StartChoice.tree,
+    ] = "tree",
     estimate: EstimateOption = None,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
@@ -128,21 +76,21 @@ def calibrate(
     tags: Annotated[
         TagsChoice,
         typer.Option("--tags", help="A camera's plane: from all corners, or averaged over tags (the paper)."),
-    ] = TagsChoice.pnp,
+    ] = "pnp",
     feature: Annotated[
         FeatureChoice,
         typer.Option(
             "--feature", help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii."
         ),
-    ] = FeatureChoice.nls,
+    ] = "nls",
     average: Annotated[
         AverageChoice,
         typer.Option("--average", help="People: how pairs become poses; all but consensus are published."),
-    ] = AverageChoice.consensus,
+    ] = "consensus",
     weights: Annotated[
         WeightsChoice,
         typer.Option("--weights", help="People: weight pairs by their information, or uniformly."),
-    ] = WeightsChoice.weighted,
+    ] = "weighted",
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     extend: Annotated[
         Path | None,
@@ -182,10 +130,10 @@ def calibrate(
         options: story.RigOptions | story.NetworkOptions
         if rig.is_network:
             options = story.NetworkOptions(
-                estimator=cast("story.NetworkEstimator", estimator.value if estimator else "joint"),
-                feature=feature.value,
-                average=average.value,
-                weights=weights.value,
+                estimator=cast("story.NetworkEstimator", estimator or "joint"),
+                feature=feature,
+                average=average,
+                weights=weights,
                 icp=icp,
                 extend=load_calibration(extend) if extend else None,
                 moved=tuple(moved or ()),
@@ -194,14 +142,14 @@ def calibrate(
             )
         else:
             options = story.RigOptions(
-                estimator=cast("Estimator", estimator.value if estimator else "bundle"),
+                estimator=cast("Estimator", estimator or "bundle"),
                 estimate=tuple(choice.value for choice in estimate or ()),
                 prior=prior_poses,
                 rigid=groups,
-                keep=keep.value,
+                keep=keep,
                 folds=folds,
-                start=start.value,
-                tags=tags.value,
+                start=start,
+                tags=tags,
                 seed=seed,
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
             )

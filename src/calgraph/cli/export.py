@@ -1,8 +1,7 @@
 """``calgraph export``: a calibration in the format of another program."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,15 +12,7 @@ from calgraph.io.yaml_reading import read_text
 from calgraph.result import export as export_text
 from calgraph.result import load_calibration
 
-
-class Format(StrEnum):
-    """Values of --format."""
-
-    launch = "launch"
-    tf = "tf"
-    urdf = "urdf"
-    kalibr = "kalibr"
-    json = "json"
+Format = Literal["launch", "tf", "urdf", "kalibr", "json"]
 
 
 def export(
@@ -51,14 +42,14 @@ def export(
     ] = None,
 ) -> None:
     """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON."""
-    for name, value, its_format in (("--urdf", urdf, Format.urdf), ("--rig", rig, Format.kalibr)):
+    for name, value, its_format in (("--urdf", urdf, "urdf"), ("--rig", rig, "kalibr")):
         if value and format != its_format:
             raise InputError(f"{name}: goes with --format {its_format}, got --format {format}")
     file = result / "calibration.yaml" if result.is_dir() else result
     text = export_text(
         load_calibration(file),
-        format.value,
-        rig=_rig(rig, file) if format == Format.kalibr else None,
+        format,
+        rig=_rig(rig, file) if format == "kalibr" else None,
         urdf=read_text(urdf) if urdf else None,
     )
     if out:

@@ -187,9 +187,7 @@ def _set_value(content: dict[str, Any], path: tuple[str, ...], value: Any) -> No
 def _name_option(line: str, model_options: Mapping[str, ModelOption]) -> str:
     """An error about a key, ``camera.rate: ...``, as an error about the option that sets it."""
     groups = {one.path[0]: f"--{one.path[0]}-*" for one in model_options.values() if len(one.path) > 1}
-    by_key = (
-        groups | {".".join(knob.path): knob.option for knob in model_options.values()} | {"the file": "options"}
-    )
+    by_key = groups | {".".join(one.path): one.option for one in model_options.values()} | {"the file": "options"}
     for key in sorted(by_key, key=len, reverse=True):
         if match := re.match(rf"(unknown key )?{re.escape(key)}(?=[:.\[])", line):
             return f"{match[1] or ''}{by_key[key]}{line[match.end() :]}"

@@ -63,7 +63,5 @@ def read_priors(
         if not file or not names:
             raise InputError(f"--rigid: must be a file and sensors, as in robot.urdf:camera,laser, got {text!r}")
         groups.append(RigidFile(read_extrinsics(Path(file)), tuple(names.split(","))))
-    known = (
-        PriorFile(read_extrinsics(prior), stddev and (stddev[0], float(np.radians(stddev[1])))) if prior else None
-    )
-    return known, tuple(groups)
+    deviations = (stddev[0], float(np.radians(stddev[1]))) if stddev else None
+    return PriorFile(read_extrinsics(prior), deviations) if prior else None, tuple(groups)

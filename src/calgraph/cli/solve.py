@@ -47,15 +47,15 @@ def solve(
     from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
     from calgraph.estimation import load_problem, round_trip, with_prior_poses
 
-    known, groups = read_priors(prior, prior_stddev, rigid)
+    prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}
-    chosen = {name: choice.value for name, choice in given.items() if choice is not None}
+    chosen = {name: choice for name, choice in given.items() if choice is not None}
     besides: dict[str, object] = {} if folds is None else {"folds": folds}
     besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
     rig = override_settings(problem.rig, overrides)
     problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
-    problem = round_trip(with_prior_poses(problem, known, groups))
+    problem = round_trip(with_prior_poses(problem, prior_poses, groups))
     with replace_folder_atomically(out) as folder:
         calibration = solve_problem(problem)
         write_results(calibration, problem.rig, folder)

@@ -203,7 +203,7 @@ def _describe_field(owner: type[BaseModel] | None, path: list[Any]) -> str:
 
 def _suggest_key(key: Any, allowed: Iterable[str]) -> str:
     close = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else f"; known here are {', '.join(allowed)}"
+    return f"; did you mean {close[0]!r}?" if close else f"; allowed here are {', '.join(allowed)}"
 
 
 def _format_path(path: list[Any]) -> str:
