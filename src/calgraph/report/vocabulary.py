@@ -72,10 +72,7 @@ NETWORK_VOCABULARY = Vocabulary(
     item="walk",
     items_title="Walks",
     no_items="There are no walks: no scanner tracked a person in this recording.",
-    items_caption=(
-        "A line is one track of one scanner. Hover over its ends for its time and outcome.",
-        "",
-    ),
+    items_caption=("A line is one track of one scanner. Hover over its ends for its time and outcome.", ""),
     shared_evidence="position",
     no_pairs="No two scanners tracked a person simultaneously.",
     pair_columns=("shared<br>positions", "inliers", "pose<br>difference"),

@@ -156,21 +156,14 @@ _LAYOUTS: dict[str, dict[str, Any]] = {
         # Fast enough to pass all six scanners in a minute.
         "people": {"kind": "cylinder", "count": 1, "speed": 2.5, "speed_spread": 0.0, "stop_every": 0.0},
     },
-    "lab": {
-        "clutter": 6,
-        "scanner": {"count": 5, "rate": 12.5, "resolution": 0.5, "max_range": 30.0},
-    },
+    "lab": {"clutter": 6, "scanner": {"count": 5, "rate": 12.5, "resolution": 0.5, "max_range": 30.0}},
     "halls": {
         "clutter": 8,
         "scanner": {"count": 4, "rate": 25.0, "resolution": 0.5, "max_range": 20.0},
         # Fast enough to come through all doors once in a minute.
         "people": {"speed": 1.4, "speed_spread": 0.1, "stop_every": 60.0},
     },
-    "grid": {
-        "clutter": 60,
-        "scanner": {"count": 30, "resolution": 0.5},
-        "people": {"count": 12},
-    },
+    "grid": {"clutter": 60, "scanner": {"count": 30, "resolution": 0.5}, "people": {"count": 12}},
 }
 """Defaults of each layout where they differ from the office's."""
 

@@ -5,16 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calgraph.config import (
-    CameraSpec,
-    Capture,
-    Lidar2dSpec,
-    Lidar3dSpec,
-    PixelNoise,
-    RangeNoise,
-    Rig,
-    SensorSpec,
-)
+from calgraph.config import CameraSpec, Capture, Lidar2dSpec, Lidar3dSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.geometry import Array
 from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter

@@ -101,13 +101,7 @@ def build_world(scenario: RigScenario, seed: int) -> World:
     cameras = [sensor for sensor in robot if isinstance(sensor, MountedCamera)]
     renderers = _build_renderers(scenario, cameras, environment, rng)
     return World(
-        scenario,
-        seed,
-        root_name(scenario, robot),
-        robot,
-        trajectory,
-        renderers,
-        lru_cache(maxsize=2)(solids),
+        scenario, seed, root_name(scenario, robot), robot, trajectory, renderers, lru_cache(maxsize=2)(solids)
     )
 
 
