@@ -1,7 +1,9 @@
 """Identities through crossings, gaps and clutter."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
@@ -16,7 +18,7 @@ def one_beam_each(scan: NDArray[np.intp], centres: Array) -> Clusters:
     index = np.arange(len(scan))
     ones = np.ones(len(scan), dtype=np.intp)
     nothing = np.zeros(len(scan))
-    return Clusters(centres, index, index, ones, scan, scan / RATE, scan / RATE, nothing, nothing > 0)
+    return Clusters(centres, index, ones, scan, scan / RATE, scan / RATE, nothing, nothing > 0)
 
 
 def identities(*paths: Array, detected: NDArray[np.bool_] | None = None) -> list[list[int]]:
@@ -77,3 +79,19 @@ def test_a_crowd_keeps_its_identities() -> None:
     count = 12
     crowd = [line((0, 1.0 * k), (1.0 + 0.05 * k, 0)) for k in range(count)]
     assert [set(path) for path in identities(*crowd)] == [{k} for k in range(count)]
+
+
+@pytest.mark.parametrize(("scans", "count"), [(4, 0), (5, 1)])
+def test_five_matches_confirm_an_identity(scans: int, count: int) -> None:
+    assert len(identities(line((0, 0), (1.2, 0), scans))) == count
+
+
+def test_the_gate_rejects_one_correct_match_in_a_thousand() -> None:
+    assert AssociationSettings().gate == pytest.approx(chi2.isf(1e-3, 2), abs=0.05)
+
+
+def test_an_object_outside_the_gate_is_not_matched() -> None:
+    # After two seconds the prediction is known to 0.12 m in each axis: 0.7 m is five standard deviations.
+    path = line((0, 0), (0, 0), 40)
+    path[35:] += [0.7, 0.0]
+    assert [len(path) for path in identities(path)] == [35, 5]

@@ -1,5 +1,7 @@
 """Ellipses of known radii through the visible side of an object."""
 
+import dataclasses
+
 import numpy as np
 
 from calgraph.config.settings import EllipseSettings
@@ -117,3 +119,16 @@ def test_residuals_above_the_noise_inflate_the_covariance(rng: np.random.Generat
     assert fits.reduced_chi2[0] > 5
     calm = fit_ellipses(groups, PERSON, prior, 0.03, EllipseSettings())
     assert np.trace(fits.covariances[0]) > 0.2 * np.trace(calm.covariances[0])
+
+
+def test_an_arm_hardly_moves_the_centre(rng: np.random.Generator) -> None:
+    """Two beams of each object end on an arm, 0.2 m before the body; least squares err by 94 mm in the mean."""
+    centre = place_around(5.0, 400)
+    groups = simulate_groups(rng, centre, np.zeros(400), PERSON, 0.02)
+    points = groups.points.copy()
+    for row, used in zip(points, groups.used, strict=True):
+        arm = np.flatnonzero(used)[used.sum() // 2 :][:2]
+        row[arm] *= 1 - 0.2 / np.linalg.norm(row[arm], axis=-1, keepdims=True)
+    prior = OrientationPrior(np.zeros(400), np.full(400, 0.15))
+    fits = fit_ellipses(dataclasses.replace(groups, points=points), PERSON, prior, 0.02, EllipseSettings())
+    assert np.linalg.norm(fits.centers - centre, axis=1).mean() < 0.075

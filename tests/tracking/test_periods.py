@@ -1,8 +1,10 @@
 """Periods with the same visible objects."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from calgraph.config.settings import MotionSettings
 from calgraph.tracking.periods import TrackSegment, split_into_periods
 
 
@@ -11,7 +13,9 @@ def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:
     scan = np.concatenate(detected)
     ends = np.cumsum([len(s) for s in detected])
     identities = np.split(np.arange(len(scan)), ends[:-1])
-    return split_into_periods(identities, scan, np.asarray(0.1 * scan, dtype=np.float64), 0.4)
+    return split_into_periods(
+        identities, scan, np.asarray(0.1 * scan, dtype=np.float64), MotionSettings().max_undetected
+    )
 
 
 def test_one_object_all_the_time_is_one_period() -> None:
@@ -36,3 +40,11 @@ def test_a_missed_scan_starts_no_period() -> None:
 
 def test_no_objects_give_no_period() -> None:
     assert split_into_periods([], np.empty(0, dtype=np.intp), np.empty(0), 0.4) == ()
+
+
+@pytest.mark.parametrize(("missed", "periods"), [(3, 1), (4, 2)])
+def test_an_object_that_is_missed_for_more_than_four_tenths_of_a_second_has_left(
+    missed: int, periods: int
+) -> None:
+    result = split(np.delete(np.arange(20), 8 + np.arange(missed)))
+    assert len({segment.period for segment in result}) == periods

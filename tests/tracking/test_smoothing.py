@@ -56,3 +56,9 @@ def test_correctly_stated_noise_is_not_inflated(rng: np.random.Generator) -> Non
 def test_unmodelled_noise_is_estimated(rng: np.random.Generator) -> None:
     noise = add_unmodeled_noise(WHOLE, TIMES, walk(rng, 0.08), SETTINGS).noise
     assert np.sqrt(noise[0, 0, 0]) == pytest.approx(0.08, rel=0.15)
+
+
+def test_half_of_the_unmodelled_variance_is_bias(rng: np.random.Generator) -> None:
+    measured = walk(rng, 0.08)
+    found = add_unmodeled_noise(WHOLE, TIMES, measured, SETTINGS)
+    np.testing.assert_allclose(found.bias - measured.bias, 0.5 * (found.noise - measured.noise), atol=1e-12)

@@ -113,3 +113,11 @@ def test_no_scans_make_no_scene() -> None:
 
 def test_without_any_return_everything_is_foreground() -> None:
     assert count_foreground(learn(np.full((20, 201), np.inf)), 3.0) == 201
+
+
+@pytest.mark.parametrize(("distance", "count"), [(0.05, 0), (0.2, 201)])
+def test_foreground_ends_clearly_before_the_background(
+    distance: float, count: int, rng: np.random.Generator
+) -> None:
+    scene = learn(4.0 + rng.normal(0, 0.005, (600, 201)))
+    assert count_foreground(scene, 4.0 - distance) == count

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 from calgraph.config import Cylinder, People, RangeNoise
+from calgraph.config.settings import TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import CenterFeature, ScannerTracks, Track, track_scanner
+from calgraph.tracking.clusters import Clusters
+from calgraph.tracking.features import ObjectVelocities, measure_centers
 from walking_scenes import Walk, World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")
@@ -246,3 +249,36 @@ def test_the_person_of_the_real_recording_is_tracked(
     # The README counts foreground in 301 rear and 104 front scans, some of it a few stray beams.
     in_view = {"/rear_scan": 301, "/front_scan": 81}[topic]
     assert sum(len(track.times) for track in result.tracks) > share * in_view
+
+
+@pytest.mark.parametrize(("length", "tracked"), [(0.7, False), (2.0, True)])
+def test_a_track_takes_at_least_half_a_second(length: float, tracked: bool) -> None:
+    """At 2 m/s the shorter walk lasts 0.35 s, and leads through more than the least travel."""
+    walk = walk_along([(3.0, -1.0), (3.0, length - 1.0)], speed=2.0, begin=5.0)
+    world = World((walk_in_circle(1.0, (8.0, 3.0)), walk), rate=25.0)
+    near = [track for track in track_world(world, 10.0).tracks if np.median(track.positions[:, 0]) < 4.0]
+    assert bool(near) == tracked
+
+
+def test_the_heading_of_a_walk_orients_ellipses_of_few_beams() -> None:
+    """At 8 m a person is hit by two to five beams; without the prior of the shoulders the mean error is 16 mm."""
+    far = World((walk_in_circle(2.0, (8.0, -1.0)),), beams=181)
+    found = [np.linalg.norm(errors(track_world(far, 12.0, seed), far), axis=1) for seed in range(3)]
+    assert np.concatenate(found).mean() < 0.0135
+
+
+def test_what_hides_behind_an_occluder_is_part_of_the_noise() -> None:
+    """Points of a whole cylinder without noise: what is visible fits exactly, and what is not, is unknown."""
+    angles = np.linspace(-0.05, 0.05, 21)
+    points = (5.0 - np.sqrt(0.25**2 - (5.0 * angles) ** 2 + 1e-9))[:, None] * np.column_stack(
+        [np.cos(angles), np.sin(angles)]
+    )
+    one = np.zeros(1, dtype=np.intp)
+    noise = []
+    for clipped in (False, True):
+        objects = Clusters(
+            points, one, np.full(1, 21), one, np.zeros(1), np.zeros(21), np.full(1, 0.005), np.array([clipped])
+        )
+        still = ObjectVelocities(np.zeros((1, 2)), np.full(1, np.inf))
+        noise.append(measure_centers("nls", objects, CYLINDER, still, 0.01, TrackingSettings()).noise[0])
+    assert np.sqrt(noise[1][0, 0] - noise[0][0, 0]) == pytest.approx(0.15 * 0.25, rel=0.1)

@@ -20,8 +20,6 @@ class Clusters:
 
     points: Array
     """(P, 2) sensor frame, m."""
-    cluster_of: NDArray[np.intp]
-    """(P,) cluster of each point, ascending."""
     first: NDArray[np.intp]
     """(C,) index of each cluster's first point."""
     count: NDArray[np.intp]
@@ -161,9 +159,9 @@ def _build_clusters(
 ) -> Clusters:
     """Sorts points by cluster and drops the clusters whose size excludes the target."""
     order = np.lexsort((label, beams.scan))
-    cluster_of = np.cumsum(np.diff(label[order], prepend=-1) != 0) - 1
-    first = np.flatnonzero(np.diff(cluster_of, prepend=-1))
-    count = np.diff(first, append=len(cluster_of))
+    cluster_index = np.cumsum(np.diff(label[order], prepend=-1) != 0) - 1
+    first = np.flatnonzero(np.diff(cluster_index, prepend=-1))
+    count = np.diff(first, append=len(cluster_index))
     if len(first):
         extent = np.maximum.reduceat(points[order], first) - np.minimum.reduceat(points[order], first)
         good = (np.hypot(extent[:, 0], extent[:, 1]) <= settings.max_width * width) & (
@@ -172,14 +170,13 @@ def _build_clusters(
         order = order[np.repeat(good, count)]
         count = count[good]
         first = np.cumsum(count) - count
-        cluster_of = np.repeat(np.arange(len(count)), count)
     # Only the outermost beams show whether the object continues beside them.
     last = first + count - 1
     at_occlusion = beams.at_occlusion[order]
     scan = beams.scan[order][first]
     total = np.add.reduceat(beams.times[order] - beams.times[:1], first) if len(first) else np.empty(0)
     return Clusters(
-        points[order], cluster_of, first, count, scan,
+        points[order], first, count, scan,
         total / count + (beams.times[0] if len(beams.times) else 0.0), beams.times[order],
         beams.spacing[scan] if len(scan) else np.empty(0), at_occlusion[first] | at_occlusion[last],
     )  # fmt: skip

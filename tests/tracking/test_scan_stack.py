@@ -1,0 +1,24 @@
+"""Scans stacked into arrays, and the intervals that they cover."""
+
+import numpy as np
+
+from calgraph.config.settings import MotionSettings
+from calgraph.sensors import LaserScan
+from calgraph.tracking.scan_stack import coverage_intervals, stack_scans
+
+ANGLES = np.linspace(-1, 1, 5)
+
+
+def scan(stamp: float, range_: float = 2.0) -> LaserScan:
+    return LaserScan(stamp, "laser", ANGLES, np.full(5, range_), 0.0)
+
+
+def test_a_pause_longer_than_half_a_second_splits_the_coverage() -> None:
+    stamps = np.concatenate([np.arange(0, 20), np.arange(24, 40), np.arange(46, 60)]) / 10
+    intervals = coverage_intervals(stack_scans(map(scan, stamps)), MotionSettings().max_scan_gap)
+    np.testing.assert_allclose(intervals, [[0.0, 3.9], [4.6, 5.9]])
+
+
+def test_the_first_of_two_scans_with_one_stamp_is_kept() -> None:
+    (run,) = stack_scans([scan(0.0), scan(0.1, 3.0), scan(0.1, 4.0), scan(0.05, 5.0), scan(0.2, 6.0)])
+    assert run.ranges[:, 0].tolist() == [2.0, 3.0, 6.0]
