@@ -155,3 +155,18 @@ def test_a_basis_has_one_independent_cycle_for_every_edge_beyond_a_tree(rng: np.
     for row, cycle in zip(matrix, basis, strict=True):
         row[cycle[:, 0]] = cycle[:, 1]
     assert np.linalg.matrix_rank(matrix) == len(basis) == 50 - 15 + 1
+
+
+@pytest.mark.parametrize(("n", "limit"), [(2, 4.033), (3, 4.739)])
+def test_an_edge_is_an_inlier_within_the_gate_of_chi_squared(
+    n: int, limit: float, rng: np.random.Generator
+) -> None:
+    """99.9 % of three or six degrees of freedom: distances of 4.03 and 4.74 standard deviations."""
+    T = true_poses(3, n, rng)
+    g = measured(T, [(0, 1), (1, 2), (0, 2)], rng)
+    information = g.information * np.array([1e6, 1e6, 1.0])[:, None, None]
+    for factor in (0.97, 1.03):
+        T_i_j = g.T_i_j.copy()
+        T_i_j[2, 0, n] += factor * limit * POSITION
+        found = average_poses(PoseGraph(3, g.edges, T_i_j, information), rng)
+        assert found.inliers.tolist() == [True, True, factor < 1]
