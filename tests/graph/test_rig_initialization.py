@@ -134,3 +134,10 @@ def test_the_root_is_the_first_node() -> None:
     assert names[graph.root] == "rear"
     assert graph.count == 5
     assert len(graph.edges) == 10
+
+
+def test_pairs_have_a_model_error_of_ten_millimetres_and_five_milliradians() -> None:
+    """Added to the covariance of each pair, here 1 mm and 1 mrad."""
+    graph, _ = build_rig_graph("lidar", pairs_of(NAMES))
+    variances = [1e-6 + 0.01**2] * 3 + [1e-6 + 0.005**2] * 3
+    assert_allclose(graph.information[0], np.diag(1 / np.array(variances)), rtol=1e-9)
