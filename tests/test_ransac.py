@@ -86,7 +86,7 @@ def _half_outliers(groups: int) -> tuple[Callable[[Indices], Array], Callable[[A
         return np.where((samples < groups // 2).all(axis=1), 0.0, 1.0)[:, None]
 
     def squared_residuals(models: Array) -> Array:
-        return np.where(np.arange(groups) < groups // 2, models, 1.0) * 100
+        return np.where(np.arange(groups) < groups // 2, 0.25 + 100 * models, 100.0)
 
     return solve, squared_residuals
 

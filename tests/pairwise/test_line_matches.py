@@ -3,8 +3,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calgraph.geometry import Array, se3, so3
+from board_scenes import SIZE, make_boards, make_patch, make_segment, random_pose
+from calgraph.config.settings import BoardPairSettings
+from calgraph.geometry import Array, plane, se3, so3
 from calgraph.pairwise import evaluate_coplanarity
+from calgraph.pairwise.least_squares import axis_aligned_rotations
+from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
 
 
 def numerical(f: Callable[[Array, Array], Array], x: Array, size: int) -> Array:
@@ -35,3 +39,152 @@ def test_coplanarity_is_the_gap_along_the_intersection_of_the_scan_planes() -> N
     a = np.array([[1.0, -0.3, 0], [1.0, 0.3, 0]])
     b = np.array([[1.1, -0.3, 0], [1.1, 0.3, 0]])
     assert abs(evaluate_coplanarity(T_a_b, a, b)[0]) == pytest.approx(0.1)
+
+
+DIAGONAL = float(np.hypot(*SIZE))
+
+
+def plane_line(
+    T_a_b: Array, rng: np.random.Generator, count: int = 200, sigma: float = 1e-12, tilt: float = 0.6
+) -> PlaneLineMatches:
+    boards = make_boards(rng, count, tilt=tilt)
+    pairs = [
+        (make_patch(T, rng, sigma), segment)
+        for T in boards
+        if (segment := make_segment(se3.inverse(T_a_b) @ T, rng, sigma)) is not None
+    ]
+    rows = [(p.plane, p.covariance, p.center, s.endpoints, s.covariance) for p, s in pairs]
+    planes, covariances_a, centers, endpoints, covariances_b = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
+    settings = BoardPairSettings()
+    return PlaneLineMatches(planes, covariances_a, centers, endpoints, covariances_b, DIAGONAL, settings)
+
+
+def line_line(T_a_b: Array, rng: np.random.Generator, count: int = 200, sigma: float = 1e-12) -> LineLineMatches:
+    rows = [
+        (of_a.endpoints, of_a.covariance, of_b.endpoints, of_b.covariance)
+        for T in make_boards(rng, count)
+        if (of_a := make_segment(T, rng, sigma)) is not None
+        and (of_b := make_segment(se3.inverse(T_a_b) @ T, rng, sigma)) is not None
+    ]
+    a, covariances_a, b, covariances_b = (np.array(column) for column in zip(*rows, strict=True))
+    return LineLineMatches(a, covariances_a, b, covariances_b, DIAGONAL, BoardPairSettings())
+
+
+def tilted_pose() -> Array:
+    return se3.pose(so3.exp(np.array([0.4, 0.2, 0.9])), np.array([0.2, -0.1, 0.15]))
+
+
+def test_five_exact_lines_on_planes_determine_the_pose(rng: np.random.Generator) -> None:
+    matches = plane_line(tilted_pose(), rng)
+    assert matches.sample_size == 5
+    samples = np.arange(len(matches.planes) // 5 * 5).reshape(-1, 5)
+    found = matches.solve(samples)
+    error = np.linalg.norm(se3.difference(found, np.broadcast_to(tilted_pose(), found.shape)), axis=-1)
+    assert len(samples) >= 15
+    assert (error < 1e-5).mean() > 0.9
+
+
+def test_upright_boards_leave_an_upright_scanner_upright(rng: np.random.Generator) -> None:
+    # Height, roll and pitch are unobservable: they keep the values of the axis-aligned start.
+    T_a_b = se3.pose(so3.exp(np.array([0, 0, 0.3])), np.array([0.2, -0.1, 0.0]))
+    matches = plane_line(T_a_b, rng, 24, tilt=0.0)
+    assert matches.sample_size == 3
+    found = matches.solve(np.arange(24).reshape(-1, 3))
+    assert np.median(np.abs(se3.difference(found, np.broadcast_to(T_a_b, found.shape))), axis=0).max() < 1e-3
+
+
+def test_local_minima_include_the_pose_and_the_scanner_upside_down(rng: np.random.Generator) -> None:
+    T_a_b = se3.pose(so3.exp(np.array([0, 0, 0.3])), np.array([0.2, -0.1, 0.0]))
+    matches = plane_line(T_a_b, rng, 12, tilt=0.0)
+    minima = matches.find_local_minima(np.ones(len(matches.planes), dtype=bool))
+    assert minima.shape == (24, 4, 4)
+    error = np.linalg.norm(se3.difference(minima, np.broadcast_to(T_a_b, minima.shape)), axis=-1)
+    assert error.min() < 1e-5
+    assert error.max() > 1.0
+
+
+@pytest.mark.parametrize("build", [plane_line, line_line])
+def test_jacobians_are_derivatives(
+    build: Callable[..., PlaneLineMatches | LineLineMatches], rng: np.random.Generator
+) -> None:
+    matches, T, h = build(tilted_pose(), rng, 40, 0.003), tilted_pose(), 1e-6
+    numeric = [
+        (matches.linearize(se3.retract(T, h * e)[None]).residuals[0]
+         - matches.linearize(se3.retract(T, -h * e)[None]).residuals[0]) / (2 * h)
+        for e in np.eye(6)
+    ]  # fmt: skip
+    np.testing.assert_allclose(matches.linearize(T[None]).jacobian[0], np.stack(numeric, axis=-1), atol=1e-6)
+
+
+def test_covariance_of_distances_from_a_plane_is_their_scatter(rng: np.random.Generator) -> None:
+    T_a_b, count = tilted_pose(), 4000
+    one = plane_line(T_a_b, rng, 20, 0.003)
+    ends = rng.multivariate_normal(np.zeros(6), one.covariances_b[0], count).reshape(-1, 2, 3)
+    planes = plane.retract(one.planes[:1], rng.multivariate_normal(np.zeros(3), one.covariances_a[0], count))
+    drawn = PlaneLineMatches(
+        planes, np.zeros((count, 3, 3)), np.zeros((count, 3)), one.endpoints[:1] + ends, np.zeros((count, 6, 6)),
+        DIAGONAL, BoardPairSettings(),
+    )  # fmt: skip
+    stated = one.linearize(T_a_b[None]).covariance[0, 0]
+    found = np.cov(drawn.linearize(T_a_b[None]).residuals[0].T)
+    np.testing.assert_allclose(found, stated, atol=0.08 * stated.max())
+
+
+def test_covariance_of_coplanarity_is_its_scatter(rng: np.random.Generator) -> None:
+    T_a_b, count = tilted_pose(), 4000
+    one = line_line(T_a_b, rng, 40, 0.003)
+    a, b = (
+        endpoints[:1] + rng.multivariate_normal(np.zeros(6), C[0], count).reshape(-1, 2, 3)
+        for endpoints, C in ((one.endpoints_a, one.covariances_a), (one.endpoints_b, one.covariances_b))
+    )
+    stated = one.linearize(T_a_b[None]).covariance[0, 0, 0, 0]
+    assert np.var(evaluate_coplanarity(T_a_b, a, b)[0]) == pytest.approx(stated, rel=0.1)
+
+
+@pytest.mark.parametrize("build", [plane_line, line_line])
+@pytest.mark.parametrize(("away", "expected"), [(0.9, True), (2.1, False)])
+def test_detections_farther_apart_than_a_board_are_infeasible(
+    build: Callable[..., PlaneLineMatches | LineLineMatches],
+    away: float,
+    expected: bool,
+    rng: np.random.Generator,
+) -> None:
+    # On one board the middles are less than half a diagonal apart.
+    T_a_b = tilted_pose()
+    matches = build(T_a_b, rng, 60)
+    assert matches.feasible(T_a_b[None]).all()
+    moved = se3.retract(T_a_b, np.array([0, 0, away * DIAGONAL, 0, 0, 0]))
+    assert (matches.feasible(moved[None]).mean() > 0.5) == expected
+
+
+def test_eight_exact_pairs_of_lines_are_coplanar_under_their_solution(rng: np.random.Generator) -> None:
+    matches = line_line(tilted_pose(), rng)
+    samples = np.arange(len(matches.endpoints_a) // 8 * 8).reshape(-1, 8)
+    found = matches.solve(samples)
+    gaps = evaluate_coplanarity(found[:, None], matches.endpoints_a[samples], matches.endpoints_b[samples])[0]
+    assert len(samples) >= 5
+    assert np.median(np.abs(gaps).max(axis=1)) < 1e-3
+
+
+def test_parallel_scan_planes_have_no_residual() -> None:
+    a, b = np.array([[1.0, -0.3, 0], [1.0, 0.3, 0]]), np.array([[1.1, -0.3, 0], [1.1, 0.4, 0]])
+    for angle, finite in ((0.049, False), (0.051, True)):
+        T = se3.pose(so3.exp(np.array([angle, 0, 0])), np.zeros(3))
+        assert np.isfinite(evaluate_coplanarity(T, a, b)[0]) == finite
+
+
+def test_axis_aligned_rotations_are_the_24_of_a_cube() -> None:
+    R = axis_aligned_rotations()
+    assert len({tuple(r.ravel()) for r in R}) == 24
+    np.testing.assert_allclose(np.linalg.det(R), 1)
+    np.testing.assert_array_equal(np.sort(np.abs(R), axis=-1), np.broadcast_to([0, 0, 1], (24, 3, 3)))
+
+
+def test_random_mountings_are_solved_from_lines_on_planes(rng: np.random.Generator) -> None:
+    T_a_b = random_pose(rng, rotation=1.2)
+    matches = plane_line(T_a_b, rng, 400)
+    found = matches.solve(np.arange(len(matches.planes) // 5 * 5).reshape(-1, 5))
+    error = np.linalg.norm(se3.difference(found, np.broadcast_to(T_a_b, found.shape)), axis=-1)
+    assert np.median(error) < 1e-6

@@ -243,6 +243,11 @@ def test_walls_improve_the_pose_from_tracks(rng: np.random.Generator) -> None:
     a, b = (observe(walks, T, rng, background=room(T, rng)) for T in (A, B))
     with_walls = estimate_scanner_pair("a", "b", a, b, np.random.default_rng(1))
     assert error(with_walls, se2.inverse(A) @ B) < (0.01, 0.2)
+    assert isinstance(with_walls, ScannerPairEstimate)
+    assert with_walls.hypotheses[0].uses_background
+    without = estimate_scanner_pair("a", "b", a, b, np.random.default_rng(1), icp=False)
+    assert isinstance(without, ScannerPairEstimate)
+    assert not without.hypotheses[0].uses_background
 
 
 def room(T_world_sensor: Array, rng: np.random.Generator) -> Array:
@@ -291,3 +296,22 @@ def test_centres_of_mass_nearer_than_true_centres_are_corrected(rng: np.random.G
     a, b = (observe(walks, T, rng, near=0.15) for T in (A, B))
     found = estimate_scanner_pair("a", "b", a, b, rng, feature="com")
     assert error(found, se2.inverse(A) @ B) < (0.04, 1.0)
+
+
+def test_matches_by_chance_are_those_at_other_times() -> None:
+    # On a circle of 3 m a sample has a neighbour within R during the share 2 asin(R / 6) / pi of a turn.
+    angle = np.arange(0, 10 * np.pi, STEP / 2)
+    walk = (
+        3 * np.column_stack([np.cos(angle), np.sin(angle)]),
+        1.5 * np.column_stack([-np.sin(angle), np.cos(angle)]),
+    )
+    rng = np.random.default_rng(1)
+    A, B = se2.pose(0.0, np.array([-4.5, 0])), se2.pose(np.pi / 2, np.array([0, -4.5]))
+    pair = estimate_scanner_pair(
+        "a", "b", observe([walk], A, rng, reach=9.0), observe([walk], B, rng, reach=9.0), rng
+    )
+    assert isinstance(pair, ScannerPairEstimate), pair
+    (h,) = pair.hypotheses
+    radius = np.sqrt(9.21 * (2 * SIGMA**2 + h.model_error**2))
+    share = 1 - np.exp(-2 * np.arcsin(radius / 6) / np.pi)
+    assert h.chance_observations == pytest.approx(share * h.observations, rel=0.15)

@@ -19,6 +19,8 @@ from calgraph.pairwise.synchronized_tracks import (
 )
 from calgraph.pairwise.track_registration import (
     TrackRegistration,
+    _invert_symmetric,
+    _mahalanobis2,
     compute_pose_costs,
     compute_registration_information,
     estimate_correlation_time,
@@ -85,9 +87,45 @@ def test_registration_estimates_depths() -> None:
     assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.005
 
 
+def test_model_error_is_what_covariances_do_not_explain(rng: np.random.Generator) -> None:
+    # 5 cm of noise in either scanner, of which tracks state 1 cm.
+    ticks = np.arange(2000.0)
+    a, b = samples(np.eye(3), ticks), samples(T_A_B, ticks)
+    a, b = (replace(s, positions=s.positions + rng.normal(0, 0.05, s.positions.shape)) for s in (a, b))
+    fit = register_tracks(T_A_B, pair_samples(a, b), 0.15, 0.03, replace_steps(6))
+    assert fit is not None
+    assert fit.model_error == pytest.approx(np.sqrt(2 * (0.05**2 - 0.01**2)), rel=0.05)
+
+
 def test_too_few_matches_have_no_registration() -> None:
     assert register_tracks(T_A_B, simultaneous(count=3), 0.15, 0.03, SETTINGS) is None
     assert register_tracks(T_A_B, simultaneous(count=4), 0.15, 0.03, SETTINGS) is not None
+
+
+def test_information_of_independent_errors_is_that_of_least_squares(rng: np.random.Generator) -> None:
+    # Noise of 2 cm in a, known clocks and depths: x and y are means of matches that are correlated over 0.5 s.
+    ticks = np.arange(3000.0)
+    a, b = samples(np.eye(3), ticks, sigma=0.02), samples(T_A_B, ticks, sigma=1e-6)
+    a = replace(a, positions=a.positions + rng.normal(0, 0.02, a.positions.shape))
+    settings = RegistrationSettings(steps=6, clock_stddev=1e-6, systematic_stddev=1e-6, min_model_error=1e-6)
+    pairs = pair_samples(a, b)
+    fit = register_tracks(T_A_B, pairs, 0.15, 1e-6, settings)
+    assert fit is not None
+    covariance = np.linalg.inv(compute_registration_information(fit, pairs, 1e-6, settings))
+    arm = a.positions - T_A_B[:2, 2]
+    J = np.zeros((len(ticks), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1
+    J[:, :, 2] = np.column_stack([-arm[:, 1], arm[:, 0]])
+    expected = 5 * 0.02**2 * np.linalg.inv(np.einsum("pki,pkj->ij", J, J))
+    np.testing.assert_allclose(covariance, expected, rtol=0.15, atol=0.05 * expected.max())
+
+
+def test_squared_mahalanobis_distances(rng: np.random.Generator) -> None:
+    A, r = rng.normal(size=(7, 2, 2)), rng.normal(size=(7, 2))
+    S = A @ np.swapaxes(A, 1, 2)
+    W = _invert_symmetric(S)
+    np.testing.assert_allclose(W, np.linalg.inv(S))
+    np.testing.assert_allclose(_mahalanobis2(r, W), np.einsum("pi,pij,pj->p", r, W, r))
 
 
 def test_costs_are_truncated_squared_distances_over_the_gate() -> None:

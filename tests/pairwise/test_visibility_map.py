@@ -9,6 +9,7 @@ from calgraph.pairwise.visibility_map import (
     VisibilityMap,
     build_visibility_map,
     contradicts_visibility,
+    find_missed_detections,
     is_free_space,
 )
 from calgraph.tracking import ScannerTracks
@@ -143,3 +144,33 @@ def test_measured_times_without_detections_have_missed_detections() -> None:
 def test_a_scanner_measures_within_its_intervals(time: float, there: bool) -> None:
     view = build_visibility_map(still(wall(9.0), np.array([[1.0, 2.0], [3.0, 4.0]])), NO_SAMPLES)
     assert view.measures_at(np.array([time])).tolist() == [there]
+
+
+@pytest.mark.parametrize(("offset", "expected"), [
+    ([0.4, 0.0], True), ([0.6, 0.0], False), ([-0.6, 0.0], False), ([0.0, -0.6], False), ([-0.35, 0.35], True),
+])  # fmt: skip
+def test_detections_within_the_radius_are_of_the_same_object(offset: list[float], expected: bool) -> None:
+    x = circle(3.0)
+    a, b = walks(x), walks(x + np.array(offset))
+    views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
+    required, detected = find_missed_detections(np.eye(3)[None], pair_samples(a, b), *views, 0.5)
+    assert required.shape == detected.shape == (1, 200)
+    assert required.mean() > 0.75  # but for samples beyond the usual range of the other scanner
+    assert (detected == expected).all()
+
+
+@pytest.mark.parametrize(("share", "refuted"), [(0.45, False), (0.55, True)])
+def test_a_pose_is_refuted_by_the_share_of_missed_detections(share: float, refuted: bool) -> None:
+    # b misses the last part of a's samples; those that b has are all detected by a.
+    x = circle(3.0, ticks=200)
+    a, b = walks(x), walks(x[: round(200 * (1 - share))])
+    always = np.array([[0.0, 20.0]])
+    views = build_visibility_map(still(wall(12.0), always), a), build_visibility_map(still(wall(12.0), always), a)
+    expected, detected = find_missed_detections(np.eye(3)[None], pair_samples(a, b), *views, 0.5)
+    missed = np.count_nonzero(expected & ~detected) / np.count_nonzero(expected)
+    found = contradicts_visibility(
+        np.eye(3)[None], pair_samples(a, b), *views, radius=0.5, min_expected=20,
+        max_missed_share=missed * (0.99 if refuted else 1.01),
+    )  # fmt: skip
+    assert missed == pytest.approx(share / (2 - share), abs=0.03)
+    assert found.tolist() == [refuted]
