@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
 from calgraph.graph import average_network, build_network_graph, compute_joint_covariance, edge_weights
+from calgraph.graph.network_graph import edge_evidence
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
@@ -55,6 +58,12 @@ def test_trust_grows_with_the_seconds_that_agree_and_with_their_share() -> None:
     _, names = build_network_graph("a", pairs)
     # Five seconds that agree are trusted by half; what is not connected to the root has no edge.
     np.testing.assert_allclose(edge_weights(names, pairs), [0.5, 0.6, 0.9])
+
+
+def test_matching_walls_are_evidence_of_ten_seconds() -> None:
+    walls = replace(hypothesis(1, observations=20, share=0.5), uses_background=True)
+    pairs = [ScannerPairEstimate("a", "b", (walls, hypothesis(1, observations=20, share=0.5)))]
+    np.testing.assert_allclose(edge_evidence(("a", "b"), pairs), [10 + 100, 10])
 
 
 def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:
