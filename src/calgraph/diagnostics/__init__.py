@@ -22,22 +22,8 @@ from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.diagnostics.verdict import axis_names
 
 __all__ = [
-    "AxisComparison",
-    "BootstrapScatter",
-    "ExtrinsicsComparison",
-    "NetworkPairs",
-    "ResidualComparison",
-    "SensorComparison",
-    "Tolerance",
-    "add_assessment",
-    "assemble_network",
-    "assemble_rig",
-    "axis_names",
-    "bootstrap_poses",
-    "build_consistent_prior",
-    "compare_network_poses",
-    "compare_rig_poses",
-    "extract_earlier_poses",
-    "merge_calibrations",
-    "remove_scanners",
-]
+    "AxisComparison", "BootstrapScatter", "ExtrinsicsComparison", "NetworkPairs", "ResidualComparison",
+    "SensorComparison", "Tolerance", "add_assessment", "assemble_network", "assemble_rig", "axis_names",
+    "bootstrap_poses", "build_consistent_prior", "compare_network_poses", "compare_rig_poses",
+    "extract_earlier_poses", "merge_calibrations", "remove_scanners",
+]  # fmt: skip

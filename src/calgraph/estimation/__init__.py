@@ -10,26 +10,8 @@ from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_
 from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
 
 __all__ = [
-    "Estimable",
-    "Estimator",
-    "MeasuredNoise",
-    "NetworkSolution",
-    "PosePrior",
-    "PriorFile",
-    "Problem",
-    "RigSolution",
-    "RigidFile",
-    "RigidGroup",
-    "ScannerPrior",
-    "SolvedBundle",
-    "SolverOptions",
-    "attach_by_priors",
-    "check_problem",
-    "cramer_rao",
-    "load_problem",
-    "round_trip",
-    "save_problem",
-    "solve_bundle",
-    "solve_network",
+    "Estimable", "Estimator", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
+    "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolverOptions", "attach_by_priors",
+    "check_problem", "cramer_rao", "load_problem", "round_trip", "save_problem", "solve_bundle", "solve_network",
     "with_prior_poses",
-]
+]  # fmt: skip

@@ -14,22 +14,8 @@ from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree, grow_
 from calgraph.graph.tree_consensus import average_poses
 
 __all__ = [
-    "Cycle",
-    "Initialization",
-    "NetworkInitialization",
-    "PoseAveraging",
-    "PoseGraph",
-    "PoseGraphSolution",
-    "SpanningTree",
-    "average_network",
-    "average_poses",
-    "build_network_graph",
-    "build_rig_graph",
-    "compute_joint_covariance",
-    "edge_weights",
-    "find_cycle_basis",
-    "find_spanning_tree",
-    "grow_tree",
-    "initialize_network",
-    "initialize_rig",
-]
+    "Cycle", "Initialization", "NetworkInitialization", "PoseAveraging", "PoseGraph", "PoseGraphSolution",
+    "SpanningTree", "average_network", "average_poses", "build_network_graph", "build_rig_graph",
+    "compute_joint_covariance", "edge_weights", "find_cycle_basis", "find_spanning_tree", "grow_tree",
+    "initialize_network", "initialize_rig",
+]  # fmt: skip

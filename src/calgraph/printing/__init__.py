@@ -6,16 +6,6 @@ from calgraph.printing.paper import Paper, parse_paper, parse_size
 from calgraph.printing.target_block import format_target, read_boards, replace_target
 
 __all__ = [
-    "BoardKind",
-    "BoardOptions",
-    "Page",
-    "Paper",
-    "Window",
-    "design_board",
-    "format_target",
-    "layout_pages",
-    "parse_paper",
-    "parse_size",
-    "read_boards",
-    "replace_target",
+    "BoardKind", "BoardOptions", "Page", "Paper", "Window", "design_board", "format_target", "layout_pages",
+    "parse_paper", "parse_size", "read_boards", "replace_target",
 ]  # fmt: skip

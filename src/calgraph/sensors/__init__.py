@@ -7,16 +7,6 @@ from calgraph.sensors.point_colors import colorize_points
 from calgraph.sensors.scan_background import ScanBackground, align_ranges
 
 __all__ = [
-    "CameraInfo",
-    "CameraModel",
-    "Image",
-    "LaserScan",
-    "Message",
-    "PointCloud",
-    "RecordedMessage",
-    "ScanBackground",
-    "Trigger",
-    "align_ranges",
-    "colorize_points",
-    "convert_cloud_to_scan",
-]
+    "CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "PointCloud", "RecordedMessage",
+    "ScanBackground", "Trigger", "align_ranges", "colorize_points", "convert_cloud_to_scan",
+]  # fmt: skip

@@ -7,13 +7,6 @@ from calgraph.tracking.track import Hits, ScannerTracks, Track
 from calgraph.tracking.track_scanner import track_scanner
 
 __all__ = [
-    "CenterFeature",
-    "Hits",
-    "ScanRun",
-    "ScanStackBuilder",
-    "ScannerTracks",
-    "Track",
-    "stack_scans",
-    "track_scanner",
-    "track_scanners",
-]
+    "CenterFeature", "Hits", "ScanRun", "ScanStackBuilder", "ScannerTracks", "Track", "stack_scans",
+    "track_scanner", "track_scanners",
+]  # fmt: skip
