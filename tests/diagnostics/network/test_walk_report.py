@@ -102,6 +102,13 @@ def test_walks_of_an_unconnected_scanner_are_rejected(samples: dict[str, TrackSa
     assert (row.used, row.reason) == (False, "its scanner is not connected to the root")
 
 
+@pytest.mark.parametrize(("y", "used"), [(0.4, True), (0.6, False)])
+def test_a_walk_is_shared_within_half_a_metre(y: float, used: bool, rng: np.random.Generator) -> None:
+    walks = {"west": simulate_walk(0, 4, 0), "east": simulate_walk(0, 4, y)}
+    samples = {name: resample_tracks(build_tracks(name, [walk], rng)) for name, walk in walks.items()}
+    assert [row.used for row in rows_of("west", samples, ("west", "east"))] == [used]
+
+
 def test_a_short_overlap_is_rejected(rng: np.random.Generator) -> None:
     samples = {
         "west": resample_tracks(build_tracks("west", [simulate_walk(0, 4, 0)], rng)),
@@ -129,7 +136,7 @@ def test_whitened_residuals_have_unit_variance() -> None:
     chi2 = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        samples = {name: resample_tracks(build_tracks(name, [walk], rng, sigma)) for name in ("west", "east")}
+        samples = {name: resample_tracks(build_tracks(name, [walk], rng, sigma)) for name in ("east", "north")}
         chi2.append(float(np.mean(match(samples).residuals ** 2)))
     assert abs(np.mean(chi2) - 1) < 0.12
 

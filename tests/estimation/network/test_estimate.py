@@ -1,5 +1,6 @@
 """The joint solution of networks: accuracy of poses and clocks, covariances, and cases without data."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,18 +9,30 @@ from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
-from calgraph.estimation.network.estimate import NetworkSolution, solve_network
-from calgraph.estimation.network.problem import BodyPath, BodyScans
+from calgraph.estimation.network.estimate import (
+    NetworkSolution,
+    collect_scans,
+    select_bridges,
+    solve_network,
+)
+from calgraph.estimation.network.problem import (
+    BodyObservations,
+    BodyPath,
+    BodyScans,
+    NetworkProblem,
+    WallConstraint,
+)
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks, Track
 from calgraph.tracking.track import Hits
-from network_scenes import OFFSET, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 PEOPLE, ROUND = People(kind="people", axes=(0.25, 0.15)), Cylinder(kind="cylinder", diameter=0.5)
 SECONDS = 12.0
 NOTHING = np.zeros((0, 2))
+ONE = np.ones(1)
 
 
 def simulate_walk(radii: tuple[float, float], phase: float) -> tuple[Knots, BodyPath]:
@@ -190,3 +203,95 @@ def test_synchronized_clocks_have_no_estimate() -> None:
 def test_the_root_has_no_covariance() -> None:
     solution = solve_network(PEOPLE, *scene(6, bodies=1))
     np.testing.assert_array_equal(solution.covariance[:4], 0.0)
+
+
+def test_scans_of_overlapping_tracks_are_sorted_with_their_beams() -> None:
+    # Two scans each; the second track begins before the first one ends. Scans have 2, 1, 1 and 2 beams.
+    first = Hits(np.array([[3.0, 4.0], [0.0, 2.0], [0.0, 1.0]]), np.array([0.98, 1.02, 1.2]), np.array([0, 0, 1]))
+    second = Hits(np.array([[5.0, 0.0], [8.0, 6.0], [0.0, 7.0]]), np.array([1.1, 1.29, 1.31]), np.array([0, 1, 1]))
+    positions, covariances = np.zeros((2, 2)), np.zeros((2, 2, 2))
+    tracks = [
+        Track(np.array(times), positions, positions, covariances, 0, hits)
+        for times, hits in (([1.0, 1.2], first), ([1.1, 1.3], second))
+    ]
+    scans = collect_scans(2, tracks)
+    np.testing.assert_array_equal(scans.times, [1.0, 1.1, 1.2, 1.3])
+    np.testing.assert_array_equal(scans.first_beam, [0, 2, 3, 4])
+    np.testing.assert_allclose(scans.ranges, [5.0, 2.0, 5.0, 1.0, 10.0, 7.0])
+    np.testing.assert_allclose(scans.direction[[0, 2, 4]], [[0.6, 0.8], [1.0, 0.0], [0.8, 0.6]])
+    np.testing.assert_allclose(scans.beam_delay, [-0.02, 0.02, 0.0, 0.0, -0.01, 0.01], atol=1e-12)
+
+
+def constraint(a: int, b: int) -> WallConstraint:
+    return WallConstraint(a, b, np.eye(3), np.eye(3))
+
+
+def test_only_edges_between_unconnected_parts_are_bridges() -> None:
+    def scans(scanner: int, weight: float) -> BodyScans:
+        return BodyScans(scanner, ONE, np.zeros(1, dtype=np.intp), np.ones((1, 2)), ONE, ONE, weight * ONE)
+
+    # Scanners 0 and 1 measured one body, 1 and 2 only outliers on another one; 3 and 4 share walls.
+    knots = Knots.spanning(0.0, 1.0, 0.2)
+    bodies = tuple(
+        BodyObservations(knots, (scans(a, weight), scans(b, weight)), np.ones(2), np.ones(2), True)
+        for a, b, weight in ((0, 1, 1.0), (1, 2, 0.0))
+    )
+    network = NetworkProblem(5, bodies, (), np.ones(5), np.ones(2), 0.1, DENSITY, SETTINGS)
+    edges = [constraint(*pair) for pair in ((0, 1), (1, 2), (2, 3), (3, 4))]
+    bridges = select_bridges(network, [constraint(3, 4)], edges)
+    assert [(one.a, one.b) for one in bridges] == [(1, 2), (2, 3)]
+
+
+def test_a_clock_offset_of_130_ms_is_found() -> None:
+    tracked, averaged, graph = scene(0)
+    late = tuple(
+        replace(track, times=track.times + 0.1, hits=replace(track.hits, times=track.hits.times + 0.1))
+        for track in tracked[1].tracks
+    )
+    solution = solve_network(PEOPLE, [tracked[0], replace(tracked[1], tracks=late), tracked[2]], averaged, graph)
+    np.testing.assert_allclose(solution.clock_offset, OFFSET + np.array([0.0, 0.1, 0.0]), atol=0.003)
+    assert np.abs(compute_errors(solution)[:, :2]).max() < 0.008
+
+
+def test_static_walls_add_information() -> None:
+    tracked, averaged, graph = scene(0, bodies=1)
+    rng = np.random.default_rng(0)
+    x, y = np.linspace(-1, 7, 400), np.linspace(-1, 6, 350)
+    walls = np.concatenate(
+        [np.column_stack([x, np.full_like(x, k)]) for k in (-1, 6)]
+        + [np.column_stack([np.full_like(y, k), y]) for k in (-1, 7)]
+    )
+    with_walls = [
+        replace(one, background=se2.apply(se2.inverse(T), walls) + rng.normal(0, SIGMA, walls.shape))
+        for one, T in zip(tracked, T_ROOT, strict=True)
+    ]
+    alone, both = (solve_network(PEOPLE, tracks, averaged, graph) for tracks in (tracked, with_walls))
+    before, after = (np.sqrt(np.diag(solution.pose_covariance)[3:]) for solution in (alone, both))
+    assert (after < 0.985 * before).all()
+    assert np.mean(after / before) < 0.95
+    assert np.abs(compute_errors(both)).max() < 0.008
+
+
+def simulate_turning_walk(phase: float) -> tuple[Knots, BodyPath]:
+    """A person who walks to and fro along a line, and turns round on the spot at its ends, always to the left."""
+    knots = Knots.spanning(-0.5, SECONDS + 0.5, 0.2)
+    leg, share = np.divmod((knots.control_times() + phase) / 3, 1)
+    turned, walked = np.clip(share / 0.25, 0, 1), np.clip((share - 0.25) / 0.75, 0, 1)
+    walked = walked**2 * (3 - 2 * walked)
+    along = 1.2 * (2 * np.where(leg % 2 == 0, walked, 1 - walked) - 1)
+    heading = phase + np.pi * (leg + turned)
+    control = np.column_stack([3 + np.cos(phase) * along, 2.2 + np.sin(phase) * along, heading])
+    return knots, BodyPath(control, np.array([0.25, 0.15]))
+
+
+def test_people_who_turn_on_the_spot_are_ellipses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "simulate_walk", lambda _radii, phase: simulate_turning_walk(phase))
+    solution = solve_network(PEOPLE, *scene(1))
+    # Turned to the wrong side, they deviate by 10 mm.
+    assert solution.model_error < 0.001
+    assert np.abs(compute_errors(solution)[:, :2]).max() < 0.008
+
+
+def test_the_model_error_is_a_standard_deviation(solved: list[NetworkSolution]) -> None:
+    # Simulated bodies are exact ellipses on splines: the estimate is at most a few millimetres.
+    assert 0.0005 <= np.median([solution.model_error for solution in solved]) < 0.003

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
+from calgraph.estimation.network.ellipse_raycast import RaycastHits, raycast_ellipses
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,
@@ -16,10 +16,17 @@ from calgraph.estimation.network.problem import (
 )
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.solver import (
+    NetworkEquations,
+    apply_step,
+    compute_heading_offsets,
     compute_network_covariance,
+    compute_residuals,
     eliminate_bodies,
+    evaluate_at,
+    index_scans,
     linearize_network,
     optimize_network,
+    raycast_body,
     select_unknowns,
 )
 from calgraph.estimation.network.splines import Knots, evaluate_spline
@@ -267,3 +274,65 @@ def test_the_heading_of_a_cylinder_has_no_effect(rng: np.random.Generator) -> No
         net, linearize_network(replace(net, bodies=(cylinder,)), replace(state, paths=(turned,)))
     )
     np.testing.assert_allclose(H, other, atol=1e-6 * H.max())
+
+
+def test_beams_hit_the_body_where_it_is_at_their_time(rng: np.random.Generator) -> None:
+    # Position and heading change at constant rates, which splines and first-order motion within a scan reproduce.
+    knots = Knots.spanning(0.0, 2.0, 0.2)
+    t = knots.control_times()
+    body_path = BodyPath(np.column_stack([2.0 + 1.2 * t, 2.0 - 0.5 * t, 0.4 + 2.0 * t]), RADII)
+    scans = simulate_scans(1, knots, body_path, np.arange(0.1, 1.9, 0.1), rng)
+    delay = rng.uniform(-0.03, 0.03, len(scans.ranges))
+    body = BodyObservations(knots, (replace(scans, beam_delay=delay),), RADII, 0.3 * RADII, False)
+    state = NetworkState(T_ROOT, OFFSET, (body_path,))
+    _, _, pose, rate = evaluate_at(state, body, body_path, body.scans[0])
+    hits = raycast_body(state, body_path, body.scans[0], pose, rate)
+    at = scans.times[index_scans(scans)] - OFFSET[1] + delay
+    exact = np.column_stack([2.0 + 1.2 * at, 2.0 - 0.5 * at, 0.4 + 2.0 * at])
+    direction = scans.direction @ T_ROOT[1, :2, :2].T
+    expected = raycast_ellipses(T_ROOT[1, :2, 2], direction, exact[:, :2], exact[:, 2], RADII).ranges
+    assert np.isfinite(expected).sum() > 100
+    np.testing.assert_allclose(hits.ranges, expected, atol=1e-6)
+
+
+def test_headings_are_compared_with_the_direction_of_motion_modulo_pi() -> None:
+    knots = Knots.spanning(0.0, 1.0, 0.2)
+    t = knots.control_times()
+    body = BodyObservations(knots, (), RADII, 0.3 * RADII, True)
+    walking = np.column_stack([np.cos(0.7) * t, np.sin(0.7) * t])
+    offset, weight = compute_heading_offsets(body, walking, np.array([0.9, 0.5 + np.pi]), SETTINGS.body)
+    np.testing.assert_allclose(offset, np.tile([0.2, -0.2], (knots.count, 1)))
+    np.testing.assert_allclose(weight, 1 / 0.3**2)
+    _, weight = compute_heading_offsets(body, 0.4 * walking, np.zeros(1), SETTINGS.body)
+    np.testing.assert_array_equal(weight, 0.0)
+
+
+def test_the_gradient_by_headings_includes_the_direction_of_motion(rng: np.random.Generator) -> None:
+    net, truth = build_network(rng, faces=True)
+    [path] = truth.paths
+
+    def linearize(turn: float) -> NetworkEquations:
+        control = (
+            path.control + np.array([0.0, 0.0, 0.2]) + turn * np.eye(len(path.control))[5][:, None] * [0, 0, 1]
+        )
+        return linearize_network(net, replace(truth, paths=(replace(path, control=control),)))
+
+    numeric = (linearize(1e-6).cost - linearize(-1e-6).cost) / 2e-6
+    assert linearize(0.0).bodies[0].gradient[5, 2] == pytest.approx(numeric, rel=1e-4)
+
+
+def test_missed_beams_cost_as_stated_and_do_not_pull(rng: np.random.Generator) -> None:
+    net, _ = build_network(rng)
+    hits = RaycastHits(np.array([np.nan, 2.0, 2.0]), np.array([np.nan, 0.04, 0.06]), np.ones((3, 5)))
+    residual, jacobian = compute_residuals(net, replace(net.bodies[0].scans[0], ranges=np.ones(3)), hits)
+    np.testing.assert_allclose(residual, [4.0, 4.0, 1.0 / SIGMA])
+    np.testing.assert_allclose(jacobian, np.outer([0.0, 0.0, 1.0 / SIGMA], np.ones(5)))
+
+
+def test_radii_stay_above_two_centimetres(rng: np.random.Generator) -> None:
+    net, truth = build_network(rng)
+    equations = linearize_network(net, truth)
+    back_substitution = np.zeros((3 * net.bodies[0].knots.count + 2, 13))
+    back_substitution[-2:, -1] = 0.2
+    [path] = apply_step(equations, truth, np.zeros(12), [back_substitution]).paths
+    np.testing.assert_allclose(path.radii, [0.05, 0.02])

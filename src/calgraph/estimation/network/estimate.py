@@ -122,7 +122,7 @@ def solve_network(
         settings=settings,
         prior=prior,
     )
-    network = replace(network, walls=_select_bridges(network, (), edges))
+    network = replace(network, walls=select_bridges(network, (), edges))
     for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
         network = _update_weights(network, state, settings.beams.initial_near_side_factor)
@@ -134,7 +134,7 @@ def solve_network(
         network = _update_weights(replace(network, range_sigma=range_sigma), state)
         network = replace(network, model_error_variance=estimate_model_error(network, state))
         walls = _register_walls(tracked, network, state, pair_settings)
-        network = replace(network, walls=(*walls, *_select_bridges(network, walls, edges)))
+        network = replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
         state, equations = optimize_network(network, state, iterations=settings.iterations)
         if np.all(np.abs(network.model_error_variance / previous - 1) < errors.tolerance):
             break
@@ -154,7 +154,7 @@ def _build_observations(
     radii = _prior_radii(target)
     people = isinstance(target, People)
     sigma = settings.body.people_radii_sigma * radii if people else np.full(2, settings.body.cylinder_radius_sigma)
-    scans = tuple(_collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
+    scans = tuple(collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
     return BodyObservations(_place_knots(body, settings), scans, radii, sigma, faces_forward=people)
 
 
@@ -168,7 +168,7 @@ def _prior_radii(target: People | Cylinder) -> Array:
     return np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
 
 
-def _collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
+def collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
     """All beams of one scanner on one body, by scan in order of time."""
     times, points, beam_times, counts = [], [], [], []
     for track in sorted(tracks, key=lambda track: float(track.times[0])):
@@ -284,7 +284,7 @@ def _register_walls(
     return tuple(walls)
 
 
-def _select_bridges(
+def select_bridges(
     network: NetworkProblem, walls: Sequence[WallConstraint], edges: Sequence[WallConstraint]
 ) -> tuple[WallConstraint, ...]:
     """The pairwise edges between parts of the network that neither walls nor beams with a weight connect."""
