@@ -121,3 +121,44 @@ def test_the_two_sides_of_a_thin_wall_are_not_matched(rng: np.random.Generator) 
 def test_hardly_any_background_is_rejected() -> None:
     few = StaticBackground(np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]]))
     assert align_backgrounds(np.eye(3), LOOSE, few, few, SIGMA) == Rejected("too little static background")
+
+
+def straight_wall(distance: float, spacing: float, waves: float = 0.0) -> StaticBackground:
+    """41 points on a wall ahead of the scanner, displaced to and fro by ``waves``, m."""
+    y = spacing * np.arange(-20, 21)
+    return StaticBackground(np.column_stack([distance + waves * (-1.0) ** np.arange(41), y]))
+
+
+@pytest.mark.parametrize(
+    ("distance", "spacing", "connected"),
+    [(2.0, 0.14, True), (2.0, 0.17, False), (20.0, 0.95, True), (20.0, 1.15, False)],
+)
+def test_neighbours_are_connected_up_to_a_distance_that_grows_with_the_range(
+    distance: float, spacing: float, connected: bool
+) -> None:
+    """0.15 m, or a twentieth of the range; of 41 points, three at either end have too few neighbours."""
+    found = straight_wall(distance, spacing).oriented_points.points
+    near = np.abs(found[:, 1]) < distance / 4  # farther away, ranges are larger
+    expected = np.abs(spacing * np.arange(-17, 18)) < distance / 4
+    assert near.sum() == (expected.sum() if connected else 0)
+
+
+def test_normals_of_walls_point_to_the_scanner() -> None:
+    wall = straight_wall(2.0, 0.1).oriented_points
+    assert len(wall.points) == 35
+    np.testing.assert_allclose(wall.normals, np.tile([-1.0, 0.0], (35, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "waves", "straight"),
+    [(0.13, 0.028, True), (0.13, 0.033, False), (0.03, 0.02, True), (0.03, 0.022, False)],
+)
+def test_rough_or_short_stretches_have_no_line(spacing: float, waves: float, straight: bool) -> None:
+    """Rougher than 3 cm; or less than three times as long as wide: seven points have a length of 2 spacings."""
+    assert len(straight_wall(2.0, spacing, waves).oriented_points.points) == (35 if straight else 0)
+
+
+def test_breaks_separate_walls() -> None:
+    points = straight_wall(2.0, 0.1).points.copy()
+    points[20] = np.nan
+    assert len(StaticBackground(points).oriented_points.points) == 2 * (20 - 6)

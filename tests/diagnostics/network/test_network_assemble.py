@@ -105,6 +105,12 @@ def test_an_unconnected_scanner_has_the_reasons_of_its_pairs() -> None:
     assert assemble().evidence.unconnected == {"cellar": "has 1 tracks, but west, east: too few"}
 
 
+def test_initial_poses_are_those_of_averaging_where_a_joint_solution_follows() -> None:
+    initial = assemble().evidence.initial_poses
+    np.testing.assert_allclose([initial[name] for name in NAMES], se2.to_se3(T_ROOT))
+    assert assemble(joint=False).evidence.initial_poses == {}
+
+
 def test_without_a_joint_solution_the_covariance_is_that_of_averaging() -> None:
     found = assemble(joint=False)
     covariance = found.joint_covariance
