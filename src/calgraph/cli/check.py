@@ -1,6 +1,5 @@
 """``calgraph check``: whether given extrinsics still hold, by a recording."""
 
-import json as json_module
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
 from calgraph.errors import InputError
-from calgraph.io import replace_folder_atomically, write_text
+from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
@@ -128,16 +127,7 @@ def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: "Tolerance
         "tolerance": asdict(tolerance),
         **asdict(audit),
     }
-    return json_module.dumps(_replace_nonfinite(content), ensure_ascii=False, allow_nan=False, indent=1)
-
-
-def _replace_nonfinite(value: Any) -> Any:
-    """Plain values with null for numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _replace_nonfinite(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_replace_nonfinite(part) for part in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return format_json(content, indent=1)
 
 
 def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:

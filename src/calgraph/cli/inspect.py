@@ -1,6 +1,5 @@
 """``calgraph inspect``: the topics of a recording, and anomalies."""
 
-import json as json_module
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
@@ -15,6 +14,7 @@ from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import RecordingError
+from calgraph.io import format_json
 from calgraph.recording import SENSORS, Inspection, TopicReport, inspect_recording, open_recording
 
 
@@ -29,7 +29,7 @@ def inspect(
     with open_recording(recording) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
     if json:
-        typer.echo(json_module.dumps({"recording": str(recording), **asdict(inspection)}, ensure_ascii=False))
+        typer.echo(format_json({"recording": str(recording), **asdict(inspection)}))
     else:
         _print(recording, inspection)
     if inspection.damage:

@@ -1,6 +1,5 @@
 """``calgraph verify``: a bootstrap over captures, to validate the covariances of a calibration."""
 
-import json as json_module
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings
 from calgraph.errors import CalibrationError, InputError
+from calgraph.io import format_json
 from calgraph.recording import open_recordings, resolve_intrinsics
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _content(
         for name, found in scatter.items()
     }  # fmt: skip
     content = {"format": _FORMAT, "rounds": rounds, "confidence": confidence, "sensors": sensors}
-    return json_module.dumps(content, ensure_ascii=False, allow_nan=False, indent=1)
+    return format_json(content, indent=1)
 
 
 def _print(
