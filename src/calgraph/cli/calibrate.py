@@ -39,8 +39,7 @@ class EstimateChoice(StrEnum):
 
 
 EstimateOption = Annotated[
-    list[EstimateChoice] | None,
-    typer.Option("--estimate", help="Board: estimate this besides poses; repeatable."),
+    list[EstimateChoice] | None, typer.Option("--estimate", help="Board: estimate this besides poses; repeatable.")
 ]
 
 
@@ -65,48 +64,38 @@ def calibrate(
     ] = 5,
     start: Annotated[
         StartChoice,
-        typer.Option(
-            "--start", help="Board: start of the joint solution; all but tree and identity use every pair."
-        ),
+        typer.Option(help="Board: start of the joint solution; all but tree and identity use every pair."),
     ] = "tree",
     estimate: EstimateOption = None,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
     tags: Annotated[
-        TagsChoice,
-        typer.Option("--tags", help="A camera's plane: from all corners, or averaged over tags (the paper)."),
+        TagsChoice, typer.Option(help="A camera's plane: from all corners, or averaged over tags (the paper).")
     ] = "pnp",
     feature: Annotated[
         FeatureChoice,
-        typer.Option(
-            "--feature", help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii."
-        ),
+        typer.Option(help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii."),
     ] = "nls",
     average: Annotated[
-        AverageChoice,
-        typer.Option("--average", help="People: how pairs become poses; all but consensus are published."),
+        AverageChoice, typer.Option(help="People: how pairs become poses; all but consensus are published.")
     ] = "consensus",
     weights: Annotated[
-        WeightsChoice,
-        typer.Option("--weights", help="People: weight pairs by their information, or uniformly."),
+        WeightsChoice, typer.Option(help="People: weight pairs by their information, or uniformly.")
     ] = "weighted",
     icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     extend: Annotated[
         Path | None,
-        typer.Option(
-            "--extend", metavar="OLD", help="People: add to this calibration.yaml instead of starting over."
-        ),
+        typer.Option(metavar="OLD", help="People: add to this calibration.yaml instead of starting over."),
     ] = None,
     moved: Annotated[
         list[str] | None,
-        typer.Option("--moved", metavar="NAME", help="People: has moved since OLD: find it anew; repeatable."),
+        typer.Option(metavar="NAME", help="People: has moved since OLD: find it anew; repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     jobs: JobsOption = None,
     dump: Annotated[
-        Path | None,
-        typer.Option("--dump", metavar="FILE", help="Board: write what the solution is made from, for solve."),
+        Path | None, typer.Option(metavar="FILE", help="Board: write what the solution is made from, for solve.")
     ] = None,
     overrides: SetOption = None,
     json: WholeJson = False,

@@ -39,13 +39,10 @@ def check(
     ],
     against: Annotated[
         Path,
-        typer.Option(
-            "--against", metavar="FILE", help="The extrinsics: calibration.yaml, URDF, or transforms of tf (YAML)."
-        ),
+        typer.Option(metavar="FILE", help="The extrinsics: calibration.yaml, URDF, or transforms of tf (YAML)."),
     ],
     tolerance: Annotated[
-        tuple[float, float],
-        typer.Option("--tolerance", metavar="M DEG", help="What may be off without harm, m and degrees."),
+        tuple[float, float], typer.Option(metavar="M DEG", help="What may be off without harm, m and degrees.")
     ] = (0.01, 0.3),
     out: Annotated[
         Path | None,

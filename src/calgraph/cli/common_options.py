@@ -11,8 +11,7 @@ OneRecording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Anythin
 Results = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")]
 WholeJson = Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")]
 JobsOption = Annotated[
-    int | None,
-    typer.Option("--jobs", min=1, help="People: number of worker processes; all cores if left out."),
+    int | None, typer.Option("--jobs", min=1, help="People: number of worker processes; all cores if left out.")
 ]
 
 

@@ -27,8 +27,7 @@ def export(
         ),
     ],
     urdf: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="urdf: correct the joints of this one."),
+        Path | None, typer.Option(metavar="FILE", help="urdf: correct the joints of this one.")
     ] = None,
     rig: Annotated[
         Path | None,

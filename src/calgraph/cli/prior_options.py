@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 PriorOption = Annotated[
     Path | None,
     typer.Option(
-        "--prior",
-        metavar="FILE",
-        help="Board: prior poses: calibration.yaml, URDF, or transforms of tf (YAML).",
+        "--prior", metavar="FILE", help="Board: prior poses: calibration.yaml, URDF, or transforms of tf (YAML)."
     ),
 ]
 DeviationOption = Annotated[

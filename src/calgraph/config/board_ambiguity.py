@@ -18,7 +18,6 @@ def check_boards_distinguishable(boards: Sequence[Board]) -> None:
 
     Raises:
         PydanticCustomError: to be raised within a validator of a model with the boards under ``target``.
-
     """
     board_of_marker: dict[tuple[int, bytes], int] = {}
     board_of_shape: dict[frozenset[int], int] = {}

@@ -11,6 +11,5 @@ def load_rig(path: Path) -> Rig:
 
     Raises:
         InputError: the file is missing, is not YAML, or has invalid keys or values, each on one line.
-
     """
     return validate_content(Rig, read_yaml(path), path)

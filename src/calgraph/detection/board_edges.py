@@ -41,7 +41,6 @@ def find_board_edges(
 
     Returns:
         (M, 2, 3) unit vectors: the last beam on the board, and the direction of the first one past it.
-
     """
     excess = np.maximum(excess, -_FAR)
     on_board = np.abs(excess) < thickness

@@ -64,7 +64,6 @@ def fit_pose(
         camera: the intrinsics.
         sigma: standard deviation of a corner in x and in y, pixels.
         settings: of the rejection of outliers.
-
     """
     has_ray = np.isfinite(camera.rays(pixels.reshape(-1, 2)))
     in_view = np.asarray(has_ray.reshape(len(pixels), -1).all(axis=1))

@@ -51,7 +51,6 @@ class CameraDetector:
 
     Raises:
         InputError: two boards share a tag id.
-
     """
 
     def __init__(
@@ -72,7 +71,6 @@ class CameraDetector:
 
         Raises:
             InputError: an image is not of the size that the intrinsics are for.
-
         """
         if not images:
             return Rejected("no image in this capture")
@@ -202,7 +200,6 @@ def make_board_corners(pose: BoardPose, corners: Array, pixels: Array, board: in
         corners: (M, k, 3) the marks' corners in the board frame, m.
         pixels: (M, k, 2) where they were detected.
         board: which of the rig's boards.
-
     """
     return BoardCorners(
         corners_board=corners[pose.inliers],

@@ -61,7 +61,6 @@ def find_segments(
 
     Returns:
         Candidates for the board, the best score first, or why there is none.
-
     """
     if not scans:
         return Rejected("no scan was measured while the board rested")
@@ -318,7 +317,6 @@ def build_segment(
         ranges: (N,) of the beams, m.
         directions: (N, 3) unit vectors of the beams.
         match: as in :class:`Segment`.
-
     """
     angle, p = line.parameters
     n, t = np.array([np.cos(angle), np.sin(angle), 0]), np.array([-np.sin(angle), np.cos(angle), 0])

@@ -55,7 +55,6 @@ def find_patches(
 
     Returns:
         Candidates for the board, the best score first, or why there is none.
-
     """
     if not clouds:
         return Rejected("no cloud was measured while the board rested")

@@ -57,7 +57,6 @@ def fit_line(
 
     Returns:
         The fit, or None if fewer than three beams agree or the beams graze the line.
-
     """
 
     def whitened(line: Array) -> tuple[Array, Array]:
@@ -98,7 +97,6 @@ def fit_plane(
 
     Returns:
         The fit, or None if fewer than four beams agree or the beams graze the plane.
-
     """
 
     def whitened(planes: Array) -> tuple[Array, Array]:

@@ -53,7 +53,6 @@ def fit_rectangle(
         size: width and height of the rectangle, m.
         reach: distance from a cell up to which the patch continues, m: half the spacing of cells.
         blur: uncertainty of the outline, m.
-
     """
     basis = plane.tangent_basis(surface[:3])
     origin = cells.mean(axis=0)
@@ -81,7 +80,6 @@ def _find_best_placement(
 
     Returns:
         The angle, rad, the centre (2,) along the rotated axes, m, and the share of the points contained.
-
     """
     cosine, sine = np.cos(angles), np.sin(angles)
     rotated = np.stack([np.outer(cosine, flat[:, 0]) + np.outer(sine, flat[:, 1]),
@@ -135,7 +133,6 @@ def measure_solidity_and_isolation(
         Solidity: of the beams through the rectangle that do not end before it, the share that ends on it.
         Isolation: of the beams through the frame, the share that does not end on the rectangle's plane. Both are
         0 to 1, and 1 where there are no beams.
-
     """
     blur = settings.lidar3d.outline_blur
     scene = _crop_to_cone(rectangle, scene, 2 * blur + frame)

@@ -53,7 +53,6 @@ def rectify_view(gray: Gray, camera: CameraModel, corners: Array, settings: TagS
         camera: its intrinsics.
         corners: (M, 4, 3) approximate corners of the tags, camera frame, m.
         settings: scale, margin and width of the view.
-
     """
     points = corners.reshape(-1, 3)
     R_camera_view = _compute_look_at(points.mean(axis=0))

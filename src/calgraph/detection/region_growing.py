@@ -22,7 +22,6 @@ def grow_flat_regions(cells: Cells, thickness: float, settings: RegionSettings) 
         cells: the cloud.
         thickness: largest distance of cells from their region's plane, m.
         settings: of regions.
-
     """
     free = np.ones(len(cells.points), dtype=bool)
     regions = []

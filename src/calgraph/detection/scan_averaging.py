@@ -63,7 +63,6 @@ def average_scans(
         noise: of a single beam.
         foreground: for each scan whether its beams (N,) are foreground; a beam is if it is in most scans.
         settings: of the detection.
-
     """
     reference = max(scans, key=lambda scan: len(scan.angles))
     angles = np.sort(reference.angles)

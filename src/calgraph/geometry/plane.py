@@ -42,7 +42,6 @@ def fit(points: Array, weights: Array | None = None) -> Array:
     Args:
         points: (N, 3), m.
         weights: (N,), inverse variances along the normal; equal if left out.
-
     """
     centre = points.mean(axis=0) if weights is None else np.average(points, axis=0, weights=weights)
     centred = points - centre

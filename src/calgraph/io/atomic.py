@@ -16,7 +16,6 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
     Raises:
         InputError: the folder of ``path`` does not exist or cannot be written to, or ``path`` is a folder.
-
     """
     check_output_path(path)
     # Same folder, hence same file system: the rename is atomic.
@@ -34,7 +33,6 @@ def check_output_path(path: Path) -> None:
 
     Raises:
         InputError: the folder of ``path`` does not exist, or ``path`` is a folder.
-
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder, a file is to be written there")
@@ -51,7 +49,6 @@ def replace_folder_atomically(path: Path) -> Iterator[Path]:
 
     Raises:
         InputError: ``path`` is a file, or cannot be made or written to; raised before the block is entered.
-
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, a folder is to be written there")

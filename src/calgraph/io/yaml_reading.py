@@ -28,7 +28,6 @@ def read_yaml(path: Path) -> dict[Any, Any]:
 
     Raises:
         InputError: the file is missing, is not YAML, gives a key twice, or does not contain a mapping.
-
     """
     text = read_text(path)
     try:
@@ -45,7 +44,6 @@ def read_documents(path: Path) -> list[Any]:
 
     Raises:
         InputError: the file is missing, is not YAML, or gives a key twice.
-
     """
     text = read_text(path)
     try:
@@ -59,7 +57,6 @@ def read_text(path: Path) -> str:
 
     Raises:
         InputError: the file is missing, or is not UTF-8.
-
     """
     try:
         return path.read_text(encoding="utf-8")
@@ -74,7 +71,6 @@ def validate_content(model: type[Model], content: dict[Any, Any], source: Path) 
 
     Raises:
         InputError: with one line for each invalid key or value, starting with ``source``.
-
     """
     try:
         return model.model_validate(content)

@@ -40,7 +40,6 @@ def save_yaml(path: Path, content: Mapping[str, Any], comment: str = "") -> None
 
     Raises:
         InputError: ``path`` cannot be written.
-
     """
     write_text(path, format_yaml(content, comment))
 

@@ -69,7 +69,6 @@ def design_board(size: Pair, options: BoardOptions) -> Board:
 
     Raises:
         InputError: an option does not apply to this kind of board, or the print does not fit.
-
     """
     for name, kinds in _OPTION_KINDS.items():
         if getattr(options, name) is not None and options.kind not in kinds:

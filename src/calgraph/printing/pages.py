@@ -100,7 +100,6 @@ def layout_pages(board: Board, paper: Paper | None = None, overlap: float = 10.0
 
     Raises:
         InputError: the overlap is larger than a page, or more than 400 pages are needed.
-
     """
     width, height = (MM_PER_METER * length for length in board.size)
     if paper is None:

@@ -44,7 +44,6 @@ def parse_paper(text: str) -> Paper:
 
     Raises:
         InputError: unknown paper, or one that is too small or too large for a page.
-
     """
     name = text.strip().lower()
     if name in _PAPER_SIZES:
@@ -64,7 +63,6 @@ def parse_size(text: str, message: str) -> tuple[float, float]:
 
     Raises:
         InputError: the text has another form.
-
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*[x×]\s*(\d+(?:\.\d*)?)\s*(?:mm)?\s*", text, re.IGNORECASE)
     if not match or not all(float(length) > 0 for length in match.groups()):

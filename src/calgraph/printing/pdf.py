@@ -31,7 +31,6 @@ def write_pdf(path: Path, boards: Sequence[tuple[Board, Sequence[Page]]]) -> Non
 
     Raises:
         InputError: ``path`` cannot be written.
-
     """
     with write_atomically(path) as temporary:
         canvas = Canvas(str(temporary), invariant=1, pageCompression=1)

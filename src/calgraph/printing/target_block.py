@@ -46,7 +46,6 @@ def replace_target(path: Path, boards: Sequence[Board]) -> str:
 
     Raises:
         InputError: the file is no valid rig.yaml, or not with these boards.
-
     """
     text, before = read_text(path), read_yaml(path)
     block = format_target(boards)
@@ -64,7 +63,6 @@ def read_boards(path: Path) -> tuple[Board, ...]:
 
     Raises:
         InputError: it has none, or a wrong one.
-
     """
     content = read_yaml(path)
     target = validate_content(

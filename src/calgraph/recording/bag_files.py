@@ -48,7 +48,6 @@ def find_bag_files(path: Path) -> BagFiles | None:
 
     Raises:
         RecordingError: metadata.yaml is damaged or names a file that is missing.
-
     """
     if path.is_file():
         return BagFiles((path,), ()) if is_storage(path) else None
@@ -88,7 +87,6 @@ def check_sqlite(file: Path) -> None:
     Raises:
         RecordingError: the log of the database has not been merged.
         ValueError: the file is shorter than it states.
-
     """
     log = file.with_name(f"{file.name}-wal")
     if log.is_file() and log.stat().st_size > 0:

@@ -24,7 +24,6 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
 
     Raises:
         ValueError: the camera is not calibrated, or the model or a number of coefficients is not supported.
-
     """
     matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
@@ -41,7 +40,6 @@ def camera_from_yaml(content: Mapping[str, Any]) -> CameraModel:
 
     Raises:
         ValueError: a key is missing or has an unusable value.
-
     """
     keys = {str(key).lower(): value for key, value in content.items()}
     return camera_model(

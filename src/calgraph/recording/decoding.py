@@ -25,7 +25,6 @@ def decode(kind: MessageType, raw: bytes, stamp: float, where: str) -> Message:
 
     Raises:
         RecordingError: the content is unusable, and why.
-
     """
     decoder = _DECODERS.get(kind.name)
     if decoder is None:

@@ -55,7 +55,6 @@ def pixels_from_buffer(
 
     Raises:
         ValueError: unknown encoding, or too few bytes.
-
     """
     name = encoding.strip().lower()
     if name not in _ENCODINGS:
@@ -95,7 +94,6 @@ def decode_image(data: Pixels, declared: str = "") -> Pixels:
 
     Raises:
         ValueError: the bytes are no image, or an image of depths.
-
     """
     original, _, compressed = declared.lower().partition(";")
     if "compresseddepth" in compressed:
@@ -137,7 +135,6 @@ def encode_image(pixels: Pixels, encoding: str) -> tuple[bytes, str]:
     Args:
         pixels: (height, width) grey or (height, width, 3) BGR.
         encoding: ``png`` or ``jpeg``.
-
     """
     suffix, options = {"png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, 1]), "jpeg": (".jpg", [])}[encoding]
     done, data = cv2.imencode(suffix, pixels, options)

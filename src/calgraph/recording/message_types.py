@@ -37,7 +37,6 @@ class MessageType:
         Raises:
             ValueError: the definition is unknown.
             rosbags.serde.SerdeError: the bytes do not fit the definition.
-
         """
         if self.store is None:
             raise ValueError(f"the definition of type {self.name} is unknown")
@@ -51,7 +50,6 @@ class MessageType:
         Raises:
             ValueError: the message is too short to hold its header.
             rosbags.serde.SerdeError: a header inside the message cannot be reached.
-
         """
         if self.header is None:
             return None

@@ -21,7 +21,6 @@ def open_recording(path: Path) -> Recording:
     Raises:
         InputError: there is nothing, or something else.
         RecordingError: it is damaged.
-
     """
     if not path.exists():
         raise InputError(f"{path}: does not exist")
@@ -42,7 +41,6 @@ def open_recordings(paths: Sequence[Path]) -> Recording:
     Raises:
         InputError: no path is given, or one of them is no recording.
         RecordingError: one of them is damaged.
-
     """
     if not paths:
         raise InputError("no recording is given; at least one is needed")

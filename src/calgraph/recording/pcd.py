@@ -21,7 +21,6 @@ def read_pcd(path: Path) -> Columns:
     Raises:
         ValueError: the header or the data are damaged.
         OSError: the file cannot be read.
-
     """
     data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     header, body = _split(data)
@@ -46,7 +45,6 @@ def decompress_lzf(data: bytes, size: int) -> bytes:
 
     Raises:
         ValueError: the data are damaged.
-
     """
     out = bytearray()
     i = 0

@@ -22,7 +22,6 @@ def read_ply(path: Path) -> Columns:
     Raises:
         ValueError: the file is damaged, or its vertices are not its first element or hold lists.
         OSError: the file cannot be read.
-
     """
     data = path.read_bytes()
     header, mark, body = data.partition(b"end_header")

@@ -31,7 +31,6 @@ def columns_from_point_cloud2(message: Any) -> Columns:
 
     Raises:
         ValueError: fields, steps and data do not fit together.
-
     """
     height, width, step = int(message.height), int(message.width), int(message.point_step)
     fields = {field.name: field for field in message.fields}
@@ -75,7 +74,6 @@ def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> Po
 
     Raises:
         ValueError: a coordinate is missing.
-
     """
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing:
@@ -98,7 +96,6 @@ def to_relative_times(values: NDArray[Any], stamp: float) -> Array | None:
     Args:
         values: (N,) a time column in an unknown unit.
         stamp: of the cloud, s.
-
     """
     if len(values) == 0:
         return np.zeros(0)

@@ -61,7 +61,6 @@ class Recording(Protocol):
             InputError: a topic is not in the recording.
             RecordingError: the file is damaged, or holds fewer messages than it states (noticed at the end of a
                 pass without start and end).
-
         """
 
     def close(self) -> None:
@@ -133,7 +132,6 @@ def select_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[s
 
     Raises:
         InputError: a wanted topic is not present.
-
     """
     names = [topic.name for topic in present]
     for name in wanted or ():
@@ -166,7 +164,6 @@ def check_message_counts(
 
     Raises:
         RecordingError: fewer messages than stated, naming the topics.
-
     """
     missing = dict(stated)
     for record in records:

@@ -37,7 +37,6 @@ class RecordingWriter:
 
         Raises:
             InputError: it exists already.
-
         """
         if path.exists():
             raise InputError(f"{path}: exists already; remove it or choose another name for the recording")
@@ -63,7 +62,6 @@ class RecordingWriter:
 
         Raises:
             InputError: the message cannot be expressed in ROS, or the topic has messages of another type.
-
         """
         ros_type, content = _MAKERS[type(message)](self._store, message, encoding)
         connection = self._connections.get(topic)

@@ -43,7 +43,6 @@ def render_figure(name: str, content: Figure, height: int, description: str) -> 
         content: the figure.
         height: pixels.
         description: for screen readers; already escaped.
-
     """
     return (
         f'<div class="figure" id="{name}" style="height:{height}px" role="img" aria-label="{description}"></div>\n'
@@ -62,7 +61,6 @@ def render_buttons(name: str, number: int, legend: str, labels: Sequence[str], c
         legend: of the group, for screen readers.
         labels: of the buttons.
         chosen: the initial button; the figure itself is without the changes of any.
-
     """
     buttons = "".join(
         f'<label><input type="radio" name="{name}-{number}" value="{k}"{" checked" if k == chosen else ""}>'

@@ -36,7 +36,6 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
 
     Raises:
         InputError: ``path`` cannot be written.
-
     """
     write_text(path, render_report(calibration, rig))
 

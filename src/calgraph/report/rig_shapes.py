@@ -56,7 +56,6 @@ def ellipsoid_mesh(center: Array, covariance: Array, exaggeration: float, limit:
 
     Returns:
         Vertices (N, 3) and triangles (M, 3) of indices.
-
     """
     variances, directions = np.linalg.eigh(np.nan_to_num(covariance, nan=0.0, posinf=1e12, neginf=-1e12))
     semi_axes = np.minimum(exaggeration * SCALE_95 * np.sqrt(np.maximum(variances, 0)), limit)

@@ -29,7 +29,6 @@ def render_thumbnail(taken: Snapshot, board: Array) -> str:
     Args:
         taken: the measurement.
         board: (M, 3) points that were detected as the board, m.
-
     """
     if taken.image:
         return _data_url("image/jpeg", _shrink_jpeg(taken.image))

@@ -46,7 +46,6 @@ class Calibration:
         Raises:
             InputError: there is no such sensor; the message names those there are.
             CalibrationError: the sensor is not connected to the root; the message says why.
-
         """
         self.tree.check_connected(name)
         return next(sensor for sensor in self.sensors if sensor.name == name)
@@ -79,7 +78,6 @@ class Calibration:
         Raises:
             InputError: there is no sensor a or b.
             CalibrationError: a or b is not connected to the root, or the correlation of their errors is unknown.
-
         """
         T_root_a, T_root_b = self[a].T_root_sensor, self[b].T_root_sensor
         names = [sensor.name for sensor in self.sensors]

@@ -34,7 +34,6 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
     Raises:
         InputError: ``path`` cannot be written.
-
     """
     content: dict[str, Any] = {
         "format": FORMAT,
@@ -56,7 +55,6 @@ def save_captures(calibration: Calibration, path: Path) -> None:
 
     Raises:
         InputError: ``path`` cannot be written.
-
     """
     with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)

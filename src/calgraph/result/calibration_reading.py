@@ -220,7 +220,6 @@ def load_calibration(path: Path) -> Calibration:
     Raises:
         InputError: the file is missing, is not YAML, has another format or version, or has wrong keys or values,
             each on one line.
-
     """
     content = read_yaml(path)
     given = content.get("format")

@@ -24,7 +24,6 @@ class TransformTree:
         Raises:
             InputError: there is no sensor a or b.
             CalibrationError: a or b is not connected to the root.
-
         """
         self.check_connected(a)
         self.check_connected(b)

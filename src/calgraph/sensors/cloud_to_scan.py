@@ -21,7 +21,6 @@ def convert_cloud_to_scan(cloud: PointCloud) -> LaserScan:
 
     Raises:
         RecordingError: the points do not lie in the plane z = 0.
-
     """
     ranges = np.hypot(cloud.points[:, 0], cloud.points[:, 1])
     if np.any(np.abs(cloud.points[:, 2]) > _PLANE_TOLERANCE[0] + _PLANE_TOLERANCE[1] * ranges):

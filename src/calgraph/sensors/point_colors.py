@@ -29,7 +29,6 @@ def colorize_points(
 
     Returns:
         Colours (N, 3) in the image's order of channels, 0 where not visible; and the mask (N,) of visible points.
-
     """
     at = camera.project(points)
     visible = np.flatnonzero(camera.contains(at))

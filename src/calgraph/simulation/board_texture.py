@@ -16,7 +16,6 @@ def render_board_texture(board: Board, texels_per_meter: float) -> Array:
     Returns:
         (rows, columns); texel (row, column) is centred at ``x = (column + 0.5) / columns * width - width / 2``
         and ``y = height / 2 - (row + 0.5) / rows * height`` in the board frame.
-
     """
     width, height = board.size
     columns, rows = (max(1, round(length * texels_per_meter)) for length in (width, height))

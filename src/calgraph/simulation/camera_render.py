@@ -90,7 +90,6 @@ def render_board(
         board: the printed board.
         operator: the person behind it.
         blur: standard deviation of the lens' point spread, pixels; 0 for none.
-
     """
     image = context.background.copy()
     draw_board_and_operator(image, context, T_world_board, board, operator)

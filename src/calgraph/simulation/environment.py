@@ -20,7 +20,6 @@ def build_room(rng: np.random.Generator, clutter: int, keep_clear: float) -> tup
         rng: draws sizes and positions.
         clutter: number of boxes and columns.
         keep_clear: radius around the robot without walls and clutter, m.
-
     """
     length, width = 2 * keep_clear + rng.uniform(2.0, 6.0), 2 * keep_clear + rng.uniform(1.0, 3.0)
     height = rng.uniform(2.6, 3.4)

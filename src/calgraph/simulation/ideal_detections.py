@@ -72,7 +72,6 @@ def simulate_detections(
 
     Returns:
         The rig with its stated noise, the detections, and the truth with the board's pose in every capture.
-
     """
     options = options or IdealDetectorOptions()
     rig, t0 = world_rig(world), world.scenario.start_time

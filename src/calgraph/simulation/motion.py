@@ -119,7 +119,6 @@ def draw_placements(
         samples: rotations at each bearing and radius.
         max_rotation: each of roll, pitch and yaw is uniform between minus this and this, rad.
         heights: lowest and highest centre of the board, m.
-
     """
     return tuple(
         BoardPlacement(
@@ -152,7 +151,6 @@ def schedule_holds(
         move_time: from one placement to the next, s.
         hold_end: the end of a hold that starts at the given time, s.
         placements_after_slip: where each capture's board slips to during its hold, None where it rests.
-
     """
     time = background
     # The operator comes in from farther out, so that the first move does not start in a capture's pose.

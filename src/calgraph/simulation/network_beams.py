@@ -37,7 +37,6 @@ def cast_ellipses(origin: Array, angles: Array, centers: Array, headings: Array,
         centers: (N, 2) m.
         headings: (N,) direction of the second radius, rad.
         axes: (2,) radii across and along the heading, m.
-
     """
     # In the ellipse's frame, scaled so that it is the unit circle.
     c, s = np.cos(headings), np.sin(headings)
@@ -64,7 +63,6 @@ def simulate_true_ranges(
         times: (C, M) of measurement, s from the start of the recording.
         walks: the bodies.
         max_range: bodies farther away are left out, m.
-
     """
     ranges = np.broadcast_to(static, times.shape).copy()
     for walk in walks:

@@ -107,7 +107,6 @@ def find_free_space(floor: Floor, min_clearance: float, scanners: Array, scanner
 
     Raises:
         InputError: there is no such region.
-
     """
     low, high = floor.outline.min(axis=0), floor.outline.max(axis=0)
     axes = [np.arange(a + _CELL / 2, b, _CELL) for a, b in zip(low, high, strict=True)]

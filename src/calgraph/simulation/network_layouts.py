@@ -44,7 +44,6 @@ def build_layout(scenario: NetworkScenario, rng: np.random.Generator) -> Layout:
 
     Raises:
         InputError: the scanners' jitter puts them into walls.
-
     """
     plan = _LAYOUT_BUILDERS[scenario.layout](scenario)
     plan = replace(plan, mounts=_jitter_mounts(plan, scenario, rng))

@@ -73,7 +73,6 @@ def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
 
     Raises:
         InputError: the scanners' jitter puts them into walls, or the floor is too small for all people.
-
     """
     rng = np.random.default_rng((seed, 0))
     layout = build_layout(scenario, rng)
@@ -92,7 +91,6 @@ def simulate_network_scans(
 
     Raises:
         InputError: the scanners' jitter puts them into walls, or the floor is too small for all people.
-
     """
     network = build_network(scenario, seed)
     scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
@@ -113,7 +111,6 @@ def simulate_network(
     Raises:
         InputError: the scanners' jitter puts them into walls, the floor is too small for all people, or there is a
             recording in ``out`` already.
-
     """
     network = build_network(scenario, seed)
     total = sum(_scan_count(scenario, scanner) for scanner in network.scanners)

@@ -107,7 +107,6 @@ def draw_walks(
 
     Raises:
         InputError: the floor is too small for all of them.
-
     """
     walkers = _init_walkers(free_space, stations, people, rng)
     steps = int(np.ceil((end - start) / _DECISION_INTERVAL)) + 2

@@ -35,7 +35,6 @@ def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Prog
 
     Raises:
         InputError: the scenario contradicts itself, or there is a recording in ``out`` already.
-
     """
     world = build_world(scenario, seed)
     arrivals = _schedule_messages(world)

@@ -99,7 +99,6 @@ def root_name(scenario: RigScenario, robot: tuple[RobotSensor, ...]) -> str:
 
     Raises:
         InputError: the scenario names a root that the robot does not have.
-
     """
     names = [sensor.name for sensor in robot]
     if scenario.root is None:

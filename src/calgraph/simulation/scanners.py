@@ -62,7 +62,6 @@ def laser_pattern(field_of_view: float, resolution: float, scan_time: float) -> 
         field_of_view: between the first and the last beam, rad.
         resolution: between beams, rad.
         scan_time: of a whole turn of the mirror, s.
-
     """
     count = round(field_of_view / resolution) + 1
     angles: Array = resolution * np.arange(count, dtype=np.float64) - field_of_view / 2
@@ -92,7 +91,6 @@ def spinning_pattern(
         offset: of the scanner from the axis of rotation, along the direction of tilt, m.
         scans_per_degree: of rotation.
         scan_angle: that a whole sweep turns, rad.
-
     """
     # Whole scans that fit into the sweep; the small number absorbs rounding of the angle.
     scans = max(1, int(np.degrees(scan_angle) * scans_per_degree + 1e-9))
@@ -124,7 +122,6 @@ def multibeam_pattern(elevations: Array, azimuth_resolution: float, period: floa
         elevations: (rings,) of the beams above the horizontal, rad.
         azimuth_resolution: between columns, rad.
         period: of a turn, s.
-
     """
     columns, rings = round(2 * np.pi / azimuth_resolution), len(elevations)
     azimuths = np.repeat(azimuth_resolution * np.arange(columns), rings)

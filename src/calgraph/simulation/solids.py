@@ -124,7 +124,6 @@ def cast_rays(solids: Sequence[Solid], origins: Array, directions: Array) -> Ray
         solids: what may be hit.
         origins: (N, 3), or (1, 3) where all rays start at one point, world frame, m.
         directions: (N, 3) unit vectors, world frame.
-
     """
     count = len(directions)
     ranges = np.full(count, np.inf)

@@ -81,7 +81,6 @@ def load_truth(path: Path) -> GroundTruth:
 
     Raises:
         InputError: the file is missing or is not a truth.yaml.
-
     """
     try:
         content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))

@@ -84,7 +84,6 @@ def build_world(scenario: RigScenario, seed: int) -> World:
 
     Raises:
         InputError: the scenario names a root that the robot does not have, or a print that cannot be drawn.
-
     """
     rng = np.random.default_rng((seed, 0))
     robot = build_robot(scenario, rng)
@@ -154,7 +153,6 @@ def simulate_captures(
         world: to measure in.
         measurements: number of the first measurements of each sensor to simulate; all if None.
         sensors: the names of those that measure; all if None.
-
     """
     chosen = [s for s in world.robot if sensors is None or s.name in sensors]
     for truth, hold in zip(ground_truth(world).boards, world.trajectory.holds, strict=True):

@@ -53,7 +53,6 @@ def constant_velocity(dt: Array, acceleration_density: float) -> Transition:
     Args:
         dt: (...,) time passed, s.
         acceleration_density: spectral density of the acceleration, m²/s³.
-
     """
     F = np.zeros((*dt.shape, 4, 4))
     F[..., range(4), range(4)] = 1.0

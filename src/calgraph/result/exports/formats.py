@@ -61,7 +61,6 @@ def export(
 
     Raises:
         InputError: there is no such format, or this calibration cannot be written in it, with the reason.
-
     """
     if format not in FORMATS:
         raise InputError(f"there is no export format {format!r}; there are {', '.join(FORMATS)}")

@@ -36,7 +36,6 @@ def frame_ids(calibration: Calibration) -> dict[str, str]:
 
     Raises:
         InputError: a sensor has no frame, or two have the same.
-
     """
     by_sensor = {sensor.name: sensor.frame_id.lstrip("/") for sensor in calibration.sensors}
     for name, frame in by_sensor.items():

@@ -30,7 +30,6 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
 
     Raises:
         InputError: there is no camera, or the intrinsics of one are not known or not of a kind Kalibr has.
-
     """
     names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
     if not names:

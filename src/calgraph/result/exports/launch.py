@@ -22,7 +22,6 @@ def to_launch(calibration: Calibration) -> str:
 
     Raises:
         InputError: a sensor has no frame_id, or two have the same.
-
     """
     nodes = "".join(_node(index, link) for index, link in enumerate(tree_edges(calibration)))
     # The root's name goes into a docstring; only what cannot end it is let through.

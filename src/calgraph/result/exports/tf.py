@@ -19,7 +19,6 @@ def to_tf_yaml(calibration: Calibration) -> str:
 
     Raises:
         InputError: a sensor has no frame_id, or two have the same.
-
     """
     return format_yaml({"transforms": [_stamped(link) for link in tree_edges(calibration)]}, _COMMENT)
 

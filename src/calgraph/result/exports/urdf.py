@@ -12,7 +12,6 @@ def to_urdf(calibration: Calibration) -> str:
 
     Raises:
         InputError: a sensor has no frame_id, or two have the same.
-
     """
     lines = ['<?xml version="1.0"?>', "<!-- Calibrated by calgraph. -->", '<robot name="calgraph">']
     lines += [f"  <link name={quoteattr(frame)}/>" for frame in frame_ids(calibration).values()]

@@ -48,7 +48,6 @@ def read_joints(text: str) -> list[Joint]:
 
     Raises:
         InputError: the text is not XML, not a URDF, or a joint's origin is not made of numbers.
-
     """
     content = text.encode()
     drafts: list[_PartialJoint] = []
@@ -89,7 +88,6 @@ def frames_from_joints(joints: Sequence[Joint], source: str = "the URDF") -> Fra
 
     Raises:
         InputError: a link has two parents.
-
     """
     child, count = Counter(joint.child for joint in joints).most_common(1)[0]
     if count > 1:
@@ -110,7 +108,6 @@ def replace_origins(text: str, joints: Sequence[Joint], origins: Mapping[str, st
         text: the URDF.
         joints: its joints, as :func:`read_joints` gives them.
         origins: the attributes of the new origin, by name of the joint's child link.
-
     """
     content = text.encode()
     # From the back, so that the positions of what is still to be replaced stay right.

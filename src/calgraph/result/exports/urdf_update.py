@@ -29,7 +29,6 @@ def update_urdf(calibration: Calibration, urdf: str) -> str:
     Raises:
         InputError: the text is not a URDF, it lacks the root's link or those of all other sensors, or a movable
             joint lies between two sensors.
-
     """
     joints = read_joints(urdf)
     frame_tree = frames_from_joints(joints)
