@@ -14,7 +14,7 @@ from calgraph.captures import (
 from calgraph.config import Board, Lidar2dSpec, Rig
 from calgraph.detection import Segment
 from calgraph.errors import Rejected
-from calgraph.sensors import LaserScan, RecordedMessage, Trigger
+from calgraph.sensors import Image, LaserScan, RecordedMessage, Trigger
 
 RIG = Rig(root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")})
 SEGMENTS = (Segment(np.zeros((2, 3)), np.eye(6), np.zeros(0), np.zeros((0, 3))),)
@@ -44,6 +44,15 @@ def test_timeline_decodes_one_message_of_each_sensor() -> None:
     assert times.frame_id == "laser"
     assert abs(times.duration - 0.02) < 1e-9
     assert abs(times.period - 0.1) < 1e-9
+
+
+def test_images_take_no_time() -> None:
+    images = [
+        RecordedMessage("/image", t, t, partial(Image, t, "c", np.zeros((2, 2), np.uint8))) for t in (2.0, 1.0)
+    ]
+    times = build_timeline(images, 0.0, {"camera": "/image"}, None).sensors["camera"]
+    assert (times.duration, times.frame_id, times.message_type) == (0.0, "c", "Image")
+    np.testing.assert_array_equal(times.stamps, [1.0, 2.0])
 
 
 def test_triggers_are_collected() -> None:

@@ -1,5 +1,7 @@
 """Poses from corners: accuracy as stated, with outliers among the corners."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -145,7 +147,12 @@ def test_a_far_tilted_tag_whose_mirrored_tilt_fits_as_well_is_rejected(rng: np.r
     pixels = project(a_pose((0.5, 0.3, 0), (0, 0, 9)), PINHOLE, rng)[:1]
     pose = fit_pose(MARKS.ids[:1], MARKS.corners[:1], pixels, PINHOLE, SIGMA)
     assert isinstance(pose, Rejected)
-    assert "equally well" in pose.reason
+    # The mirrored normal lies as far on the other side of the viewing direction.
+    normal = a_pose((0.5, 0.3, 0), (0, 0, 9))[:3, 2]
+    tilt = 2 * np.degrees(np.arccos(-normal[2]))
+    stated = re.search(r"two poses (\d+)° apart fit its corners equally well", pose.reason)
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(tilt, abs=8)
 
 
 def test_of_two_tilts_the_true_one_is_found(rng: np.random.Generator) -> None:

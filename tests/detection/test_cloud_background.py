@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from calgraph.config.settings import CloudBackgroundSettings, DetectionSettings
 from calgraph.detection import learn_cloud_background
+from calgraph.detection.cloud_background import find_direction_cells
 from calgraph.errors import InputError
 from calgraph.sensors import PointCloud
 
@@ -59,3 +60,36 @@ def test_background_points_are_never_foreground(points: list[tuple[float, float,
 def test_an_empty_cloud_window_is_named() -> None:
     with pytest.raises(InputError, match=r"capture\.background"):
         learn_cloud_background([PointCloud(0.0, "scanner", np.empty((0, 3)))])
+
+
+def test_direction_cells_are_rows_of_elevation_and_columns_of_azimuth() -> None:
+    points = np.array(
+        [[1.0, 0, 0], [1, 0, 1.01], [0, 2, -0.01], [-1, -1e-9, 0], [0, 0, 5], [0, 0, -5], [-1, 1e-9, 0]]
+    )
+    row, column = find_direction_cells(points, (180, 360))
+    np.testing.assert_array_equal(row, [90, 135, 89, 90, 179, 0, 90])
+    np.testing.assert_array_equal(column[:4], [180, 180, 270, 0])
+    assert column[6] == 359
+
+
+def test_the_farthest_background_is_that_of_its_direction() -> None:
+    """Walls at 3, 5 and 7 m to the front, left and right, and a ceiling at 2 m; each hides what is behind it."""
+    y, z = (a.ravel() for a in np.meshgrid(np.arange(-0.3, 0.31, 0.05), np.arange(-0.3, 0.31, 0.05)))
+    one = np.ones_like(y)
+    walls = (np.column_stack([3 * one, y, z]), np.column_stack([y, 5 * one, z]), np.column_stack([y, -7 * one, z]))
+    ceiling = np.column_stack([y, z, 2 * one])
+    background = learn_cloud_background([PointCloud(0.0, "scanner", np.vstack([*walls, ceiling]))])
+    distances = np.array([1.9, 2.2, 2.7, 3.3, 4.7, 5.3, 6.7, 7.3])[:, None]
+    for direction, farthest in (([1, 0, 0], 3), ([0, 1, 0], 5), ([0, -1, 0], 7)):
+        foreground = background.foreground(distances * np.array(direction, dtype=float))
+        np.testing.assert_array_equal(foreground, distances[:, 0] < farthest)
+    foreground = background.foreground(np.array([[0, 0, 1.7], [0, 0, 2.3], [-3.0, 0, 0], [0, 0, -9]]))
+    assert foreground.tolist() == [True, False, True, True]
+
+
+@pytest.mark.parametrize(("behind", "foreground"), [(0.055, False), (0.16, False)])
+def test_points_on_and_behind_a_wall_are_background(behind: float, foreground: bool) -> None:
+    wall = wall_cloud(np.random.default_rng(0), noise=0.0)
+    background = learn_cloud_background([wall])
+    assert (background.foreground(wall.points + np.array([behind, 0, 0])).mean() > 0.5) == foreground
+    assert background.foreground(wall.points - np.array([0.16, 0, 0])).mean() > 0.95

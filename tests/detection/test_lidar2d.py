@@ -113,6 +113,24 @@ def test_operator_beside_the_board_does_not_extend_it(rng: np.random.Generator) 
     assert np.abs(distances(best)).max() < 0.015
 
 
+@pytest.mark.parametrize("end", [0, 1])
+def test_what_stands_beside_the_board_off_its_line_is_cut_off(end: int, rng: np.random.Generator) -> None:
+    """By 20 mm, little more than the noise of a beam, over 0.12 m."""
+    background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
+    outward = ALONG if end else -ALONG
+    towards_scanner = np.array([-ALONG[1], ALONG[0]])
+    piece = np.stack([ENDS[end], ENDS[end] + 0.12 * outward]) + 0.02 * towards_scanner
+    lengths, offsets = [], []
+    for _ in range(10):
+        scans = [measure(rng, walls=[*ROOM, piece]) for _ in range(8)]
+        best = accepted(find_segments(scans, [BOARD], NOISE, background, rng))[0]
+        lengths.append(np.linalg.norm(np.diff(best.endpoints, axis=0)))
+        offsets.append(distances(best))
+    # The board is 0.9 m long, both together 1.02 m.
+    assert np.mean(lengths) < 0.95
+    assert np.abs(np.mean(offsets, axis=0)).max() < 0.003
+
+
 def test_a_body_alone_is_a_bad_match(rng: np.random.Generator) -> None:
     background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     result = find_segments([measure(rng, ends=None, legs=[(2.0, 0.3, 0.2)])], [BOARD], NOISE, background, rng)

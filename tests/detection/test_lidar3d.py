@@ -267,6 +267,39 @@ def test_same_seed_same_patches(rng: np.random.Generator) -> None:
     assert np.array_equal(first.plane, second.plane)
 
 
+def test_edges_of_rings_lie_at_the_outline_where_no_beam_returns_beside_the_board(
+    rng: np.random.Generator,
+) -> None:
+    def walls_at_the_sides(rays: Array) -> Array:
+        return np.where(np.abs(np.arctan2(rays[:, 1], rays[:, 0])) > 1.2, 4.0, np.inf)
+
+    directions, rings = multi_beam()
+    board = rectangle(T_SENSOR_BOARD, BOARD.size)
+    cloud = measure([board, walls_at_the_sides], directions, rng, rings)
+    best = accepted(find_patches([cloud], [BOARD], NOISE, None, rng))[0]
+    # Two ends of nearly each ring that hits the board; 2 % of the beams are missing.
+    hits = len(np.unique(rings[np.isfinite(board(directions))]))
+    assert 1.5 * hits < len(best.edges) <= 2 * hits
+    middle = best.edges.mean(axis=1)
+    n, t = T_SENSOR_BOARD[:3, 2], T_SENSOR_BOARD[:3, 3]
+    on_board = se3.apply(se3.inverse(T_SENSOR_BOARD), (n @ t / (middle @ n))[:, None] * middle)
+    outside = np.max(np.abs(on_board[:, :2]) - 0.5 * np.array(BOARD.size), axis=1)
+    assert np.abs(outside).max() < 0.04
+    assert abs(outside.mean()) < 0.008
+
+
+def test_points_beside_the_fitted_rectangle_are_not_the_boards(rng: np.random.Generator) -> None:
+    """A stand as flat as the board, 0.2 m wide, continues it by half a metre below."""
+    T_stand = T_SENSOR_BOARD @ se3.pose(np.eye(3), np.array([0.0, -0.7, 0.0]))
+    solids = (room, rectangle(T_SENSOR_BOARD, BOARD.size), rectangle(T_stand, (0.2, 0.5)))
+    directions = spinner(planes=500, beams=400)
+    best = accepted(find_patches([measure(solids, directions, rng)], [BOARD], NOISE, None, rng))[0]
+    assert best.match > 0.5
+    on_board = se3.apply(se3.inverse(T_SENSOR_BOARD), best.points)
+    assert on_board[:, 1].min() > -0.48
+    assert np.linalg.norm(best.center - T_SENSOR_BOARD[:3, 3]) < 0.05
+
+
 def rejection(result: tuple[PlanePatch, ...] | Rejected) -> str:
     assert isinstance(result, Rejected), result
     return result.reason

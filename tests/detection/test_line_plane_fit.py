@@ -89,3 +89,39 @@ def test_covariance_follows_the_residuals_if_they_exceed_the_stated_noise(
     assert low is not None
     assert np.sqrt(low.covariance[2, 2] / right.covariance[2, 2]) == pytest.approx(1.0, abs=0.1)
     assert low.scale == pytest.approx(understated, rel=0.15)
+
+
+@pytest.mark.parametrize(("sigma_range", "sigma_angle"), [(0.02, 1e-5), (0.001, 5e-3), (0.01, 3e-3)])
+def test_plane_covariance_is_that_of_noise_of_ranges_and_of_directions(
+    sigma_range: float, sigma_angle: float, rng: np.random.Generator
+) -> None:
+    """The squared Mahalanobis distance of 200 planes has its expectation, 3: beams meet them at up to 70°."""
+    _, directions = to_beams(beams_at_plane(8))
+    count = len(directions)
+    axes = np.array([plane.tangent_basis(d) for d in directions])
+    total, runs = 0.0, 200
+    for _ in range(runs):
+        turned = directions + np.einsum("nij,nj->ni", axes, rng.normal(0, sigma_angle, (count, 2)))
+        turned /= np.linalg.norm(turned, axis=1)[:, None]
+        measured = -PLANE[3] / (turned @ PLANE[:3]) + rng.normal(0, sigma_range, count)
+        fit = fit_plane(measured, directions, sigma_range, sigma_angle, PLANE)
+        assert fit is not None
+        n = fit.parameters[:3]
+        error = np.append(plane.tangent_basis(n).T @ PLANE[:3] / (n @ PLANE[:3]), PLANE[3] - fit.parameters[3])
+        total += float(error @ np.linalg.solve(fit.covariance, error))
+    assert total / runs == pytest.approx(3, rel=0.2)
+
+
+@pytest.mark.parametrize(("sigma_range", "sigma_angle"), [(0.02, 1e-5), (0.001, 3e-3)])
+def test_line_covariance_is_that_of_noise_of_ranges_and_of_angles(
+    sigma_range: float, sigma_angle: float, rng: np.random.Generator
+) -> None:
+    total, runs, ones = 0.0, 200, np.ones(120)
+    for _ in range(runs):
+        turned = BEAMS + rng.normal(0, sigma_angle, 120)
+        ranges = LINE[1] / np.cos(turned - LINE[0]) + rng.normal(0, sigma_range, 120)
+        fit = fit_line(BEAMS, ranges, sigma_range * ones, sigma_angle * ones, LINE)
+        assert fit is not None
+        error = fit.parameters - LINE
+        total += float(error @ np.linalg.solve(fit.covariance, error))
+    assert total / runs == pytest.approx(2, rel=0.25)

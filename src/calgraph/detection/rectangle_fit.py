@@ -30,8 +30,6 @@ class BoardRectangle:
     """(3,) m."""
     size: tuple[float, float]
     """Width and height, m."""
-    extent: tuple[float, float]
-    """Span of the patch along the two axes, m."""
     covered: float
     """Share of the rectangle that is covered by points of the patch."""
     contained: float
@@ -63,14 +61,13 @@ def fit_rectangle(
     rotation = np.array([[cosine, -sine], [sine, cosine]])
     axes = basis @ rotation
     rotated = flat @ rotation
-    width, height = np.ptp(np.quantile(rotated, [0.01, 0.99], axis=0), axis=0) + 2 * reach
     ticks = (np.arange(_RASTER) + 0.5) / _RASTER - 0.5
     raster = np.stack(np.meshgrid(ticks * size[0], ticks * size[1]), axis=-1).reshape(-1, 2) + center
     distance, _ = cKDTree(rotated).query(raster, distance_upper_bound=max(reach, blur))
     middle = origin + axes @ center
     middle = middle - (surface[:3] @ middle + surface[3]) * surface[:3]
     covered = float(np.isfinite(distance).mean())
-    return BoardRectangle(surface, axes, middle, size, (float(width), float(height)), covered, share)
+    return BoardRectangle(surface, axes, middle, size, covered, share)
 
 
 def _find_best_placement(

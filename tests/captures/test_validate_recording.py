@@ -1,0 +1,93 @@
+"""Checks of a recording against its rig."""
+
+import numpy as np
+import pytest
+
+from calgraph.captures import RecordingTimeline, SensorTimes, check_timeline
+from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
+from calgraph.errors import InputError
+from calgraph.geometry import Array
+
+STAMPS = np.arange(100.0, 160.0, 0.5)
+
+
+def rig(**capture: object) -> Rig:
+    sensors: dict[str, SensorSpec] = {"lidar": Lidar3dSpec(kind="lidar3d", topic="/points")}
+    sensors |= {name: Lidar2dSpec(kind="lidar2d", topic=f"/{name}") for name in ("front", "left", "rear")}
+    return Rig(root="lidar", target=Board(size=(1, 1)), sensors=sensors, capture=Capture.model_validate(capture))
+
+
+def times(stamps: Array = STAMPS, message: str = "LaserScan") -> SensorTimes:
+    return SensorTimes(stamps, 0.0, np.zeros(len(stamps)), "", message)
+
+
+def timeline(triggers: tuple[float, ...] = (), **changed: SensorTimes) -> RecordingTimeline:
+    sensors = {"lidar": times(message="PointCloud"), "front": times(), "left": times(), "rear": times()}
+    return RecordingTimeline(100.0, sensors | changed, np.array(triggers))
+
+
+def test_a_recording_that_fits_passes() -> None:
+    check_timeline(rig(background=[0.0, 5.0], trigger="/go"), timeline((120.0,)), 160.0)
+
+
+@pytest.mark.parametrize("name", ["lidar", "front", "left", "rear"])
+@pytest.mark.parametrize("shift", [-61.0, 61.0])
+def test_a_sensor_with_another_clock_is_named(name: str, shift: float) -> None:
+    message = "PointCloud" if name == "lidar" else "LaserScan"
+    first, last = 100.0 + shift, 159.5 + shift
+    reason = rf"sensors\.{name}: its header stamps run from {first:.3f} to {last:.3f} s, .* 100\.000 to 159\.500 s"
+    with pytest.raises(InputError, match=reason) as error:
+        check_timeline(rig(), timeline((), **{name: times(STAMPS + shift, message)}), 160.0)
+    assert "clocks differ" in str(error.value)
+
+
+@pytest.mark.parametrize("shift", [-59.5, 0.0, 59.5])
+def test_sensors_that_overlap_in_time_pass(shift: float) -> None:
+    check_timeline(rig(), timeline(front=times(STAMPS + shift)), 160.0)
+
+
+def test_a_sensor_may_overlap_with_triggers_only() -> None:
+    check_timeline(rig(trigger="/go"), timeline((300.0,), front=times(STAMPS + 200)), 400.0)
+
+
+def test_sensors_without_messages_pass() -> None:
+    check_timeline(rig(), timeline(front=times(np.zeros(0), "")), 160.0)
+
+
+@pytest.mark.parametrize("count", [2, 7])
+def test_stamps_that_stand_still_are_named(count: int) -> None:
+    with pytest.raises(
+        InputError, match=rf"sensors\.left: all its {count} messages have the header stamp 130\.000 s"
+    ):
+        check_timeline(rig(), timeline(left=times(np.full(count, 130.0))), 160.0)
+
+
+def test_a_single_message_may_have_one_stamp() -> None:
+    check_timeline(rig(), timeline(left=times(np.array([130.0]))), 160.0)
+
+
+def test_messages_of_another_kind_are_named_with_their_sender() -> None:
+    reason = r"sensors\.lidar\.topic: /points has LaserScan messages; a lidar2d sends those, but its kind lidar3d "
+    with pytest.raises(InputError, match=reason + "needs PointCloud"):
+        check_timeline(rig(), timeline(lidar=times()), 160.0)
+    with pytest.raises(InputError, match="/front has Imu messages, but its kind lidar2d needs LaserScan or Poi"):
+        check_timeline(rig(), timeline(front=times(message="Imu")), 160.0)
+
+
+def test_2d_scanners_may_send_clouds() -> None:
+    check_timeline(rig(), timeline(front=times(message="PointCloud")), 160.0)
+
+
+def test_the_trigger_is_no_sensor() -> None:
+    with pytest.raises(InputError, match=r"capture\.trigger: /rear is the topic of the sensor rear"):
+        check_timeline(rig(trigger="/rear"), timeline(), 160.0)
+
+
+@pytest.mark.parametrize(("first", "wrong"), [(59.9, False), (60.0, True), (70.0, True)])
+def test_the_background_window_lies_in_the_recording(first: float, wrong: bool) -> None:
+    checked = rig(background=[first, first + 5])
+    if not wrong:
+        check_timeline(checked, timeline(), 160.0)
+        return
+    with pytest.raises(InputError, match=rf"\[{first:g}, {first + 5:g}\] s .* recording, which is 60\.0 s long"):
+        check_timeline(checked, timeline(), 160.0)
