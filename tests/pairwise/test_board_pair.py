@@ -6,7 +6,14 @@ import pytest
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
-from calgraph.pairwise import estimate_pair, evaluate_coplanarity
+from calgraph.pairwise import (
+    PairwiseEstimate,
+    estimate_pair,
+    evaluate_coplanarity,
+    reselect_all_inliers,
+    reselect_inliers,
+    select_successful,
+)
 
 
 def error(T_est: Array, T: Array) -> tuple[float, float]:
@@ -105,3 +112,73 @@ def test_upright_boards_leave_height_roll_and_pitch_unobservable(rng: np.random.
     spread = 1 / np.sqrt(np.maximum(np.diag(found.information), 1e-9))
     assert spread[observable].max() < 0.01
     assert spread[[2, 3, 4]].min() > 0.05
+
+
+def test_refinement_on_the_inliers_fits_them_better(rng: np.random.Generator) -> None:
+    scene, T_a_b = make_boards(rng, 40), random_pose(rng)
+    a, b = (detect_boards("plane", T, scene, rng) for T in (np.eye(4), se3.inverse(T_a_b)))
+    refined, minimal = (
+        estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine) for refine in (True, False)
+    )
+    assert isinstance(refined, PairwiseEstimate)
+    assert isinstance(minimal, PairwiseEstimate)
+    assert refined.normalized_rms < 0.97 * minimal.normalized_rms
+    assert error(refined.T_a_b, T_a_b) < (0.005, 0.1)
+
+
+@pytest.mark.parametrize(("kind_a", "kind_b"), [("plane", "plane"), ("plane", "line"), ("line", "plane")])
+def test_inliers_under_a_better_pose_exclude_what_ransac_tolerates(
+    kind_a: str, kind_b: str, rng: np.random.Generator
+) -> None:
+    # 25 mm are within the gate of RANSAC, 3 * 10 mm, but not within 3.5 standard deviations of 2 mm.
+    scene, T_a_b = make_boards(rng, 80), random_pose(rng, rotation=0.6)
+    moved = scene.copy()
+    moved[:8, :3, 3] += 0.025 * scene[:8, :3, 2]
+    a = detect_boards(kind_a, np.eye(4), scene, rng, 0.001)
+    b = detect_boards(kind_b, se3.inverse(T_a_b), moved, rng, 0.001)
+    estimate = estimate_pair("a", "b", a, b, SIZE, rng)
+    assert isinstance(estimate, PairwiseEstimate), estimate
+    found = reselect_inliers(estimate, T_a_b, a, b, SIZE)
+    assert isinstance(found, PairwiseEstimate), found
+    captures, inliers = found.matches[:, 0], found.inliers
+    assert estimate.inliers[captures < 8].mean() > 0.7
+    assert inliers[captures < 8].mean() < 0.2
+    assert inliers[captures >= 8].mean() > 0.9
+    np.testing.assert_allclose(found.T_a_b, T_a_b, atol=1e-12)
+    assert (found.sensor_a, found.sensor_b) == ("a", "b")
+
+
+def test_pairs_are_rejected_if_the_joint_solution_rejects_all_inliers(rng: np.random.Generator) -> None:
+    scene = make_boards(rng, 12)
+    a = detect_boards("plane", np.eye(4), scene, rng)
+    estimate = estimate_pair("a", "b", a, a, SIZE, rng)
+    assert isinstance(estimate, PairwiseEstimate)
+    elsewhere = se3.pose(np.eye(3), np.array([0.0, 0.0, 5.0]))
+    poses = {"a": np.eye(4), "b": elsewhere}
+    found = reselect_all_inliers(
+        {("a", "b"): estimate, ("b", "c"): Rejected("none")}, poses, {"a": a, "b": a}, SIZE
+    )
+    assert found["a", "b"] == Rejected("all 12 shared captures were rejected as outliers by the joint solution")
+    assert found["b", "c"] == Rejected("none")
+    assert select_successful(found) == []
+
+
+def test_pairs_without_a_joint_pose_keep_their_inliers(rng: np.random.Generator) -> None:
+    a = detect_boards("plane", np.eye(4), make_boards(rng, 12), rng)
+    estimate = estimate_pair("a", "b", a, a, SIZE, rng)
+    assert isinstance(estimate, PairwiseEstimate)
+    assert reselect_all_inliers({("a", "b"): estimate}, {"a": np.eye(4)}, {"a": a, "b": a}, SIZE) == {
+        ("a", "b"): estimate
+    }
+
+
+@pytest.mark.parametrize(("kind", "count", "inliers"), [("plane", 3, 3), ("line", 9, 8)])
+def test_pairs_need_more_residuals_than_unknowns(
+    kind: str, count: int, inliers: int, rng: np.random.Generator
+) -> None:
+    a, b = (detect_boards(kind, np.eye(4), make_boards(rng, 40), rng) for _ in range(2))
+    common = sorted(set(a) & set(b))[:count]
+    found = estimate_pair("a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng)
+    assert found == Rejected(
+        f"RANSAC found no relative pose with at least {inliers} inliers among {count} shared captures"
+    )

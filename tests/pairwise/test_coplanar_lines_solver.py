@@ -46,3 +46,14 @@ def test_samples_are_solved_independently(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(
         together, np.concatenate([solve_coplanar_lines(a, b, DIHEDRAL) for a, b in pairs]), atol=1e-9
     )
+
+
+@pytest.mark.parametrize("roll", [-0.5, 0.5])
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_segments_of_a_board_are_near_each_other(roll: float, yaw: float, rng: np.random.Generator) -> None:
+    """Of the two possible dihedral angles, the one with all boards on one side of the intersection."""
+    R = so3.exp(np.array([roll, 0, 0])) @ so3.exp(np.array([0, 0, yaw]))
+    a, b = segments(se3.pose(R, np.array([0.3, 0.2, 0.1])), rng)
+    T = solve_coplanar_lines(a, b, DIHEDRAL)
+    apart = np.linalg.norm(se3.apply(T, b.mean(axis=2)) - a.mean(axis=2), axis=-1)
+    assert np.median(apart) < 1.5

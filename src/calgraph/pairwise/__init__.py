@@ -21,8 +21,8 @@ from calgraph.pairwise.scanner_pair import (
 from calgraph.pairwise.visibility_map import ScannerObservations
 
 __all__ = [
-    "Candidates", "MatchFilter", "PairwiseEstimate", "PairwiseEstimates", "PoseHypothesis", "ScannerObservations",
-    "ScannerPairEstimate", "estimate_pair", "estimate_pairs", "estimate_scanner_pair", "estimate_scanner_pairs",
-    "evaluate_coplanarity", "reselect_all_inliers", "reselect_inliers", "select_matches", "select_successful",
-    "tabulate_matches",
+    "Candidates", "MatchFilter", "PairwiseEstimate", "PairwiseEstimates", "PoseHypothesis",
+    "ScannerObservations", "ScannerPairEstimate", "estimate_pair", "estimate_pairs", "estimate_scanner_pair",
+    "estimate_scanner_pairs", "evaluate_coplanarity", "reselect_all_inliers", "reselect_inliers",
+    "select_matches", "select_successful", "tabulate_matches",
 ]  # fmt: skip

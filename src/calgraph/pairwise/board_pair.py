@@ -135,7 +135,16 @@ def _build_matches(
     table = tabulate_matches(candidates_a, candidates_b)
     a = [candidates_a[capture][i] for capture, i, _ in table]
     b = [candidates_b[capture][j] for capture, _, j in table]
-    return table, _MATCH_BUILDERS[_geometric_kind(a[0]), _geometric_kind(b[0])](a, b, size, settings)
+    radius, diagonal = min(size) / 2, float(np.hypot(*size))
+    match _geometric_kind(a[0]), _geometric_kind(b[0]):
+        case "plane", "plane":
+            return table, PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), radius, diagonal, settings)
+        case "plane", "line":
+            return table, PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), diagonal, settings)
+        case "line", "line":
+            return table, LineLineMatches(*_stack_segments(a), *_stack_segments(b), diagonal, settings)
+        case kinds:
+            raise ValueError(f"no matches between {' and '.join(kinds)}")
 
 
 def _min_match_count(matches: Matches, count: int) -> int:
@@ -268,33 +277,3 @@ def _stack_planes(detections: Sequence[Detection]) -> tuple[Array, Array, Array]
 def _stack_segments(detections: Sequence[Detection]) -> tuple[Array, Array]:
     segments = [d for d in detections if isinstance(d, Segment)]
     return np.array([d.endpoints for d in segments]), np.array([d.covariance for d in segments])
-
-
-Size = tuple[float, float]
-MatchBuilder = Callable[[Sequence[Detection], Sequence[Detection], Size, BoardPairSettings], Matches]
-
-
-def _build_plane_plane(
-    a: Sequence[Detection], b: Sequence[Detection], size: Size, settings: BoardPairSettings
-) -> Matches:
-    radius, diagonal = min(size) / 2, float(np.hypot(*size))
-    return PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), radius, diagonal, settings)
-
-
-def _build_plane_line(
-    a: Sequence[Detection], b: Sequence[Detection], size: Size, settings: BoardPairSettings
-) -> Matches:
-    return PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), float(np.hypot(*size)), settings)
-
-
-def _build_line_line(
-    a: Sequence[Detection], b: Sequence[Detection], size: Size, settings: BoardPairSettings
-) -> Matches:
-    return LineLineMatches(*_stack_segments(a), *_stack_segments(b), float(np.hypot(*size)), settings)
-
-
-_MATCH_BUILDERS: Mapping[tuple[str, str], MatchBuilder] = {
-    ("plane", "plane"): _build_plane_plane,
-    ("plane", "line"): _build_plane_line,
-    ("line", "line"): _build_line_line,
-}

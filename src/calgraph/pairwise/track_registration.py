@@ -33,11 +33,7 @@ class TrackRegistration:
 
 
 def register_tracks(
-    T_a_b: Array,
-    pairs: SimultaneousPairs,
-    model_error: float,
-    depth_stddev: float,
-    settings: RegistrationSettings,
+    T_a_b: Array, pairs: SimultaneousPairs, model_error: float, depth_stddev: float, settings: RegistrationSettings
 ) -> TrackRegistration | None:
     """Fits pose, clock offset and depths to the matches of simultaneous pairs, with new matches at every step.
 
