@@ -340,3 +340,21 @@ def test_systematic_errors_bound_the_information(rng: np.random.Generator) -> No
 def test_alternating_residuals_have_a_correlation_time_of_one_step() -> None:
     r: Array = np.tile([1.0, -1.0], 100)[:, None]
     assert estimate_correlation_time(r, np.zeros(200, dtype=np.intp), np.arange(200)) == 1.0
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+def test_priors_of_clock_and_depths_bound_the_information_of_a_straight_walk(
+    rng: np.random.Generator, speed: float
+) -> None:
+    """Along the walk 10 ms of clock offset are not distinct from 10 ms times the speed."""
+    y = np.linspace(-2, 2, 81)
+    walk = np.column_stack([np.full(81, 4.0), y]), np.tile([0.0, speed], (81, 1))
+    pairs = track_pairs.observe_walks([walk], rng, stated_sigma=1e-4)
+    settings = RegistrationSettings(min_model_error=1e-4)
+    fit = register_walks(pairs, settings, depth_stddev=1e-6)
+    covariance = np.linalg.inv(compute_registration_information(fit, pairs, 1e-6, settings))
+    at_walk = np.eye(3)
+    at_walk[1, 2] = 4.0 - track_pairs.T_A_B[0, 2]
+    assert np.sqrt((at_walk @ covariance @ at_walk.T)[1, 1]) == pytest.approx(
+        np.hypot(0.01 * speed, 0.008), rel=0.02
+    )

@@ -182,15 +182,18 @@ def test_times_of_the_floor_plan_count_from_the_start_of_the_recording(rng: np.r
     np.testing.assert_allclose(line[:, 0], times, atol=5 * SIGMA)
 
 
-def test_lines_of_the_floor_plan_break_at_gaps_of_a_second(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(("ticks", "starts"), [(10, [0]), (11, [0, 3]), (21, [0, 4])])
+def test_lines_of_the_floor_plan_break_at_gaps_of_more_than_a_second(
+    ticks: int, starts: list[int], rng: np.random.Generator
+) -> None:
     walk = simulate_walk(0, 6, 1.5)
     tracks = {"east": build_tracks("east", [walk], rng)}
     samples = resample_tracks(tracks["east"])
-    kept = np.delete(np.arange(len(samples.tick)), slice(20, 40))
+    kept = np.delete(np.arange(len(samples.tick)), slice(20, 19 + ticks))
     gap = replace(samples, **{name: getattr(samples, name)[kept] for name in ("tick", "positions", "covariances")},
                   trajectory=samples.trajectory[kept])  # fmt: skip
     (view,) = build_floor_views(tracks, {"east": gap}, T_ROOT, START)
-    assert [round(float(times[0])) for times in view.times] == [0, 4]
+    assert [round(float(times[0])) for times in view.times] == starts
 
 
 def test_the_floor_plan_of_a_long_recording_is_thinned(rng: np.random.Generator) -> None:
@@ -199,4 +202,5 @@ def test_the_floor_plan_of_a_long_recording_is_thinned(rng: np.random.Generator)
     tracked = build_tracks("west", [hour], rng)
     (view,) = build_floor_views({"west": tracked}, {"west": resample_tracks(tracked)}, T_ROOT, start=0.0)
     assert sum(map(len, view.tracks)) <= 30_000
-    assert len(view.background) < 400
+    # Points on 10 m of wall, one in each cell of 3 cm.
+    assert len(view.background) == pytest.approx(333, abs=10)
