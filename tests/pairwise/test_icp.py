@@ -5,7 +5,13 @@ import pytest
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.icp import IcpResult, StaticBackground, align_backgrounds
+from calgraph.pairwise.icp import (
+    IcpResult,
+    StaticBackground,
+    _SurfacePoints,
+    _wall_error_covariance,
+    align_backgrounds,
+)
 
 SIGMA = 0.01
 Wall = tuple[tuple[float, float], tuple[float, float]]
@@ -116,6 +122,22 @@ def test_the_two_sides_of_a_thin_wall_are_not_matched(rng: np.random.Generator) 
     wall: list[Wall] = [((0, -6), (0, 6)), ((-5, -6), (-5, 6)), ((5, -6), (5, 6))]
     found = align_backgrounds(T_A_B, LOOSE, scan(wall, A, rng), scan(wall, B, rng), SIGMA)
     assert found == Rejected("only 0 points of the static background overlap")
+
+
+@pytest.mark.parametrize("along_x", [True, False])
+def test_errors_of_a_wall_turn_it_by_its_length(along_x: bool) -> None:
+    # Uniform points on 4 m have a standard deviation of 4 / sqrt(12) m along the wall.
+    position = np.linspace(-2, 2, 4001)
+    x, normal = np.column_stack([position, np.full(4001, 3.0)]), np.tile([0.0, -1.0], (4001, 1))
+    if not along_x:
+        x, normal = x[:, ::-1], normal[:, ::-1]
+    C = _wall_error_covariance(np.eye(3), _SurfacePoints(x, normal), np.arange(4001), 0.01)
+    turn = 0.01 * np.sqrt(12) / 4
+    assert np.sqrt(C[2, 2]) == pytest.approx(turn, rel=1e-3)
+    # A turn about the wall's centre, 3 m away, moves the scanner along the wall.
+    along, across = (0, 1) if along_x else (1, 0)
+    assert np.sqrt(C[along, along]) == pytest.approx(np.hypot(0.01, 3 * turn), rel=1e-3)
+    assert np.sqrt(C[across, across]) == pytest.approx(0.01, rel=1e-3)
 
 
 def test_hardly_any_background_is_rejected() -> None:

@@ -12,6 +12,7 @@ from calgraph.pairwise.pairwise_estimate import (
     PairwiseEstimate,
     compute_information,
     compute_normalized_rms,
+    linearize_at,
     refine_pose,
     resolve_ambiguity,
     select_matches,
@@ -91,6 +92,14 @@ def test_information_of_small_residuals_is_not_increased() -> None:
     at = matches.linearize(np.eye(4)[None])
     at = Linearization(at.residuals[0], at.jacobian[0], at.covariance[0])
     np.testing.assert_allclose(compute_information(at, np.ones(12, dtype=bool)), 2e4 * np.eye(6), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("flatness", "expected"), [(1e-9, 1.0), (0.01, np.sqrt(0.5)), (0.02, np.sqrt(0.2))])
+def test_normalized_rms_allows_for_the_flatness_of_the_board(flatness: float, expected: float) -> None:
+    # 12 residuals of 1 cm with a standard deviation of 1 cm have a chi-squared of 12, over 6 degrees of freedom.
+    matches = DirectionMatches(np.tile(DIRECTIONS, (2, 1)), np.full(12, 0.01), np.full(12, 0.01**2))
+    found = compute_normalized_rms(linearize_at(np.eye(4), matches), np.ones(12, dtype=bool), flatness)
+    assert found == pytest.approx(np.sqrt(2) * expected)
 
 
 def turned(degrees: float) -> Array:

@@ -225,11 +225,14 @@ def test_tracks_are_interpolated_at_the_ticks() -> None:
 
 def test_acceleration_adds_variance_in_the_middle_of_a_gap() -> None:
     # h = 0.4 s: a * (u (1 - u) h)^2 with u = 0.5 is 1 cm for 1 m/s^2.
-    tracked = ScannerTracks((track(np.array([0.0, 0.4, 0.8])),), np.zeros((0, 2)), 0.01)
+    one = track(np.array([0.0, 0.4, 0.8]))
+    one = replace(one, covariances=one.covariances * np.array([1.0, 5.0, 9.0])[:, None, None])
+    tracked = ScannerTracks((one,), np.zeros((0, 2)), 0.01)
     found = resample_tracks(tracked, ResamplingSettings(acceleration=1.0))
     assert found.tick.tolist() == list(range(9))
-    expected = [0.01**2, 0.01**2 + 0.01**2]
-    np.testing.assert_allclose(found.covariances[[0, 2], 0, 0], expected, rtol=1e-9)
+    # Linear between the neighbours, 1, 5 and 9 times 1 cm^2, plus (4 u (1 - u))^4 cm^2.
+    expected = [1, 2 + 0.75**4, 3 + 1, 4 + 0.75**4, 5, 6 + 0.75**4, 7 + 1, 8 + 0.75**4, 9]
+    np.testing.assert_allclose(found.covariances[:, 0, 0], 1e-4 * np.array(expected), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("gap", "bridged"), [(0.45, True), (0.55, False)])
