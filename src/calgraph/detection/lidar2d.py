@@ -27,8 +27,6 @@ Indices = NDArray[np.intp]
 _Z_VARIANCE = 1e-8
 # Samples of RANSAC: a line with a fifth of the beams is drawn with 99.9 % by 169 pairs.
 _MAX_SAMPLES = 300
-# Beams from an end of a line to the one that shows what follows: the two between may be mixed pixels.
-_BEYOND = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +261,7 @@ def _score_length(length: float, board: Board, tolerance: float, settings: Lidar
 def _score_end(scan: AveragedScan, line: _LineCandidate, direction: int, settings: DetectionSettings) -> float:
     """Score of one end: 1 if the next beams end behind the line, less if it is occluded or the surface goes on."""
     end = line.beams[0] if direction < 0 else line.beams[-1]
-    beyond = end + _BEYOND * direction
+    beyond = end + (1 + settings.lidar2d.mixed_beams) * direction
     if not 0 <= beyond < len(scan.angles):
         return settings.lidar2d.occluded_end_score
     step = abs(scan.angles[beyond] - scan.angles[end])

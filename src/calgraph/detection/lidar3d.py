@@ -27,10 +27,6 @@ from calgraph.sensors import PointCloud
 # Samples of RANSAC, and most points that it samples from: a plane with a third of the points is drawn with 99.9 %.
 _MAX_SAMPLES = 200
 _SAMPLE_POINTS = 400
-# Least cosine of incidence in the footprint of a cell (73°): flatter, cells overlap several of their neighbours.
-_MIN_FOOTPRINT_COSINE = 0.3
-# Least share of points inside the margin: a patch of few rings is nearly all outline.
-_MIN_INTERIOR = 0.6
 # Most points of the scene, evenly chosen, that show whether a candidate stands free.
 _SCENE_POINTS = 30_000
 
@@ -208,7 +204,7 @@ def _select_interior(
         return kept
     depth = np.max(hull.equations[:, :2] @ flat.T + hull.equations[:, 2:], axis=0)
     clear: NDArray[np.bool_] = np.asarray(kept & (depth < -settings.edge_margin), dtype=np.bool_)
-    return clear if clear.sum() > max(settings.min_points, _MIN_INTERIOR * kept.sum()) else kept
+    return clear if clear.sum() > max(settings.min_points, settings.min_interior_ratio * kept.sum()) else kept
 
 
 def _score_patch(
@@ -223,10 +219,10 @@ def _score_patch(
     """Score, 0 to 1, of a patch as the board, and the rectangle of the board in it."""
     centre = cells.mean(axis=0)
     step = spacing * float(np.linalg.norm(centre))
-    cosine = max(abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre)), _MIN_FOOTPRINT_COSINE)
-    # Half a cell's footprint on the plane, and a tenth; at most a quarter of the board's shorter side.
-    reach = min(0.6 * step / cosine, min(board.size) / 4)
     limits = settings.lidar3d
+    cosine = abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre))
+    # Half a cell's footprint on the plane, and a tenth; at most a quarter of the board's shorter side.
+    reach = min(0.6 * step / max(cosine, limits.min_footprint_cosine), min(board.size) / 4)
     rectangle = fit_rectangle(surface, cells, board.size, reach, limits.outline_blur)
     if rectangle.covered * rectangle.contained < limits.min_score:
         return 0.0, rectangle
@@ -247,6 +243,7 @@ def _measure_extent(points: Array) -> tuple[float, float]:
 
 
 def _has_plausible_size(points: Array, board: Board, spacing: float) -> bool:
+    """Wide limits that no board exceeds: they save the time of scoring walls and small things."""
     length, width = _measure_extent(points)
     step = spacing * float(np.linalg.norm(points.mean(axis=0)))
     short, diagonal = min(board.size), float(np.hypot(*board.size))

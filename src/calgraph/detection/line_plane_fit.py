@@ -18,8 +18,7 @@ from calgraph.geometry import Array, plane
 WhitenedResiduals = Callable[[Array], tuple[Array, Array]]
 """Parameters to whitened residuals (N,) and the Jacobian (N, P) of the whitened predictions."""
 
-# Rounds of rejection, and most Gauss-Newton iterations of a round: two suffice from the start values of RANSAC.
-_ROUNDS = 2
+# Most Gauss-Newton iterations of a round: two suffice from the start values of RANSAC.
 _ITERATIONS = 6
 
 
@@ -45,7 +44,7 @@ def fit_line(
     start: Array,
     settings: SurfaceFitSettings = SurfaceFitSettings(),
 ) -> SurfaceFit | None:
-    """The line ``x cos(a) + y sin(a) = p`` through the ends of beams, in two rounds of rejection.
+    """The line ``x cos(a) + y sin(a) = p`` through the ends of beams, with rejection of outliers.
 
     Args:
         angles: (N,) of the beams, rad.
@@ -85,7 +84,7 @@ def fit_plane(
     start: Array,
     settings: SurfaceFitSettings = SurfaceFitSettings(),
 ) -> SurfaceFit | None:
-    """The plane through the ends of beams from the origin, in two rounds of rejection.
+    """The plane through the ends of beams from the origin, with rejection of outliers.
 
     Args:
         ranges: (N,) m.
@@ -119,7 +118,7 @@ def _fit_robustly(
     """Gauss–Newton in rounds, each on the inliers of the round before."""
     inliers = np.ones(len(whitened(parameters)[0]), dtype=bool)
     scale = 1.0
-    for round_ in range(_ROUNDS + 1):
+    for round_ in range(settings.rejection_rounds + 1):
         for _ in range(_ITERATIONS):
             residuals, J = whitened(parameters)
             # Before the first rejection Huber weights limit the influence of outliers.

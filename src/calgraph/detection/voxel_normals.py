@@ -16,11 +16,6 @@ from calgraph.geometry import Array
 
 Indices = NDArray[np.intp]
 
-# Neighbours of a cell: two rings of a square grid around it; where rings are sparse more, to reach the next ones.
-_NEIGHBOURS, _RING_NEIGHBOURS = 16, 24
-# Largest distance of neighbours, in spacings of cells, and least neighbours of a normal: three have one by chance.
-_REACH = 3.0
-_MIN_NEIGHBOURS = 5
 # Steps of elevation: width of a bin, and least distance of two rings, rad.
 _ELEVATION_BIN = np.radians(0.1)
 _MIN_RING_STEP = np.radians(0.05)
@@ -55,20 +50,20 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
     # Points of one direction cell whose ranges differ by a depth jump are on two surfaces.
     cell = _assign_cells(points, levels, along, settings.scanner.min_depth_jump)
     means = _average_cells(points, cell)
-    if len(means) <= _MIN_NEIGHBOURS:
+    if len(means) <= regions.min_neighbours:
         return None
     radius = np.linalg.norm(means, axis=1)
-    k = min(_NEIGHBOURS if levels is None else _RING_NEIGHBOURS, len(means))
+    k = min(regions.neighbours if levels is None else regions.ring_neighbours, len(means))
     distance, neighbours = cKDTree(means).query(means, k=k)
     # On a square grid the eighth neighbour is a diagonal away; the scan planes of a slow spinner are sparser.
     spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))
-    near = distance <= _REACH * spacing * radius[:, None]
-    keep = _select_inlier_cells(distance / radius[:, None], near, regions.stray_sigmas)
-    if keep.sum() <= _MIN_NEIGHBOURS:
+    near = distance <= regions.neighbour_reach * spacing * radius[:, None]
+    keep = _select_inlier_cells(distance / radius[:, None], near, settings.lidar3d.regions)
+    if keep.sum() <= regions.min_neighbours:
         return None
     new_index = np.where(keep, np.cumsum(keep) - 1, -1)
     neighbours = np.where(near, new_index[neighbours], -1)[keep]
-    normals, curvature = _estimate_normals(means[keep], neighbours)
+    normals, curvature = _estimate_normals(means[keep], neighbours, regions.min_neighbours)
     return Cells(means[keep], new_index[cell], spacing, neighbours, normals, curvature)
 
 
@@ -113,18 +108,17 @@ def _average_cells(points: Array, cell: Indices) -> Array:
     return np.stack([np.bincount(cell, points[:, i]) / count for i in range(3)], axis=-1)
 
 
-def _select_inlier_cells(relative: Array, near: NDArray[np.bool_], stray_sigmas: float) -> NDArray[np.bool_]:
+def _select_inlier_cells(relative: Array, near: NDArray[np.bool_], settings: RegionSettings) -> NDArray[np.bool_]:
     """Statistical outlier removal (MSG-Cal, III-B) on distances relative to range, as density falls with it."""
     mean = relative.mean(axis=1)
-    usual = mean[near.sum(axis=1) > _MIN_NEIGHBOURS]
-    if not len(usual):
-        return np.zeros(len(mean), dtype=bool)
-    return np.asarray(
-        (near.sum(axis=1) > _MIN_NEIGHBOURS) & (mean < usual.mean() + stray_sigmas * usual.std() + 1e-9)
-    )
+    enough: NDArray[np.bool_] = np.asarray(near.sum(axis=1) > settings.min_neighbours)
+    if not enough.any():
+        return enough
+    usual = mean[enough]
+    return np.asarray(enough & (mean < usual.mean() + settings.stray_sigmas * usual.std() + 1e-9))
 
 
-def _estimate_normals(points: Array, neighbours: Indices) -> tuple[Array, Array]:
+def _estimate_normals(points: Array, neighbours: Indices, min_neighbours: int) -> tuple[Array, Array]:
     valid = neighbours >= 0
     offsets = np.where(valid[..., None], points[neighbours] - points[:, None], 0)
     count = np.maximum(valid.sum(axis=1), 1)
@@ -133,6 +127,6 @@ def _estimate_normals(points: Array, neighbours: Indices) -> tuple[Array, Array]
     values, vectors = np.linalg.eigh(scatter)
     normals = vectors[..., 0]
     normals *= -np.sign(np.sum(normals * points, axis=1, keepdims=True))
-    line = (values[:, 1] < 0.02 * values[:, 2]) | (count <= _MIN_NEIGHBOURS)
+    line = (values[:, 1] < 0.02 * values[:, 2]) | (count <= min_neighbours)
     curvature = np.where(line, np.inf, np.maximum(values[:, 0], 0) / np.maximum(values.sum(axis=1), 1e-12))
     return np.where(line[:, None], 0, normals), curvature

@@ -72,6 +72,8 @@ class SurfaceFitSettings(StrictModel):
     min_cosine: float = Field(default=0.05, gt=0, lt=1)
     """Least cosine of the angle of incidence (87°): flatter beams graze the surface, and a millimetre of its
     offset changes their range by more than 20."""
+    rejection_rounds: int = Field(default=2, ge=1)
+    """Rounds of rejection: the first one is by a fit with outliers, the second one by a fit to inliers."""
     inflation_significance: float = Field(default=0.001, gt=0, lt=1)
     """The covariance is scaled by the reduced χ² where the stated noise makes that χ² less probable than this."""
 
@@ -135,6 +137,8 @@ class Lidar2dDetectionSettings(StrictModel):
     boards by this much. With legs beside the board, whitened errors of end points fall from 5.0 to 1.3."""
     end_block: int = Field(default=5, gt=1)
     """Beams whose median offset decides whether an end of the line is bent: it has 0.56 of the noise of a beam."""
+    mixed_beams: int = Field(default=2, ge=0)
+    """Beams next to an end that may be mixed pixels: the one after them shows what follows."""
     occluded_end_score: float = Field(default=0.7, ge=0, le=1)
     """Score of an end that something nearer occludes, or at the end of the field of view; a free end has 1."""
     no_return_spacings: float = Field(default=10.0, gt=1)
@@ -152,6 +156,14 @@ class RegionSettings(StrictModel):
     """Edge of a direction cell, 0.7°: 12 mm at one metre and 8 cells across a board of 0.6 m at 6 m."""
     min_ring_cell_angle: float = Field(default=math.radians(0.4), gt=0)
     """Least width of a cell along a sparse ring, 0.4°; wider ones have a third of the spacing of rings."""
+    neighbours: int = Field(default=16, ge=8)
+    """Neighbours of a cell from which its normal is computed: two rings of a square grid hold 24."""
+    ring_neighbours: int = Field(default=24, ge=8)
+    """The same where rings are sparse: cells are three times as dense along a ring as across."""
+    neighbour_reach: float = Field(default=3.0, gt=1)
+    """Largest distance of neighbours, in spacings of cells: beyond it they are of other surfaces, or stray."""
+    min_neighbours: int = Field(default=5, ge=3)
+    """Least neighbours of a normal; three lie on a plane by chance. Cells with fewer are stray."""
     max_curvature: float = Field(default=0.08, gt=0)
     """Largest share of the scatter along the normal at the seed of a region; a plane has 0, a sphere 1/3."""
     max_normal_angle: float = Field(default=math.radians(35.0), gt=0)
@@ -181,6 +193,10 @@ class Lidar3dDetectionSettings(StrictModel):
     """Score from which the fitted rectangle selects the points on the board: below it the fit may be wrong."""
     outline_blur: float = Field(default=0.03, gt=0)
     """Uncertainty of the outline of a patch, m: noise, mixed pixels, and steps of 5° of its rotation."""
+    min_interior_ratio: float = Field(default=0.6, ge=0, le=1)
+    """Least share of points left by ``edge_margin``; otherwise all are fitted: a patch of few rings is outline."""
+    min_footprint_cosine: float = Field(default=0.3, gt=0, le=1)
+    """Least cosine of incidence (73°) in the footprint of a cell: flatter, footprints overlap their neighbours."""
     edge_margin: float = Field(default=0.02, ge=0)
     """Points closer to the outline, m, may be mixed pixels of board and background, and are not fitted."""
 
