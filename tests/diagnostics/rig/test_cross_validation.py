@@ -78,6 +78,14 @@ def test_sensors_without_views_in_the_other_captures_are_not_predicted() -> None
     }
 
 
+@pytest.mark.parametrize("folds", [2, 5, 8, 20])
+def test_every_view_is_held_out_once(folds: int) -> None:
+    """Also with as many folds as captures, and with more."""
+    exact = scene(boards=8)
+    predicted = left_out(exact, exact.measured(np.random.default_rng(0)), folds)
+    assert [predicted[name].views for name in exact.bundle.sensors] == [8, 8, 8]
+
+
 def test_one_fold_is_refused() -> None:
     exact = scene()
     with pytest.raises(InputError, match="`folds`: must be 0 for none, or 2 and more, got 1"):

@@ -1,0 +1,181 @@
+"""The calibration of a rig from its solution: rows of captures, edges, verdicts, and unconnected sensors."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.captures import CaptureSet
+from calgraph.diagnostics.rig.assemble import assemble_rig
+from calgraph.errors import Rejected
+from calgraph.estimation import Problem, RigSolution, SolverOptions
+from calgraph.geometry import se3
+from calgraph.graph import SpanningTree
+from calgraph.pairwise import PairwiseEstimate
+from calgraph.result import Calibration, CaptureRow
+from detected_rigs import DetectedRig, detect_rig
+
+CAPTURES = 5
+RESIDUALS = {("lidar", "camera"): 0.003, ("lidar", "laser_front"): 0.004, ("camera", "laser_front"): 0.012}
+STDDEV = {"lidar": 0.0, "camera": 0.001, "laser_front": 0.002}
+
+
+@pytest.fixture(scope="module")
+def detected() -> DetectedRig:
+    """A lidar, which is the root, a camera and a laser, all of which detect the board in five captures."""
+    found = detect_rig()
+    by_capture = {
+        name: {k: of_one[k] for k in range(CAPTURES)} for name, of_one in found.captures.detections.items()
+    }
+    captures = replace(found.captures, holds=found.captures.holds[:CAPTURES], detections=by_capture, rejections={})
+    return replace(found, captures=captures)
+
+
+def without(captures: CaptureSet, missing: Mapping[tuple[int, str], str]) -> CaptureSet:
+    """The captures without some detections, by capture and sensor, for the reasons given."""
+    detections = {
+        name: {k: found for k, found in of_one.items() if (k, name) not in missing}
+        for name, of_one in captures.detections.items()
+    }
+    return replace(captures, detections=detections, rejections=missing)
+
+
+def estimate_of(detected: DetectedRig, a: str, b: str, outliers: tuple[int, ...]) -> PairwiseEstimate:
+    """The pair of two sensors from all captures that both detected."""
+    common = sorted(set(detected.captures.detections[a]) & set(detected.captures.detections[b]))
+    matches = np.array([(k, 0, 0) for k in common], dtype=np.intp)
+    T_a_b = se3.inverse(detected.T_root_sensor[a]) @ detected.T_root_sensor[b]
+    residuals = np.full(len(common), RESIDUALS[a, b])
+    return PairwiseEstimate(a, b, T_a_b, np.eye(6), matches, ~np.isin(common, outliers), residuals)
+
+
+def assemble(
+    detected: DetectedRig,
+    pairs: Mapping[tuple[str, str], PairwiseEstimate | Rejected],
+    parents: Mapping[str, str],
+    rejected: Mapping[tuple[int, str], str] | None = None,
+    *,
+    converged: bool = True,
+) -> Calibration:
+    """Of the sensors that have a parent, and the root."""
+    names = ("lidar", *parents)
+    T = {name: detected.T_root_sensor[name] for name in names}
+    covariance = np.diag(np.repeat([STDDEV[name] for name in names], 6) ** 2)
+    tree = SpanningTree("lidar", parents, T)
+    solution = RigSolution("bundle", T, covariance, {}, converged, rejected=rejected or {})
+    return assemble_rig(Problem(detected.rig, detected.captures, pairs, tree, SolverOptions()), tree, solution)
+
+
+def all_pairs(
+    detected: DetectedRig, outliers: Mapping[tuple[str, str], tuple[int, ...]]
+) -> dict[tuple[str, str], PairwiseEstimate | Rejected]:
+    return {names: estimate_of(detected, *names, outliers.get(names, ())) for names in RESIDUALS}
+
+
+CONNECTED = {"camera": "lidar", "laser_front": "camera"}
+
+
+def row(calibration: Calibration, capture: int, sensor: str) -> CaptureRow:
+    (found,) = (r for r in calibration.evidence.captures if (r.capture, r.sensor) == (capture, sensor))
+    return found
+
+
+def test_a_row_has_the_residuals_of_all_pairs_of_its_sensor(detected: DetectedRig) -> None:
+    calibration = assemble(detected, all_pairs(detected, {("camera", "laser_front"): (1,)}), CONNECTED)
+    found = [row(calibration, k, name) for k in (0, 1) for name in ("lidar", "camera", "laser_front")]
+    rms = [np.hypot(0.003, 0.004), np.hypot(0.003, 0.012), np.hypot(0.004, 0.012)]
+    expected = [*(np.array(rms) / np.sqrt(2)), rms[0] / np.sqrt(2), 0.003, 0.004]
+    assert [r.residual for r in found] == pytest.approx(expected)
+    assert all(r.used and r.reason == "" for r in found)
+
+
+def test_rows_are_of_all_holds_and_sensors_with_times_from_the_start(detected: DetectedRig) -> None:
+    rows = assemble(detected, all_pairs(detected, {}), CONNECTED).evidence.captures
+    assert [(r.capture, r.sensor) for r in rows] == [(k, n) for k in range(CAPTURES) for n in detected.rig.sensors]
+    hold, start = detected.captures.holds[1], detected.captures.start
+    assert (rows[3].start, rows[3].end) == (hold.start - start, hold.end - start)
+
+
+def test_a_row_states_why_its_detection_was_not_used(detected: DetectedRig) -> None:
+    missing = {(1, "laser_front"): "no line", (4, "lidar"): "no plane", (4, "laser_front"): "no line"}
+    partial = replace(detected, captures=without(detected.captures, missing))
+    outliers = {("lidar", "laser_front"): (2,), ("camera", "laser_front"): (2,)}
+    calibration = assemble(
+        partial, all_pairs(partial, outliers), CONNECTED, {(3, "camera"): "outlier of the bundle"}
+    )
+    expected = {
+        (1, "laser_front"): "no line",
+        (2, "laser_front"): "outlier with respect to the other sensors",
+        (3, "camera"): "outlier of the bundle",
+        (4, "camera"): "no other sensor detected the board",
+    }
+    for (capture, sensor), reason in expected.items():
+        found = row(calibration, capture, sensor)
+        assert (found.used, found.reason, found.residual) == (False, reason, None)
+    assert row(calibration, 2, "camera").used
+
+
+def test_edges_count_shared_captures_and_inliers(detected: DetectedRig) -> None:
+    partial = replace(detected, captures=without(detected.captures, {(1, "laser_front"): "no line"}))
+    pairs = all_pairs(partial, {("lidar", "camera"): (0, 3)}) | {
+        ("lidar", "laser_front"): Rejected("contradiction")
+    }
+    edges = assemble(partial, pairs, CONNECTED).evidence.edges
+    found = [(e.captures, e.inliers, e.in_tree, e.note, e.residuals.tolist()) for e in edges]
+    assert found == [
+        (5, 3, True, "", [0.003] * 3),
+        (4, 0, False, "contradiction", []),
+        (4, 4, True, "", [0.012] * 4),
+    ]
+
+
+def test_sensors_have_poses_parents_and_covariances_with_the_root_first(detected: DetectedRig) -> None:
+    """The solution's order is lidar, laser, camera; that of the rig is camera, lidar, laser."""
+    calibration = assemble(detected, all_pairs(detected, {}), {"laser_front": "lidar", "camera": "laser_front"})
+    assert [s.name for s in calibration.sensors] == ["lidar", "camera", "laser_front"]
+    assert [s.parent for s in calibration.sensors] == [None, "laser_front", "lidar"]
+    assert [s.verdict.grade for s in calibration.sensors] == ["good"] * 3
+    stddev = [STDDEV[s.name] for s in calibration.sensors]
+    np.testing.assert_allclose(np.sqrt(np.diag(calibration.joint_covariance)), np.repeat(stddev, 6))
+    for sensor in calibration.sensors:
+        np.testing.assert_array_equal(sensor.T_root_sensor, detected.T_root_sensor[sensor.name])
+
+
+def test_without_convergence_no_pose_is_good(detected: DetectedRig) -> None:
+    calibration = assemble(detected, all_pairs(detected, {}), CONNECTED, converged=False)
+    reason = "the joint solution has not converged"
+    assert [(s.verdict.grade, s.verdict.reason) for s in calibration.sensors] == [("weak", reason)] * 3
+
+
+def test_an_unconnected_sensor_has_the_reasons_of_its_pairs(detected: DetectedRig) -> None:
+    pairs = all_pairs(detected, {}) | {
+        ("lidar", "laser_front"): Rejected("too few"),
+        ("camera", "laser_front"): Rejected("no inliers"),
+    }
+    calibration = assemble(detected, pairs, {"camera": "lidar"})
+    assert [s.name for s in calibration.sensors] == ["lidar", "camera"]
+    assert calibration.evidence.unconnected == {
+        "laser_front": "detected the board in 5 captures, but lidar: too few; camera: no inliers"
+    }
+
+
+def test_a_sensor_without_detections_has_the_commonest_reason(detected: DetectedRig) -> None:
+    missing = {(k, "laser_front"): "no line" if k in (1, 2, 4) else "too short" for k in range(CAPTURES)}
+    partial = replace(detected, captures=without(detected.captures, missing))
+    pairs: dict[tuple[str, str], PairwiseEstimate | Rejected] = {
+        ("lidar", "camera"): estimate_of(partial, "lidar", "camera", ()),
+        ("lidar", "laser_front"): Rejected("no capture in which both detected the board"),
+    }
+    assert assemble(partial, pairs, {"camera": "lidar"}).evidence.unconnected == {
+        "laser_front": "detected the board in none of 5 captures, mostly because: no line"
+    }
+
+
+def test_a_root_without_detections_is_named_for_all_sensors(detected: DetectedRig) -> None:
+    missing = {(k, "lidar"): "no plane" for k in range(CAPTURES)}
+    partial = replace(detected, captures=without(detected.captures, missing))
+    unconnected = assemble(partial, {}, {}).evidence.unconnected
+    of_root = "the root lidar detected the board in none of 5 captures, mostly because: no plane"
+    reason = f"detected the board in 5 captures, but no other sensor did; {of_root}"
+    assert unconnected == dict.fromkeys(("camera", "laser_front"), reason)
