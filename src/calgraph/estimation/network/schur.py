@@ -30,13 +30,25 @@ class BodyEquations:
     columns: Index
     """(4L,) rows and columns of these scanners in the equations of all scanners."""
 
+    def scaled_norm(self, step: Array, scanner_step: Array) -> float:
+        """Squared norm, scaled by the diagonal, of steps (3K + 2,) of path and radii and (4L,) of the scanners."""
+        corner_step = np.concatenate([step[-2:], scanner_step])
+        path = np.sum(np.diagonal(self.band[:, 0], axis1=1, axis2=2) * step[:-2].reshape(-1, 3) ** 2)
+        return float(path + np.diagonal(self.corner) @ corner_step**2)
+
+    def slope(self, step: Array, scanner_step: Array) -> float:
+        """Derivative of the cost along the same steps."""
+        return float(
+            self.gradient.ravel() @ step[:-2] + self.corner_gradient @ np.concatenate([step[-2:], scanner_step])
+        )
+
 
 def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Array, Array]:
     """Schur complement of a body's path and radii.
 
     Args:
         equations: of the body.
-        damping: Levenberg–Marquardt's; the diagonal of path and radii is multiplied by one plus this.
+        damping: Levenberg–Marquardt's; the diagonal is multiplied by one plus this.
 
     Returns:
         Matrix (4L, 4L) and gradient (4L,) of the scanners, and the back substitution ``K`` (3K + 2, 4L + 1): a
@@ -47,10 +59,9 @@ def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Arr
     right = np.concatenate([equations.border.reshape(3 * count, -1), equations.gradient.reshape(-1, 1)], axis=1)
     path = cho_solve_banded((factor, True), right)
     path_part = right[:, :-1].T @ path
-    corner = equations.corner - path_part[:, :-1]
+    corner = equations.corner * (1 + damping * np.eye(len(equations.corner))) - path_part[:, :-1]
     gradient = equations.corner_gradient - path_part[:, -1]
-    radii_block = corner[:2, :2] + damping * np.diag(np.diagonal(equations.corner)[:2])
-    radii = np.linalg.solve(radii_block, np.concatenate([corner[:2, 2:], gradient[:2, None]], axis=1))
+    radii = np.linalg.solve(corner[:2, :2], np.concatenate([corner[:2, 2:], gradient[:2, None]], axis=1))
     H = corner[2:, 2:] - corner[2:, :2] @ radii[:, :-1]
     g = gradient[2:] - corner[2:, :2] @ radii[:, -1]
     # The path depends on radii and scanners; the radii depend on the scanners.

@@ -29,15 +29,15 @@ from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_s
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.splines import evaluate_spline
 from calgraph.geometry import Array, Index, se2
+from calgraph.levenberg_marquardt import minimize
 
 # Second difference of control points.
 _SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
 # Beams with a smaller cosine of incidence count as misses: the derivatives of their range grow beyond all bounds.
 _MIN_COS_INCIDENCE = 0.05
-# Iteration ends where a step changes the cost by less than this, or needs more damping than this.
-_MIN_COST_CHANGE, _MAX_DAMPING = 0.003, 1e3
-# Damping after the first step that increased the cost.
-_REJECTED_DAMPING = 0.01
+# Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no unknown is then
+# off by more than 0.2 % of its standard deviation.
+_TOLERANCE = 1e-6
 # Pairs of the four control points that a scan depends on.
 _EARLIER, _LATER = np.triu_indices(4)
 # Zero-gradient information (1/m², 1/m², 1/rad²) of poses: keeps a scanner in place where robust weights leave it
@@ -55,6 +55,38 @@ class NetworkEquations:
     """(4S, 4S) of walls and priors, without bodies; pose and clock of each scanner in turn."""
     g: Array
     """(4S,)."""
+    unknowns: Index
+    """Columns of the unknowns: neither the root's pose and clock, nor any clock where they are synchronized."""
+
+    def eliminate_bodies(self, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
+        """Schur complement of all bodies.
+
+        Returns:
+            Matrix and gradient over the unknowns, and each body's back substitution.
+        """
+        H, g = self.H * (1 + damping * np.eye(len(self.H))), self.g.copy()
+        back_substitutions = []
+        for body in self.bodies:
+            body_H, body_g, K = eliminate_path(body, damping)
+            H[np.ix_(body.columns, body.columns)] += body_H
+            g[body.columns] += body_g
+            back_substitutions.append(K)
+        H[np.diag_indices(len(H))] += np.tile(_POSE_REGULARIZER, len(H) // 4)
+        return H[np.ix_(self.unknowns, self.unknowns)], g[self.unknowns], back_substitutions
+
+    def solve(self, damping: float) -> tuple[tuple[Array, list[Array]], float]:
+        """Steps (4S,) of scanners and clocks and of each body, and their predicted decrease of the cost."""
+        H, g, back_substitutions = self.eliminate_bodies(damping)
+        step = np.zeros(len(self.H))
+        step[self.unknowns] = -np.linalg.solve(H, g)
+        body_steps = []
+        decrease = damping * np.diagonal(self.H) @ step**2 - self.g @ step
+        for body, K in zip(self.bodies, back_substitutions, strict=True):
+            scanner_step = step[body.columns]
+            body_steps.append(-(K[:, :-1] @ scanner_step + K[:, -1]))
+            decrease += damping * body.scaled_norm(body_steps[-1], scanner_step)
+            decrease -= body.slope(body_steps[-1], scanner_step)
+        return (step, body_steps), 0.5 * float(decrease)
 
 
 def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEquations:
@@ -75,78 +107,46 @@ def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEq
         H[clocks, clocks] += network.clock_sigma**-2
         g[clocks] += state.clock_offset / network.clock_sigma**2
         cost += 0.5 * float(np.sum(state.clock_offset**2)) / network.clock_sigma**2
-    return NetworkEquations(cost, tuple(bodies), H, g)
-
-
-def select_unknowns(network: NetworkProblem) -> Index:
-    """Columns of the unknowns: neither the root's pose and clock, nor any clock where they are synchronized."""
     columns = np.arange(4, 4 * network.count)
-    return columns if network.clock_sigma > 0 else columns[columns % 4 != 3]
-
-
-def eliminate_bodies(
-    network: NetworkProblem, equations: NetworkEquations, damping: float = 0.0
-) -> tuple[Array, Array, list[Array]]:
-    """Schur complement of all bodies.
-
-    Returns:
-        Matrix and gradient over :func:`select_unknowns`, and each body's back substitution.
-    """
-    H, g = equations.H.copy(), equations.g.copy()
-    back_substitutions = []
-    for body in equations.bodies:
-        body_H, body_g, K = eliminate_path(body, damping)
-        H[np.ix_(body.columns, body.columns)] += body_H
-        g[body.columns] += body_g
-        back_substitutions.append(K)
-    H[np.diag_indices(len(H))] = (1 + damping) * np.diagonal(H) + np.tile(_POSE_REGULARIZER, network.count)
-    unknowns = select_unknowns(network)
-    return H[np.ix_(unknowns, unknowns)], g[unknowns], back_substitutions
+    unknowns = columns if network.clock_sigma > 0 else columns[columns % 4 != 3]
+    return NetworkEquations(cost, tuple(bodies), H, g, unknowns)
 
 
 def optimize_network(
-    network: NetworkProblem, state: NetworkState, *, iterations: int = 10
+    network: NetworkProblem, state: NetworkState, *, iterations: int = 10, tolerance: float = _TOLERANCE
 ) -> tuple[NetworkState, NetworkEquations]:
-    """Levenberg–Marquardt over all unknowns."""
-    equations = linearize_network(network, state)
-    damping = 1e-6
-    for _ in range(iterations):
-        H, g, back_substitutions = eliminate_bodies(network, equations, damping)
-        step = np.zeros(4 * network.count)
-        step[select_unknowns(network)] = -np.linalg.solve(H, g)
-        trial = apply_step(equations, state, step, back_substitutions)
-        trial_equations = linearize_network(network, trial)
-        decrease = equations.cost - trial_equations.cost
-        if decrease >= 0:
-            state, equations = trial, trial_equations
-            damping = max(damping / 10, 1e-9)
-        else:
-            damping = max(10 * damping, _REJECTED_DAMPING)
-        if abs(decrease) < _MIN_COST_CHANGE or damping > _MAX_DAMPING:
-            break
-    return state, equations
+    """Minimises the cost over all unknowns.
 
-
-def apply_step(
-    equations: NetworkEquations, state: NetworkState, step: Array, back_substitutions: Sequence[Array]
-) -> NetworkState:
-    """The state after a step (4S,) of scanners and clocks, with the bodies' steps by back substitution."""
-    steps = step.reshape(-1, 4)
-    paths = []
-    for body, path, K in zip(equations.bodies, state.paths, back_substitutions, strict=True):
-        body_step = -(K[:, :-1] @ step[body.columns] + K[:, -1])
-        paths.append(
-            BodyPath(path.control + body_step[:-2].reshape(-1, 3), np.maximum(path.radii + body_step[-2:], 0.02))
-        )
-    return NetworkState(
-        se2.retract(state.T_root_scanner, steps[:, :3]), state.clock_offset + steps[:, 3], tuple(paths)
+    Args:
+        network: the problem, whose robust weights are constant.
+        state: start values.
+        iterations: steps at most, rejected ones included.
+        tolerance: predicted decrease of the cost, in half squared standard deviations, to stop at.
+    """
+    minimum = minimize(
+        state,
+        lambda state, _: linearize_network(network, state),
+        lambda state, step: apply_step(state, *step),
+        iterations=iterations,
+        tolerance=tolerance,
     )
+    return minimum.state, minimum.linearization
+
+
+def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) -> NetworkState:
+    """The state after steps (4S,) of scanners and clocks, and (3K + 2,) of each body's path and radii."""
+    steps = step.reshape(-1, 4)
+    paths = tuple(
+        BodyPath(path.control + body[:-2].reshape(-1, 3), np.maximum(path.radii + body[-2:], 0.02))
+        for path, body in zip(state.paths, body_steps, strict=True)
+    )
+    return NetworkState(se2.retract(state.T_root_scanner, steps[:, :3]), state.clock_offset + steps[:, 3], paths)
 
 
 def compute_network_covariance(network: NetworkProblem, equations: NetworkEquations) -> Array:
     """Covariance (4S, 4S) of poses in the root's fixed axes and clock offsets; zero where they are not unknown."""
-    H, _, _ = eliminate_bodies(network, equations)
-    unknowns = select_unknowns(network)
+    H, _, _ = equations.eliminate_bodies()
+    unknowns = equations.unknowns
     covariance = np.zeros((4 * network.count, 4 * network.count))
     covariance[np.ix_(unknowns, unknowns)] = np.linalg.inv(H)
     return covariance
