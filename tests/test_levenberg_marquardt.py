@@ -6,53 +6,28 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
-from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.levenberg_marquardt import Damping, Minimum, minimize, minimize_batch
+from calgraph.levenberg_marquardt import Damping, DenseLinearization, Minimum, minimize, minimize_batch
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """Residuals (m,) and Jacobian (m, p), or (K, m) and (K, m, p) of a batch."""
-
-    r: Array
-    J: Array
-
-    @property
-    def cost(self) -> Any:
-        return 0.5 * np.sum(self.r**2, axis=-1)
-
-    def solve(self, damping: Any) -> tuple[Array, Any]:
-        H = np.swapaxes(self.J, -1, -2) @ self.J
-        g = (np.swapaxes(self.J, -1, -2) @ self.r[..., None])[..., 0]
-        D = np.diagonal(H, axis1=-2, axis2=-1) * np.asarray(damping)[..., None]
-        step = -np.linalg.solve(H + D[..., None] * np.eye(H.shape[-1]), g[..., None])[..., 0]
-        return step, 0.5 * np.sum(step * (D * step - g), axis=-1)
-
-    def replace(self, accepted: NDArray[np.bool_], trial: "Residuals") -> "Residuals":
-        return Residuals(
-            np.where(accepted[:, None], trial.r, self.r), np.where(accepted[:, None, None], trial.J, self.J)
-        )
-
-
-def rosenbrock(x: Array) -> Residuals:
+def rosenbrock(x: Array) -> DenseLinearization:
     a, b = x[..., 0], x[..., 1]
     r = np.stack([10 * (b - a**2), 1 - a], axis=-1)
     J = np.stack([np.stack([-20 * a, 10 + 0 * b], axis=-1), np.stack([-1 + 0 * a, 0 * b], axis=-1)], axis=-2)
-    return Residuals(r, J)
+    return DenseLinearization(r, J)
 
 
-def exponential(x: Array) -> Residuals:
+def exponential(x: Array) -> DenseLinearization:
     """A decay with offset, whose residuals do not vanish at the minimum."""
     t = np.linspace(0, 3, 12)
     y = 2 * np.exp(-1.3 * t) + 0.5 + 0.05 * np.sin(17 * t)
     decay = np.exp(-x[..., 1:2] * t)
     r = x[..., :1] * decay + x[..., 2:3] - y
-    return Residuals(r, np.stack([decay, -x[..., :1] * t * decay, np.ones_like(r)], axis=-1))
+    return DenseLinearization(r, np.stack([decay, -x[..., :1] * t * decay, np.ones_like(r)], axis=-1))
 
 
-def solved(function: Any, start: list[float], **options: Any) -> Minimum[Array, Residuals]:
+def solved(function: Any, start: list[float], **options: Any) -> Minimum[Array, DenseLinearization]:
     options = {"iterations": 100, "tolerance": 1e-20} | options
     return minimize(np.array(start), lambda x, _: function(x), np.add, **options)
 
@@ -60,7 +35,10 @@ def solved(function: Any, start: list[float], **options: Any) -> Minimum[Array, 
 def test_a_linear_problem_is_solved_in_one_step() -> None:
     """The mean of 1, 2 and 6 is 3, with a cost of half of 4 + 1 + 9."""
     found = solved(
-        lambda x: Residuals(x - np.array([1.0, 2.0, 6.0]), np.ones((3, 1))), [100.0], damping=0.0, tolerance=1e-9
+        lambda x: DenseLinearization(x - np.array([1.0, 2.0, 6.0]), np.ones((3, 1))),
+        [100.0],
+        damping=0.0,
+        tolerance=1e-9,
     )
     assert found.state == pytest.approx(3.0)
     assert found.linearization.cost == pytest.approx(7.0)
@@ -78,7 +56,12 @@ def test_rosenbrocks_valley_ends_at_one_one() -> None:
 def test_minima_are_those_of_scipy(start: list[float]) -> None:
     found = solved(exponential, start)
     oracle = scipy.optimize.least_squares(
-        lambda x: exponential(x).r, start, jac=lambda x: exponential(x).J, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        lambda x: exponential(x).residual,
+        start,
+        jac=lambda x: exponential(x).jacobian,
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
     )
     assert found.converged
     np.testing.assert_allclose(found.state, oracle.x, atol=1e-7)
@@ -94,9 +77,9 @@ def test_a_batch_is_solved_as_its_problems_alone() -> None:
 
 
 def test_infeasible_states_are_not_entered() -> None:
-    def logarithm(x: Array) -> Residuals:
+    def logarithm(x: Array) -> DenseLinearization:
         with np.errstate(invalid="ignore"):
-            return Residuals(np.log(x) + 3, 1 / x[:, None])
+            return DenseLinearization(np.log(x) + 3, 1 / x[:, None])
 
     # A full step from 1 ends at -2.
     found = solved(logarithm, [1.0])
@@ -105,11 +88,11 @@ def test_infeasible_states_are_not_entered() -> None:
 
 
 def test_a_start_that_is_not_feasible_is_returned() -> None:
-    found = solved(lambda x: Residuals(x * np.nan, np.ones((1, 1))), [1.0])
+    found = solved(lambda x: DenseLinearization(x * np.nan, np.ones((1, 1))), [1.0])
     assert (found.iterations, found.converged) == (0, False)
     states, _ = minimize_batch(
         np.array([[np.nan], [2.0]]),
-        lambda x: Residuals(x, np.ones((2, 1, 1))),
+        lambda x: DenseLinearization(x, np.ones((2, 1, 1))),
         np.add,
         iterations=9,
         relative_tolerance=1e-9,
@@ -123,7 +106,7 @@ def test_the_limit_on_iterations_is_reported() -> None:
 
 
 def test_a_gradient_of_the_wrong_sign_does_not_converge() -> None:
-    found = solved(lambda x: Residuals(x - 1, -np.ones((1, 1))), [5.0], tolerance=1e-6)
+    found = solved(lambda x: DenseLinearization(x - 1, -np.ones((1, 1))), [5.0], tolerance=1e-6)
     assert not found.converged
     assert found.state == 5.0
 
@@ -140,8 +123,8 @@ def test_damping_follows_the_ratio_of_gains(gain: float, value: float, growth: f
 
 
 @dataclass(frozen=True, eq=False)
-class Extrapolated(Residuals):
-    """Residuals extrapolated from those at another state."""
+class Extrapolated(DenseLinearization):
+    """DenseLinearization extrapolated from those at another state."""
 
     at: Array
     exact: bool = True
@@ -152,10 +135,10 @@ def test_extrapolated_linearizations_are_refined_at_the_minimum() -> None:
 
     def linearize(x: Array, near: Extrapolated | None) -> Extrapolated:
         if near is not None and np.abs(x - near.at).max() < 0.1:
-            return replace(near, r=near.r + near.J @ (x - near.at), at=x, exact=False)
+            return replace(near, residual=near.residual + near.jacobian @ (x - near.at), at=x, exact=False)
         exact_at.append(x)
         there = exponential(x)
-        return Extrapolated(there.r, there.J, x)
+        return Extrapolated(there.residual, there.jacobian, x)
 
     def refine(x: Array, at: Extrapolated, settled: bool) -> Extrapolated | None:  # noqa: ARG001
         return None if at.exact else linearize(x, None)

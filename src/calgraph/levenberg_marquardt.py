@@ -3,8 +3,10 @@
 Source: Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algorithm 3.16.
 """
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -43,6 +45,47 @@ class BatchLinearization(Protocol):
         """That of the trial where accepted (K,), this one elsewhere."""
 
 
+@dataclass(frozen=True, eq=False)
+class DenseLinearization:
+    """Residuals of one problem and their Jacobian, or those of K problems; both protocols above."""
+
+    residual: Array
+    """([K,] m) whitened."""
+    jacobian: Array
+    """([K,] m, p)."""
+
+    @cached_property
+    def cost(self) -> Any:
+        """([K])."""
+        return 0.5 * np.einsum("...i,...i", self.residual, self.residual)
+
+    @cached_property
+    def information(self) -> Array:
+        """([K,] p, p)."""
+        return np.asarray(np.swapaxes(self.jacobian, -1, -2) @ self.jacobian)
+
+    @property
+    def gradient(self) -> Array:
+        """([K,] p)."""
+        return np.asarray((self.residual[..., None, :] @ self.jacobian)[..., 0, :])
+
+    def solve(self, damping: Any) -> tuple[Array, Any]:
+        """Steps ([K,] p) and predicted decreases ([K])."""
+        damped, g, i = self.information.copy(), self.gradient, np.arange(self.jacobian.shape[-1])
+        scaling = np.asarray(damping)[..., None] * damped[..., i, i]
+        damped[..., i, i] += scaling
+        step: Array = np.asarray(-np.linalg.solve(damped, g[..., None])[..., 0], dtype=np.float64)
+        return step, 0.5 * np.einsum("...i,...i", step, scaling * step - g)
+
+    def replace(self, accepted: NDArray[np.bool_], trial: Self) -> Self:
+        """Those of the trial where accepted (K,)."""
+        return dataclasses.replace(
+            self,
+            residual=np.where(accepted[:, None], trial.residual, self.residual),
+            jacobian=np.where(accepted[:, None, None], trial.jacobian, self.jacobian),
+        )
+
+
 S = TypeVar("S")
 L = TypeVar("L", bound=Linearization)
 B = TypeVar("B", bound=BatchLinearization)
@@ -59,7 +102,7 @@ class Damping:
     def update(self, gain: Array | float) -> "Damping":
         """After a step with this ratio of the cost's decrease to the predicted one; not positive: rejected."""
         accepted = np.greater(gain, 0)
-        eased = self.value * np.maximum(1 / 3, 1 - (2 * np.clip(gain, 0, 1) - 1) ** 3)
+        eased = self.value * np.maximum(1 / 3, 1 - (2 * np.fmin(np.fmax(gain, 0), 1) - 1) ** 3)
         return Damping(
             np.where(accepted, np.maximum(eased, _MIN_DAMPING), self.value * self.growth),
             np.where(accepted, 2.0, 2 * self.growth),

@@ -10,12 +10,15 @@ from scipy.special import chdtri
 from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
+from calgraph.levenberg_marquardt import DenseLinearization, minimize
 from calgraph.sensors import CameraModel
 
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a 2-D normal error, in standard deviations of one coordinate."""
-_ITERATIONS = 30
+_MAX_ITERATIONS = 30
 """Most iterations of Levenberg–Marquardt: from the start values of IPPE it converges in fewer than ten."""
+_TOLERANCE, _RELATIVE_TOLERANCE = 1e-14, 1e-9
+"""Predicted decrease of the squared reprojection error to stop at, pixels² and relative: 1e-4 of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +183,8 @@ def _find_largest_consensus(
 
 def _squared_mahalanobis(fit: _PoseFit, corners: Array, pixels: Array, camera: CameraModel, sigma: float) -> float:
     """Squared Mahalanobis distance of a mark's corners from their prediction by a pose and its covariance."""
-    residuals, J = _linearize(fit.T, corners, pixels, camera)
+    at = _linearize(fit.T, corners, pixels, camera)
+    residuals, J = at.residual, at.jacobian
     if not np.isfinite(residuals).all():
         return np.inf
     S = sigma**2 * (np.eye(len(residuals)) + J @ np.linalg.inv(fit.information) @ J.T)
@@ -232,41 +236,32 @@ def _solve_ippe(corners: Array, rays: Array) -> list[Array]:
 
 def _refine(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> _PoseFit | None:
     """Levenberg–Marquardt on the reprojection error; None if the start cannot be projected or JᵀJ is singular."""
-    residuals, J = _linearize(T, corners, pixels, camera)
-    cost, damping = float(residuals @ residuals), 1e-7
-    if not np.isfinite(cost):
+    try:
+        minimum = minimize(
+            T,
+            lambda T, _: _linearize(T, corners, pixels, camera),
+            se3.retract,
+            iterations=_MAX_ITERATIONS,
+            tolerance=_TOLERANCE,
+            relative_tolerance=_RELATIVE_TOLERANCE,
+        )
+    except np.linalg.LinAlgError:
         return None
-    for _ in range(_ITERATIONS):
-        information, gradient = J.T @ J, J.T @ residuals
-        try:
-            step = -np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-        except np.linalg.LinAlgError:
-            return None
-        T_new = se3.retract(T, np.asarray(step))
-        residuals_new, J_new = _linearize(T_new, corners, pixels, camera)
-        cost_new = float(residuals_new @ residuals_new)
-        if cost_new < cost:
-            converged = cost - cost_new < 1e-7 * cost
-            T, residuals, J, cost, damping = T_new, residuals_new, J_new, cost_new, 0.1 * damping
-            if converged:
-                break
-        else:
-            damping = 30 * damping
-            if np.abs(step).max() < 1e-9 or damping > 1e6:
-                break
-    information = J.T @ J
+    if not np.isfinite(minimum.linearization.cost):
+        return None
+    information = minimum.linearization.information
     scale = np.sqrt(np.diag(information))
     if not scale.all() or np.linalg.cond(information / np.outer(scale, scale)) > 1e12:
         return None
-    return _PoseFit(T, cost, information)
+    return _PoseFit(minimum.state, float(2 * minimum.linearization.cost), information)
 
 
-def _linearize(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> tuple[Array, Array]:
-    """Residuals (2N,), pixels, and their derivatives (2N, 6) by the tangent vector of ``se3.retract``."""
+def _linearize(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> DenseLinearization:
+    """Reprojection errors (2N,), pixels, by the tangent vector of ``se3.retract``."""
     rotated = corners @ T[:3, :3].T
     projected, J = camera.project_with_jacobian(rotated + T[:3, 3])
     J = np.concatenate([J, -J @ so3.hat(rotated)], axis=-1)
-    return (projected - pixels).ravel(), J.reshape(-1, 6)
+    return DenseLinearization((projected - pixels).ravel(), J.reshape(-1, 6))
 
 
 def _compute_reprojection_errors(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> Array:
