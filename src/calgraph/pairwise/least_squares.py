@@ -2,10 +2,12 @@
 
 import itertools
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from calgraph.geometry import Array, se3
+from calgraph.levenberg_marquardt import DenseLinearization, minimize_batch
 
 
 def gauss_newton(
@@ -24,33 +26,30 @@ def gauss_newton(
     Returns:
         The poses (K, 4, 4) and their mean squared residuals (K,), infinite for infeasible start values.
     """
-    r, J = residuals(T)
-    cost = _mean_square(r)
-    r, J = np.nan_to_num(r), np.nan_to_num(J)
-    damping = np.full(len(T), 1e-4)
-    for _ in range(iterations):
-        H = np.einsum("kmi,kmj->kij", J, J) / r.shape[1]
-        g = np.einsum("kmi,km->ki", J, r) / r.shape[1]
-        values, vectors = np.linalg.eigh(H)
-        along = np.einsum("kji,kj->ki", vectors, g)
-        step = np.where(values > min_rms_slope**2, along / (values + damping[:, None]), 0.0)
-        trial = se3.retract(T, -np.einsum("kij,kj->ki", vectors, step))
-        r_trial, J_trial = residuals(trial)
-        trial_cost = _mean_square(r_trial)
-        better = trial_cost < cost
-        damping = np.where(better, damping * 0.1, np.minimum(damping * 20, 1e3))
-        gained = np.where(better, cost, 0.0) - np.where(better, trial_cost, 0.0)
-        T = np.where(better[:, None, None], trial, T)
-        r, J = np.where(better[:, None], r_trial, r), np.where(better[:, None, None], J_trial, J)
-        converged = better & (gained <= 1e-9 * cost)
-        cost = np.where(better, trial_cost, cost)
-        if np.all(converged | (damping >= 1e3)):
-            break
-    return T, cost
+
+    def linearize(T: Array) -> _PoseLinearization:
+        r, J = residuals(T)
+        root = np.sqrt(r.shape[1])
+        return _PoseLinearization(r / root, np.nan_to_num(J) / root, min_rms_slope)
+
+    T, at = minimize_batch(T, linearize, se3.retract, iterations=iterations, relative_tolerance=1e-9, damping=1e-4)
+    return T, np.where(np.isnan(at.cost), np.inf, 2 * at.cost)
 
 
-def _mean_square(r: Array) -> Array:
-    return np.asarray(np.where(np.isnan(r).any(axis=1), np.inf, np.mean(r**2, axis=1)))
+@dataclass(frozen=True, eq=False)
+class _PoseLinearization(DenseLinearization):
+    """Residuals of K problems, whose sum of squares is their mean square."""
+
+    min_rms_slope: float
+
+    def solve(self, damping: Array) -> tuple[Array, Array]:
+        """Steps (K, 6) along the observable directions, and predicted decreases (K,)."""
+        values, vectors = np.linalg.eigh(self.information)
+        slope = (self.gradient[:, None] @ vectors)[:, 0]
+        observable = values > self.min_rms_slope**2
+        step = np.where(observable, slope / (values + damping[:, None]), 0.0)
+        decrease = np.where(observable, step * (slope - 0.5 * values * step), 0.0)
+        return -(vectors @ step[..., None])[..., 0], decrease.sum(axis=1)
 
 
 def axis_aligned_rotations() -> Array:
