@@ -14,12 +14,10 @@ from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.table import to_dataframe
-from calgraph.result.transform_tree import TransformTree
 
 __all__ = [
     "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter", "Evidence",
-    "ExtrinsicsFile", "FloorView", "HeldOutError", "Pictures", "SensorPose", "Snapshot", "Suggestion",
-    "TransformTree", "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
-    "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_scene",
-    "to_dataframe", "to_json",
+    "ExtrinsicsFile", "FloorView", "HeldOutError", "Pictures", "SensorPose", "Snapshot", "Suggestion", "Verdict",
+    "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances", "load_calibration",
+    "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_scene", "to_dataframe", "to_json",
 ]  # fmt: skip

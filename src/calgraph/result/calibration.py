@@ -12,7 +12,6 @@ from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.pictures import Pictures
 from calgraph.result.sensor_pose import SensorPose
-from calgraph.result.transform_tree import TransformTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +43,19 @@ class Calibration:
         """The pose of the sensor called ``name``.
 
         Raises:
-            InputError: there is no such sensor; the message names those there are.
-            CalibrationError: the sensor is not connected to the root; the message says why.
+            InputError: there is no such sensor.
+            CalibrationError: the sensor is not connected to the root.
         """
-        self.tree.check_connected(name)
-        return next(sensor for sensor in self.sensors if sensor.name == name)
+        for sensor in self.sensors:
+            if sensor.name == name:
+                return sensor
+        if name in self.evidence.unconnected:
+            raise CalibrationError(
+                f"sensor {name!r} has no pose: nothing connects it to {self.root!r} "
+                f"({self.evidence.unconnected[name]})"
+            )
+        names = ", ".join(sensor.name for sensor in self.sensors)
+        raise InputError(f"there is no sensor {name!r} in this calibration; it has {names}")
 
     @property
     def has_correlations(self) -> bool:
@@ -62,15 +69,14 @@ class Calibration:
         upright = [np.allclose(s.T_root_sensor[2], [0, 0, 1, 0], rtol=0, atol=1e-12) for s in others]
         return bool(others) and all(upright) and not any(s.covariance[2:5].any() for s in others)
 
-    @property
-    def tree(self) -> TransformTree:
-        """The poses as a tree that answers any pair of sensors."""
-        poses = {sensor.name: sensor.T_root_sensor for sensor in self.sensors}
-        return TransformTree(self.root, poses, dict(self.evidence.unconnected))
-
     def transform(self, a: str, b: str) -> Array:
-        """``T_a_b`` (4, 4) of any two sensors; raises as :meth:`TransformTree.transform` does."""
-        return self.tree.transform(a, b)
+        """``T_a_b`` (4, 4), which maps coordinates in sensor b to coordinates in sensor a.
+
+        Raises:
+            InputError: there is no sensor a or b.
+            CalibrationError: a or b is not connected to the root.
+        """
+        return np.asarray(se3.inverse(self[a].T_root_sensor) @ self[b].T_root_sensor)
 
     def covariance(self, a: str, b: str) -> Array:
         """Covariance (6, 6) of the error of ``T_a_b`` in the fixed axes of a, (translation, rotation), m and rad.
