@@ -8,11 +8,14 @@ from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraOptions, RigScenario
 from calgraph.simulation.board_texture import render_board_texture
 from calgraph.simulation.camera_render import (
+    Gray,
     PrintedBoard,
+    RenderContext,
+    blur_image,
     build_render_context,
     build_texture_pyramid,
+    draw_board_and_operator,
     draw_noise_pool,
-    render_board,
 )
 from calgraph.simulation.motion import draw_placements, pose_from_placement
 from calgraph.simulation.robot import camera_model
@@ -32,6 +35,12 @@ def printed(board: Board) -> PrintedBoard:
     return build_texture_pyramid(render_board_texture(board, 2000), board.size)
 
 
+def render_board(context: RenderContext, T_world_board: Array, board: PrintedBoard, blur: float) -> Gray:
+    image = context.background.copy()
+    draw_board_and_operator(image, context, T_world_board, board, ())
+    return blur_image(image, blur)
+
+
 def tag_corners(board: Board) -> Array:
     """(tags, 4, 3) board frame."""
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2
@@ -47,7 +56,7 @@ def test_detected_checkerboard_corners_match_their_projection(lens: str, rng: np
     for placement in draw_placements(
         rng, np.radians([-20, -5, 15]).tolist(), [1.5, 2.2], 1, np.radians(25), (0.8, 1.0)
     ):
-        image = cv2.convertScaleAbs(render_board(context, pose_from_placement(placement), board, (), 0.6))
+        image = cv2.convertScaleAbs(render_board(context, pose_from_placement(placement), board, 0.6))
         T_camera_board = se3.inverse(T_WORLD_CAMERA) @ pose_from_placement(placement)
         pixels = camera.project(se3.apply(T_camera_board, np.pad(grid, ((0, 0), (0, 1)))))
         pixels = pixels[((pixels > 15) & (pixels < [944, 704])).all(axis=1)]
@@ -72,7 +81,7 @@ def test_detected_tag_corners_match_their_projection(rng: np.random.Generator) -
     for placement in draw_placements(
         rng, np.radians([-15, 0, 15]).tolist(), [1.6, 2.4], 2, np.radians(25), (0.8, 1.0)
     ):
-        image = cv2.convertScaleAbs(render_board(context, pose_from_placement(placement), board, (), 0.6))
+        image = cv2.convertScaleAbs(render_board(context, pose_from_placement(placement), board, 0.6))
         T_camera_board = se3.inverse(T_WORLD_CAMERA) @ pose_from_placement(placement)
         truth = camera.project(se3.apply(T_camera_board, tag_corners(tags).reshape(-1, 3)))
         for detection in detector.detect(image):
@@ -93,7 +102,6 @@ def test_tags_are_upright_in_the_image(rng: np.random.Generator) -> None:
             build_render_context(camera, T_WORLD_CAMERA, (), rng),
             pose_from_placement(placement),
             printed(tag),
-            (),
             0.5,
         )
     )
@@ -109,7 +117,7 @@ def test_the_back_of_the_board_shows_no_tags(rng: np.random.Generator) -> None:
     (placement,) = draw_placements(rng, [0.0], [1.5], 1, 0.0, (0.9, 0.9))
     turned = pose_from_placement(placement) @ se3.pose(np.diag([-1.0, 1, -1]), np.zeros(3))
     image = render_board(
-        build_render_context(camera, T_WORLD_CAMERA, (), rng), turned, printed(RigScenario().board), (), 0.0
+        build_render_context(camera, T_WORLD_CAMERA, (), rng), turned, printed(RigScenario().board), 0.0
     )
     assert image[200:280, 250:390] == pytest.approx(image[240, 320], abs=0.01)
 
@@ -119,7 +127,7 @@ def test_a_board_outside_the_view_leaves_the_image_unchanged(rng: np.random.Gene
     context = build_render_context(camera, T_WORLD_CAMERA, (), rng)
     (placement,) = draw_placements(rng, [np.pi], [1.5], 1, 0.0, (0.9, 0.9))
     assert (
-        render_board(context, pose_from_placement(placement), printed(CHECKERBOARD), (), 0.0) == context.background
+        render_board(context, pose_from_placement(placement), printed(CHECKERBOARD), 0.0) == context.background
     ).all()
 
 

@@ -50,12 +50,12 @@ def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> 
     if calibration.pictures.floor_views:
         walks = _walk_positions(calibration, sensor)
         field = _background_points(calibration, sensor)
-        return _scanner_coverage(walks, [*field, *walks], "People walked") if walks else None
+        return _planar_coverage(walks, [*field, *walks], "People walked") if walks else None
     views, field = _board_detections(calibration, sensor), _scanned_points(calibration, sensor)
     if not views:
         return None
     if sensor.kind == "lidar2d":
-        return _scanner_coverage(views, [*field, *views], "The board was")
+        return _planar_coverage(views, [*field, *views], "The board was")
     return _lidar_coverage(views, [*field, *views])
 
 
@@ -140,44 +140,33 @@ def _describe_board_poses(calibration: Calibration, sensor: SensorPose) -> tuple
 
 
 def _lidar_coverage(views: Sequence[Array], field: Sequence[Array]) -> Coverage:
-    azimuth = np.linspace(180, -180, _AZIMUTH_BINS + 1)
     low, high = np.percentile(_elevations(np.concatenate(field)), [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
     margin = max(0.02 * (high - low), 0.5)
-    elevation = np.linspace(high + margin, low - margin, _ROW_COUNT + 1)
-    cells = [np.column_stack([_azimuths(view), _elevations(view)]) for view in views]
-    heights = np.concatenate([cell[:, 1] for cell in cells])
-    covered = (
-        f"Covered elevations: {_format_interval(heights, 0)}° of {_format_interval(np.array([low, high]), 0)}°."
-    )
-    remarks = (
-        *_describe_sectors(views, field, "The board was"),
-        covered,
-        _describe_ranges(views, "The board was"),
-    )
-    return Coverage(
-        azimuth,
-        elevation,
-        _count_views(cells, azimuth, elevation),
-        _visible_columns(field, azimuth),
-        ("azimuth, °", "elevation, °"),
-        remarks,
-    )
+    heights = [_elevations(view) for view in views]
+    covered = _format_interval(np.concatenate(heights), 0)
+    remark = f"Covered elevations: {covered}° of {_format_interval(np.array([low, high]), 0)}°."
+    edges = np.linspace(high + margin, low - margin, _ROW_COUNT + 1)
+    return _scanner_coverage(views, field, "The board was", heights, edges, "elevation, °", remark)
 
 
-def _scanner_coverage(views: Sequence[Array], field: Sequence[Array], subject: str) -> Coverage:
+def _planar_coverage(views: Sequence[Array], field: Sequence[Array], subject: str) -> Coverage:
+    ranges = [_distances_from_origin(view) for view in views]
+    edges = np.linspace(1.1 * max(map(np.max, ranges)), 0, _ROW_COUNT + 1)
+    return _scanner_coverage(views, field, subject, ranges, edges, "range, m")
+
+
+def _scanner_coverage(
+    views: Sequence[Array], field: Sequence[Array], subject: str, y: Sequence[Array], y_edges: Array, y_axis: str,
+    *remarks: str,
+) -> Coverage:  # fmt: skip
+    """Coverage by azimuth and a second quantity ``y`` of the points of each view."""
     azimuth = np.linspace(180, -180, _AZIMUTH_BINS + 1)
-    farthest = 1.1 * max(float(np.max(_distances_from_origin(view))) for view in views)
-    ranges = np.linspace(farthest, 0, _ROW_COUNT + 1)
-    cells = [np.column_stack([_azimuths(view), _distances_from_origin(view)]) for view in views]
-    remarks = (*_describe_sectors(views, field, subject), _describe_ranges(views, subject))
+    cells = [np.column_stack([_azimuths(view), values]) for view, values in zip(views, y, strict=True)]
     return Coverage(
-        azimuth,
-        ranges,
-        _count_views(cells, azimuth, ranges),
-        _visible_columns(field, azimuth),
-        ("azimuth, °", "range, m"),
-        remarks,
-    )
+        azimuth, y_edges, _count_views(cells, azimuth, y_edges), _visible_columns(field, azimuth),
+        ("azimuth, °", y_axis),
+        (*_describe_sectors(views, field, subject), *remarks, _describe_ranges(views, subject)),
+    )  # fmt: skip
 
 
 def _count_views(views: Sequence[Array], x_edges: Array, y_edges: Array) -> Array:
@@ -234,7 +223,8 @@ def _describe_ranges(views: Sequence[Array], subject: str) -> str:
 
 
 def _format_interval(values: Array, decimals: int) -> str:
-    return f"{format_fixed(float(np.min(values)), decimals)}–{format_fixed(float(np.max(values)), decimals)}"
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{format_fixed(low, decimals)}{'–' if low >= 0 else ' to '}{format_fixed(high, decimals)}"
 
 
 def _join_words(things: Sequence[str]) -> str:

@@ -21,6 +21,8 @@ INK, MUTED, RULE, NO_DATA, PAPER = "var(--ink)", "var(--muted)", "var(--rule)", 
 COLOR_CYCLE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY, PURPLE, BROWN)
 """Colours that are distinguishable for every kind of colour blindness; repeated for more than eight items."""
 
+SCENE_AXIS = {"backgroundcolor": PAPER, "gridcolor": RULE, "zerolinecolor": RULE, "showspikes": False}
+"""Style of the axes of 3-D scenes."""
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12, "color": INK}
 _BASE_LAYOUT = {
     "font": FONT,
@@ -28,6 +30,12 @@ _BASE_LAYOUT = {
     "plot_bgcolor": PAPER,
     "hoverlabel": {"align": "left", "bgcolor": PAPER, "bordercolor": RULE, "font": {"color": INK}},
 }
+
+
+def choose_enlargement(size: float, min_visible: float) -> int:
+    """Smallest round factor that enlarges ``size`` to ``min_visible``; 1000 at most."""
+    factors = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+    return next((f for f in factors if f * size >= min_visible), factors[-1])
 
 
 def make_figure(data: list[dict[str, Any]], **layout: Any) -> Figure:

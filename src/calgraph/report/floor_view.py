@@ -11,6 +11,7 @@ from calgraph.report.figures import (
     INK,
     RULE,
     Figure,
+    choose_enlargement,
     escape_plotly,
     make_figure,
     render_buttons,
@@ -20,7 +21,6 @@ from calgraph.report.formatting import format_angle, format_fixed, format_length
 from calgraph.result import Calibration, FloorView, SensorPose
 
 _SIGMAS = 2.0
-_EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # Smallest longer semi-axis of a visible ellipse, and length of an arrow, relative to the plan.
 _MIN_VISIBLE, _ARROW_LENGTH = 0.016, 0.05
 # Height of the plan and of a line of the legend, px; names in a line.
@@ -30,7 +30,7 @@ _HEIGHT, _LEGEND_LINE_HEIGHT, _NAMES_PER_LINE = 680, 25, 9
 def render_floor_plan(calibration: Calibration) -> str:
     """The figure, with a sentence on the scale of the uncertainties."""
     extent = _plan_extent(calibration)
-    factor = _choose_exaggeration(calibration.sensors, extent)
+    factor = _choose_enlargement(calibration.sensors, extent)
     drawn = {view.sensor: view for view in calibration.pictures.floor_views}
     traces = [
         trace | {"meta": k}
@@ -98,11 +98,11 @@ def _plan_extent(calibration: Calibration) -> float:
     return max(float(np.max(np.ptp(points, axis=0), initial=0.0)), 1.0)
 
 
-def _choose_exaggeration(sensors: Sequence[SensorPose], extent: float) -> int:
+def _choose_enlargement(sensors: Sequence[SensorPose], extent: float) -> int:
     """Smallest enlargement at which half of the ellipses are visible."""
     largest = [np.linalg.eigvalsh(s.covariance[:2, :2])[-1] for s in _with_uncertainty(sensors)]
     typical = _SIGMAS * float(np.sqrt(np.median(largest))) if largest else np.inf
-    return next((f for f in _EXAGGERATIONS if f * typical >= _MIN_VISIBLE * extent), _EXAGGERATIONS[-1])
+    return choose_enlargement(typical, _MIN_VISIBLE * extent)
 
 
 def _with_uncertainty(sensors: Sequence[SensorPose]) -> list[SensorPose]:

@@ -12,8 +12,7 @@ from calgraph.geometry import Array, se3
 from calgraph.report.figures import (
     MUTED,
     ORANGE,
-    PAPER,
-    RULE,
+    SCENE_AXIS,
     VERMILION,
     escape_plotly,
     make_figure,
@@ -152,13 +151,7 @@ def _make_scene(colored: Sequence[Array], origins: Array) -> dict[str, Any]:
         np.minimum(low, origins.min(axis=0)) - _VIEW_MARGIN,
         np.maximum(high, origins.max(axis=0)) + _VIEW_MARGIN,
     )
-    axis = {
-        "backgroundcolor": PAPER,
-        "gridcolor": RULE,
-        "zerolinecolor": RULE,
-        "showspikes": False,
-        "color": MUTED,
-    }
+    axis = {**SCENE_AXIS, "color": MUTED}
     size = (high - low) / np.max(high - low)
     # From behind the sensors, above them, looking where the cameras do.
     ahead = (np.concatenate(colored).mean(axis=0) - origins.mean(axis=0)) / (high - low)

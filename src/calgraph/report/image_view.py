@@ -7,6 +7,7 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
+from calgraph.report.figures import choose_enlargement
 from calgraph.report.formatting import escape_html, format_count, format_length, format_significant
 from calgraph.report.overlays import Overlay, compute_overlay
 from calgraph.result import BoardView, Calibration, SensorPose, Snapshot
@@ -20,7 +21,6 @@ _MAX_IMAGES, _MAX_PER_CAMERA, _MIN_PER_CAMERA, _EXPANDED = 36, 8, 2, 4
 _COLOR_RAMP = ("#2166ac", "#67a9cf", "#d1e5f0", "#ffffff", "#fddbc7", "#ef8a62", "#b2182b")
 # An image with less than this fraction of the bytes of the largest was stored at reduced size.
 _MIN_SIZE_RATIO = 0.3
-_EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # Smallest drawn length of the median error, relative to the image width.
 _VISIBLE_ERROR = 0.01
 _CAPTION = """\
@@ -59,7 +59,7 @@ def _render_camera(
     views = _rank_views([view for view in calibration.pictures.board_views if view.sensor == sensor.name], images)
     if not views:
         return f'{title}<p class="empty">There is no used capture with a detection of the board.</p>'
-    factor = _choose_exaggeration(views, camera)
+    factor = _choose_enlargement(views, camera)
     chosen = np.unique(np.linspace(0, len(views) - 1, min(each, len(views))).round().astype(int)).tolist()
     shots = [
         _render_image(
@@ -162,13 +162,12 @@ def _path_commands(line: Array) -> str:
     )
 
 
-def _choose_exaggeration(views: Sequence[BoardView], camera: CameraModel) -> int:
+def _choose_enlargement(views: Sequence[BoardView], camera: CameraModel) -> int:
     """Smallest enlargement at which the median error is visible."""
     errors = np.concatenate(
         [np.linalg.norm(view.residuals, axis=1) for view in views if view.residuals is not None]
     )
-    typical = float(np.median(errors))
-    return next((f for f in _EXAGGERATIONS if f * typical >= _VISIBLE_ERROR * camera.width), _EXAGGERATIONS[-1])
+    return choose_enlargement(float(np.median(errors)), _VISIBLE_ERROR * camera.width)
 
 
 def _color_limit(views: Sequence[BoardView]) -> float:

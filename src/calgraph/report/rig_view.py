@@ -12,12 +12,12 @@ from calgraph.report.figures import (
     GREEN,
     INK,
     MUTED,
-    PAPER,
     PINK,
     PURPLE,
-    RULE,
+    SCENE_AXIS,
     SKY,
     VERMILION,
+    choose_enlargement,
     escape_plotly,
     make_figure,
     render_buttons,
@@ -27,7 +27,6 @@ from calgraph.report.rig_shapes import SCALE_95, Polyline, camera_frustum, ellip
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
 
-_EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 # Smallest longest semi-axis of a visible ellipsoid, relative to the axes of a frame.
 _MIN_VISIBLE = 0.25
 
@@ -57,7 +56,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
     ]  # fmt: skip
     fixed = [trace for trace in fixed if len(trace["x"])]
     sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.covariance[:3, :3])]
-    limit, factor = 3 * size, _choose_exaggeration(sensors, size)
+    limit, factor = 3 * size, _choose_enlargement(sensors, size)
     sizes = (1,) if factor == 1 else (1, factor)
     groups = [[_ellipsoid_trace(s, one, limit, one == factor) for s in sensors] for one in sizes]
     ellipsoids = [trace for group in groups for trace in group]
@@ -78,13 +77,13 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
     )
 
 
-def _choose_exaggeration(sensors: Sequence[SensorPose], size: float) -> int:
+def _choose_enlargement(sensors: Sequence[SensorPose], size: float) -> int:
     """Smallest enlargement at which half of the ellipsoids are visible beside axes of a length, m."""
     covariances = [s.covariance[:3, :3] for s in sensors if np.isfinite(s.covariance).all()]
     if not covariances:
         return 1
     longest = SCALE_95 * np.sqrt(np.median([np.linalg.eigvalsh(one)[-1] for one in covariances]))
-    return next((f for f in _EXAGGERATIONS if f * longest >= _MIN_VISIBLE * size), _EXAGGERATIONS[-1])
+    return choose_enlargement(longest, _MIN_VISIBLE * size)
 
 
 def _axis_length(calibration: Calibration) -> float:
@@ -163,9 +162,8 @@ def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visi
 
 
 def _make_scene(calibration: Calibration, size: float) -> dict[str, Any]:
-    axis = {"backgroundcolor": PAPER, "gridcolor": RULE, "zerolinecolor": RULE, "showspikes": False}
     ranges = _axis_ranges(calibration, size)
-    named = {f"{n}axis": {**axis, "title": {"text": f"{n}, m"}, "range": r}
+    named = {f"{n}axis": {**SCENE_AXIS, "title": {"text": f"{n}, m"}, "range": r}
              for n, r in zip("xyz", ranges, strict=True)}  # fmt: skip
     return {
         **named,

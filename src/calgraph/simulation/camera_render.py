@@ -79,27 +79,18 @@ def build_render_context(
     return RenderContext(T_world_camera, planes, coarse, np.ascontiguousarray(background))
 
 
-def render_board(
-    context: RenderContext, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid], blur: float
-) -> Gray:
-    """Renders one image without noise: (height, width) grey values 0 to 255.
-
-    Args:
-        context: the camera with its cached rays and background.
-        T_world_board: (4, 4).
-        board: the printed board.
-        operator: the person behind it.
-        blur: standard deviation of the lens' point spread, pixels; 0 for none.
-    """
-    image = context.background.copy()
-    draw_board_and_operator(image, context, T_world_board, board, operator)
-    return blur_image(image, blur)
-
-
 def draw_board_and_operator(
     image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard, operator: Sequence[Solid]
 ) -> None:
-    """Draws a board and the person behind it over a sharp image, in place; arguments as for :func:`render`."""
+    """Draws a board and the person behind it over a sharp image, in place.
+
+    Args:
+        image: (height, width) grey values 0 to 255, a copy of the context's background at first.
+        context: the camera with its cached rays.
+        T_world_board: (4, 4).
+        board: the printed board.
+        operator: the person behind it.
+    """
     _draw_solids(image, context, operator)
     _draw_board(image, context, T_world_board, board)
 
