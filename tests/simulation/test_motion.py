@@ -7,6 +7,7 @@ from calgraph.simulation.motion import (
     BoardTrajectory,
     displace_board,
     draw_placements,
+    place_all_boards,
     pose_from_placement,
     schedule_holds,
 )
@@ -93,3 +94,19 @@ def test_walk_between_opposite_bearings_goes_around_the_robot() -> None:
         placement = walk.placement_at(float(t))
         assert placement is not None
         assert np.hypot(*pose_from_placement(placement)[:2, 3]) == pytest.approx(2.0)
+
+
+def test_a_slip_begins_in_the_middle_of_its_hold_and_lasts_three_tenths_of_a_second(
+    rng: np.random.Generator,
+) -> None:
+    walk = trajectory(rng, disturbed=1)
+    middle = (walk.holds[0].start + walk.holds[0].end) / 2
+    moving = [walk.is_static(middle + t, middle + t + 0.01) for t in (-0.02, 0.01, 0.28, 0.31)]
+    assert moving == [True, False, False, True]
+
+
+def test_further_boards_stand_50_degrees_apart_with_alternating_rotations() -> None:
+    R = so3.exp(np.array([0.1, 0.2, 0.3]))
+    boards = place_all_boards(BoardPlacement(0.2, 2.0, 1.0, R), 3)
+    np.testing.assert_allclose([board.bearing for board in boards], 0.2 + np.radians([0, 50, 100]))
+    np.testing.assert_array_equal([board.R_facing_board for board in boards], [R, R.T, R])

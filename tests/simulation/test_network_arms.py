@@ -97,3 +97,10 @@ def test_beams_hit_arms_before_the_torso() -> None:
 def test_cylinders_have_no_arms() -> None:
     with pytest.raises(ValueError, match="a cylinder has no arms"):
         PeopleOptions(kind="cylinder", swing=0.1)
+
+
+def test_shoulders_turn_away_from_the_arm_in_front() -> None:
+    walk = straight(1.2)
+    torso, *_ = add_arms(walk, SWING)
+    forward = forward_offset(walk, 1)
+    assert np.corrcoef(torso.headings - walk.headings, forward)[0, 1] == pytest.approx(-1, abs=0.02)

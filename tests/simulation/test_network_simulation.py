@@ -24,6 +24,7 @@ from calgraph.simulation import (
     simulate_network,
     simulate_network_scans,
 )
+from calgraph.simulation.network_walks import body_clearance
 
 SHORT = NetworkScenario(duration=4.0, scanner=ScannerOptions(resolution=1.0))
 EXACT = ScannerOptions(range_noise=0, quantisation=0, mixed_pixels=0, dropout=0)
@@ -42,7 +43,7 @@ def stack(scans: list[LaserScan]) -> Array:
     return np.stack([scan.ranges for scan in scans])
 
 
-def hits_on_people(scan: LaserScan, truth: GroundTruth) -> Array:
+def points_in_root(scan: LaserScan, truth: GroundTruth) -> Array:
     """(N, 2) the scan's points in the root's plane."""
     return se3.apply(truth.T_root_sensor[scan.frame_id], scan.points)[:, :2]
 
@@ -82,7 +83,7 @@ def test_the_time_increment_matches_the_mirror() -> None:
 
 def test_all_scanners_measure_the_same_walls() -> None:
     scans, truth = simulate_network_scans(office(people=PeopleOptions(count=0)), 2)
-    points = np.concatenate([hits_on_people(s[0], truth) for s in scans.values()])
+    points = np.concatenate([points_in_root(s[0], truth) for s in scans.values()])
     outline = build_network(office(), 2)
     T_world_root = next(s.T_world_scanner for s in outline.scanners if s.name == truth.root)
     world = points[np.isfinite(points).all(axis=1)] @ T_world_root[:2, :2].T + T_world_root[:2, 2]
@@ -103,7 +104,7 @@ def test_points_on_people_lie_on_their_true_ellipses() -> None:
             hit, times = hit[times < person.times[-1]], times[times < person.times[-1]]
             center = np.column_stack([np.interp(times, person.times, person.positions[:, k]) for k in (0, 1)])
             heading = np.interp(times, person.times, np.unwrap(person.headings))
-            x, y = (hits_on_people(scan, truth)[hit] - center).T
+            x, y = (points_in_root(scan, truth)[hit] - center).T
             along, across = np.cos(heading) * x + np.sin(heading) * y, np.cos(heading) * y - np.sin(heading) * x
             off.append(np.hypot(across / person.axes[0], along / person.axes[1]) - 1)
     # The truth is sampled at 20 Hz: what is between its samples is off by about 5 mm of 150 mm at sharp turns.
@@ -220,7 +221,7 @@ def overlaps(layout: LayoutName, seed: int) -> dict[tuple[str, str], float]:
         times = np.array([scan.stamp + scan.duration / 2 for scan in own])
         places = np.column_stack([np.interp(times, person.times, person.positions[:, k]) for k in (0, 1)])
         hits = [
-            (np.linalg.norm(hits_on_people(scan, truth) - place, axis=1) < 0.45).sum()
+            (np.linalg.norm(points_in_root(scan, truth) - place, axis=1) < 0.45).sum()
             for scan, place in zip(own, places, strict=True)
         ]
         views[name] = np.interp(person.times, times, np.array(hits, dtype=np.float64)) > 2.5
@@ -248,3 +249,25 @@ def test_in_the_ring_only_neighbours_detect_the_cylinder_simultaneously() -> Non
     names = NetworkScenario(layout="ring").names
     neighbours = {*pairwise(names), (names[0], names[-1])}
     assert {pair for pair, share in overlaps("ring", 0).items() if share > 0.02} == neighbours
+
+
+def test_scans_arrive_2_to_20_milliseconds_after_their_end_on_the_roots_clock(tmp_path: Path) -> None:
+    scenario = office(clock_offset=0.5)
+    simulate_network(scenario, tmp_path, 3)
+    offset = network_truth(build_network(scenario, 3)).clock_offsets["scanner_2"]
+    with open_recording(tmp_path / "recording") as recording:
+        records = list(recording.records(topics=["/scanner_2/scan"]))
+    scans = [scan for record in records if isinstance(scan := record.decode(), LaserScan)]
+    delays = [r.arrival - (s.stamp - offset + s.duration) for r, s in zip(records, scans, strict=True)]
+    assert abs(offset) > 0.05
+    assert 0.0019 < min(delays) < max(delays) < 0.0201
+
+
+def test_people_keep_a_tenth_of_a_metre_more_from_scanners_than_from_walls() -> None:
+    network = build_network(office(duration=60.0), 1)
+    clearance = body_clearance(network.scenario.people) + 0.1
+    mounts = np.array([scanner.T_world_scanner[:2, 2] for scanner in network.scanners])
+    walked = np.concatenate([walk.positions for walk in network.walks])
+    nearest = np.linalg.norm(walked[:, None] - mounts, axis=-1).min()
+    # Walkers may undercut the planned clearance by the margin of smoothing.
+    assert nearest > clearance - 0.15

@@ -1,4 +1,5 @@
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,9 @@ from calgraph.simulation import (
     simulate_rig,
     world_rig,
 )
+from calgraph.simulation.motion import BoardPlacement
+from calgraph.simulation.solids import CylinderShape, RectangleShape, Solid
+from calgraph.simulation.world import simulate_measurement
 
 SMALL = RigScenario(
     camera=CameraOptions(width=320, height=240, texels_per_mm=0.5),
@@ -193,3 +197,36 @@ def test_without_trigger_the_rig_has_no_trigger_topic(tmp_path: Path) -> None:
     assert load_rig(tmp_path / "rig.yaml").capture.trigger is None
     with Reader(tmp_path / "recording") as reader:
         assert "/trigger" not in {c.topic for c in reader.connections}
+
+
+def test_holds_end_a_tenth_of_a_second_after_the_second_measurement_of_the_slowest_sensor() -> None:
+    world = build_world(SMALL, 3)
+    for hold in world.trajectory.holds:
+        clocks = [sensor.clock for sensor in world.robot]
+        ends = [clock.start(clock.first_after(hold.start) + 1) + clock.duration for clock in clocks]
+        assert hold.end == pytest.approx(max(ends) + 0.1)
+
+
+def test_clutter_leaves_room_for_the_operator_behind_the_farthest_board() -> None:
+    world = build_world(SMALL.model_copy(update={"clutter": 40}), 3)
+    for solid in world.solids_at(None)[1:]:
+        shape = solid.shape
+        assert not isinstance(shape, RectangleShape)
+        extent = shape.radius if isinstance(shape, CylinderShape) else np.hypot(shape.length, shape.width) / 2
+        assert 3.3 - 1e-9 <= np.linalg.norm(solid.T_world_shape[:2, 3]) - extent <= 4.3
+
+
+def test_beams_of_a_moving_board_are_cast_in_steps_of_20_milliseconds() -> None:
+    world, states = build_world(SMALL, 3), set[float]()
+
+    def solids_at(placement: BoardPlacement | None) -> tuple[Solid, ...]:
+        if placement is not None:
+            states.add(placement.bearing)
+        return world.solids_at(placement)
+
+    lidar = next(sensor for sensor in world.robot if sensor.kind == "lidar3d")
+    start, end = world.trajectory.holds[0].end, world.trajectory.holds[1].start
+    index = lidar.clock.first_after(start - 0.5 * lidar.clock.duration)
+    simulate_measurement(replace(world, solids_at=solids_at), lidar, index)
+    covered = min(end, lidar.clock.start(index) + lidar.clock.duration) - max(start, lidar.clock.start(index))
+    assert len(states) == pytest.approx(covered / 0.02, abs=3)

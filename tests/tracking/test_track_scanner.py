@@ -254,8 +254,13 @@ def test_the_person_of_the_real_recording_is_tracked(
 @pytest.mark.parametrize(("length", "tracked"), [(0.7, False), (2.0, True)])
 def test_a_track_takes_at_least_half_a_second(length: float, tracked: bool) -> None:
     """At 2 m/s the shorter walk lasts 0.35 s, and leads through more than the least travel."""
-    walk = walk_along([(3.0, -1.0), (3.0, length - 1.0)], speed=2.0, begin=5.0)
-    world = World((walk_in_circle(1.0, (8.0, 3.0)), walk), rate=25.0)
+
+    def dash(times: Array) -> Array:
+        way = 2.0 * (np.asarray(times) - 5.0)
+        path = np.stack([np.full(way.shape, 3.0), way - 1.0], axis=-1)
+        return np.where(((way >= 0) & (way <= length))[..., None], path, np.nan)
+
+    world = World((walk_in_circle(1.0, (8.0, 3.0)), dash), rate=25.0)
     near = [track for track in track_world(world, 10.0).tracks if np.median(track.positions[:, 0]) < 4.0]
     assert bool(near) == tracked
 
