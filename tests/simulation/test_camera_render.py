@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from pupil_apriltags import Detector
 
 from calgraph.config import Board, Checkerboard, Tag
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se3, so3
 from calgraph.simulation import CameraOptions, RigScenario
 from calgraph.simulation.board_texture import render_board_texture
 from calgraph.simulation.camera_render import (
@@ -137,3 +139,16 @@ def test_image_noise_has_the_stated_deviation(rng: np.random.Generator) -> None:
     assert noisy.mean() == pytest.approx(100, abs=0.05)
     # Rounding to whole grey values adds 1/12 to the variance.
     assert noisy.std() == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.02)
+
+
+def test_a_board_that_leans_back_is_brighter_under_lamps_at_the_ceiling(rng: np.random.Generator) -> None:
+    """Normals 30° up and down: 0.91 and 0.72 of full light."""
+    camera = camera_model(LENSES["pinhole"])
+    context = build_render_context(camera, T_WORLD_CAMERA, (), rng)
+    (placement,) = draw_placements(rng, [0.0], [1.5], 1, 0.0, (0.9, 0.9))
+    blank = printed(Board(size=(1.2, 0.9)))
+    up, down = (
+        render_board(context, pose_from_placement(replace(placement, R_facing_board=so3.exp(turn))), blank, 0.0)
+        for turn in (np.array([-np.pi / 6, 0, 0]), np.array([np.pi / 6, 0, 0]))
+    )
+    assert up[360, 480] / down[360, 480] == pytest.approx(0.91 / 0.72, rel=0.01)

@@ -127,10 +127,10 @@ def test_angle_noise_adds_to_ranges_on_an_inclined_board() -> None:
 def test_beams_without_noise_end_on_the_board(name: str) -> None:
     _, captured, truth = simulate_detections(build_world(NOISELESS, 0), 0)
     T_board_sensor = se3.inverse(planes(truth, name))
-    on_sheet = [se3.apply(T_board_sensor[capture], points) for capture, points in ends(captured, name).items()]
-    flat = np.concatenate(on_sheet)
+    on_board = [se3.apply(T_board_sensor[capture], points) for capture, points in ends(captured, name).items()]
+    flat = np.concatenate(on_board)
     assert np.abs(flat[:, 2]).max() < 1e-9
-    assert (np.abs(flat[:, :2]) < 0.5 * np.array(SMALL.board.size)).all()
+    assert (np.abs(flat[:, :2]) <= 0.5 * np.array(SMALL.board.size) - 0.02 + 1e-9).all()
 
 
 def test_every_beam_on_the_board_is_measured_in_every_sweep(world: World) -> None:
@@ -215,3 +215,17 @@ def test_two_rings_are_no_plane() -> None:
     _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
     missed = [capture for capture, sensor in captured.rejections if sensor == "lidar"]
     assert (len(captured.detections["lidar"]), len(missed)) == (0, len(truth.boards))
+
+
+def test_of_two_beams_at_an_edge_the_first_hits_the_board() -> None:
+    _, captured, truth = simulate_detections(build_world(NOISELESS, 0), 0)
+    T_board_sensor, hits = se3.inverse(planes(truth, "laser_front")), []
+    for capture, (detection,) in captured.detections["laser_front"].items():
+        assert isinstance(detection, Segment)
+        assert detection.edges is not None
+        origin, rays = T_board_sensor[capture][:3, 3], detection.edges @ T_board_sensor[capture][:3, :3].T
+        at = origin - origin[2] / rays[..., 2:] * rays
+        hits.append((np.abs(at[..., :2]) < 0.5 * np.array(SMALL.board.size)).all(axis=-1))
+    on_board = np.concatenate(hits).mean(axis=0)
+    assert on_board[0] >= 0.8
+    assert on_board[1] <= 0.2

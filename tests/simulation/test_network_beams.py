@@ -106,3 +106,13 @@ def test_the_preselection_of_beams_is_conservative(rng: np.random.Generator) -> 
     centers, headings = body.pose_at(times.ravel())
     every = cast_ellipses(HERE, np.tile(angles, 40), centers, headings, AXES)
     np.testing.assert_array_equal(ranges.ravel(), every)
+
+
+def test_a_fast_body_is_hit_by_all_beams_of_a_slow_scan() -> None:
+    body = walk(np.column_stack([np.full(101, 2.0), -1.5 + 0.035 * np.arange(101)]))
+    angles = np.linspace(-1.0, 1.0, 201)
+    times = np.linspace(0.0, 0.9, 201)[None]
+    ranges = simulate_true_ranges(HERE, angles, np.full(201, np.inf), times, [body], 20.0)
+    every = cast_ellipses(HERE, angles, *body.pose_at(times[0]), AXES)
+    assert np.isfinite(every).sum() > 20
+    np.testing.assert_array_equal(ranges[0], every)

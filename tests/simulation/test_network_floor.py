@@ -115,3 +115,12 @@ def test_furniture_leaves_a_passage_to_walls() -> None:
     floor = build_layout(NetworkScenario(), np.random.default_rng(0)).floor
     walls = polygon_sides(floor.outline)
     assert min(distance_to_segments(piece, walls).min() for piece in floor.obstacles) >= 0.9
+
+
+def test_furniture_leaves_scanners_a_free_view_of_80_centimetres() -> None:
+    scenario, nearest = NetworkScenario(layout="office", clutter=60), []
+    for seed in range(3):
+        plan = build_layout(scenario, np.random.default_rng(seed))
+        sides = np.concatenate([polygon_sides(polygon) for polygon in plan.floor.obstacles])
+        nearest.append(distance_to_segments(plan.mounts[:, :2], sides).min())
+    assert 0.8 <= min(nearest) < 1.5

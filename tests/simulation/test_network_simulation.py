@@ -24,7 +24,6 @@ from calgraph.simulation import (
     simulate_network,
     simulate_network_scans,
 )
-from calgraph.simulation.network_walks import body_clearance
 
 SHORT = NetworkScenario(duration=4.0, scanner=ScannerOptions(resolution=1.0))
 EXACT = ScannerOptions(range_noise=0, quantisation=0, mixed_pixels=0, dropout=0)
@@ -261,13 +260,3 @@ def test_scans_arrive_2_to_20_milliseconds_after_their_end_on_the_roots_clock(tm
     delays = [r.arrival - (s.stamp - offset + s.duration) for r, s in zip(records, scans, strict=True)]
     assert abs(offset) > 0.05
     assert 0.0019 < min(delays) < max(delays) < 0.0201
-
-
-def test_people_keep_a_tenth_of_a_metre_more_from_scanners_than_from_walls() -> None:
-    network = build_network(office(duration=60.0), 1)
-    clearance = body_clearance(network.scenario.people) + 0.1
-    mounts = np.array([scanner.T_world_scanner[:2, 2] for scanner in network.scanners])
-    walked = np.concatenate([walk.positions for walk in network.walks])
-    nearest = np.linalg.norm(walked[:, None] - mounts, axis=-1).min()
-    # Walkers may undercut the planned clearance by the margin of smoothing.
-    assert nearest > clearance - 0.15

@@ -9,6 +9,7 @@ from rosbags.rosbag2 import Reader
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3
+from calgraph.recording import open_recording
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 from calgraph.simulation import (
     CameraOptions,
@@ -230,3 +231,13 @@ def test_beams_of_a_moving_board_are_cast_in_steps_of_20_milliseconds() -> None:
     simulate_measurement(replace(world, solids_at=solids_at), lidar, index)
     covered = min(end, lidar.clock.start(index) + lidar.clock.duration) - max(start, lidar.clock.start(index))
     assert len(states) == pytest.approx(covered / 0.02, abs=3)
+
+
+@pytest.mark.parametrize("sensor", ["lidar", "laser_left", "camera"])
+def test_messages_arrive_2_to_20_milliseconds_after_their_end(tmp_path: Path, sensor: str) -> None:
+    simulate_rig(SMALL, tmp_path)
+    clock = next(one.clock for one in build_world(SMALL, 0).robot if one.name == sensor)
+    topics = {"lidar": "/lidar/points", "laser_left": "/laser_left/scan", "camera": "/camera/image_raw/compressed"}
+    with open_recording(tmp_path / "recording") as recording:
+        delays = [r.arrival - r.stamp - clock.duration for r in recording.records(topics=[topics[sensor]])]
+    assert 0.0019 < min(delays) < max(delays) < 0.0201
