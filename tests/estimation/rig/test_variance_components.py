@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from bundle_scenes import Scene, remeasured, scene
 from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
+from calgraph.estimation.rig.normal_equations import consistency_statistic
 from calgraph.estimation.rig.observations import BoardViews, RangeObservations, relative_poses
 from calgraph.estimation.rig.variance_components import find_outlier_views, update_variance_components
 from calgraph.geometry import se3
@@ -178,3 +180,27 @@ def test_of_one_board_only_the_worst_view_is_an_outlier() -> None:
     bundle = moved_views(exact, moved_views(exact, exact.measured(rng), 1, [3], rng), 3, [3], rng)
     found = contradicting(bundle, minimize_bundle(bundle, exact.truth))
     assert sum(bool(bad[3]) for bad in found) == 1
+
+
+def test_views_are_outliers_beyond_the_significance_level() -> None:
+    """Of exact views, one is moved until its statistic is 5 % below or above the chi-squared quantile of 1e-5."""
+    exact = scene(("lidar", "camera", "lidar2", "laser"), boards=10)
+
+    def move_view(distance: float) -> tuple[Bundle, MinimizedBundle]:
+        T = relative_poses(exact.truth.T_root_sensor[1], exact.truth.T_root_board)
+        off = np.zeros((10, 6))
+        off[3, 2] = distance
+        moved = remeasured(exact.bundle.views[1], se3.retract(T, off), np.random.default_rng(0), noise=0.0)
+        bundle = replace(exact.bundle, views=(exact.bundle.views[0], moved, *exact.bundle.views[2:]))
+        return bundle, minimize_bundle(bundle, exact.truth)
+
+    def excess(distance: float) -> float:
+        bundle, solution = move_view(distance)
+        at, F = solution.equations.views[1], view_covariance_factors(bundle, solution.equations)[1]
+        squared, freedom = consistency_statistic(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
+        return float(squared[3] / chi2.isf(1e-5, freedom[3]))
+
+    for target in (0.95, 1.05):
+        at_target = brentq(lambda distance, t=target: excess(distance) - t, 0.001, 0.3, xtol=1e-5)
+        found = [int(bad.sum()) for bad in contradicting(*move_view(at_target))]
+        assert found == [0, int(target > 1), 0, 0]
