@@ -77,7 +77,7 @@ def test_nothing_is_visible_without_detections() -> None:
 
 
 def test_positions_outside_the_map_are_not_visible() -> None:
-    view = VisibilityMap(np.pad(np.ones((20, 20), dtype=np.bool_), 1), np.zeros((0, 2)), 0.2)
+    view = VisibilityMap(np.pad(np.ones((20, 20), dtype=np.bool_), 1), np.zeros((0, 2)))
     assert view.covers(np.array([[0.0, 0.0], [1.9, -1.9]])).all()
     assert not view.covers(np.array([[2.1, 0.0], [-1e9, 0.0], [0.0, 1e9]])).any()
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import VisibilitySettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
@@ -19,11 +20,6 @@ from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_de
 
 Flags = NDArray[np.bool_]
 
-# A detection within this distance of another scanner's is of the same person, m.
-_DETECTION_RADIUS = 0.5
-# A pose is contradicted if more than this share of the expected detections is missing, of at least this number
-# (every 0.1 s, of each scanner).
-_MAX_MISSED_SHARE, _MIN_EXPECTED = 0.5, 50
 # Longer recordings are subsampled to this number of ticks, which bounds the time of the comparison.
 _MAX_TICKS = 1000
 
@@ -57,10 +53,13 @@ def find_visibility_conflict(
     detections = _compare_detections(observations, solution.T_root_node)
     i, j = graph.edges.T
     worst: VisibilityConflict | None = None
+    limits = detections.settings
     for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
         expected, missed = detections.count_across(part)
         share = missed / max(expected, 1)
-        if expected >= _MIN_EXPECTED and share > (worst.missed_share if worst else _MAX_MISSED_SHARE):
+        if expected >= limits.min_expected_of_part and share > (
+            worst.missed_share if worst else limits.max_missed_share
+        ):
             worst = VisibilityConflict(part, solution.inliers & (part[i] != part[j]), share)
     return worst
 
@@ -75,8 +74,10 @@ def is_confirmed_by_visibility(
         T_root_node: (N, 3, 3) their poses.
         part: (N,) some of them.
     """
-    expected, missed = _compare_detections(observations, T_root_node).count_across(part)
-    return expected >= _MIN_EXPECTED and missed <= _MAX_MISSED_SHARE * expected
+    detections = _compare_detections(observations, T_root_node)
+    expected, missed = detections.count_across(part)
+    limits = detections.settings
+    return expected >= limits.min_expected_of_part and missed <= limits.max_missed_share * expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,7 @@ class _MutualDetections:
     """Each sample stands for this number of ticks."""
     pairs: tuple[tuple[int, int, NDArray[np.intp], Flags, Flags], ...]
     """Two scanners, indices (M,) of their samples, whether the other one should have detected each, and did."""
+    settings: VisibilitySettings
 
     def count_across(self, part: Flags) -> tuple[int, int]:
         """Number of detections expected between a part (N,) and the rest, and number of those that none made."""
@@ -110,13 +112,15 @@ def _compare_detections(observations: Sequence[ScannerObservations], T_root_node
     max_range = np.array([scanner.visibility.max_range for scanner in observations])
     t = T_root_node[:, :2, 2]
     in_reach = np.linalg.norm(t[:, None] - t, axis=-1) < max_range[:, None] + max_range
+    settings = observations[0].visibility.settings if observations else VisibilitySettings()
     pairs = []
     for a, b in np.argwhere(np.triu(in_reach, 1)).tolist():
         simultaneous = pair_samples(observations[a].samples, observations[b].samples)
         T_a_b = se2.inverse(T_root_node[a]) @ T_root_node[b]
+        maps = observations[a].visibility, observations[b].visibility
         (expected,), (detected,) = find_missed_detections(
-            T_a_b[None], simultaneous, observations[a].visibility, observations[b].visibility, _DETECTION_RADIUS
+            T_a_b[None], simultaneous, *maps, settings.detection_radius
         )
         if expected.any():
             pairs.append((a, b, np.concatenate([indices[a], indices[b]]), expected, detected))
-    return _MutualDetections(sum(sizes), step, tuple(pairs))
+    return _MutualDetections(sum(sizes), step, tuple(pairs), settings)

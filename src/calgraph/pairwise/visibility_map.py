@@ -27,19 +27,19 @@ class VisibilityMap:
     """(N, N) by x and y in cells of the scanner's frame, the scanner in the centre; False along the border."""
     coverage_intervals: Array
     """(W, 2) begin and end of the intervals in which the scanner measured, s, ascending."""
-    cell_size: float
-    """Width of the cells, m."""
+    settings: VisibilitySettings = VisibilitySettings()
+    """Width of the cells, and the limits with which detections are compared."""
 
     def covers(self, x: Array) -> Flags:
         """Tests whether positions (..., 2), m, are visible to the scanner: (...)."""
         size = len(self.visible)
-        cell = np.clip(x * (1 / self.cell_size) + size / 2, 0, size - 1).astype(np.intp)
+        cell = np.clip(x * (1 / self.settings.cell_size) + size / 2, 0, size - 1).astype(np.intp)
         return np.asarray(self.visible.ravel()[cell[..., 0] * size + cell[..., 1]])
 
     @property
     def max_range(self) -> float:
         """Upper bound of the range of visible positions, m."""
-        return float(np.sqrt(0.5) * self.cell_size * len(self.visible))
+        return float(np.sqrt(0.5) * self.settings.cell_size * len(self.visible))
 
     def measures_at(self, times: Array) -> Flags:
         """Tests whether the scanner measured at times (M,), s: (M,)."""
@@ -91,7 +91,7 @@ def build_visibility_map(
     visible = within.reshape(counts.shape) | detected
     visible[[0, -1]] = visible[:, [0, -1]] = False
     coverage = _sampled_interval(samples) if tracked.coverage is None else tracked.coverage
-    return VisibilityMap(visible, coverage, settings.cell_size)
+    return VisibilityMap(visible, coverage, settings)
 
 
 def _sampled_interval(samples: TrackSamples) -> Array:

@@ -106,7 +106,9 @@ class VisibilitySettings(StrictModel):
     """Distance within which a detection by the other scanner is of the same object under a correct pose, m: a
     person's width, errors of clocks and of the pose."""
     min_expected: Count = 20
-    """Expected detections from which a pose is judged by missed ones: 2 s of one person."""
+    """Expected detections from which the pose of a pair is judged by missed ones: 2 s of one person."""
+    min_expected_of_part: Count = 50
+    """Expected detections, of each scanner every 0.1 s, from which the pose of a part of a network is judged."""
     max_missed_share: Share = 0.5
     """Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and
     up to 0.5 where furniture occludes people from one of the two."""
