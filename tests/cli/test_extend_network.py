@@ -126,7 +126,7 @@ def test_a_moved_scanner_is_not_mixed_in_but_named(halves: Halves, run: Run, tmp
                  "--extend", halves.folder / "out/calibration.yaml")  # fmt: skip
     assert result.exit_code == 1
     assert f"{MOVED} has moved by" in result.stderr
-    assert f"give as moved: {MOVED}" in result.stderr
+    assert f"give --moved: {MOVED}" in result.stderr
     assert not (tmp_path / "new").exists()
 
 
@@ -138,7 +138,7 @@ def test_a_moved_scanner_is_not_mixed_in_but_named(halves: Halves, run: Run, tmp
             ["--extend", EARLIER, "--estimator", "averaging"],
             "--extend: goes with --estimator joint",
         ),
-        (["--extend", EARLIER, "--moved", "scanner_1"], "moved: scanner_1 is the root"),
+        (["--extend", EARLIER, "--moved", "scanner_1"], "--moved: scanner_1 is the root"),
     ],
 )
 def test_bad_usage_is_refused(

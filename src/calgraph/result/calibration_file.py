@@ -22,7 +22,7 @@ _HEADER = """\
 Poses map coordinates in a sensor's frame to the root's: translation in metres, rotation as quaternion x, y, z, w.
 covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. joint_covariance: of all sensors,
 one after the other, in the same axes. residual_rms of edges in m, of kinds
-in standard deviations (1 is as the noise says).
+in standard deviations (1 as expected from the noise).
 """
 _CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
 

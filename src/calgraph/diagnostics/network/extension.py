@@ -22,13 +22,13 @@ def extract_earlier_poses(earlier: Calibration, root: str) -> PlanarPoses:
     """
     if earlier.root != root:
         raise InputError(
-            f"extend: its poses are in the frame of {earlier.root}, not {root}; "
+            f"`extend`: its poses are in the frame of {earlier.root}, not {root}; "
             f"set root: {earlier.root} in rig.yaml"
         )
     try:
         return extract_planar_poses(earlier)
     except InputError as error:
-        raise InputError(f"extend: {error}") from error
+        raise InputError(f"`extend`: {error}") from error
 
 
 def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
@@ -40,9 +40,9 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
     names = [sensor.name for sensor in earlier.sensors]
     for name in moved:
         if name not in names:
-            raise InputError(f"moved: {name} is not in what is extended, which has {', '.join(sorted(names))}")
+            raise InputError(f"`moved`: {name} is not in what is extended, which has {', '.join(sorted(names))}")
         if name == earlier.root:
-            raise InputError(f"moved: {name} is the root; calibrate the network anew, or with another root")
+            raise InputError(f"`moved`: {name} is the root; calibrate the network anew, or with another root")
     kept = [k for k, name in enumerate(names) if name not in moved]
     rows = (6 * np.array(kept)[:, None] + np.arange(6)).ravel()
     return replace(
@@ -86,7 +86,7 @@ def build_consistent_prior(
         advice = (
             "its root has moved: calibrate the network anew"
             if names[0] in moved_names
-            else f"to estimate their poses anew and keep the others, give as moved: {', '.join(moved_names)}"
+            else f"to estimate their poses anew and keep the others, give `moved`: {', '.join(moved_names)}"
         )
         raise CalibrationError(
             f"the recording contradicts what is extended: relative to {reference}, {displacements}. "

@@ -54,7 +54,7 @@ def _extract_given_poses(calibration: Calibration) -> PlanarPoses:
     try:
         return extract_planar_poses(calibration)
     except InputError as error:
-        raise InputError(f"against: {error}") from error
+        raise InputError(f"`against`: {error}") from error
 
 
 def _assess_scanner(
