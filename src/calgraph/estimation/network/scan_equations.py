@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.estimation.marginalization import marginalize_bias
 from calgraph.geometry import Array, Index
 
 # Upper triangle of the products of five derivatives (pose and radii) and the residual.
 _ROWS, _COLUMNS = np.triu_indices(6)
-_UPPER = np.triu_indices(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,18 +28,8 @@ class ScanEquations:
     """(V,) half the sum of squared whitened residuals."""
 
     def marginalize_model_error(self, variance: Array) -> "ScanEquations":
-        """The equations if each scan sees the pose displaced by an unknown with variances (3,), Q.
-
-        Marginalising it leaves the information ``A - A (Q⁻¹ + A)⁻¹ A`` and the gradient ``b - A (Q⁻¹ + A)⁻¹ b``.
-        """
-        A, b = self.information, self.gradient
-        inverse = _invert_3x3(A[:, :3, :3] + np.diag(1 / variance))
-        gain, shift = A[:, :, :3] @ inverse, inverse @ b[:, :3, None]
-        return ScanEquations(
-            A - gain @ A[:, :3],
-            b - (A[:, :, :3] @ shift)[..., 0],
-            self.cost - 0.5 * np.sum(b[:, :3] * shift[..., 0], axis=-1),
-        )
+        """The equations with a displacement of the pose in each scan, of variances (3,), marginalised."""
+        return ScanEquations(*marginalize_bias(self.information, self.gradient, self.cost, np.diag(variance)))
 
 
 def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:
@@ -58,15 +48,3 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
     total = np.empty((len(first_beam), 6, 6))
     total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
     return ScanEquations(total[:, :5, :5], total[:, :5, 5], 0.5 * total[:, 5, 5])
-
-
-def _invert_3x3(A: Array) -> Array:
-    """Inverses of symmetric (V, 3, 3) by cofactors, several times as fast as a decomposition."""
-    a, b, c, d, e, f = A[:, _UPPER[0], _UPPER[1]].T
-    cofactors = np.stack(
-        [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b]
-    )
-    cofactors /= a * cofactors[0] + b * cofactors[1] + c * cofactors[2]
-    inverse = np.empty_like(A)
-    inverse[:, _UPPER[0], _UPPER[1]] = inverse[:, _UPPER[1], _UPPER[0]] = cofactors.T
-    return inverse

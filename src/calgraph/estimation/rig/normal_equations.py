@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, gammaln
 
+from calgraph.estimation.marginalization import compute_bias_covariance, marginalize_bias
 from calgraph.estimation.rig.observations import LinearizedResiduals
 from calgraph.geometry import Array, Index
 
@@ -94,7 +95,7 @@ class ViewNormalEquations:
 
         A bent board, a range error on one material, a late stamp: the errors of one view's measurements are
         correlated, and do not average out. The bias is modelled as a displacement of the board before the sensor
-        with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹ = (I + A Q)⁻¹ A``.
+        with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``.
 
         Args:
             variance: (p,) diagonal of Q along the sensor's axes; 0 for the sensor's extra parameters.
@@ -102,18 +103,14 @@ class ViewNormalEquations:
         Returns:
             (V, q, q), (V, q) and (V,).
         """
+        cost = self.robust_cost_offset + 0.5 * self.squared_residuals
         if not np.any(variance):
-            return self.JtJ, self.Jtr, self.robust_cost_offset + 0.5 * self.squared_residuals
-        Q = _bias_covariance(self.local_jacobian, variance)
-        shrinkage = _bias_shrinkage(self.JtJ, Q)
-        A, Jtr = shrinkage @ self.JtJ, _matvec(shrinkage, self.Jtr)
-        explained = np.sum(_matvec(Q, Jtr) * self.Jtr, axis=-1)
-        cost = self.robust_cost_offset + 0.5 * (self.squared_residuals - explained)
-        return (A + np.swapaxes(A, -1, -2)) / 2, Jtr, cost
+            return self.JtJ, self.Jtr, cost
+        return marginalize_bias(self.JtJ, self.Jtr, cost, _bias_prior(self.local_jacobian, variance))
 
-    def estimate_bias(self, covariance: Array) -> Array:
+    def estimate_bias(self, prior: Array) -> Array:
         """(V, q) most likely bias, for its prior covariance (V, q, q)."""
-        return -_matvec(covariance @ _bias_shrinkage(self.JtJ, covariance), self.Jtr)
+        return -_matvec(compute_bias_covariance(self.JtJ, prior), self.Jtr)
 
 
 def accumulate(
@@ -149,8 +146,8 @@ def accumulate(
 
 def accumulate_biased(residuals: LinearizedResiduals, start: Index, variance: Array) -> ViewNormalEquations:
     """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (p,)."""
-    covariance = _bias_covariance(residuals.local_jacobian, variance)
-    return accumulate(residuals, start, lambda equations: equations.estimate_bias(covariance))
+    prior = _bias_prior(residuals.local_jacobian, variance)
+    return accumulate(residuals, start, lambda equations: equations.estimate_bias(prior))
 
 
 def _jacobian_columns(residuals: LinearizedResiduals) -> Array:
@@ -214,14 +211,9 @@ def _residual_norms(residual: Array) -> Array:
     return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
 
 
-def _bias_covariance(local_jacobian: Array, variance: Array) -> Array:
+def _bias_prior(local_jacobian: Array, variance: Array) -> Array:
     """(V, q, q) covariance of the local parameters for a displacement of the board with variances (p,)."""
     return np.asarray((local_jacobian * variance) @ np.swapaxes(local_jacobian, -1, -2))
-
-
-def _bias_shrinkage(JtJ: Array, covariance: Array) -> Array:
-    """``inv(I + JtJ @ covariance)`` (V, q, q)."""
-    return np.asarray(np.linalg.inv(np.eye(JtJ.shape[-1]) + JtJ @ covariance))
 
 
 def _matvec(A: Array, x: Array) -> Array:
