@@ -48,7 +48,7 @@ def test_samples_are_solved_independently(rng: np.random.Generator) -> None:
     )
 
 
-@pytest.mark.parametrize("roll", [-0.5, 0.5])
+@pytest.mark.parametrize("roll", [-2.6, -0.5, 0.5, 2.6])
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 def test_segments_of_a_board_are_near_each_other(roll: float, yaw: float, rng: np.random.Generator) -> None:
     """Of the two possible dihedral angles, the one with all boards on one side of the intersection."""

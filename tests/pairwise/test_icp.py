@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import (
@@ -66,6 +67,20 @@ def test_information_in_a_room_is_consistent_with_the_errors() -> None:
         squared.append(float(d @ found.information @ d))
     # Walls are not as flat, nor scanners as level, as simulated ones: the information allows for that.
     assert np.mean(squared) < 4
+
+
+def test_information_of_independent_errors_is_consistent(rng: np.random.Generator) -> None:
+    # Points without common errors, with the noise of both scanners.
+    independent = ScannerPairSettings(icp=IcpSettings(correlated_points=1.0, wall_error=1e-6))
+    squared = []
+    for _ in range(40):
+        a, b = (StaticBackground(scan(ROOM, T, rng).points, independent) for T in (A, B))
+        found = align_backgrounds(T_A_B, LOOSE, a, b, np.sqrt(2) * SIGMA)
+        assert isinstance(found, IcpResult), found
+        d = se2.difference(found.T_a_b, T_A_B)
+        squared.append(d**2 * np.diag(found.information))
+    assert (np.mean(squared, axis=0) < 3).all()
+    assert (np.mean(squared, axis=0) > 0.2).all()
 
 
 def test_translation_along_a_corridor_is_unobservable(rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.pairwise import evaluate_coplanarity
 from calgraph.pairwise.least_squares import axis_aligned_rotations
-from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
+from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches, _regularized_coplanarity
 
 
 def numerical(f: Callable[[Array, Array], Array], x: Array, size: int) -> Array:
@@ -188,3 +188,14 @@ def test_random_mountings_are_solved_from_lines_on_planes(rng: np.random.Generat
     found = matches.solve(np.arange(len(matches.planes) // 5 * 5).reshape(-1, 5))
     error = np.linalg.norm(se3.difference(found, np.broadcast_to(T_a_b, found.shape)), axis=-1)
     assert np.median(error) < 1e-6
+
+
+def test_derivatives_of_the_regularized_coplanarity(rng: np.random.Generator) -> None:
+    T, (a, b) = random_pose(rng), rng.normal(size=(2, 1, 4, 2, 3))
+
+    def residuals(T: Array, d: Array) -> Array:
+        return np.asarray(_regularized_coplanarity(se3.retract(T, d)[None], a, b, 0.7, 0.01)[0][0])
+
+    r, J = _regularized_coplanarity(T[None], a, b, 0.7, 0.01)
+    assert r.shape == (1, 4 + 12)
+    np.testing.assert_allclose(J[0], numerical(residuals, T, 6), atol=1e-6)

@@ -128,6 +128,12 @@ def test_squared_mahalanobis_distances(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(_mahalanobis2(r, W), np.einsum("pi,pij,pj->p", r, W, r))
 
 
+def test_combinations_of_trajectories_have_different_numbers() -> None:
+    ticks = np.zeros(2, np.intp)
+    two = TrackSamples(ticks, np.arange(2), np.ones((2, 2)), np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1)))
+    assert len(set(pair_samples(two, two).trajectories.tolist())) == 4
+
+
 def test_costs_are_truncated_squared_distances_over_the_gate() -> None:
     pairs = simultaneous()
     poses = np.array([T_A_B, se2.retract(T_A_B, np.array([0.1, 0, 0])), se2.retract(T_A_B, np.array([9.0, 0, 0]))])
