@@ -120,7 +120,7 @@ def decode_image(data: Pixels, declared: str = "") -> Pixels:
 def to_8_bits(values: NDArray[np.generic]) -> Pixels:
     """Values of more than 8 bits, stretched between their 0.1 and 99.9 percentiles.
 
-    16-bit images often use 10 or 12 bits, and some have hot pixels: neither shifting nor the extremes would do.
+    16-bit images often use 10 or 12 bits, so that shifting would darken them; hot pixels exclude the extremes.
     """
     numbers = values.astype(np.float32)
     low, high = np.percentile(numbers.ravel()[:: max(1, numbers.size // 100_000)], [0.1, 99.9])

@@ -21,7 +21,8 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 # Seconds in one unit of a time column, the likeliest first.
 _FLOAT_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 _INTEGER_UNITS = (1e-9, 1e-6)
-# No sweep takes longer, s, and none is shorter.
+# Plausible durations of a sweep, s, by which the unit of a time column is recognised: a spinning 2-D scanner takes
+# up to 20 s, the fastest LiDARs some milliseconds. Units differ by factors of 1000, so that no setting is needed.
 _MAX_SWEEP_DURATION = 20.0
 _MIN_SWEEP_DURATION = 1e-3
 
