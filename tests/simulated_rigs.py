@@ -16,14 +16,7 @@ from calgraph.recording import Recording
 from calgraph.recording.recording import TopicInfo, select_topics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraInfo, Message, RecordedMessage, Trigger
-from calgraph.simulation import (
-    GroundTruth,
-    RigScenario,
-    World,
-    build_world,
-    ground_truth,
-    world_rig,
-)
+from calgraph.simulation import GroundTruth, RigScenario, World, build_world, ground_truth, world_rig
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC, topic_of
 from calgraph.simulation.robot import MountedCamera
 from calgraph.simulation.world import simulate_measurement

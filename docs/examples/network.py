@@ -24,9 +24,7 @@ print({name: f"{len(own)} scans of {len(own[0].ranges)} beams" for name, own in 
 import calgraph
 
 rig = calgraph.Rig(
-    root="scanner_1",
-    target=calgraph.People(),
-    sensors={name: calgraph.Lidar2dSpec(topic=name) for name in scans},
+    root="scanner_1", target=calgraph.People(), sensors={name: calgraph.Lidar2dSpec(topic=name) for name in scans}
 )
 calibration = calgraph.calibrate_network(rig, calgraph.MessageRecording(scans), calgraph.NetworkOptions())
 columns = ["x", "y", "yaw_deg", "stddev_x", "stddev_y", "clock_offset", "verdict"]

@@ -64,12 +64,7 @@ def test_the_list_of_commands_waits_for_none_of_them() -> None:
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [
-        (CalibrationError("why"), 1),
-        (InputError("why"), 2),
-        (RecordingError("why"), 2),
-        (KeyboardInterrupt(), 130),
-    ],
+    [(CalibrationError("why"), 1), (InputError("why"), 2), (RecordingError("why"), 2), (KeyboardInterrupt(), 130)],
 )
 def test_known_errors_have_their_exit_code(error: BaseException, code: int) -> None:
     assert guarded_exit(error).exit_code == code

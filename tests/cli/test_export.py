@@ -70,10 +70,7 @@ def test_a_given_urdf_is_corrected_in_a_file(run: Run, out: Path, tmp_path: Path
 
 def test_an_option_of_another_format_is_refused(run: Run, out: Path) -> None:
     result = run("export", out, "-f", "tf", "--urdf", "robot.urdf")
-    assert (result.exit_code, result.stderr) == (
-        2,
-        "calgraph: --urdf: goes with --format urdf, got --format tf\n",
-    )
+    assert (result.exit_code, result.stderr) == (2, "calgraph: --urdf: goes with --format urdf, got --format tf\n")
 
 
 def test_an_unknown_format_is_bad_usage_and_the_known_ones_are_named(run: Run, out: Path) -> None:

@@ -134,10 +134,7 @@ def test_a_moved_scanner_is_not_mixed_in_but_named(halves: Halves, run: Run, tmp
     ("options", "said"),
     [
         (["--moved", MOVED], "--moved: goes with --extend"),
-        (
-            ["--extend", EARLIER, "--estimator", "averaging"],
-            "--extend: goes with --estimator joint",
-        ),
+        (["--extend", EARLIER, "--estimator", "averaging"], "--extend: goes with --estimator joint"),
         (["--extend", EARLIER, "--moved", "scanner_1"], "--moved: scanner_1 is the root"),
     ],
 )

@@ -35,9 +35,7 @@ def test_the_margin_grows_with_the_noise(rng: np.random.Generator) -> None:
     assert share < 0.005
 
 
-def test_a_beam_alternating_between_two_depths_is_background_at_both_and_between(
-    rng: np.random.Generator,
-) -> None:
+def test_a_beam_alternating_between_two_depths_is_background_at_both_and_between(rng: np.random.Generator) -> None:
     def flicker() -> LaserScan:
         edge = np.abs(ANGLES - 0.3) < 0.002
         return scan(np.where(edge, rng.choice([2.0, 5.0, rng.uniform(2, 5)]), 5.0), rng)

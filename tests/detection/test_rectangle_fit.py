@@ -104,8 +104,7 @@ def test_beams_just_behind_the_board_do_not_count() -> None:
 
 
 @pytest.mark.parametrize(
-    ("inner", "outer", "isolated"),
-    [(0.0, 0.055, 1.0), (0.062, 0.085, 0.0), (0.15, 0.205, 0.0), (0.215, 0.3, 1.0)],
+    ("inner", "outer", "isolated"), [(0.0, 0.055, 1.0), (0.062, 0.085, 0.0), (0.15, 0.205, 0.0), (0.215, 0.3, 1.0)]
 )
 def test_isolation_is_that_of_the_frame(inner: float, outer: float, isolated: float) -> None:
     """It begins at twice the blur, 0.06 m, and is 0.15 m wide."""

@@ -149,9 +149,7 @@ def test_sensors_that_see_nothing_each_say_why(staged_rig: tuple[Rig, SimulatedR
     assert "the root lidar detected the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
 
 
-def test_sensors_that_see_nothing_without_trigger_are_named(
-    staged_rig: tuple[Rig, SimulatedRecording],
-) -> None:
+def test_sensors_that_see_nothing_without_trigger_are_named(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
     rig, recording = staged_rig
     for topic in (FRONT, CLOUD, CAMERA):
         recording = alter_messages(recording, topic, empty)

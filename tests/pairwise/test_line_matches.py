@@ -146,10 +146,7 @@ def test_covariance_of_coplanarity_is_its_scatter(rng: np.random.Generator) -> N
 @pytest.mark.parametrize("build", [plane_line, line_line])
 @pytest.mark.parametrize(("away", "expected"), [(0.9, True), (2.1, False)])
 def test_detections_farther_apart_than_a_board_are_infeasible(
-    build: Callable[..., PlaneLineMatches | LineLineMatches],
-    away: float,
-    expected: bool,
-    rng: np.random.Generator,
+    build: Callable[..., PlaneLineMatches | LineLineMatches], away: float, expected: bool, rng: np.random.Generator
 ) -> None:
     # On one board the middles are less than half a diagonal apart.
     T_a_b = tilted_pose()

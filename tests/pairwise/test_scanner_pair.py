@@ -168,9 +168,7 @@ def test_a_scanner_with_half_of_all_tracks_occluded_is_found(seed: int) -> None:
     assert error(pair, se2.inverse(A) @ B)[0] < 0.1
 
 
-def test_clocks_may_differ_by_thirty_milliseconds(
-    rng: np.random.Generator,
-) -> None:
+def test_clocks_may_differ_by_thirty_milliseconds(rng: np.random.Generator) -> None:
     walks = [wander(rng) for _ in range(2)]
     A, B = somewhere(rng), somewhere(rng)
     assert error(estimate(rng, walks, A, B, late=0.03), se2.inverse(A) @ B)[0] < 0.03

@@ -90,12 +90,7 @@ def test_a_pose_with_missed_detections_is_refuted() -> None:
     views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
     wrong = se2.pose(np.pi, np.array([2.0, 0.0]))  # the other half of the circle at every time
     found = contradicts_visibility(
-        np.array([T_a_b, wrong]),
-        pair_samples(a, b),
-        *views,
-        radius=0.5,
-        min_expected=20,
-        max_missed_share=0.5,
+        np.array([T_a_b, wrong]), pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
     )
     assert found.tolist() == [False, True]
 
@@ -108,12 +103,7 @@ def test_poses_without_overlap_are_not_refuted() -> None:
         far[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
     ).tolist() == [False]
     assert contradicts_visibility(
-        np.zeros((0, 3, 3)),
-        pair_samples(a, b),
-        *views,
-        radius=0.5,
-        min_expected=20,
-        max_missed_share=0.5,
+        np.zeros((0, 3, 3)), pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
     ).shape == (0,)
 
 

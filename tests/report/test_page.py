@@ -133,8 +133,7 @@ def test_cards_state_the_worst_deviation(page: Page) -> None:
 
 def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibration, rig: Rig) -> None:
     lost = dataclasses.replace(
-        calibration,
-        evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "detected no board"}),
+        calibration, evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "detected no board"})
     )
     page = Page(render_report(lost, rig))
     assert "sonar ✕ not connected no pose Detected no board" in page.words

@@ -34,14 +34,7 @@ def calibration(rng: np.random.Generator) -> Calibration:
         "camera", "lidar", "camera_optical", "camera", random_pose(rng), Verdict("good"),
         clock_offset=0.0123, clock_offset_stddev=0.0004,
     )  # fmt: skip
-    second = SensorPose(
-        "camera_2",
-        "camera",
-        "camera_2_optical",
-        "camera",
-        random_pose(rng),
-        Verdict("good"),
-    )
+    second = SensorPose("camera_2", "camera", "camera_2_optical", "camera", random_pose(rng), Verdict("good"))
     weak = Verdict("weak", "height (z) is loose: hold the board tilted, above and below the scan plane")
     laser = SensorPose("laser", "lidar", "laser_link", "lidar2d", random_pose(rng), weak)
     return Calibration(

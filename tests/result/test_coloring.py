@@ -30,9 +30,7 @@ def test_each_point_has_the_colour_of_the_first_picture_that_shows_it() -> None:
 
 
 @pytest.mark.parametrize("unknown", [{"cameras": {}}, {"T_root_sensor": {}}])
-def test_pictures_of_cameras_without_intrinsics_or_pose_are_left(
-    unknown: dict[str, dict[str, object]],
-) -> None:
+def test_pictures_of_cameras_without_intrinsics_or_pose_are_left(unknown: dict[str, dict[str, object]]) -> None:
     known = {"cameras": CAMERAS, "T_root_sensor": T_ROOT_SENSOR} | unknown
     colors, seen = colorize_from_snapshots(POINTS, [taken("left", RED)], **known)  # type: ignore[arg-type]
     assert not seen.any()

@@ -10,15 +10,7 @@ import numpy as np
 import pytest
 
 from calgraph.errors import InputError
-from calgraph.result import (
-    BoardOutline,
-    BoardView,
-    FloorView,
-    Pictures,
-    Snapshot,
-    load_scene,
-    save_scene,
-)
+from calgraph.result import BoardOutline, BoardView, FloorView, Pictures, Snapshot, load_scene, save_scene
 
 GRADIENT = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 48, axis=0) * np.array(
     [1, 0, 0], np.uint8

@@ -20,12 +20,7 @@ _PANELS = {
 _MODEL_OPTIONS = {option.parameter: option for option in list_options(RigScenario, _PANELS)}
 
 
-def simulate_rig_options(
-    out: Out,
-    scenario: ScenarioFile = None,
-    seed: Seed = 0,
-    **options: Any,
-) -> None:
+def simulate_rig_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0, **options: Any) -> None:
     """Simulate a robot, a board, and an operator who carries it around; write the recording and the truth.
 
     Lists are given as numbers with commas between them, tags and patterns as in rig.yaml (YAML on one line).

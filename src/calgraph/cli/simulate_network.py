@@ -8,21 +8,11 @@ from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
 
-_PANELS = {
-    "layout": "Building",
-    "scanner": "2-D scanners",
-    "people": "People",
-    "root": "Recording",
-}
+_PANELS = {"layout": "Building", "scanner": "2-D scanners", "people": "People", "root": "Recording"}
 _MODEL_OPTIONS = {option.parameter: option for option in list_options(NetworkScenario, _PANELS)}
 
 
-def simulate_network_options(
-    out: Out,
-    scenario: ScenarioFile = None,
-    seed: Seed = 0,
-    **options: Any,
-) -> None:
+def simulate_network_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0, **options: Any) -> None:
     """Simulate 2-D scanners fixed in a building, and people who walk through it; write recording and truth.
 
     Defaults are those of the office; another layout has other defaults, which options override.

@@ -39,11 +39,7 @@ _MIN_WEIGHT = 1e-3
 _MAX_ROUNDS = 5
 
 
-def average_poses(
-    graph: PoseGraph,
-    rng: np.random.Generator,
-    weights: Array | None = None,
-) -> PoseGraphSolution:
+def average_poses(graph: PoseGraph, rng: np.random.Generator, weights: Array | None = None) -> PoseGraphSolution:
     """The node poses that most pairs agree with, without start values, optimized over the inliers.
 
     Args:

@@ -310,6 +310,5 @@ def _check_symmetric(covariance: Array, key: str) -> None:
     if len(wrong_at):
         i, j = wrong_at[0]
         raise invalid(
-            f"{key}[{i}][{j}]",
-            f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}",
+            f"{key}[{i}][{j}]", f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}"
         )

@@ -79,10 +79,7 @@ def test_two_moved_scanners_are_named_even_if_one_is_the_root() -> None:
         before = random_network(rng)
         assert [
             one.name for one in find_moved_scanners(before, measure_again(before, rng, steps), SETTINGS)[1]
-        ] == [
-            "a",
-            "d",
-        ]
+        ] == ["a", "d"]
 
 
 def test_of_two_scanners_the_root_is_assumed_to_have_stayed() -> None:

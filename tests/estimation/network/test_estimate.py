@@ -9,12 +9,7 @@ from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
-from calgraph.estimation.network.estimate import (
-    NetworkSolution,
-    collect_scans,
-    select_bridges,
-    solve_network,
-)
+from calgraph.estimation.network.estimate import NetworkSolution, collect_scans, select_bridges, solve_network
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,

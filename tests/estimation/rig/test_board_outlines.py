@@ -74,9 +74,7 @@ def print_aside(_: str, detection: Detection) -> Detection:
     aside = np.array([0.03, 0.0, 0.0])
     T_aside = se3.pose(np.eye(3), -aside)
     return replace(
-        detection,
-        corners_board=detection.corners_board + aside,
-        T_camera_board=detection.T_camera_board @ T_aside,
+        detection, corners_board=detection.corners_board + aside, T_camera_board=detection.T_camera_board @ T_aside
     )
 
 

@@ -103,9 +103,7 @@ def one_view(J: Array, r: Array) -> LinearizedResiduals:
 FIRST = np.array([0])
 
 
-def test_information_with_the_bias_marginalised(
-    rng: np.random.Generator,
-) -> None:
+def test_information_with_the_bias_marginalised(rng: np.random.Generator) -> None:
     J, r = rng.normal(size=(20, 6)), 0.3 * rng.normal(size=20)
     A, view_bias = J.T @ J, np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3])
     information, gradient, _ = marginalized(one_view(J, r), FIRST, view_bias)

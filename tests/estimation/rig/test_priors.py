@@ -216,11 +216,7 @@ def test_exact_priors_fix_sensors_to_the_root(rig: Rig, captured: CaptureSet, fi
     ("prior", "rigid", "message"),
     [
         (None, [("camera", "rear")], r"has no frame 'rear', nor one called rear .* has camera, laser, lidar"),
-        (
-            None,
-            [("camera", "reer")],
-            "there is no sensor reer to be in a rigid group; .* lidar, camera,",
-        ),
+        (None, [("camera", "reer")], "there is no sensor reer to be in a rigid group; .* lidar, camera,"),
         (None, [("camera",)], "a rigid group needs two sensors at least, got camera"),
         (None, [("camera", "laser"), ("laser", "lidar")], "laser is in 2 rigid groups"),
         ((0, 0), [("camera", "laser")], "camera is in 2 rigid groups"),

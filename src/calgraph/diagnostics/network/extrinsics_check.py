@@ -13,11 +13,7 @@ from calgraph.result import Calibration, ExtrinsicsFile
 
 
 def compare_network_poses(
-    found: Calibration,
-    given: ExtrinsicsFile,
-    tolerance: Tolerance | None = None,
-    *,
-    settings: DiagnosticsSettings,
+    found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None, *, settings: DiagnosticsSettings
 ) -> ExtrinsicsComparison:
     """Compares given poses of a network with estimated ones, and finds the fewest scanners that have moved.
 

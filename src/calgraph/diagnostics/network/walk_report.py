@@ -8,12 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import (
-    TICK_PERIOD,
-    SimultaneousPairs,
-    TrackSamples,
-    pair_samples,
-)
+from calgraph.pairwise.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import ScannerTracks
 

@@ -8,18 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.estimation.network.problem import (
-    BodyObservations,
-    BodyPath,
-    BodyScans,
-    NetworkProblem,
-    NetworkState,
-)
-from calgraph.estimation.network.solver import (
-    compute_heading_offsets,
-    evaluate_at,
-    index_scans,
-)
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.solver import compute_heading_offsets, evaluate_at, index_scans
 from calgraph.geometry import Array, Index
 
 

@@ -182,11 +182,7 @@ def _select_views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[Bo
 
 
 def _solve_with_outlines(
-    bundle: Bundle,
-    solution: MinimizedBundle,
-    rig: Rig,
-    captured: CaptureSet,
-    boards: Sequence[BoardObservation],
+    bundle: Bundle, solution: MinimizedBundle, rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation]
 ) -> tuple[Bundle, MinimizedBundle, set[tuple[int, str]]]:
     """The bundle with outlines, its solution, and the rejected views.
 

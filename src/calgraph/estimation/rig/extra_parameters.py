@@ -26,10 +26,7 @@ Estimable = Literal["range_bias", "intrinsics", "tags"]
 # Prior standard deviations of stated values: range biases, m; focal lengths, relative; principal points, relative
 # to the image size; distortion coefficients; displacements of tags on their board, m and rad.
 _BIAS, _FOCAL, _PRINCIPAL, _DISTORTION, _TAG, _TAG_ANGLE = 0.1, 0.1, 0.05, 0.3, 0.03, 0.05
-_COEFFICIENTS = {
-    "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    "fisheye": ("k1", "k2", "k3", "k4"),
-}
+_COEFFICIENTS = {"pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
 _NO_TAG = (-1, -1)
 # A parameter whose standard deviation exceeds this share of its prior's was not measured.
 _MAX_STDDEV_SHARE = 0.5
