@@ -1,6 +1,6 @@
 """Boards in 2-D scans: by ray casting with a known answer, and in real scans of an office."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -237,3 +237,66 @@ def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random
         best = accepted(find_segments([scan], [Board(size=(0.5, 0.3))], RangeNoise(), None, rng))[0]
         assert 0.7 < best.center[0] < 1.2
         assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.5, abs=0.04)
+
+
+EXACT = RangeNoise(range=0.005, angle=1e-4)
+FINE = np.radians(np.arange(-60, 60, 0.25))
+
+
+def board_scan(
+    beyond: float | Callable[[Array], Array] = 5.0,
+    *,
+    length: float = 0.9,
+    bulge: float = 0.0,
+    angles: Array = FINE,
+) -> LaserScan:
+    """A board 2 m ahead, across the view, whose middle bulges backwards, and what beams beside it measure."""
+    s = 2 * np.tan(angles)
+    depth = 2.0 - bulge * (s / (length / 2)) ** 2
+    other = beyond(angles) if callable(beyond) else np.full(len(angles), beyond)
+    return LaserScan(0.0, "laser", angles, np.where(np.abs(s) <= length / 2, depth / np.cos(angles), other))
+
+
+def score(scan: LaserScan) -> float:
+    """Of the candidate 2 m ahead."""
+    found = accepted(find_segments([scan], [BOARD], EXACT, None, np.random.default_rng(0)))
+    return next(s.match for s in found if np.abs(s.center - [2.0, 0, 0]).max() < 0.1)
+
+
+def test_a_straight_free_line_of_the_boards_length_has_the_full_score() -> None:
+    assert score(board_scan()) == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("length", [0.3, 0.4, 0.6])
+def test_lines_shorter_than_the_shorter_side_score_in_proportion(length: float) -> None:
+    assert score(board_scan(length=length)) == pytest.approx(length / 0.8, abs=0.03)
+
+
+@pytest.mark.parametrize("bulge", [-0.01, 0.005, 0.01])
+def test_bulging_lines_score_less(bulge: float) -> None:
+    assert score(board_scan(bulge=bulge)) == pytest.approx(np.exp(-0.5 * (bulge / 0.01) ** 2), abs=0.05)
+
+
+def beside(left: float, right: float) -> Callable[[Array], Array]:
+    """Ranges to either side, up to 30 degrees from the middle, and of 5 m farther outwards."""
+    return lambda angles: np.where(np.abs(angles) > np.radians(30), 5.0, np.where(angles > 0, left, right))
+
+
+@pytest.mark.parametrize(
+    ("beyond", "expected"),
+    [
+        (beside(1.5, 5.0), np.sqrt(0.7)),  # something nearer hides one end
+        (beside(1.5, 1.5), 0.7),
+        (beside(np.nan, 5.0), np.sqrt(0.8)),  # no return beside it
+        (beside(np.nan, np.nan), 0.8),
+        (lambda angles: 2.05 / np.cos(angles), 0.2),  # less than the least depth jump behind it
+        (lambda angles: 2.25 / np.cos(angles), 1.0),
+    ],
+)
+def test_ends_are_scored_by_what_follows_them(beyond: Callable[[Array], Array], expected: float) -> None:
+    assert score(board_scan(beyond)) == pytest.approx(expected, abs=0.01)
+
+
+def test_an_end_at_the_end_of_the_field_of_view_may_be_none() -> None:
+    # The last beam on the board is the last one of the scan.
+    assert score(board_scan(angles=FINE[2 * np.tan(FINE) <= 0.45])) == pytest.approx(np.sqrt(0.7), abs=0.01)

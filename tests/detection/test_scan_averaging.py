@@ -53,9 +53,11 @@ def test_beams_that_return_in_less_than_half_of_the_scans_are_left_out() -> None
 
 
 def test_beams_that_alternate_between_two_depths_are_left_out() -> None:
-    ranges = np.full((4, 11), 2.0)
-    ranges[:, 7] = [2.0, 2.0, 3.0, 3.0]
-    np.testing.assert_allclose(average(ranges).angles, np.delete(ANGLES, 7))
+    ranges = np.full((5, 11), 2.0)
+    ranges[:, 7] = [1.0, 2.0, 2.0, 3.0, 4.0]
+    ranges[:, 8] = [2.0, 2.0, 2.0, 3.0, 4.0]
+    ranges[:4, 9], ranges[4, 9] = [2.0, 2.0, 3.0, 3.0], NAN
+    np.testing.assert_allclose(average(ranges).angles, np.delete(ANGLES, [7, 9]))
 
 
 def test_a_beam_is_foreground_if_it_is_in_most_scans() -> None:
