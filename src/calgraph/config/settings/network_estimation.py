@@ -143,8 +143,8 @@ class NetworkEstimationSettings(StrictModel):
     """Levenberg–Marquardt steps of each solution: weights and noise change between solutions, so that none needs
     to converge on its own."""
     max_rounds: int = Field(default=5, ge=1)
-    """Rounds of noise, weights, model error, walls and solution. With rounds until convergence, errors in the
-    halls of benchmarks/lrf_network.py grow from 2.2 to 2.6 mm, because weights have several fixed points."""
+    """Rounds of noise, weights, model error, walls and solution. Over 21 simulated offices, halls and labs, two
+    rounds give a NEES of 0.59, five 0.96, and ten change nothing."""
     wall_position_sigma: float = Field(default=0.05, gt=0)
     """Error of the joint poses at which the registration of walls starts, m: bounds which walls correspond."""
     wall_rotation_sigma: float = Field(default=0.01, gt=0)
