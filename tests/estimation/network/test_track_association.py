@@ -92,6 +92,35 @@ def test_a_long_interruption_splits_a_body(rng: np.random.Generator) -> None:
     assert len(group([track_paths(s, walks, rng) for s in (0, 1)])) == 2
 
 
+def test_a_short_overlap_does_not_link_tracks(rng: np.random.Generator) -> None:
+    whole = simulate_path(0, 8, (0, 1), (1, 0.1))
+    parts = [whole[:80], whole[77:]]
+    assert group([track_paths(s, [part], rng) for s, part in enumerate(parts)]) == []
+
+
+def test_a_track_continues_where_the_velocity_leads(rng: np.random.Generator) -> None:
+    # Scanner 1 tracks the first part only: the second one belongs to the body by its continuation in scanner 0.
+    whole = simulate_path(0, 8, (0, 1), (1.5, 0))
+    parts = [whole[:80], whole[96:]]
+    tracked = [track_paths(0, parts, rng), track_paths(1, parts[:1], rng)]
+    assert group(tracked) == [[(0, 0), (0, 1), (1, 0)]]
+
+
+def test_people_behind_each_other_are_not_linked(rng: np.random.Generator) -> None:
+    paths = [simulate_path(0, 6, (x, 1), (1, 0)) for x in (0, -0.8)]
+    assert group([track_paths(s, [path], rng) for s, path in enumerate(paths)]) == []
+
+
+def test_the_strongest_links_win(rng: np.random.Generator) -> None:
+    # Two people walk side by side for five of eight seconds: their tracks are linked, too, but by fewer ticks.
+    straight = simulate_path(0, 8, (0, 2), (1, 0))
+    other = straight.copy()
+    other[:, 2] += 0.3
+    other[100:, 2] += np.linspace(0, 2, 60)
+    tracked = [track_paths(s, [straight, other], rng) for s in (0, 1)]
+    assert group(tracked) == [[(0, 0), (1, 0)], [(0, 1), (1, 1)]]
+
+
 def test_a_body_of_half_a_second_is_left_out(rng: np.random.Generator) -> None:
     walk = simulate_path(0, 0.5, (1, 1), (1, 0))
     assert group([track_paths(s, [walk], rng) for s in (0, 1)]) == []

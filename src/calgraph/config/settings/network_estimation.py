@@ -19,16 +19,13 @@ class TrackGroupingSettings(StrictModel):
     to two people who walk apart."""
     max_gap: float = Field(default=1.0, gt=0)
     """A track continues an earlier one of its scanner after at most this time, s: longer than people hide each
-    other when they pass."""
+    other when they pass. After longer ones, a body counts as another one."""
     max_jump: float = Field(default=0.4, gt=0)
     """Distance of a continuing track from the extrapolation, m: one standard deviation of an extrapolation over 1
     s at an acceleration density q of 0.5 m²/s³, sqrt(q t³ / 3)."""
     max_overlap: float = Field(default=0.15, gt=0)
     """Tracks of one scanner that overlap longer are of two bodies, s: a cluster may fall into two for about two
     scans of a scanner with 15 Hz."""
-    max_untracked: float = Field(default=1.5, gt=0)
-    """A body is split where no scanner tracks it for longer, s: a path that is fixed at both ends of such a gap is
-    uncertain by 0.1 m in its middle, sqrt(q t³ / 192) with q as above, and longer ones add no information."""
     min_duration: float = Field(default=1.0, gt=0)
     """Bodies that are tracked for a shorter time are not used, s: less than a stride, over which the deviations of
     a walking person average out."""

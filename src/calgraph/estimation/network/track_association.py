@@ -1,6 +1,6 @@
 """Groups the tracks of all scanners by the body that they follow: tracks at the same place at the same time."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from calgraph.tracking import ScannerTracks, Track
 
 @dataclass(frozen=True, eq=False)
 class BodyTracks:
-    """The tracks of one body without a long interruption."""
+    """The tracks of one body."""
 
     tracks: tuple[tuple[int, Track], ...]
     """Scanner and track, in order of time."""
@@ -72,7 +72,12 @@ def group_tracks_by_body(
             continue
         members[a] += members[b]
         group_of |= dict.fromkeys(members.pop(b), a)
-    bodies = (body for group in members.values() for body in _split_at_gaps([sampled[k] for k in group], settings))
+    bodies = []
+    for indices in members.values():
+        tracks = sorted((sampled[k] for k in indices), key=lambda one: float(one.track.times[0]))
+        start, end = tracks[0].track.times[0], max(one.track.times[-1] for one in tracks)
+        if len({one.scanner for one in tracks}) >= 2 and end - start >= settings.min_duration:
+            bodies.append(BodyTracks(tuple((one.scanner, one.track) for one in tracks), float(start), float(end)))
     return sorted(bodies, key=lambda body: body.start)
 
 
@@ -142,19 +147,3 @@ def _overlap_in_scanner(
         for a in group
         for b in other
     )
-
-
-def _split_at_gaps(group: Sequence[_SampledTrack], settings: TrackGroupingSettings) -> Iterator[BodyTracks]:
-    """The parts of a body between long interruptions, but those of one scanner only, and short ones."""
-    parts: list[list[_SampledTrack]] = []
-    end = -np.inf
-    for one in sorted(group, key=lambda one: float(one.track.times[0])):
-        if one.track.times[0] - end > settings.max_untracked:
-            parts.append([])
-        parts[-1].append(one)
-        end = max(end, float(one.track.times[-1]))
-    for part in parts:
-        start = min(float(one.track.times[0]) for one in part)
-        end = max(float(one.track.times[-1]) for one in part)
-        if len({one.scanner for one in part}) >= 2 and end - start >= settings.min_duration:
-            yield BodyTracks(tuple((one.scanner, one.track) for one in part), start, end)
