@@ -188,8 +188,8 @@ def _view(outline: BoardOutline, sensor: SensorPose, rig: Rig, rng: np.random.Ge
 def _snapshot(capture: int, sensor: SensorPose, outline: BoardOutline, rng: np.random.Generator) -> Snapshot:
     """A camera image is red; a scanner measures the board and a wall."""
     if sensor.kind == "camera":
-        picture = np.full((360, 640, 3), (40, 60, 200), dtype=np.uint8)
-        image = cv2.imencode(".jpg", picture)[1].tobytes()
+        pixels = np.full((360, 640, 3), (40, 60, 200), dtype=np.uint8)
+        image = cv2.imencode(".jpg", pixels)[1].tobytes()
         return Snapshot(capture, sensor.name, 0.1 * capture, image, width=1280, height=720)
     on_board = outline.corners[0] + rng.uniform(size=(150, 2)) @ (outline.corners[[1, 3]] - outline.corners[0])
     wall = np.column_stack([np.full(300, 5.0), rng.uniform(-4, 4, 300), rng.uniform(-1, 2, 300)])

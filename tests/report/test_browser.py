@@ -99,8 +99,8 @@ def test_all_figures_are_drawn_without_errors_and_requests(opened: Opened) -> No
 @pytest.mark.parametrize("name", ["rig", "fused"])
 def test_3d_scenes_are_rendered(rig_page: Opened, name: str) -> None:
     """The rig and the fused cloud are of many colours."""
-    picture = rig_page.page.locator(f"#{name}").screenshot(timeout=_PATIENCE)
-    pixels = np.asarray(cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR))
+    screenshot = rig_page.page.locator(f"#{name}").screenshot(timeout=_PATIENCE)
+    pixels = np.asarray(cv2.imdecode(np.frombuffer(screenshot, dtype=np.uint8), cv2.IMREAD_COLOR))
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100
 
 

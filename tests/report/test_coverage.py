@@ -35,8 +35,10 @@ def remarks(calibration: Calibration, rig: Rig, sensor: str) -> str:
 def test_an_image_names_its_parts_without_corners(calibration: Calibration, rig: Rig) -> None:
     """1280 by 720: all thirds but those at the bottom left and the middle right."""
     grid = [(x, y) for x in (200, 640, 1100) for y in (100, 360, 650) if (x, y) not in {(200, 650), (1100, 360)}]
-    seen = with_views(calibration, "camera", np.array(grid, dtype=float))
-    assert "Missing: no corners in the centre right and bottom left of the image." in remarks(seen, rig, "camera")
+    covered = with_views(calibration, "camera", np.array(grid, dtype=float))
+    assert "Missing: no corners in the centre right and bottom left of the image." in remarks(
+        covered, rig, "camera"
+    )
 
 
 def test_a_fully_covered_image_is_reported(calibration: Calibration, rig: Rig, rng: np.random.Generator) -> None:
@@ -60,10 +62,10 @@ def test_distances_and_tilts_are_those_of_the_boards(pictured: Calibration, rig:
 
 def test_missing_sectors_are_named(calibration: Calibration, rig: Rig) -> None:
     """Three quarters of a turn are visible, from the background of other captures."""
-    seen = with_views(calibration, "laser", around(-60, 60, 2.0), around(-135, 135, 1.0)[:1])
-    whole = dataclasses.replace(seen, pictures=dataclasses.replace(seen.pictures, snapshots=()))
-    said = remarks(whole, rig, "laser")
-    assert said == "The board was in all directions of the field of view. The board was 1.0–2.0 m away."
+    covered = with_views(calibration, "laser", around(-60, 60, 2.0), around(-135, 135, 1.0)[:1])
+    whole = dataclasses.replace(covered, pictures=dataclasses.replace(covered.pictures, snapshots=()))
+    text = remarks(whole, rig, "laser")
+    assert text == "The board was in all directions of the field of view. The board was 1.0–2.0 m away."
 
 
 def test_sectors_behind_are_merged(pictured: Calibration, rig: Rig) -> None:
@@ -73,16 +75,16 @@ def test_sectors_behind_are_merged(pictured: Calibration, rig: Rig) -> None:
         dataclasses.replace(s, points=around(-180, 180, 5.0).astype(np.float32))
         for s in pictured.pictures.snapshots
     )
-    said = remarks(
+    text = remarks(
         dataclasses.replace(ahead, pictures=dataclasses.replace(ahead.pictures, snapshots=taken)), rig, "lidar"
     )
-    assert "The board was in 33 % of the directions of the field of view. Missing: 60° to −60° (behind)." in said
+    assert "The board was in 33 % of the directions of the field of view. Missing: 60° to −60° (behind)." in text
 
 
 def test_left_is_left_and_up_is_up(calibration: Calibration, rig: Rig) -> None:
     """A board at 90° to the left and above; the field reaches below."""
-    seen = with_views(calibration, "lidar", around(88, 92, 2.0, 1.0), around(-2, 2, 2.0, -1.0))
-    found = compute_coverage(seen, rig, calibration["lidar"])
+    covered = with_views(calibration, "lidar", around(88, 92, 2.0, 1.0), around(-2, 2, 2.0, -1.0))
+    found = compute_coverage(covered, rig, calibration["lidar"])
     assert found is not None
     rows, columns = np.nonzero(found.counts)
     left = columns < found.counts.shape[1] * 0.3
@@ -93,15 +95,15 @@ def test_left_is_left_and_up_is_up(calibration: Calibration, rig: Rig) -> None:
 
 def test_coverage_of_a_network_is_of_its_tracks(network: Calibration, network_rig: Rig) -> None:
     """From the hall, the walk along x = 2 m leads from ahead to 68° on the left."""
-    said = remarks(network, network_rig, "hall")
-    assert "Missing:" in said
-    assert "People walked 2.0–5.5 m away." in said
+    text = remarks(network, network_rig, "hall")
+    assert "Missing:" in text
+    assert "People walked 2.0–5.5 m away." in text
 
 
 def test_non_finite_points_are_not_counted(calibration: Calibration, rig: Rig) -> None:
     gaps = np.where(np.arange(240)[:, None] % 2, around(-60, 60, 2.0), np.nan)
-    seen = with_views(calibration, "laser", gaps, np.full((3, 3), np.inf), np.empty((0, 3)))
-    found = compute_coverage(seen, rig, calibration["laser"])
+    covered = with_views(calibration, "laser", gaps, np.full((3, 3), np.inf), np.empty((0, 3)))
+    found = compute_coverage(covered, rig, calibration["laser"])
     assert found is not None
     assert found.counts.max() == 1
     assert "2.0–2.0 m away" in " ".join(found.remarks)
@@ -116,5 +118,5 @@ def test_the_figure_has_a_cell_for_each_count(pictured: Calibration, rig: Rig, n
     found = compute_coverage(pictured, rig, pictured[name])
     assert found is not None
     html = render_coverage(pictured, rig, BOARD_VOCABULARY)
-    own = html[html.index(f"<h3>{name}</h3>") :].split("</svg>")[0]
-    assert own.count('class="cell"') == np.count_nonzero(found.counts)
+    drawing = html[html.index(f"<h3>{name}</h3>") :].split("</svg>")[0]
+    assert drawing.count('class="cell"') == np.count_nonzero(found.counts)

@@ -89,7 +89,7 @@ def test_ellipses_are_two_sigma_times_the_stated_factor(html: str) -> None:
     ellipse = lines_of(figure_of(html, "floor"), "stairs")[0]
     half_axes = np.ptp(ellipse, axis=0) / 2
     np.testing.assert_allclose(half_axes, 2 * int(factor) * np.array([0.01, 0.02]), rtol=0.01)
-    # On a plan of some 8 m it can be seen, and does not cover its neighbours.
+    # On a plan of some 8 m it is visible, and does not cover its neighbours.
     assert 0.05 < half_axes.max() < 0.5
 
 

@@ -65,5 +65,5 @@ def test_aprilgrid_counts_from_the_bottom_left() -> None:
     assert sorted(np.ravel(ids).tolist()) == list(range(5, 17))
     found = {int(i): np.reshape(c, (4, 2)) for i, c in zip(np.ravel(ids), corners, strict=True)}
     assert found[5].mean(axis=0) == pytest.approx([500 - 1.5 * 208, 400 + 208], abs=1.5)
-    # Kalibr's tags stand on their heads: what is top left to OpenCV is bottom right on the sheet.
+    # Kalibr prints tags upside down: the top left corner of OpenCV is the bottom right one on the board.
     assert found[5][0] == pytest.approx([500 - 1.5 * 208 + 80, 400 + 208 + 80], abs=4)

@@ -88,9 +88,9 @@ def test_detected_tag_corners_match_their_projection(rng: np.random.Generator) -
         truth = camera.project(se3.apply(T_camera_board, tag_corners(tags).reshape(-1, 3)))
         for detection in detector.detect(image):
             # The detector puts the centre of the top-left pixel at (0.5, 0.5).
-            seen = detection.corners - 0.5
-            nearest = np.linalg.norm(seen[:, None] - truth, axis=2).argmin(axis=1)
-            errors.append(seen - truth[nearest])
+            detected = detection.corners - 0.5
+            nearest = np.linalg.norm(detected[:, None] - truth, axis=2).argmin(axis=1)
+            errors.append(detected - truth[nearest])
     assert len(errors) > 30
     assert np.concatenate(errors).mean(axis=0) == pytest.approx([0, 0], abs=0.02)
 

@@ -81,8 +81,8 @@ def whitened_pixels(captured: CaptureSet, truth: GroundTruth, sigma: float) -> A
     poses, whitened = planes(truth, "camera"), []
     for capture, (detection,) in captured.detections["camera"].items():
         assert isinstance(detection, BoardCorners)
-        seen = captured.cameras["camera"].project(se3.apply(poses[capture], detection.corners_board))
-        whitened.append((detection.pixels - seen).ravel() / sigma)
+        projected = captured.cameras["camera"].project(se3.apply(poses[capture], detection.corners_board))
+        whitened.append((detection.pixels - projected).ravel() / sigma)
     return np.concatenate(whitened)
 
 
@@ -100,8 +100,8 @@ def test_ranges_have_the_stated_noise(world: World) -> None:
 
 
 def test_corners_have_the_stated_noise(world: World) -> None:
-    knobs = IdealDetectorOptions(pixel=0.2)
-    runs = [simulate_detections(world, seed, knobs) for seed in range(3)]
+    options = IdealDetectorOptions(pixel=0.2)
+    runs = [simulate_detections(world, seed, options) for seed in range(3)]
     whitened = np.concatenate([whitened_pixels(captured, truth, 0.2) for _, captured, truth in runs])
     assert len(whitened) > 300
     assert within(whitened)
@@ -109,10 +109,10 @@ def test_corners_have_the_stated_noise(world: World) -> None:
 
 def test_angle_noise_adds_to_ranges_on_an_inclined_board() -> None:
     world = build_world(NOISELESS, 0)
-    knobs = IdealDetectorOptions(angle=0.001)
+    options = IdealDetectorOptions(angle=0.001)
     whitened = []
     for seed in range(3):
-        _, captured, truth = simulate_detections(world, seed, knobs)
+        _, captured, truth = simulate_detections(world, seed, options)
         surfaces = plane.from_pose(planes(truth, "laser_front"))
         for capture, points in ends(captured, "laser_front").items():
             ranges = np.linalg.norm(points, axis=1)

@@ -96,8 +96,8 @@ def test_points_on_people_lie_on_their_true_ellipses() -> None:
     empty, _ = simulate_network_scans(office(people=PeopleOptions(count=0)), 3)
     [person] = truth.people
     off = []
-    for name, own in scans.items():
-        for scan, background in zip(own, empty[name], strict=True):
+    for name, sent in scans.items():
+        for scan, background in zip(sent, empty[name], strict=True):
             hit = np.flatnonzero(scan.ranges < background.ranges - 1e-6)
             times = scan.stamp + hit * scan.time_increment
             hit, times = hit[times < person.times[-1]], times[times < person.times[-1]]
@@ -149,7 +149,7 @@ def test_the_background_is_without_people() -> None:
     scenario = office().model_copy(update={"background": 2.0})
     scans, _ = simulate_network_scans(scenario, 1)
     spread = [
-        np.ptp(stack([s for s in own if s.stamp < scenario.start_time + 1.9]), axis=0) for own in scans.values()
+        np.ptp(stack([s for s in sent if s.stamp < scenario.start_time + 1.9]), axis=0) for sent in scans.values()
     ]
     assert np.nanmax(np.concatenate(spread)) == 0.0
 
@@ -192,9 +192,9 @@ def test_truth_yaml_holds_the_truth(tmp_path: Path) -> None:
 
 
 def test_progress_ends_at_the_number_of_scans(tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
-    simulate_network(SHORT, tmp_path, 3, lambda done, total: told.append((done, total)))
-    assert told[-1] == (len(told), len(told))
+    steps: list[tuple[int, int]] = []
+    simulate_network(SHORT, tmp_path, 3, lambda done, total: steps.append((done, total)))
+    assert steps[-1] == (len(steps), len(steps))
 
 
 def test_an_earlier_recording_is_not_overwritten(tmp_path: Path) -> None:
@@ -216,12 +216,12 @@ def overlaps(layout: LayoutName, seed: int) -> dict[tuple[str, str], float]:
     scans, truth = simulate_network_scans(scenario, seed)
     [person] = truth.people
     views = {}
-    for name, own in scans.items():
-        times = np.array([scan.stamp + scan.duration / 2 for scan in own])
+    for name, sent in scans.items():
+        times = np.array([scan.stamp + scan.duration / 2 for scan in sent])
         places = np.column_stack([np.interp(times, person.times, person.positions[:, k]) for k in (0, 1)])
         hits = [
             (np.linalg.norm(points_in_root(scan, truth) - place, axis=1) < 0.45).sum()
-            for scan, place in zip(own, places, strict=True)
+            for scan, place in zip(sent, places, strict=True)
         ]
         views[name] = np.interp(person.times, times, np.array(hits, dtype=np.float64)) > 2.5
     return {(a, b): float((views[a] & views[b]).mean()) for a, b in combinations(views, 2)}

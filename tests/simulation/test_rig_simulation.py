@@ -102,7 +102,7 @@ def test_lidar_points_lie_on_the_true_board() -> None:
         x, y, z = se3.apply(se3.inverse(capture.board.T_root_board), cloud.points).T
         on_sheet = (np.abs(x) < 0.6) & (np.abs(y) < 0.45) & (np.abs(z) < 0.08)
         assert on_sheet.sum() > 50
-        # Hands grip the edges, so only the middle of the sheet is sure to be bare.
+        # Hands grip the edges, so only the middle of the board is certainly free.
         assert np.abs(z[on_sheet & (np.abs(x) < 0.45)]).max() < 1e-9
 
 
@@ -173,15 +173,15 @@ def test_unknown_root_is_named() -> None:
 
 
 def test_recording_comes_with_rig_and_truth(tmp_path: Path) -> None:
-    told: list[tuple[int, int]] = []
-    simulate_rig(SMALL, tmp_path, seed=3, progress=lambda done, total: told.append((done, total)))
+    steps: list[tuple[int, int]] = []
+    simulate_rig(SMALL, tmp_path, seed=3, progress=lambda done, total: steps.append((done, total)))
     world = build_world(SMALL, 3)
     assert load_rig(tmp_path / "rig.yaml") == world_rig(world)
     truth = load_truth(tmp_path / "truth.yaml")
     for name, T in ground_truth(world).T_root_sensor.items():
         assert truth.T_root_sensor[name] == pytest.approx(T, abs=1e-12)
     assert [b.trigger for b in truth.boards] == [b.trigger for b in ground_truth(world).boards]
-    assert told[-1] == (len(told), len(told))
+    assert steps[-1] == (len(steps), len(steps))
 
 
 def test_recording_has_every_topic_and_a_trigger_for_each_capture(tmp_path: Path) -> None:

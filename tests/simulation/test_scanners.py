@@ -90,10 +90,10 @@ def test_ranges_beyond_the_limits_are_not_measured(rng: np.random.Generator) -> 
 
 def test_mixed_pixels_lie_between_the_depths_beside_an_edge(rng: np.random.Generator) -> None:
     upright = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
-    sheet = Solid(RectangleShape(1.0, 1.0), se3.pose(upright, np.array([2.0, 0, 0])))
+    board = Solid(RectangleShape(1.0, 1.0), se3.pose(upright, np.array([2.0, 0, 0])))
     noise = SimulatedBeamNoise(range=0.0, angle=0.0, mixed_pixels=0.4, dropout=0.0, min_range=0.1, max_range=30.0)
     pattern = laser_pattern(np.radians(60), QUARTER, 0.025)
-    scene = unchanging(sheet, wall(4.0))
+    scene = unchanging(board, wall(4.0))
     exact = simulate_ranges(pattern, np.eye(4), 0.0, scene, EXACT, rng)
     ranges = many(pattern, scene, noise, 500, rng)
     edges = np.flatnonzero(np.abs(np.diff(exact)) > 0.5)

@@ -18,7 +18,7 @@ def towards(*directions: tuple[float, float, float]) -> Array:
 
 
 def facing(x: float, yaw: float) -> Solid:
-    """A 2 x 1 m sheet whose plane is vertical and whose normal is turned from -x by yaw about z."""
+    """A 2 x 1 m rectangle whose plane is vertical and whose normal is turned from -x by yaw about z."""
     upright = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
     turned = so3.exp(np.array([0.0, 0.0, yaw])) @ upright
     return Solid(RectangleShape(2.0, 1.0), se3.pose(turned, np.array([x, 0.0, 0.0])))

@@ -18,7 +18,7 @@ def scans() -> dict[str, Sequence[ScanRun]]:
     worlds = {
         "one": World((walk_in_circle(1.5, (3.0, 0.0)),)),
         "two": World((walk_along([(2, -3), (2, 3), (6, 3)]), walk_in_circle(1.0, (4.0, 0.0)))),
-        "nobody": World(()),
+        "empty": World(()),
     }
     return {name: stack_scans(world.simulate_scans(12.0, 0)) for name, world in worlds.items()}
 
@@ -37,20 +37,20 @@ def track_all(
 
 def serialize(found: Mapping[str, ScannerTracks | Rejected]) -> dict[str, list[bytes] | str]:
     return {
-        name: own.reason
-        if isinstance(own, Rejected)
+        name: result.reason
+        if isinstance(result, Rejected)
         else [
             array.tobytes()
-            for track in own.tracks
+            for track in result.tracks
             for array in (track.times, track.positions, track.velocities, track.covariances, track.hits.points)
         ]
-        for name, own in found.items()
+        for name, result in found.items()
     }
 
 
 def test_the_number_of_processes_does_not_change_a_bit(scans: dict[str, Sequence[ScanRun]]) -> None:
     alone, together = track_all(scans, 1), track_all(scans, 2)
-    assert list(together) == ["one", "two", "nobody"]
+    assert list(together) == ["one", "two", "empty"]
     assert serialize(together) == serialize(alone)
 
 

@@ -150,10 +150,10 @@ def test_identities_survive_a_crossing(seed: int) -> None:
 
 
 def test_both_people_of_a_crossing_are_tracked_nearly_all_the_time() -> None:
-    seen = Counter[int]()
+    counts = Counter[int]()
     for track in track_world(CROSSING, 7.0).tracks:
-        seen[nearest_walk(track, CROSSING)] += len(track.times)
-    assert min(seen.values()) > 75
+        counts[nearest_walk(track, CROSSING)] += len(track.times)
+    assert min(counts.values()) > 75
 
 
 def test_a_walk_behind_a_pillar_starts_periods() -> None:
@@ -174,7 +174,7 @@ def test_a_second_walker_starts_a_period_when_coming_and_when_going() -> None:
 def test_within_a_period_all_objects_are_always_detected(busy_room: World) -> None:
     for _, group in itertools.groupby(track_world(busy_room, 30.0).tracks, key=lambda track: track.period):
         spans = np.array([[track.times[0], track.times[-1]] for track in group])
-        # Gaps of up to 0.4 s count as seen.
+        # Gaps of up to 0.4 s count as detected.
         assert np.ptp(spans, axis=0).max() < 0.5
 
 
@@ -205,7 +205,7 @@ def test_a_standing_person_gives_no_track() -> None:
     assert "could be tracked" in result.reason
 
 
-@pytest.mark.parametrize("scans", [[], World(()).simulate_scans(3.0, 0)], ids=["no scans", "nobody"])
+@pytest.mark.parametrize("scans", [[], World(()).simulate_scans(3.0, 0)], ids=["no scans", "empty room"])
 def test_the_reason_for_no_tracks_is_stated(scans: list[LaserScan]) -> None:
     result = track_scanner(scans, PEOPLE, RangeNoise())
     assert isinstance(result, Rejected)

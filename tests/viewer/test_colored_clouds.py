@@ -109,8 +109,8 @@ def test_height_of_a_rig_whose_root_is_a_camera_is_against_its_y(rig: Calibratio
         replace(s, T_root_sensor=T @ s.T_root_sensor, parent=None if s.kind == "camera" else "camera/front *1*")
         for s in rig.sensors
     )
-    seen = replace(rig, root="camera/front *1*", sensors=sensors)
-    assert height_range(seen) == pytest.approx(np.add(height_range(rig), 0.5), abs=1e-6)
+    camera_rooted = replace(rig, root="camera/front *1*", sensors=sensors)
+    assert height_range(camera_rooted) == pytest.approx(np.add(height_range(rig), 0.5), abs=1e-6)
 
 
 @pytest.mark.parametrize("coloring", ["camera", "height", "sensor"])

@@ -21,8 +21,8 @@ def test_people_are_at_their_positions(network: Calibration) -> None:
     """At 6 s, one person is 6 m up the hall; scanner b tracked another one who started 5 s later."""
     found = compute_trails(network, ViewState(6.0))
     np.testing.assert_allclose(found["a"].people, [[2, 6, 0]], atol=1e-6)
-    seen = se3.apply(network["b"].T_root_sensor, found["b"].people.astype(float))
-    np.testing.assert_allclose(seen, [[2, 6, 0], [2, 1, 0]], atol=1e-5)
+    people = se3.apply(network["b"].T_root_sensor, found["b"].people.astype(float))
+    np.testing.assert_allclose(people, [[2, 6, 0], [2, 1, 0]], atol=1e-5)
 
 
 def test_a_trail_ends_at_the_person(network: Calibration) -> None:

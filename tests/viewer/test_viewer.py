@@ -23,7 +23,7 @@ from calgraph.viewer.view_state import ViewState  # noqa: E402
 
 Picture = NDArray[np.int16]
 
-# The browser draws without a graphics card, on whatever cores others leave to it.
+# The browser draws without a graphics card, on the remaining cores.
 _PATIENCE = 60_000
 
 

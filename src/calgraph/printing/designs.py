@@ -23,6 +23,7 @@ _DEFAULT_SHAPES: Mapping[BoardKind, tuple[int, int]] = {
 }
 """Columns and rows of a board in landscape: tags, squares, and inner corners. Of a checkerboard's numbers one is
 odd and one even: only then its orientation is unambiguous."""
+# Kinds of boards that each option applies to.
 _OPTION_KINDS: Mapping[str, tuple[BoardKind, ...]] = {
     "columns": ("aprilgrid", "charuco", "checkerboard"),
     "rows": ("aprilgrid", "charuco", "checkerboard"),

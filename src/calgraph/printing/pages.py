@@ -18,6 +18,7 @@ from calgraph.printing.paper import MARGIN, Paper
 MM_PER_METER = 1000.0
 """Millimetres per metre."""
 _MAX_PAGES = 400
+"""More pages than this are a mistyped size."""
 # Tolerance of sizes given in mm or inches, mm: rounding must not add a page.
 _ROUNDING = 1e-6
 

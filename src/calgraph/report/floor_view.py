@@ -20,6 +20,7 @@ from calgraph.report.figures import (
 from calgraph.report.formatting import format_angle, format_fixed, format_length
 from calgraph.result import Calibration, FloorView, SensorPose
 
+# Half axes of the ellipses in standard deviations: they contain 86 % of a normal distribution in the plane.
 _SIGMAS = 2.0
 # Smallest longer semi-axis of a visible ellipse, and length of an arrow, relative to the plan.
 _MIN_VISIBLE, _ARROW_LENGTH = 0.016, 0.05

@@ -9,6 +9,7 @@ from calgraph.report.formatting import KIND_NAMES, escape_html, format_count, fo
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, Edge
 
+# Sizes of the drawing, of a sensor's box and of a label, pixels.
 _WIDTH, _HEIGHT = 1040, 440
 _NODE_SIZE = np.array([150.0, 44.0])
 _LABEL_SIZE = np.array([128.0, 20.0])

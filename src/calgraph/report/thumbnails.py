@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
 
+# Size in pixels and JPEG quality, which bound the size of the page.
 _WIDTH, _HEIGHT, _QUALITY = 160, 120, 75
 # Red, green, blue of the transparent background, of points (a grey for light and dark mode), of points on the
 # board, and of the sensor.

@@ -6,6 +6,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.simulation.motion import BoardPlacement, pose_from_placement
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, Solid
 
+# Sizes of an adult operator of 1.78 m, m.
 _BODY_RADIUS, _BODY_HEIGHT = 0.18, 1.5
 _HEAD_RADIUS, _HEAD_HEIGHT = 0.1, 0.28
 _ARM_RADIUS = 0.045

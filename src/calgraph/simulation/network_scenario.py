@@ -12,6 +12,7 @@ LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]
 AtLeastOne = Annotated[int, Field(ge=1)]
 
 _MAX_HALLS_SCANNERS = 4
+"""Mounts of the layout "halls": two in the halls, two in the corridor."""
 
 
 class ScannerOptions(StrictModel):

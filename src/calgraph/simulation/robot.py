@@ -18,6 +18,7 @@ from calgraph.simulation.scanners import (
     spinning_pattern,
 )
 
+# Optical axes (z forward, x right) of a camera that faces along the robot's x.
 _R_BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 _LASER_NAMES = ("laser_front", "laser_left", "laser_right", "laser_back")
 _LASER_YAWS = (0.0, 60.0, -60.0, 180.0)

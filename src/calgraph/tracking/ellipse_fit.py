@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calgraph.config.settings import EllipseSettings
 from calgraph.geometry import Array, ellipse
 
+# Most Gauss-Newton steps of a batch; it ends earlier where all steps are below the next bound.
 _ITERATIONS = 8
 # Steps smaller than this, m and rad, end the iterations.
 _CONVERGED = 5e-4
