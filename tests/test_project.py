@@ -76,7 +76,7 @@ def test_files_that_pages_name_exist(page: Path) -> None:
     assert not missing
 
 
-def test_worked_example_of_the_conventions_gives_what_it_says() -> None:
+def test_worked_example_of_the_conventions_gives_the_stated_output() -> None:
     example = "\n".join(code_of("docs/conventions.md", "python"))
     test = doctest.DocTestParser().get_doctest(example, {}, "conventions.md", "docs/conventions.md", 0)
     report: list[str] = []

@@ -34,7 +34,7 @@ NO_MESSAGE = {"good", "weak", "unobservable", "Files that calgraph wrote"}
 _FEWEST_LETTERS = 8
 
 
-def spoken(node: ast.expr) -> list[str]:
+def texts_of(node: ast.expr) -> list[str]:
     """The alternatives of what an expression says, with … in place of values; none of what is no text."""
     match node:
         case ast.Constant(value=str(words)):
@@ -42,9 +42,9 @@ def spoken(node: ast.expr) -> list[str]:
         case ast.JoinedStr(values=parts):
             return ["".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in parts)]
         case ast.BinOp(left=left, op=ast.Add(), right=right):
-            return [a + b for a in spoken(left) or ["…"] for b in spoken(right) or ["…"]]
+            return [a + b for a in texts_of(left) or ["…"] for b in texts_of(right) or ["…"]]
         case ast.IfExp(body=one, orelse=other):
-            return spoken(one) + spoken(other)
+            return texts_of(one) + texts_of(other)
     return []
 
 
@@ -55,7 +55,7 @@ def messages(path: Path) -> Iterator[str]:
             called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if called in GIVES_MESSAGES:
                 # The first argument of invalid is a key of rig.yaml.
-                yield from (words for given in node.args[called == "invalid" :] for words in spoken(given))
+                yield from (words for given in node.args[called == "invalid" :] for words in texts_of(given))
 
 
 def files() -> list[Path]:
@@ -69,10 +69,10 @@ def listed() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def said() -> str:
+def source_text() -> str:
     """All texts in the source, one a line."""
     nodes = (node for path in files() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-    return "\n".join(words for node in nodes if isinstance(node, ast.expr) for words in spoken(node))
+    return "\n".join(words for node in nodes if isinstance(node, ast.expr) for words in texts_of(node))
 
 
 def pattern(message: str) -> str:
@@ -82,8 +82,8 @@ def pattern(message: str) -> str:
 
 
 @pytest.mark.parametrize("message", [m for m in listed() if m not in NO_MESSAGE])
-def test_listed_message_exists(message: str, said: str) -> None:
-    assert re.search(pattern(message), said), f"docs/troubleshooting.md: nothing says {message!r} any more"
+def test_listed_message_exists(message: str, source_text: str) -> None:
+    assert re.search(pattern(message), source_text), f"docs/troubleshooting.md: nothing says {message!r} any more"
 
 
 @pytest.mark.parametrize("path", files(), ids=lambda path: path.relative_to(SOURCE).as_posix())

@@ -82,7 +82,7 @@ def test_rig_is_calibrated_from_arrays(calibration: Calibration) -> None:
     assert_close(calibration, detect_rig().T_root_sensor, 0.008)
 
 
-def test_problem_of_own_detections_is_kept(calibration: Calibration, kept: Path) -> None:
+def test_problem_of_given_detections_is_kept(calibration: Calibration, kept: Path) -> None:
     again = solve_problem(load_problem(kept))
     poses = {sensor.name: sensor.T_root_sensor for sensor in calibration.sensors}
     assert all(np.array_equal(sensor.T_root_sensor, poses[sensor.name]) for sensor in again.sensors)
@@ -127,7 +127,7 @@ def walks(T_root_scanner: Mapping[str, Array], rng: np.random.Generator) -> dict
     }
 
 
-def test_network_is_calibrated_from_own_tracks(rng: np.random.Generator) -> None:
+def test_network_is_calibrated_from_given_tracks(rng: np.random.Generator) -> None:
     poses = {
         "scanner_1": np.eye(4),
         "scanner_2": se3.from_xyz_quaternion(np.array([6.0, 1, 0]), np.array([0, 0, 0.9, -0.4])),
@@ -138,7 +138,7 @@ def test_network_is_calibrated_from_own_tracks(rng: np.random.Generator) -> None
     assert_close(found, poses, 0.02)
 
 
-def test_scanner_without_tracks_is_said_to_have_none(rng: np.random.Generator) -> None:
+def test_scanner_without_tracks_is_unconnected_with_that_reason(rng: np.random.Generator) -> None:
     own = walks({"scanner_1": np.eye(4), "scanner_2": np.eye(4)}, rng)
     found = calibrate_tracks(SCANNERS, own, NetworkOptions(estimator="averaging"))
     assert "no tracks were given" in found.evidence.unconnected["scanner_3"]

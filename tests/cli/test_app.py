@@ -47,7 +47,7 @@ def test_every_command_has_help_within_80_columns(command: list[str]) -> None:
 
 
 @pytest.mark.parametrize("place", [*COMMANDS.values(), *SIMULATIONS.values()], ids=lambda place: place.function)
-def test_the_list_says_of_a_command_what_its_help_does(place: LazyCommand) -> None:
+def test_the_list_of_commands_has_the_first_line_of_their_help(place: LazyCommand) -> None:
     assert (place.load().__doc__ or "").splitlines()[0] == place.summary
 
 
@@ -66,11 +66,11 @@ def test_the_list_of_commands_waits_for_none_of_them() -> None:
     ("error", "code"),
     [(CalibrationError("why"), 1), (InputError("why"), 2), (RecordingError("why"), 2), (KeyboardInterrupt(), 130)],
 )
-def test_known_errors_have_their_exit_code(error: BaseException, code: int) -> None:
+def test_expected_errors_have_their_exit_code(error: BaseException, code: int) -> None:
     assert guarded_exit(error).exit_code == code
 
 
-def test_every_line_of_an_error_says_who_complains() -> None:
+def test_every_line_of_an_error_starts_with_the_program() -> None:
     assert guarded_exit(InputError("a: b\nc: [d]")).stderr == "calgraph: a: b\ncalgraph: c: [d]\n"
 
 
@@ -78,7 +78,7 @@ def test_long_errors_stay_on_one_line_where_there_is_no_terminal() -> None:
     assert guarded_exit(InputError("word " * 100)).stderr.count("\n") == 1
 
 
-def test_errors_that_nobody_expects_are_not_hidden() -> None:
+def test_unexpected_errors_are_not_hidden() -> None:
     assert isinstance(guarded_exit(ZeroDivisionError()).exception, ZeroDivisionError)
 
 

@@ -116,7 +116,7 @@ def test_a_truncated_recording_is_bad_input(simulated: Path, tmp_path: Path, run
     assert names(tmp_path) == ["cut.mcap"]
 
 
-def test_an_unusable_place_for_results_is_said_before_the_recording_is_opened(
+def test_an_unusable_output_path_is_an_error_before_the_recording_is_opened(
     simulated: Path, tmp_path: Path, run: Run
 ) -> None:
     (tmp_path / "out").write_text("a file")
@@ -136,7 +136,7 @@ def test_a_missing_option_is_bad_usage(simulated: Path, run: Run) -> None:
     assert run("calibrate", simulated / "rig.yaml", simulated / "recording").exit_code == 2
 
 
-def test_an_interrupted_run_leaves_nothing_and_says_nothing(simulated: Path, tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_nothing_and_prints_nothing(simulated: Path, tmp_path: Path) -> None:
     assert stopped(simulated, tmp_path, signal.SIGINT) == (130, "", [])
 
 

@@ -73,7 +73,7 @@ def test_an_option_of_another_format_is_refused(run: Run, out: Path) -> None:
     assert (result.exit_code, result.stderr) == (2, "calgraph: --urdf: goes with --format urdf, got --format tf\n")
 
 
-def test_an_unknown_format_is_bad_usage_and_the_known_ones_are_named(run: Run, out: Path) -> None:
+def test_an_unknown_format_is_bad_usage_and_the_available_ones_are_named(run: Run, out: Path) -> None:
     result = run("export", out, "-f", "xml")
     assert result.exit_code == 2
     assert "kalibr" in result.stderr

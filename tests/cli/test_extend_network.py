@@ -89,7 +89,7 @@ def halves(tmp_path_factory: pytest.TempPathFactory, run: Run) -> Halves:
 
 
 def test_two_halves_one_after_the_other_are_better_than_one(halves: Halves, run: Run, tmp_path: Path) -> None:
-    """All scanners are surer than after the first, and all poses together as right as they are said to be."""
+    """Standard deviations fall after the second recording, and errors of all poses agree with the covariance."""
     old = halves.folder / "out"
     result = run("calibrate", halves.folder / "rig.yaml", halves.folder / "second", "-o", tmp_path / "new",
                  "--extend", old / "calibration.yaml")  # fmt: skip
@@ -103,7 +103,7 @@ def deviations(calibration: Calibration) -> np.ndarray[tuple[int], np.dtype[np.f
     return np.array([np.sqrt(np.trace(sensor.covariance[:2, :2])) for sensor in calibration.sensors[1:]])
 
 
-def test_nobody_has_moved_in_a_network_that_stayed(halves: Halves, run: Run) -> None:
+def test_no_scanner_has_moved_in_a_network_that_stayed(halves: Halves, run: Run) -> None:
     result = run("check", halves.folder / "rig.yaml", halves.folder / "second", "--against",
                  halves.folder / EARLIER, "--json")  # fmt: skip
     assert result.exit_code == 0, result.output
@@ -131,7 +131,7 @@ def test_a_moved_scanner_is_not_mixed_in_but_named(halves: Halves, run: Run, tmp
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--moved", MOVED], "--moved: goes with --extend"),
         (["--extend", EARLIER, "--estimator", "averaging"], "--extend: goes with --estimator joint"),
@@ -139,9 +139,9 @@ def test_a_moved_scanner_is_not_mixed_in_but_named(halves: Halves, run: Run, tmp
     ],
 )
 def test_bad_usage_is_refused(
-    halves: Halves, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], said: str
+    halves: Halves, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], message: str
 ) -> None:
     monkeypatch.chdir(halves.folder)
     result = run("calibrate", "rig.yaml", "second", "-o", tmp_path / "new", *options)
     assert result.exit_code == 2
-    assert said in result.stderr
+    assert message in result.stderr

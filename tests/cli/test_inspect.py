@@ -29,7 +29,7 @@ def test_the_first_message_is_described(printed: str) -> None:
     assert "480 x 360 pixels, grey" in printed
 
 
-def test_a_sound_recording_has_nothing_odd(printed: str) -> None:
+def test_a_sound_recording_has_no_anomalies(printed: str) -> None:
     assert printed.endswith("No anomalies were found.\n")
 
 
@@ -47,7 +47,7 @@ def test_a_truncated_file_is_bad_input(run: Run, simulated: Path, tmp_path: Path
     assert result.stderr.startswith(f"calgraph: {tmp_path / 'cut.mcap'}: ")
 
 
-def test_what_a_recording_lacks_is_said_after_what_it_has(run: Run, simulated: Path, tmp_path: Path) -> None:
+def test_missing_messages_are_reported_after_the_table(run: Run, simulated: Path, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     for file in (simulated / "recording").iterdir():
         (tmp_path / "bag" / file.name).write_bytes(file.read_bytes())

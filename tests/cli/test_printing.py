@@ -88,7 +88,7 @@ def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) 
     assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.172", "✓"]
 
 
-def test_verdicts_are_said_in_words(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verdicts_are_printed_as_sentences(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(lambda: print_calibration(calibration), capsys)[6:] == [
         f"! {LONG} is weak: height (z) is loose: hold the board tilted, above and below the scan plane",
         "✕ lost is unobservable: x is not observed",
@@ -108,7 +108,7 @@ def test_remarks_are_printed_below_the_verdicts(
     assert lines[-1] == "! board edges in scans of lidar are 40 mm inside: they are not used"
 
 
-def test_what_is_not_observed_is_not_known_at_all(
+def test_unobserved_axes_have_an_infinite_deviation(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert printed(lambda: print_calibration(calibration), capsys)[5].split()[-3:] == ["∞", "0.172", "✕"]
@@ -139,7 +139,7 @@ def test_clock_offsets_have_a_column_where_they_were_estimated(
     assert "clock" not in capsys.readouterr().out
 
 
-def test_a_pose_that_is_from_an_earlier_calibration_says_so(
+def test_a_pose_of_an_earlier_calibration_is_marked(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = replace(calibration.sensors[1], verdict=Verdict("good", "its pose is that of the earlier calibration"))

@@ -172,7 +172,7 @@ def test_soft_priors_make_poses_more_certain(known: Known, unknowing: Path, tmp_
         assert np.linalg.eigvalsh(informed[name].covariance[:3, :3]).max() < 0.001**2
 
 
-def test_a_calibration_is_a_prior_with_its_own_covariances(
+def test_a_calibration_is_a_prior_with_its_covariances(
     known: Known, unknowing: Path, tmp_path: Path, run: Run
 ) -> None:
     run("solve", known.dump, "-o", tmp_path / "second", "--prior", unknowing)
@@ -182,7 +182,7 @@ def test_a_calibration_is_a_prior_with_its_own_covariances(
     np.testing.assert_allclose(ratio, 2.0, rtol=0.3)
 
 
-def test_rigid_sensors_stay_as_they_were_said_to_be(known: Known, tmp_path: Path, run: Run) -> None:
+def test_rigid_sensors_keep_their_given_relative_pose(known: Known, tmp_path: Path, run: Run) -> None:
     poses = known.poses(tmp_path / "poses.yaml")
     run("solve", known.dump, "-o", tmp_path / "out", "--rigid", f"{poses}:laser_front,laser_left")
     found = load_calibration(tmp_path / "out/calibration.yaml").transform("laser_front", "laser_left")
@@ -197,7 +197,7 @@ def test_a_wrong_prior_is_called_out(known: Known, tmp_path: Path, run: Run) -> 
     assert "camera is weak: the prior of camera disagrees with the captures by" in result.stdout
 
 
-def test_known_poses_are_kept_in_a_dump(known: Known, tmp_path: Path, run: Run) -> None:
+def test_prior_poses_are_kept_in_a_dump(known: Known, tmp_path: Path, run: Run) -> None:
     poses = known.poses(tmp_path / "poses.yaml")
     problem = with_prior_poses(
         load_problem(known.dump),
@@ -245,7 +245,7 @@ def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_
         ),
     ],
 )
-def test_bad_usage_of_known_poses_is_refused(
+def test_bad_usage_of_prior_poses_is_refused(
     known: Known, tmp_path: Path, run: Run, options: list[str], message: str
 ) -> None:
     poses = str(known.poses(tmp_path / "poses.yaml"))

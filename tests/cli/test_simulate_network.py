@@ -36,7 +36,7 @@ def test_the_recording_and_what_belongs_to_it_are_written(run: Run, tmp_path: Pa
     assert names == ["recording", "rig.yaml", "scenario.yaml", "truth.yaml"]
 
 
-def test_a_layout_brings_its_own_knobs(run: Run, tmp_path: Path) -> None:
+def test_a_layout_has_its_defaults(run: Run, tmp_path: Path) -> None:
     run("simulate", "network", "-o", tmp_path / "out", "--layout", "halls", *TINY)
     content = read_yaml(tmp_path / "out" / "scenario.yaml")
     assert (content["scanner"]["count"], content["scanner"]["rate"]) == (4, 25.0)

@@ -85,7 +85,7 @@ def test_both_estimators_repeat_to_the_last_bit(
     assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-def test_the_result_says_how_well_two_sensors_know_each_other(dumped: Path) -> None:
+def test_the_result_has_the_covariance_of_two_sensors(dumped: Path) -> None:
     found = load_calibration(dumped / "calibration.yaml")
     deviations = np.sqrt(np.diag(found.covariance("camera", "laser_front")))
     assert ((deviations > 1e-5) & (deviations < 0.03)).all()

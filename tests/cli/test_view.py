@@ -1,4 +1,4 @@
-"""calgraph view: what calibrate wrote, on a page; and what is said where that cannot be."""
+"""calgraph view: the result in the browser, and errors of unusable results."""
 
 import sys
 import urllib.request
@@ -50,7 +50,7 @@ def test_the_page_is_opened(run: Run, out: Path, interrupted: list[int], monkeyp
     assert opened[0].startswith("http://127.0.0.1:82")
 
 
-def test_calibrate_keeps_what_every_sensor_saw(out: Path) -> None:
+def test_calibrate_keeps_snapshots_of_every_sensor(out: Path) -> None:
     """Of the nine captures of the simulated recording: a picture of the camera's size, scans and clouds."""
     calibration, pictures = load_calibration(out / "calibration.yaml"), load_scene(out / "scene.npz")
     captures = {row.capture for row in calibration.evidence.captures}
@@ -67,7 +67,7 @@ def test_a_folder_that_is_none_is_named(run: Run, tmp_path: Path) -> None:
     assert "is no folder; give the one that calibrate wrote with -o" in result.stderr
 
 
-def test_a_result_without_a_scene_says_so(run: Run, out: Path, tmp_path: Path) -> None:
+def test_a_result_without_a_scene_is_an_error(run: Run, out: Path, tmp_path: Path) -> None:
     (tmp_path / "calibration.yaml").write_bytes((out / "calibration.yaml").read_bytes())
     result = run("view", tmp_path)
     assert result.exit_code == 2

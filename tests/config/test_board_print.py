@@ -37,14 +37,14 @@ def test_no_two_pieces_of_ink_overlap(board: Board) -> None:
     assert common[~np.eye(len(r), dtype=bool)].max() < 1e-12
 
 
-def test_ink_ends_at_the_edge_of_the_sheet() -> None:
+def test_black_rectangles_end_at_the_edge_of_the_board() -> None:
     pattern = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.1)
     cropped = Board(size=(0.7, 0.5), pattern=pattern)
     r = black_rectangles(cropped)
     assert (r.min(axis=0)[:2].tolist(), r.max(axis=0)[2:].tolist()) == ([-0.35, -0.25], [0.35, 0.25])
 
 
-def test_a_tag_has_its_black_border_where_its_size_says() -> None:
+def test_the_black_border_of_a_tag_has_its_size() -> None:
     r = black_rectangles(Board(size=(1, 0.8), tags=(Tag(id=3, size=0.16, center=(0.2, 0.1)),)))
     top = r[r[:, 3] > 0.18 - 1e-9]
     np.testing.assert_allclose(top, [[0.12, 0.16, 0.28, 0.18]])

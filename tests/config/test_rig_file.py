@@ -96,7 +96,7 @@ def test_patterns_are_read(tmp_path: Path, pattern: str) -> None:
     assert pattern.startswith(f"{{kind: {rig.boards[0].pattern.kind}")
 
 
-def test_the_real_checkerboard_of_8_by_6_squares_fits_its_sheet(tmp_path: Path) -> None:
+def test_the_real_checkerboard_of_8_by_6_squares_fits_its_board(tmp_path: Path) -> None:
     target = "{kind: board, size: [0.85, 0.61], pattern: {kind: checkerboard, columns: 7, rows: 5, square: 0.095}}"
     assert load_rig(write(tmp_path, with_target(target))).boards[0].size == (0.85, 0.61)
 
@@ -287,7 +287,7 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
         load_rig(path)
 
 
-def test_boards_made_in_python_are_checked_alike() -> None:
+def test_boards_made_in_python_are_validated_too() -> None:
     with pytest.raises(ValueError, match="extends beyond the board"):
         Board(size=(1, 1), pattern=Charuco(kind="charuco", columns=20, rows=2, square=0.1, marker=0.07,
                                            dictionary="DICT_4X4_50"))  # fmt: skip

@@ -18,7 +18,7 @@ from calgraph.config.sensor_names import name_sensors
         ("lidar", "lidar3d", "lidar"),
     ],
 )
-def test_a_name_is_the_telling_part_of_the_topic(topic: str, kind: str, name: str) -> None:
+def test_a_name_is_the_specific_part_of_the_topic(topic: str, kind: str, name: str) -> None:
     assert name_sensors({topic: kind}) == {topic: name}
 
 
@@ -27,7 +27,7 @@ def test_names_that_would_be_the_same_take_more_of_the_topic() -> None:
     assert list(name_sensors(topics).values()) == ["left_camera", "right_camera"]
 
 
-def test_the_kind_tells_sensors_of_one_name_apart() -> None:
+def test_the_kind_distinguishes_sensors_of_one_name() -> None:
     topics = {"/front/image_raw": "camera", "/front/scan": "lidar2d"}
     assert list(name_sensors(topics).values()) == ["front_camera", "front_laser"]
 

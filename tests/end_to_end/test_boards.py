@@ -77,7 +77,7 @@ def test_two_cameras_are_calibrated_with_every_board(board: Board, lens: CameraO
     assert used(calibration, "camera_2") >= 5
 
 
-def test_boards_shown_at_once_are_all_used() -> None:
+def test_boards_in_one_capture_are_all_used() -> None:
     """A camera and a LiDAR see tags, and a grid beside them: nearly as many board poses again."""
     bearings = (-45, -35, -25, -15, -5, 5)
     camera = PINHOLE.model_copy(update={"count": 1})

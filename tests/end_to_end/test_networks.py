@@ -47,7 +47,7 @@ def test_a_real_recording_agrees_with_the_transform_measured_by_hand(data_dir: P
     assert abs(np.degrees(np.arctan2(T[1, 0], T[0, 0]))) > 178
 
 
-def test_deviations_of_a_real_recording_cover_its_errors_and_x_is_the_least_known(data_dir: Path) -> None:
+def test_deviations_of_a_real_recording_cover_its_errors_and_x_is_the_least_certain(data_dir: Path) -> None:
     """One pair of walls, both along x: people alone tell x, and a metre of wall tells the turn.
 
     The transform was measured by hand, to a centimetre and half a degree at best.
@@ -86,7 +86,7 @@ def test_deviations_of_an_office_cover_its_errors(office: tuple[Calibration, Gro
         assert np.all(np.abs(error) < 4 * spread)
 
 
-def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibration, GroundTruth]) -> None:
+def test_tracks_in_an_office_are_used_or_have_a_reason(office: tuple[Calibration, GroundTruth]) -> None:
     """Two people in the views of six scanners are hardly ever seen by one alone."""
     walks = office[0].evidence.captures
     assert {row.sensor for row in walks} == {sensor.name for sensor in office[0].sensors}
@@ -95,7 +95,7 @@ def test_walks_in_an_office_are_used_and_others_say_why_not(office: tuple[Calibr
     assert all(0 <= row.start < row.end < 41 for row in walks)
 
 
-def test_walks_of_an_office_lie_on_each_other(office: tuple[Calibration, GroundTruth]) -> None:
+def test_tracks_of_an_office_coincide(office: tuple[Calibration, GroundTruth]) -> None:
     distances = [row.residual for row in office[0].evidence.captures if row.residual is not None]
     assert np.median(distances) < 0.04
 
@@ -110,7 +110,7 @@ def test_the_floor_of_an_office_is_that_of_all_scanners(office: tuple[Calibratio
         assert np.median(distances) < 0.03, view.sensor
 
 
-def test_every_scanner_hangs_from_the_root(office: tuple[Calibration, GroundTruth]) -> None:
+def test_every_scanner_has_a_path_to_the_root(office: tuple[Calibration, GroundTruth]) -> None:
     found, _ = office
     parents = {sensor.name: sensor.parent for sensor in found.sensors}
     for name in parents:
@@ -121,7 +121,7 @@ def test_every_scanner_hangs_from_the_root(office: tuple[Calibration, GroundTrut
         assert seen[-1] == found.root
 
 
-def test_a_scanner_that_saw_nobody_is_named(tmp_path: Path) -> None:
+def test_a_scanner_without_detections_is_named(tmp_path: Path) -> None:
     simulate_network(NetworkScenario(layout="office", duration=6, people={"count": 0}), tmp_path / "empty", seed=0)  # type: ignore[arg-type]
     with open_recording(tmp_path / "empty/recording") as recording:
         found = calibrate(load_rig(tmp_path / "empty/rig.yaml"), recording, NetworkOptions())

@@ -27,9 +27,7 @@ def test_it_is_small_and_quick(found: tuple[Calibration, Rig], tmp_path: Path) -
     assert (tmp_path / "report.html").stat().st_size < 12e6
 
 
-def test_it_shows_every_capture_and_what_cameras_and_scanners_saw(
-    found: tuple[Calibration, Rig], tmp_path: Path
-) -> None:
+def test_it_shows_every_capture_with_images_and_scans(found: tuple[Calibration, Rig], tmp_path: Path) -> None:
     write_report(*found, tmp_path / "report.html")
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert html.count('<article class="capture">') == len({row.capture for row in found[0].evidence.captures})

@@ -176,7 +176,7 @@ def test_a_print_of_another_size_is_no_good_camera(recorded_rig: Staged) -> None
     assert "sizes of the printed tags" in verdict.reason
 
 
-def test_messages_that_arrive_late_and_twice_change_nothing_much(recorded_rig: Staged) -> None:
+def test_messages_that_arrive_late_or_twice_hardly_change_the_result(recorded_rig: Staged) -> None:
     rig, recording, truth = recorded_rig
     rng = np.random.default_rng(3)
     late = [replace(r, arrival=r.arrival + rng.uniform(0, 1)) for r in [*recording.messages, *recording.messages]]

@@ -62,7 +62,7 @@ def unstamped(record: RecordedMessage) -> RecordedMessage:
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "said"),
+    ("path", "value", "message"),
     [
         ("capture.trigger", "/triger", "did you mean '/trigger'"),
         ("capture.trigger", FRONT, "capture.trigger: /laser_front/scan is the topic of the sensor laser_front"),
@@ -83,10 +83,10 @@ def unstamped(record: RecordedMessage) -> RecordedMessage:
     ],
 )  # fmt: skip
 def test_a_rig_that_does_not_fit_its_recording_is_bad_input(
-    staged_rig: tuple[Rig, Recording], path: str, value: object, said: str
+    staged_rig: tuple[Rig, Recording], path: str, value: object, message: str
 ) -> None:
     rig, recording = staged_rig
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         calibrate(changed(rig, path, value), recording)
 
 
@@ -157,7 +157,7 @@ def test_sensors_that_see_nothing_without_trigger_are_named(staged_rig: tuple[Ri
     assert set(calibrate(blind, recording).evidence.unconnected) == set(rig.sensors) - {rig.root}
 
 
-def test_a_board_stated_in_millimetres_is_told_from_the_one_that_was_seen(
+def test_a_board_stated_in_millimetres_is_distinguished_from_the_detected_one(
     staged_rig: tuple[Rig, SimulatedRecording],
 ) -> None:
     rig, recording = staged_rig

@@ -60,7 +60,7 @@ def test_real_scans_have_the_documented_geometry(data_dir: Path) -> None:
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("sample", SAMPLES)
-def test_every_message_of_odd_rosbag2_folders_is_read(
+def test_every_message_of_irregular_rosbag2_folders_is_read(
     data_dir: Path, storage: str, sample: str, read_all: ReadAll
 ) -> None:
     assert len(read_all(data_dir / "rosbag2-reader-samples" / storage / sample)) == SAMPLES[sample]
@@ -168,7 +168,7 @@ def test_start_and_end_hold_at_the_resolution_of_epoch_stamps(data_dir: Path) ->
         assert [r.arrival for r in recording.records(start=arrivals[100], end=arrivals[200])] == arrivals[100:201]
 
 
-def test_topics_tell_type_and_count(three_scans: Path) -> None:
+def test_topics_have_type_and_count(three_scans: Path) -> None:
     with open_recording(three_scans) as recording:
         assert [(t.name, t.type, t.count) for t in recording.topics] == [("/scan", "sensor_msgs/msg/LaserScan", 3)]
 
@@ -192,7 +192,7 @@ def test_missing_split_file_is_named(three_scans: Path) -> None:
         open_recording(three_scans)
 
 
-def test_damaged_metadata_says_how_to_go_on(three_scans: Path) -> None:
+def test_damaged_metadata_is_an_error_with_advice(three_scans: Path) -> None:
     (three_scans / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
     with pytest.raises(RecordingError, match="remove or rename it"):
         open_recording(three_scans)
@@ -256,7 +256,7 @@ def test_missing_path_is_an_error(tmp_path: Path) -> None:
         open_recording(tmp_path / "nothing")
 
 
-def test_other_file_is_an_error_that_says_what_is_read(tmp_path: Path) -> None:
+def test_other_file_is_an_error_that_lists_the_formats(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(InputError, match=r"\.mcap, \.db3 or \.bag"):
         open_recording(tmp_path / "notes.txt")

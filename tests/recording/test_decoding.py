@@ -102,7 +102,9 @@ def test_uncalibrated_camera_is_unusable(ros: SimpleNamespace, decoded: Decoded)
         decoded(ros.camera_info(k=np.zeros(9)))
 
 
-def test_unknown_distortion_model_names_the_known_ones(ros: SimpleNamespace, decoded: Decoded) -> None:
+def test_unknown_distortion_model_is_an_error_that_lists_the_supported_ones(
+    ros: SimpleNamespace, decoded: Decoded
+) -> None:
     with pytest.raises(RecordingError, match="'double_sphere' is not supported; known are plumb_bob"):
         decoded(ros.camera_info(distortion_model="double_sphere"))
 

@@ -61,7 +61,7 @@ def test_other_file_names_are_no_times(name: str) -> None:
     assert parse_stamp(name) is None
 
 
-def test_badly_named_file_is_an_error_that_says_how_to_name_it(tmp_path: Path) -> None:
+def test_badly_named_file_is_an_error_that_states_the_right_form(tmp_path: Path) -> None:
     put(tmp_path, "camera/pose1.png", png())
     with pytest.raises(InputError, match=r"pose1\.png: is not named by its time"):
         open_recording(tmp_path)
@@ -86,7 +86,7 @@ def test_start_and_end_are_those_of_the_first_and_last_file(tmp_path: Path) -> N
         assert [r.stamp for r in recording.records(start=3.5, end=10.0)] == [10.0]
 
 
-def test_topics_tell_what_the_folders_hold(tmp_path: Path) -> None:
+def test_topics_have_the_kind_of_the_folders_content(tmp_path: Path) -> None:
     put(tmp_path, "camera/1.png", png())
     put(tmp_path, "camera/camera_info.yaml", "{}")
     put(tmp_path, "laser/1.csv", HEADER)
@@ -143,7 +143,7 @@ def test_scan_is_read(tmp_path: Path, suffix: str) -> None:
         (f"{HEADER}1.5,-0.1,0.1,1e-4,one\n", "could not convert string to float: 'one'"),
     ],
 )
-def test_unusable_scan_file_says_what_is_wrong(tmp_path: Path, content: str, complaint: str) -> None:
+def test_unusable_scan_file_is_an_error_with_the_reason(tmp_path: Path, content: str, complaint: str) -> None:
     put(tmp_path, "laser/1.5.csv", content)
     with pytest.raises(RecordingError, match=complaint):
         only_message(tmp_path)
@@ -193,7 +193,7 @@ def test_camera_info_comes_with_the_first_image(
     ("content", "complaint"),
     [("[]", "keys of a CameraInfo"), ("width: 640\nheight: 480\n", "key k"), ("a: [", "camera_info.yaml")],
 )
-def test_unusable_camera_info_says_what_is_wrong(tmp_path: Path, content: str, complaint: str) -> None:
+def test_unusable_camera_info_is_an_error_with_the_reason(tmp_path: Path, content: str, complaint: str) -> None:
     put(tmp_path, "camera/4.png", png())
     put(tmp_path, "camera/camera_info.yaml", content)
     with open_recording(tmp_path) as recording:
@@ -221,6 +221,6 @@ def test_real_camera_and_laser_folders_interleave(data_dir: Path) -> None:
     assert stamps[0] == ("lasers", 1773380642.785313094)
 
 
-def test_folder_without_recording_says_what_is_read(tmp_path: Path) -> None:
+def test_folder_without_recording_is_an_error_that_lists_the_formats(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"neither bag files nor folders with files named <seconds>\.<png"):
         open_recording(tmp_path)

@@ -98,7 +98,7 @@ def test_unknown_encoding_is_named(ros: SimpleNamespace, decoded: Decoded, pictu
 
 
 @pytest.mark.parametrize("declared", ["png", "bgr8; png compressed bgr8", "rgb8; png compressed bgr8", ""])
-def test_png_is_decoded_whatever_its_format_says_first(
+def test_png_is_decoded_whatever_its_declared_format(
     ros: SimpleNamespace, decoded: Decoded, picture: Pixels, declared: str
 ) -> None:
     data = cv2.imencode(".png", picture)[1].tobytes()

@@ -1,4 +1,4 @@
-"""What is said of recordings that are odd in one way each."""
+"""Anomalies that an inspection reports."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ def inspected(place: Path, stamps: Sequence[float] | np.ndarray, delays: float |
     return topic
 
 
-def test_a_steady_sensor_has_a_rate_and_nothing_odd(tmp_path: Path) -> None:
+def test_a_steady_sensor_has_a_rate_and_no_anomaly(tmp_path: Path) -> None:
     topic = inspected(tmp_path, STAMPS)
     assert topic.timing is not None
     assert topic.timing.rate == pytest.approx(10, abs=1e-3)

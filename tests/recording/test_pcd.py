@@ -139,7 +139,7 @@ def test_ascii_pcd_with_fewer_points_than_stated_is_an_error(tmp_path: Path) -> 
     ("content", "complaint"),
     [(b"hello", "no DATA line"), (b"DATA ascii\n", "no FIELDS"), (HEADER.format(kind="zip").encode(), "DATA zip")],
 )
-def test_damaged_pcd_header_says_what_is_wrong(tmp_path: Path, content: bytes, complaint: str) -> None:
+def test_damaged_pcd_header_is_an_error_with_the_reason(tmp_path: Path, content: bytes, complaint: str) -> None:
     (tmp_path / "1.pcd").write_bytes(content)
     with pytest.raises(ValueError, match=complaint):
         read_pcd(tmp_path / "1.pcd")

@@ -24,7 +24,7 @@ from calgraph.result import (
 )
 
 
-def hung(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
+def camera_calibration(T_root_sensor: dict[str, Array], joint: Array) -> Calibration:
     """A calibration of cameras with a joint covariance."""
     names = list(T_root_sensor)
     sensors = tuple(
@@ -52,10 +52,10 @@ def correlated(poses: dict[str, Array], rng: np.random.Generator) -> Calibration
     A = rng.normal(scale=0.0003, size=(18, 18))
     common = np.tile(rng.normal(scale=0.003, size=(6, 6)), (3, 1))
     joint[6:, 6:] = A @ A.T + common @ common.T
-    return hung(poses, joint)
+    return camera_calibration(poses, joint)
 
 
-def test_in_a_chain_neighbours_know_each_other_as_their_edge_says(
+def test_in_a_chain_neighbours_have_the_covariance_of_their_edge(
     poses: dict[str, Array], rng: np.random.Generator
 ) -> None:
     """Solved by hand: root–a and a–b were measured independently, so a–b is as uncertain as measured."""
@@ -69,7 +69,7 @@ def test_in_a_chain_neighbours_know_each_other_as_their_edge_says(
     joint[6:12, 12:] = edges[0] @ carried.T
     joint[12:, 6:12] = carried @ edges[0]
     joint[12:, 12:] = carried @ edges[0] @ carried.T + turned @ edges[1] @ turned.T
-    chain = hung({name: poses[name] for name in ("lidar", "a", "b")}, joint)
+    chain = camera_calibration({name: poses[name] for name in ("lidar", "a", "b")}, joint)
     np.testing.assert_allclose(chain.covariance("a", "b"), edges[1], atol=1e-15)
 
 
@@ -114,7 +114,7 @@ def uncorrelated(calibration: Calibration) -> Calibration:
     return dataclasses.replace(calibration, joint_covariance=joint)
 
 
-def test_a_result_that_does_not_know_says_so(correlated: Calibration) -> None:
+def test_unknown_correlations_are_an_error(correlated: Calibration) -> None:
     with pytest.raises(CalibrationError, match="correlation of the errors of 'a' and 'b' is unknown"):
         uncorrelated(correlated).covariance("a", "b")
 
@@ -131,7 +131,7 @@ def test_sensors_that_hardly_know_the_root_know_each_other_in_a_file(
     """To 0.1 mm, though both are 10 m off."""
     joint = np.zeros((18, 18))
     joint[6:, 6:] = np.kron(np.ones((2, 2)), 100.0 * np.diag([1, 1, 1, 0, 0, 0])) + 1e-8 * np.eye(12)
-    pair = hung({name: poses[name] for name in ("lidar", "a", "b")}, joint)
+    pair = camera_calibration({name: poses[name] for name in ("lidar", "a", "b")}, joint)
     save_calibration(pair, tmp_path / "calibration.yaml")
     found = load_calibration(tmp_path / "calibration.yaml").covariance("a", "b")
     np.testing.assert_allclose(np.diag(found), np.diag(pair.covariance("a", "b")), rtol=1e-3)
@@ -184,7 +184,7 @@ def test_json_has_it(correlated: Calibration) -> None:
 def test_the_joint_covariance_of_sixty_sensors_is_written_in_seconds(tmp_path: Path) -> None:
     """0.2 s; a YAML library takes twenty."""
     A = np.random.default_rng(0).normal(0, 0.01, (360, 360))
-    many = hung({f"s{k}": np.eye(4) for k in range(60)}, A @ A.T)
+    many = camera_calibration({f"s{k}": np.eye(4) for k in range(60)}, A @ A.T)
     begin = process_time()
     save_calibration(many, tmp_path / "calibration.yaml")
     assert process_time() - begin < 5
@@ -193,7 +193,7 @@ def test_the_joint_covariance_of_sixty_sensors_is_written_in_seconds(tmp_path: P
 
 def test_the_joint_covariance_comes_back_to_twelve_digits(tmp_path: Path) -> None:
     A = np.random.default_rng(0).normal(0, 1e-4, (18, 18))
-    few = hung({name: np.eye(4) for name in "abc"}, A @ A.T)
+    few = camera_calibration({name: np.eye(4) for name in "abc"}, A @ A.T)
     save_calibration(few, tmp_path / "calibration.yaml")
     loaded = load_calibration(tmp_path / "calibration.yaml").joint_covariance
     assert loaded is not None

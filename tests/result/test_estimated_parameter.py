@@ -43,5 +43,7 @@ def test_scripts_read_them_from_json(calibration: Calibration) -> None:
         (TAG_ROTATION, ("0.00", "-1.00", "0.10", "°")),
     ],
 )  # fmt: skip
-def test_people_read_as_many_digits_as_mean_something(one: EstimatedParameter, shown: tuple[str, ...]) -> None:
+def test_values_are_formatted_with_two_digits_of_the_deviation(
+    one: EstimatedParameter, shown: tuple[str, ...]
+) -> None:
     assert one.formatted == shown

@@ -125,7 +125,7 @@ def test_poses_looking_straight_up_or_down_recompose(calibration: Calibration, f
 
 
 @pytest.mark.parametrize("format", READERS)
-def test_frames_with_odd_names_are_quoted(calibration: Calibration, format: str) -> None:
+def test_frames_with_special_names_are_quoted(calibration: Calibration, format: str) -> None:
     odd = with_sensor(calibration, "laser", frame_id="laser<&\"'>: ümläut")
     assert_poses(READERS[format](export(odd, format)), odd)
 
@@ -269,7 +269,7 @@ def test_any_order_of_joints_gives_the_calibrated_poses(calibration: Calibration
     assert_poses(read_urdf(export(calibration, "urdf", urdf=robot(*joints))), calibration)
 
 
-def test_a_sensor_without_a_link_is_said_and_left_out(
+def test_a_sensor_without_a_link_is_logged_and_left_out(
     calibration: Calibration, caplog: pytest.LogCaptureFixture
 ) -> None:
     urdf = robot(joint("base", "velodyne"), joint("base", "camera_optical"), joint("base", "laser_link"))
@@ -396,7 +396,7 @@ def test_json_has_the_whole_result(calibration: Calibration) -> None:
     assert content["sensors"]["laser"]["verdict"]["grade"] == "weak"
 
 
-def test_json_has_what_was_seen_on_the_floor(calibration: Calibration, rng: np.random.Generator) -> None:
+def test_json_has_the_floor_views(calibration: Calibration, rng: np.random.Generator) -> None:
     view = FloorView("laser", rng.normal(size=(5, 2)), (rng.normal(size=(3, 2)), rng.normal(size=(2, 2))))
     (seen,) = json.loads(
         export(

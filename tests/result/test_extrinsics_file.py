@@ -83,7 +83,7 @@ def test_transforms_are_read_in_all_their_spellings(text: str, tmp_path: Path) -
     np.testing.assert_allclose(poses.transform("a", "b"), expected, atol=1e-12)
 
 
-def test_links_of_a_urdf_may_hang_from_each_other_at_any_depth(tmp_path: Path) -> None:
+def test_links_of_a_urdf_may_be_nested_at_any_depth(tmp_path: Path) -> None:
     poses = reading(tmp_path / "robot.urdf", CHAIN)
     np.testing.assert_allclose(poses.transform("a", "b")[:3, 3], [-1, 1, -2], atol=1e-12)
 

@@ -98,11 +98,11 @@ def _without(saved: Path, member: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("member", "said"), [("snapshots/points.npy", "snapshots/points: is missing"), ("scene.json", "scene.json")]
+    ("member", "message"), [("snapshots/points.npy", "snapshots/points: is missing"), ("scene.json", "scene.json")]
 )
-def test_what_is_missing_is_named(saved: Path, member: str, said: str) -> None:
+def test_what_is_missing_is_named(saved: Path, member: str, message: str) -> None:
     other = _without(saved, member)
-    with pytest.raises(InputError, match=f"other.npz: .*{said}"):
+    with pytest.raises(InputError, match=f"other.npz: .*{message}"):
         load_scene(other)
 
 
@@ -112,6 +112,6 @@ def test_half_a_file_is_no_scene(saved: Path) -> None:
         load_scene(saved)
 
 
-def test_a_damaged_picture_says_whose_it_is() -> None:
+def test_a_damaged_image_is_named_with_its_sensor() -> None:
     with pytest.raises(InputError, match="picture of left in capture 7"):
         _ = Snapshot(7, "left", 0.0, b"no jpeg", 8, 8).picture

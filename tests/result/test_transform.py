@@ -44,6 +44,6 @@ def test_an_unconnected_sensor_is_refused_with_its_reason(calibration: Calibrati
         calibration.transform("lidar", "sonar")
 
 
-def test_looking_a_sensor_up_refuses_alike(calibration: Calibration) -> None:
+def test_lookup_of_an_unknown_sensor_is_an_error(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="no sensor 'radar'"):
         calibration["radar"]
