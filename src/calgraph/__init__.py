@@ -55,15 +55,16 @@ if TYPE_CHECKING:
     from calgraph.tracking import ScannerTracks, Track, track_scanner
 
 __all__ = [
-    "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel", "CameraSpec",
-    "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan", "Lidar2dSpec", "Lidar3dSpec",
-    "MessageRecording", "NetworkOptions", "PairwiseEstimate", "People", "PixelNoise", "PlanePatch", "PointCloud",
-    "PoseGraph", "PoseGraphSolution", "Problem", "RangeNoise", "RecordingError", "Rejected", "Rig", "RigOptions",
-    "ScannerTracks", "Segment", "SensorPose", "Tag", "Track", "average_poses", "board_corners_from_pixels",
-    "bootstrap_covariances", "build_problem", "build_problem_from_captures", "calibrate_detections",
-    "calibrate_network", "calibrate_rig", "calibrate_tracks", "captures_from_detections", "colorize_points",
-    "estimate_pair", "export", "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings",
-    "plane", "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points",
+    "Board", "BoardCorners", "CalgraphError", "Calibration", "CalibrationError", "CameraModel",
+    "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan",
+    "Lidar2dSpec", "Lidar3dSpec", "MessageRecording", "NetworkOptions", "PairwiseEstimate", "People",
+    "PixelNoise", "PlanePatch", "PointCloud", "PoseGraph", "PoseGraphSolution", "Problem", "RangeNoise",
+    "RecordingError", "Rejected", "Rig", "RigOptions", "ScannerTracks", "Segment", "SensorPose", "Tag",
+    "Track", "average_poses", "board_corners_from_pixels", "bootstrap_covariances", "build_problem",
+    "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
+    "calibrate_tracks", "captures_from_detections", "colorize_points", "estimate_pair", "export",
+    "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
+    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points",
     "so3", "solve_problem", "to_dataframe", "track_scanner", "write_report",
 ]  # fmt: skip
 

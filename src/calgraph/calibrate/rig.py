@@ -35,6 +35,7 @@ from calgraph.estimation import (
     round_trip,
     save_problem,
     solve_bundle,
+    solve_poses,
     with_prior_poses,
 )
 from calgraph.graph import SpanningTree, initialize_rig
@@ -154,9 +155,9 @@ def build_problem_from_captures(
     start = select_initialization(options.start)
     tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     if options.keep == "ransac":
-        # RANSAC selects inliers from minimal samples; select them once more under a joint solution.
-        joint = solve_hypergraph(tree, select_successful(pairs), detections, keep=options.keep)
-        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, detections, rig.board_size, settings)
+        # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
+        poses = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
+        pairs = reselect_all_inliers(pairs, poses, detections, rig.board_size, settings)
         tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     solver = SolverOptions(
         estimator=options.estimator, keep=options.keep, folds=options.folds, estimate=options.estimate

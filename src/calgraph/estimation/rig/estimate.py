@@ -112,6 +112,29 @@ def solve_bundle(
     )
 
 
+def solve_poses(
+    rig: Rig, captured: CaptureSet, estimates: Sequence[PairwiseEstimate], T_root_sensor: Mapping[str, Array]
+) -> dict[str, Array]:
+    """Joint poses of all connected sensors with the stated noise, to reselect the inliers of pairs.
+
+    Args:
+        rig: the rig.
+        captured: detections, and the cameras' intrinsics.
+        estimates: pairs with their inliers.
+        T_root_sensor: start poses (4, 4) of the connected sensors, the root first.
+
+    Returns:
+        ``T_root_sensor`` (4, 4) by sensor.
+    """
+    connected = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
+    if not connected:
+        return dict(T_root_sensor)
+    boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in connected])
+    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
+    solution = minimize_bundle(without_priors(bundle), state, tolerance=COARSE_TOLERANCE, exact=False)
+    return dict(zip(bundle.sensors, solution.state.T_root_sensor, strict=True))
+
+
 def cramer_rao(
     rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
 ) -> dict[str, Array]:
