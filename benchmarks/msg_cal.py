@@ -13,9 +13,8 @@ import argparse
 
 import numpy as np
 
-from calgraph.baselines import solve_hypergraph
+from calgraph.baselines import HypergraphSolution, solve_hypergraph
 from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
-from calgraph.estimation import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import initialize_rig
 from calgraph.pairwise import estimate_pairs, select_successful
@@ -59,7 +58,7 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     tree = initialize_rig(rig.root, estimates, "tree", rng)
     at_root = initialize_rig(rig.root, estimates, "identity", rng)
 
-    def judge(joint: RigSolution) -> tuple[float, float, float]:
+    def judge(joint: HypergraphSolution) -> tuple[float, float, float]:
         metres, degrees = errors(dict(joint.T_root_sensor), truth)
         return float(metres.mean()), float(degrees.mean()), joint.graph_error
 

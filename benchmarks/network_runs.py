@@ -7,8 +7,10 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.calibrate.strategies import select_averaging
+from calgraph.calibrate.options import CenterFeature
+from calgraph.calibrate.strategies import select_averaging, select_center_estimator, select_depth_stddev
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
+from calgraph.config.settings import BaselineSettings
 from calgraph.estimation import solve_network
 from calgraph.geometry import Array, se2
 from calgraph.graph import (
@@ -32,7 +34,7 @@ from calgraph.simulation import (
     network_truth,
     simulate_scans,
 )
-from calgraph.tracking import CenterFeature, ScannerTracks, track_scanner
+from calgraph.tracking import ScannerTracks, track_scanner
 
 SCENARIOS: Mapping[str, dict[str, Any]] = {
     "ring": {"layout": "ring", "ring_diameter": 46.0, "duration": 180.0},
@@ -140,7 +142,9 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
         tracked = track_scanners(rig, scans, feature)
         for icp in {setup.icp for setup in setups if setup.feature == feature}:
             rng = np.random.default_rng(seed)
-            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, feature=feature)
+            estimates = estimate_scanner_pairs(
+                tracked, rng, icp=icp, depth_stddev=select_depth_stddev(feature, BaselineSettings())
+            )
             pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
             if feature == "com" and icp:
                 judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)
@@ -184,7 +188,7 @@ def track_scanners(
     tracked: dict[str, ScannerTracks] = {}
     for name, spec in rig.sensors.items():
         assert isinstance(spec, Lidar2dSpec)
-        found = track_scanner(scans[name], rig.target, spec.noise, feature=feature)
+        found = track_scanner(scans[name], rig.target, spec.noise, centers=select_center_estimator(feature))
         if isinstance(found, ScannerTracks):
             tracked[name] = found
     return tracked
@@ -216,7 +220,9 @@ def solve_poses(
             averaged = chain_pairs(graph, pairs, names)
         else:
             weights = edge_weights(names, pairs) if setup.weighted else None
-            averaged, graph = average_network(graph, rng, weights, select_averaging(setup.average))
+            averaged, graph = average_network(
+                graph, rng, weights, select_averaging(setup.average, BaselineSettings())
+            )
     if not setup.joint:
         spread = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))

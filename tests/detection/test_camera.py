@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.baselines import estimate_mean_plane
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector, find_boards
+from calgraph.detection import BoardCorners, CameraDetector, PlaneEstimator, find_boards
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
@@ -114,11 +115,13 @@ def test_error_of_a_drawn_board_is_within_its_covariance(render: Render, rng: np
     assert error @ np.linalg.solve(found.covariance, error) < 22.5  # χ²(6), 99.9 %
 
 
-@pytest.mark.parametrize("averaging", ["pnp", "mean_plane"])
-def test_plane_points_at_the_camera(averaging: str, render: Render, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("plane_estimator", [None, estimate_mean_plane])
+def test_plane_points_at_the_camera(
+    plane_estimator: PlaneEstimator | None, render: Render, rng: np.random.Generator
+) -> None:
     T = a_pose()
     pixels = render(TAGGED, CAMERA, T, rng)
-    found = one(find_boards([image(pixels)], [TAGGED], CAMERA, NOISE, averaging=averaging))  # type: ignore[arg-type]
+    found = one(find_boards([image(pixels)], [TAGGED], CAMERA, NOISE, plane_estimator=plane_estimator))
     np.testing.assert_allclose(found.plane, plane.from_pose(T), atol=0.01)
     assert found.plane[3] > 0
 
@@ -126,8 +129,8 @@ def test_plane_points_at_the_camera(averaging: str, render: Render, rng: np.rand
 def test_mean_of_the_tags_planes_is_less_certain_than_one_pnp(render: Render, rng: np.random.Generator) -> None:
     pixels = render(TAGGED, CAMERA, a_pose(), rng)
     pnp, mean = (
-        one(CameraDetector([TAGGED], CAMERA, NOISE, averaging).find([image(pixels)]))
-        for averaging in ("pnp", "mean_plane")
+        one(CameraDetector([TAGGED], CAMERA, NOISE, estimator).find([image(pixels)]))
+        for estimator in (None, estimate_mean_plane)
     )
     assert (np.diag(mean.plane_covariance) > 1.5 * np.diag(pnp.plane_covariance)).all()
 

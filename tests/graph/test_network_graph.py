@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph import average_network, build_network_graph, compute_joint_covariance, edge_weights
 from calgraph.graph.network_graph import edge_evidence
 from calgraph.graph.pose_graph import PoseGraph
@@ -12,8 +12,7 @@ from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
 def pose_covariances(graph: PoseGraph, T_root_node: Array) -> Array:
     """The (N, 3, 3) blocks on the diagonal of the joint covariance."""
-    joint = compute_joint_covariance(graph, T_root_node).reshape(graph.count, 3, graph.count, 3)
-    return np.asarray(np.einsum("iaib->iab", joint))
+    return diagonal_blocks(compute_joint_covariance(graph, T_root_node), 3)
 
 
 def hypothesis(x: float, sigma: float = 0.01, observations: int = 100, share: float = 1.0) -> PoseHypothesis:

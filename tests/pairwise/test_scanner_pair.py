@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from calgraph.calibrate.options import CenterFeature
+from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import People, RangeNoise
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import CenterFeature, ScannerTracks, Track, track_scanner
+from calgraph.tracking import ScannerTracks, Track, track_scanner
 
 STEP = 0.04  # s, of the simulated truth
 SIGMA = 0.04  # m, of a smoothed position
@@ -281,7 +283,9 @@ def test_a_real_pair_is_within_ten_centimetres_of_the_measured_pose(
             scans[record.topic].append(message)
     tracked = []
     for of_one in scans.values():
-        tracks = track_scanner(of_one, People(kind="people"), RangeNoise(), feature=feature)
+        tracks = track_scanner(
+            of_one, People(kind="people"), RangeNoise(), centers=select_center_estimator(feature)
+        )
         assert isinstance(tracks, ScannerTracks)
         tracked.append(tracks)
     found = estimate_scanner_pair("front", "rear", tracked[0], tracked[1], rng)
@@ -292,7 +296,7 @@ def test_centres_of_mass_nearer_than_true_centres_are_corrected(rng: np.random.G
     walks = [wander(rng) for _ in range(2)]
     A, B = se2.pose(0.8, np.array([-3.0, -3.0])), se2.pose(2.3, np.array([3.0, -3.0]))
     a, b = (observe(walks, T, rng, near=0.15) for T in (A, B))
-    found = estimate_scanner_pair("a", "b", a, b, rng, feature="com")
+    found = estimate_scanner_pair("a", "b", a, b, rng, depth_stddev=0.2)
     assert error(found, se2.inverse(A) @ B) < (0.04, 1.0)
 
 

@@ -9,13 +9,15 @@ from time import process_time
 import numpy as np
 import pytest
 
+from calgraph.calibrate.options import CenterFeature
+from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.config.settings import TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import CenterFeature, ScannerTracks, Track, track_scanner
+from calgraph.tracking import ScannerTracks, Track, track_scanner
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.features import ObjectVelocities, measure_centers
 from walking_scenes import Walk, World, walk_along, walk_in_circle
@@ -32,7 +34,7 @@ def track_world(
     target: People | Cylinder = PEOPLE,
 ) -> ScannerTracks:
     scans = world.simulate_scans(seconds, seed)
-    result = track_scanner(scans, target, RangeNoise(), feature=feature)
+    result = track_scanner(scans, target, RangeNoise(), centers=select_center_estimator(feature))
     assert isinstance(result, ScannerTracks)
     return result
 
@@ -244,7 +246,7 @@ def test_the_person_of_the_real_recording_is_tracked(
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag") as recording:
         messages = [record.decode() for record in recording.records([topic])]
     scans = [message for message in messages if isinstance(message, LaserScan)]
-    result = track_scanner(scans, PEOPLE, RangeNoise(), feature=feature)
+    result = track_scanner(scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature))
     assert isinstance(result, ScannerTracks)
     # The README counts foreground in 301 rear and 104 front scans, some of it a few stray beams.
     in_view = {"/rear_scan": 301, "/front_scan": 81}[topic]

@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.baselines import hypergraph_factors as edges
+from calgraph.baselines import hypergraph_factors as factor_types
 from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
+from calgraph.config.settings import Settings
 from calgraph.detection import Detection, Segment, plane_of
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, select_matches
@@ -19,16 +20,21 @@ BLOCKS: Mapping[str, Block] = {
     "lines": Block(6, lambda lines, delta: lines + delta.reshape(-1, 2, 3)),
 }
 
-# How far a board that people carry is from a plane (m; and, over a metre, rad).
-_FLATNESS = 0.001
-# Directions that a pair knows no better than this (m and rad) are open: the joint solution leaves them where
-# the spanning tree put them, as tightly as _HOLD.
-_OPEN = 0.1
-_HOLD = 0.01
-# How firmly the stated noise is believed, in measured numbers.
-_FIRM = 10
-# What is believed of a pose without any data: m and rad.
-_PRIOR = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
+
+@dataclass(frozen=True, eq=False)
+class HypergraphSolution:
+    """The joint solution of a rig's connected sensors."""
+
+    T_root_sensor: Mapping[str, Array]
+    """(4, 4) by sensor, the root first."""
+    joint_covariance: Array
+    """(S·6, S·6) of all poses' errors in the root's fixed axes, in the order of ``T_root_sensor``; zero for the
+    root."""
+    residuals: Mapping[str, Array]
+    """Whitened residuals by kind of edge."""
+    converged: bool
+    graph_error: float
+    """Sum of squared errors over all edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
 
 
 def solve_hypergraph(
@@ -38,8 +44,9 @@ def solve_hypergraph(
     *,
     keep: MatchFilter = "ransac",
     optimize: bool = True,
-) -> RigSolution:
-    """Solves for all connected sensors at once.
+    settings: Settings = Settings(),
+) -> HypergraphSolution:
+    """Solves for the poses of all connected sensors jointly.
 
     Args:
         tree: connected sensors with their start poses.
@@ -47,6 +54,8 @@ def solve_hypergraph(
         detections: by sensor and capture.
         keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
         optimize: False evaluates the start values, for comparison with them.
+        settings: of the baselines; and the flatness of boards, the limit of observed directions and the weight of
+            the stated noise, which other stages use, too.
 
     Returns:
         Poses, covariances and residuals of the connected sensors.
@@ -54,32 +63,35 @@ def solve_hypergraph(
     names = list(tree.T_root_sensor)
     pairs = [e for e in estimates if e.sensor_a in names and e.sensor_b in names]
     if not pairs:
-        return RigSolution(
-            "hypergraph", {tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0
-        )
+        return HypergraphSolution({tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0)
+    flatness, max_stddev = settings.pairwise.board.flatness, settings.pairwise.board.max_stddev
     graph = _HypergraphBuilder(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[select_matches(pair, keep)]:
             graph.connect(pair, int(capture), int(i), int(j))
     values = graph.values(tree.T_root_sensor)
-    observed = graph.observation_factors()
-    factors: list[Factor] = [_relative_pose_factor(names, tree, pairs), *observed]
+    observed = graph.observation_factors(flatness)
+    factors: list[Factor] = [
+        _relative_pose_factor(names, tree, pairs, max_stddev, settings.baselines.held_stddev),
+        *observed,
+    ]
     converged = True
     if optimize:
         solution = minimize_sparse(values, BLOCKS, factors)
         values, converged = solution.state, solution.converged
-    # The pairwise estimates come from the same detections: they may guide the solution, but not count as evidence.
-    covariance = marginal_covariance(values, BLOCKS, observed, "sensors", _PRIOR)
+    # Pairwise estimates come from the same detections: they are no independent information for the covariance.
+    prior = np.repeat([settings.baselines.prior_translation_stddev, settings.baselines.prior_rotation_stddev], 3)
+    covariance = marginal_covariance(values, BLOCKS, observed, "sensors", prior)
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}
     chi2 = sum(float(np.sum(residuals[factor.name] ** 2)) for factor in observed)
-    scatter = _variance_factor(chi2, graph.degrees_of_freedom - 6 * (len(names) - 1))
-    return RigSolution(
-        estimator="hypergraph",
+    dof = max(graph.degrees_of_freedom - 6 * (len(names) - 1), 0)
+    weight = settings.baselines.stated_noise_weight
+    return HypergraphSolution(
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
-        joint_covariance=covariance * scatter,
+        joint_covariance=covariance * (chi2 + weight) / (dof + weight),
         residuals=residuals,
         converged=converged,
-        graph_error=_graph_error(values, observed),
+        graph_error=_graph_error(values, observed, flatness),
     )
 
 
@@ -126,53 +138,67 @@ class _HypergraphBuilder:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """How many numbers the detections measure beyond the three that place each capture's board."""
+        """Number of measured quantities beyond the three that locate the board of each capture."""
         measured: Counter[int] = Counter()
         for nodes, numbers in ((self._planes, 3), (self._lines, 2)):
             for _, capture, _ in nodes:
                 measured[capture] += numbers
         return sum(numbers - 3 for numbers in measured.values())
 
-    def observation_factors(self) -> list[Factor]:
+    def observation_factors(self, flatness: float) -> list[Factor]:
         """All edges but sensor–sensor."""
         planes = [plane_of(d) for d in self._of(self._planes) if not isinstance(d, Segment)]
         lines = [(d.endpoints, d.covariance) for d in self._of(self._lines) if isinstance(d, Segment)]
         factors: list[Factor] = []
         if planes:
             measured, covariance = (np.array(part) for part in zip(*planes, strict=True))
-            factors.append(edges.SensorPlane(np.arange(len(planes)), measured, edges.whitener(covariance)))
+            factors.append(
+                factor_types.SensorPlane(np.arange(len(planes)), measured, factor_types.whitener(covariance))
+            )
         if lines:
             measured, covariance = (np.array(part) for part in zip(*lines, strict=True))
-            factors.append(edges.SensorLine(np.arange(len(lines)), measured, edges.whitener(covariance)))
+            factors.append(
+                factor_types.SensorLine(np.arange(len(lines)), measured, factor_types.whitener(covariance))
+            )
         for name, build in _OBSERVATION_FACTORS.items():
             if self._edges[name]:
-                factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, _FLATNESS))
+                factors.append(build(*np.array(self._edges[name], dtype=np.intp).T, flatness))
         return factors
 
 
 _OBSERVATION_FACTORS: Mapping[str, Callable[..., Factor]] = {
-    "plane-plane": edges.PlanePlane,
-    "line-plane": edges.LinePlane,
-    "line-line": edges.LineLine,
+    "plane-plane": factor_types.PlanePlane,
+    "line-plane": factor_types.LinePlane,
+    "line-line": factor_types.LineLine,
 }
 
 
-def _relative_pose_factor(names: Sequence[str], tree: SpanningTree, pairs: Sequence[PairwiseEstimate]) -> Factor:
+def _relative_pose_factor(
+    names: Sequence[str],
+    tree: SpanningTree,
+    pairs: Sequence[PairwiseEstimate],
+    max_stddev: float,
+    held_stddev: float,
+) -> Factor:
     """Sensor–sensor edges (eq. 6).
 
-    Their inliers are in the graph as observations already, so each edge weighs as one capture. What a pair of the
-    tree leaves open is held. Other pairs with an open direction are no edges: along it they may be turned by any
-    angle, and that far away their other directions are not those measured.
+    Their inliers are observations of the graph, too: each edge has the weight of one capture. Directions that a
+    pair of the tree does not observe are held at their start value. Other pairs with an unobserved direction are
+    not used: they may be rotated by any angle about it, where their linearization along the others is not valid.
     """
-    pairs = [p for p in pairs if tree.has_edge(p.sensor_a, p.sensor_b) or not _has_open_direction(p)]
+    pairs = [
+        pair
+        for pair in pairs
+        if tree.has_edge(pair.sensor_a, pair.sensor_b) or np.linalg.eigvalsh(pair.information)[0] >= max_stddev**-2
+    ]
     whiteners = []
     for pair in pairs:
         eigenvalues, vectors = np.linalg.eigh(pair.information)
         weights = np.maximum(eigenvalues, 0) / max(int(pair.inliers.sum()), 1)
         if tree.has_edge(pair.sensor_a, pair.sensor_b):
-            weights = np.where(eigenvalues < _OPEN**-2, _HOLD**-2, weights)
+            weights = np.where(eigenvalues < max_stddev**-2, held_stddev**-2, weights)
         whiteners.append(np.sqrt(weights)[:, None] * vectors.T)
-    return edges.SensorSensor(
+    return factor_types.SensorSensor(
         np.array([names.index(p.sensor_a) for p in pairs], dtype=np.intp),
         np.array([names.index(p.sensor_b) for p in pairs], dtype=np.intp),
         np.array([p.T_a_b for p in pairs]),
@@ -180,27 +206,15 @@ def _relative_pose_factor(names: Sequence[str], tree: SpanningTree, pairs: Seque
     )
 
 
-def _has_open_direction(pair: PairwiseEstimate) -> bool:
-    return bool(np.linalg.eigvalsh(pair.information)[0] < _OPEN**-2)
-
-
-def _variance_factor(chi2: float, freedom: int) -> float:
-    """Variance factor: how the residuals' scatter compares with what the covariances state.
-
-    Few captures say little of it: it then stays near 1, as if that had been measured _FIRM times before.
-    """
-    return (chi2 + _FIRM) / (max(freedom, 0) + _FIRM)
-
-
-def _graph_error(values: Values, observed: Sequence[Factor]) -> float:
-    """Sum of squared errors, m²: observation edges undo their whitening, measurements compare as they are."""
+def _graph_error(values: Values, observed: Sequence[Factor], flatness: float) -> float:
+    """Sum of squared errors, m²: of observation edges without their whitening, of measurements as they are."""
     total = 0.0
     for factor in observed:
-        if isinstance(factor, edges.SensorPlane):
+        if isinstance(factor, factor_types.SensorPlane):
             e = values["planes"][factor.plane] - factor.measured
-        elif isinstance(factor, edges.SensorLine):
+        elif isinstance(factor, factor_types.SensorLine):
             e = values["lines"][factor.line] - factor.measured
         else:
-            e = factor.linearize(values)[0] * _FLATNESS
+            e = factor.linearize(values)[0] * flatness
         total += float(np.sum(e**2))
     return total

@@ -1,7 +1,7 @@
 """The six edge kinds of the hypergraph (MSG-Cal, section V): whitened residuals and their derivatives.
 
 Variables are ``sensors`` (S, 4, 4) poses in the root frame, ``planes`` (P, 4) and ``lines`` (L, 2, 3) in the frame
-of the sensor that saw them. Each class holds M edges of its kind as index arrays.
+of the sensor that detected them. Each class holds M edges of its kind as index arrays.
 """
 
 from collections.abc import Sequence
@@ -87,7 +87,7 @@ class SensorPlane:
 
 @dataclass(frozen=True, eq=False)
 class LinePlane:
-    """The end points of a line seen by one sensor lie in the plane seen by another."""
+    """The end points of one sensor's line lie in another sensor's plane."""
 
     name: ClassVar[str] = "line-plane"
     sensor_line: Index
@@ -95,7 +95,7 @@ class LinePlane:
     sensor_plane: Index
     plane: Index
     flatness: float
-    """How far the board may bend, m."""
+    """Standard deviation of the board from a plane, m."""
 
     def linearize(self, values: Values) -> tuple[Array, Sequence[Term]]:
         """Distances of both end points from the plane."""
@@ -122,7 +122,7 @@ class LinePlane:
 
 @dataclass(frozen=True, eq=False)
 class PlanePlane:
-    """Two sensors saw the same plane."""
+    """Two sensors detected the same plane."""
 
     name: ClassVar[str] = "plane-plane"
     sensor_a: Index
@@ -130,7 +130,7 @@ class PlanePlane:
     sensor_b: Index
     plane_b: Index
     flatness: float
-    """How far the board may bend, m (and, over a metre, rad)."""
+    """Standard deviation of the board from a plane, m (and, over a metre, rad)."""
 
     def linearize(self, values: Values) -> tuple[Array, Sequence[Term]]:
         """Difference of the four plane parameters in frame a."""
@@ -172,7 +172,7 @@ class LineLine:
     sensor_b: Index
     line_b: Index
     flatness: float
-    """How far the board may bend, m."""
+    """Standard deviation of the board from a plane, m."""
 
     def linearize(self, values: Values) -> tuple[Array, Sequence[Term]]:
         """The gap between the lines (:func:`calgraph.pairwise.coplanarity`)."""
@@ -181,7 +181,7 @@ class LineLine:
         r, by_relative, by_line_a, by_line_b = evaluate_coplanarity(
             T_a_b, values["lines"][self.line_a], values["lines"][self.line_b]
         )
-        # Parallel scan planes say nothing (NaN) and weigh nothing.
+        # Parallel scan planes have no residual (NaN) and get no weight.
         w = np.where(np.isnan(r), 0.0, 1 / self.flatness)[:, None, None]
         by_a, by_b = se3.relative_pose_jacobians(T_r_a, T_r_b)
         return w[:, :, 0] * np.nan_to_num(r)[:, None], (

@@ -1,4 +1,4 @@
-"""Sparse Levenberg–Marquardt on manifolds. It knows blocks of variables and whitened residuals, and no sensor."""
+"""Sparse Levenberg–Marquardt on manifolds. It operates on blocks of variables and whitened residuals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Block:
     retract: Callable[[Array, Array], Array]
     """Values (M, ...) and tangent vectors (M, dim) to values."""
     fixed: tuple[int, ...] = ()
-    """Variables that are known and do not move."""
+    """Indices of variables that are not estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +106,8 @@ def marginal_covariance(
         blocks: what kind of variable each block is.
         factors: the residuals.
         block: the block whose covariance is asked for.
-        prior: (dim,) standard deviations that a variable of the block is believed to have without any data: the
-            answer along directions that no residual sees.
+        prior: (dim,) prior standard deviations of a variable of the block: the result along unobservable
+            directions.
 
     Returns:
         (M·dim, M·dim) in the order of the block's variables; zero for fixed ones.
@@ -117,14 +117,16 @@ def marginal_covariance(
     dim = blocks[block].dim
     free = offsets[block][offsets[block] >= 0]
     columns = (free[:, None] + np.arange(dim)).ravel()
-    believed = np.zeros(size)
-    believed[columns] = np.tile(1 / prior**2, len(free))
-    # Variables that no residual touches must not make the system singular.
-    believed += 1e-12 * H.diagonal().max()
+    prior_information = np.zeros(size)
+    prior_information[columns] = np.tile(1 / prior**2, len(free))
+    # Variables without any residual would make the system singular.
+    prior_information += 1e-12 * H.diagonal().max()
     selector = scipy.sparse.csc_matrix(
         (np.ones(len(columns)), (columns, np.arange(len(columns)))), shape=(size, len(columns))
     )
-    found = scipy.sparse.linalg.splu((H + scipy.sparse.diags(believed)).tocsc()).solve(selector.toarray())[columns]
+    found = scipy.sparse.linalg.splu((H + scipy.sparse.diags(prior_information)).tocsc()).solve(
+        selector.toarray()
+    )[columns]
     position = (np.flatnonzero(offsets[block] >= 0)[:, None] * dim + np.arange(dim)).ravel()
     covariance = np.zeros((len(offsets[block]) * dim,) * 2)
     covariance[np.ix_(position, position)] = (found + found.T) / 2

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
-from calgraph.calibrate.strategies import select_averaging
+from calgraph.calibrate.strategies import select_averaging, select_depth_stddev
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.config import Rig
 from calgraph.diagnostics import (
@@ -70,7 +70,7 @@ def calibrate_tracks(
         tracked,
         rng,
         icp=options.icp,
-        feature=options.feature,
+        depth_stddev=select_depth_stddev(options.feature, rig.settings.baselines),
         jobs=options.jobs,
         progress=lambda done: progress("pairing", done),
         settings=settings,
@@ -81,7 +81,7 @@ def calibrate_tracks(
         pairs,
         observations,
         rng,
-        averaging=select_averaging(options.average),
+        averaging=select_averaging(options.average, rig.settings.baselines),
         weighted=options.weights == "weighted",
     )
     graph, names, averaged = initialization.graph, initialization.names, initialization.solution

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from calgraph.detection import Averaging
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, SolverOptions
 from calgraph.pairwise import MatchFilter
 from calgraph.result import Calibration
-from calgraph.tracking import CenterFeature
 
 NetworkEstimator = Literal["joint", "averaging"]
+PlaneMethod = Literal["pnp", "mean_plane"]
+CenterFeature = Literal["com", "ellipse", "nls"]
 AveragingMethod = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
 RigStart = Literal["tree", "identity"] | AveragingMethod
 Weights = Literal["uniform", "weighted"]
@@ -46,7 +46,7 @@ class RigOptions:
     """Number of folds of the cross-validation over captures; 0 for none."""
     start: RigStart = "tree"
     """Initialization of the joint solution: spanning tree, identity, or a method that averages all pairs."""
-    tags: Averaging = "pnp"
+    tags: PlaneMethod = "pnp"
     """A camera's plane: one PnP over all corners of tags, or the paper's average over tags (mean_plane)."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""

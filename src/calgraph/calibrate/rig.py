@@ -4,9 +4,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from calgraph.baselines import solve_hypergraph
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
-from calgraph.calibrate.strategies import select_initialization
+from calgraph.calibrate.strategies import select_initialization, select_plane_estimator, solve_baseline
 from calgraph.captures import (
     ActivityMeter,
     CaptureSet,
@@ -131,7 +130,7 @@ def collect_captures(
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
-    detect = make_detectors(rig, cameras, backgrounds, options.tags, rng)
+    detect = make_detectors(rig, cameras, backgrounds, select_plane_estimator(options.tags), rng)
 
     def detecting(done: float) -> None:
         progress("detecting", done / (len(holds) * len(rig.sensors)))
@@ -152,7 +151,7 @@ def build_problem_from_captures(
     pairs = estimate_pairs(
         detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
     )
-    start = select_initialization(options.start)
+    start = select_initialization(options.start, rig.settings.baselines)
     tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
@@ -197,7 +196,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
             keep=solver.keep, estimate=solver.estimate, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
-        joint = solve_hypergraph(tree, select_successful(pairs), captures.detections, keep=solver.keep)
+        joint = solve_baseline(problem, tree)
     return joint, tree
 
 

@@ -2,21 +2,79 @@
 
 from functools import partial
 
-from calgraph.calibrate.options import AveragingMethod, RigStart
-from calgraph.graph import Initialization, PoseAveraging
+from calgraph.calibrate.options import AveragingMethod, CenterFeature, PlaneMethod, RigStart
+from calgraph.config.settings import BaselineSettings
+from calgraph.detection import PlaneEstimator
+from calgraph.estimation import Problem, RigSolution
+from calgraph.graph import Initialization, PoseAveraging, SpanningTree
+from calgraph.pairwise import select_successful
+from calgraph.tracking import CenterEstimator, measure_centroids
 
 
-def select_averaging(method: AveragingMethod) -> PoseAveraging | None:
+def select_averaging(method: AveragingMethod, settings: BaselineSettings) -> PoseAveraging | None:
     """The averaging of a network's pairs; None for the consensus."""
     if method == "consensus":
         return None
     from calgraph.baselines import average_poses_by_rotations
 
-    return partial(average_poses_by_rotations, method=method)
+    return partial(average_poses_by_rotations, method=method, settings=settings)
 
 
-def select_initialization(start: RigStart) -> Initialization:
+def select_initialization(start: RigStart, settings: BaselineSettings) -> Initialization:
     """How a rig's start poses are computed."""
     if start == "tree" or start == "identity":
         return start
-    return select_averaging(start) or "consensus"
+    return select_averaging(start, settings) or "consensus"
+
+
+def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
+    """The estimator of a board's plane from its tags; None for one PnP over all corners."""
+    if method == "pnp":
+        return None
+    from calgraph.baselines import estimate_mean_plane
+
+    return estimate_mean_plane
+
+
+def select_center_estimator(feature: CenterFeature) -> CenterEstimator | None:
+    """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
+    match feature:
+        case "nls":
+            return None
+        case "com":
+            return measure_centroids
+        case "ellipse":
+            from calgraph.baselines import measure_direct_ellipses
+
+            return measure_direct_ellipses
+
+
+def select_depth_stddev(feature: CenterFeature, settings: BaselineSettings) -> float | None:
+    """Standard deviation of the distance from tracked to true centres, m; None for ellipses of fixed radii."""
+    match feature:
+        case "nls":
+            return None
+        case "com":
+            return settings.centroid_depth_stddev
+        case "ellipse":
+            return settings.direct_ellipse_depth_stddev
+
+
+def solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
+    """The solution of a rig by the hypergraph of MSG-Cal."""
+    from calgraph.baselines import solve_hypergraph
+
+    solution = solve_hypergraph(
+        tree,
+        select_successful(problem.pairs),
+        problem.captured.detections,
+        keep=problem.solver.keep,
+        settings=problem.rig.settings,
+    )
+    return RigSolution(
+        "hypergraph",
+        solution.T_root_sensor,
+        solution.joint_covariance,
+        solution.residuals,
+        converged=solution.converged,
+    )

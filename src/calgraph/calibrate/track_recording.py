@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
+from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.captures import to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
@@ -32,7 +33,7 @@ def track_people(
             scans,
             target,
             noise,
-            feature=options.feature,
+            centers=select_center_estimator(options.feature),
             settings=rig.settings.tracking,
             jobs=options.jobs,
             progress=tracking,

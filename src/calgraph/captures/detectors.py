@@ -10,10 +10,10 @@ from calgraph.captures.detect import Detector
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.detection import (
-    Averaging,
     CameraDetector,
     CloudBackground,
     DetectionResult,
+    PlaneEstimator,
     find_patches,
     find_segments,
     learn_cloud_background,
@@ -90,7 +90,7 @@ def make_detectors(
     rig: Rig,
     cameras: Mapping[str, CameraModel],
     backgrounds: Mapping[str, Background],
-    averaging: Averaging,
+    plane_estimator: PlaneEstimator | None,
     rng: np.random.Generator,
 ) -> Mapping[str, Detector]:
     """The detector of each sensor.
@@ -99,7 +99,7 @@ def make_detectors(
         rig: the rig.
         cameras: intrinsics by camera.
         backgrounds: by scanner; those without one search by size and shape.
-        averaging: how a camera estimates the plane of several tags.
+        plane_estimator: estimates the plane of boards with tags in place of one PnP over all corners.
         rng: source of the detectors' samples.
     """
     detectors: dict[str, Detector] = {}
@@ -108,7 +108,7 @@ def make_detectors(
         background = backgrounds.get(name)
         if isinstance(spec, CameraSpec):
             detectors[name] = CameraDetector(
-                rig.boards, cameras[name], spec.noise, averaging, rig.settings.detection.camera
+                rig.boards, cameras[name], spec.noise, plane_estimator, rig.settings.detection.camera
             ).find
         elif isinstance(spec, Lidar3dSpec):
             cloud_background = background if isinstance(background, CloudBackground) else None

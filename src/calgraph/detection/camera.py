@@ -1,9 +1,8 @@
 """Detection of boards in the images of one capture."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -19,7 +18,9 @@ from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel, Image
 
-Averaging = Literal["pnp", "mean_plane"]
+PlaneEstimator = Callable[[Marks, Array, CameraModel, float, BoardPoseSettings], tuple[Array, Array] | None]
+"""From marks, their corners in the board frame (M, k, 3), camera, noise (px) and settings to the plane (4,) and
+its covariance (3, 3)."""
 Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder
 
 _log = logging.getLogger(__name__)
@@ -45,8 +46,7 @@ class CameraDetector:
         boards: the rig's boards; those without a print are not detected.
         camera: intrinsics of the images.
         noise: start value of the corners' noise.
-        averaging: ``pnp`` takes the plane from one PnP over all corners; ``mean_plane`` is MSG-Cal's: the mean
-            of the normals and of the offsets of one PnP a tag (boards without tags: as ``pnp``).
+        plane_estimator: estimates the plane of boards with tags in place of one PnP over all corners.
         settings: of the detection.
 
     Raises:
@@ -58,10 +58,10 @@ class CameraDetector:
         boards: Sequence[Board],
         camera: CameraModel,
         noise: PixelNoise,
-        averaging: Averaging = "pnp",
+        plane_estimator: PlaneEstimator | None = None,
         settings: CameraDetectionSettings = CameraDetectionSettings(),
     ) -> None:
-        self._camera, self._noise, self._averaging, self._settings = camera, noise, averaging, settings
+        self._camera, self._noise, self._plane_estimator, self._settings = camera, noise, plane_estimator, settings
         self._printed = _make_finders(boards, settings)
 
     def find(self, images: Sequence[Image]) -> tuple[BoardCorners, ...] | Rejected:
@@ -184,11 +184,11 @@ class CameraDetector:
     def _make_detection(self, printed: _PrintedBoard, marks: Marks, pose: BoardPose) -> BoardCorners:
         corners = printed.landmarks.corners_of(marks.ids)
         detection = make_board_corners(pose, corners, marks.pixels, printed.number)
-        if self._averaging == "mean_plane" and marks.pixels.shape[1] == 4:
+        if self._plane_estimator and marks.pixels.shape[1] == 4:
             sigma = max(self._noise.pixel, pose.rms)
-            mean = mean_plane(marks, corners, self._camera, sigma, self._settings.pose)
-            if mean is not None:
-                detection = replace(detection, plane=mean[0], plane_covariance=mean[1])
+            estimate = self._plane_estimator(marks, corners, self._camera, sigma, self._settings.pose)
+            if estimate is not None:
+                detection = replace(detection, plane=estimate[0], plane_covariance=estimate[1])
         return detection
 
 
@@ -219,43 +219,11 @@ def find_boards(
     camera: CameraModel,
     noise: PixelNoise,
     *,
-    averaging: Averaging = "pnp",
+    plane_estimator: PlaneEstimator | None = None,
     settings: CameraDetectionSettings = CameraDetectionSettings(),
 ) -> tuple[BoardCorners, ...] | Rejected:
     """Every board in the images of one capture; :class:`CameraDetector` for many captures."""
-    return CameraDetector(boards, camera, noise, averaging, settings).find(images)
-
-
-def mean_plane(
-    marks: Marks, corners: Array, camera: CameraModel, sigma: float, settings: BoardPoseSettings
-) -> tuple[Array, Array] | None:
-    """The mean of the planes of single tags (MSG-Cal, section III-C): plane (4,) and covariance (3, 3).
-
-    None if no tag by itself determines its plane.
-    """
-    planes, covariances = [], []
-    for i in range(len(marks)):
-        pose = fit_pose(marks.ids[i : i + 1], corners[i : i + 1], marks.pixels[i : i + 1], camera, sigma, settings)
-        if isinstance(pose, Rejected):
-            continue
-        one = plane.from_pose(pose.T_camera_board)
-        chart = _chart(one[:3])
-        planes.append(one)
-        covariances.append(chart @ plane_covariance(pose.T_camera_board, pose.covariance) @ chart.T)
-    if not planes:
-        return None
-    mean = np.mean(planes, axis=0)
-    mean[:3] /= np.linalg.norm(mean[:3])
-    back = _chart(mean[:3]).T
-    return mean, np.asarray(back @ np.sum(covariances, axis=0) @ back.T / len(planes) ** 2)
-
-
-def _chart(normal: Array) -> Array:
-    """Derivative (4, 3) of a plane by its tangent vector in ``plane.retract``."""
-    J = np.zeros((4, 3))
-    J[:3, :2] = plane.tangent_basis(normal)
-    J[3, 2] = 1
-    return J
+    return CameraDetector(boards, camera, noise, plane_estimator, settings).find(images)
 
 
 def _average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | Rejected:

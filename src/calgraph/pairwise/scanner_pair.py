@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import HypothesisSettings, RegistrationSettings, ScannerPairSettings
+from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import StaticBackground, align_backgrounds
@@ -32,7 +32,7 @@ from calgraph.pairwise.track_registration import (
 )
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.processes import parallel_map
-from calgraph.tracking import CenterFeature, ScannerTracks
+from calgraph.tracking import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
@@ -116,7 +116,7 @@ def estimate_scanner_pairs(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    feature: CenterFeature = "nls",
+    depth_stddev: float | None = None,
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
     settings: ScannerPairSettings = ScannerPairSettings(),
@@ -127,7 +127,8 @@ def estimate_scanner_pairs(
         tracked: tracks and background of each scanner, by its name.
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        feature: how the centres of tracked objects were estimated.
+        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
+            of the settings if None.
         jobs: maximum number of processes, see :func:`calgraph.processes.parallel_map`; does not affect the result.
         progress: called with the completed fraction, 0..1.
         settings: gates, priors and limits.
@@ -137,7 +138,7 @@ def estimate_scanner_pairs(
     pairs = [(scanners[a], scanners[b]) for a, b in names]
     # Random numbers are drawn here in a fixed order, so that results do not depend on the number of processes.
     proposals = [_propose_hypotheses(a, b, rng, settings) for a, b in pairs]
-    work = [(names[k], *pairs[k], proposals[k], icp, feature, settings) for k in range(len(names))]
+    work = [(names[k], *pairs[k], proposals[k], icp, depth_stddev, settings) for k in range(len(names))]
     found = parallel_map(_evaluate_hypotheses, work, jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress)
     return dict(zip(names, found, strict=True))
 
@@ -150,7 +151,7 @@ def estimate_scanner_pair(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    feature: CenterFeature = "nls",
+    depth_stddev: float | None = None,
     settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> ScannerPairEstimate | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners tracked.
@@ -162,7 +163,8 @@ def estimate_scanner_pair(
         b: those of b.
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        feature: how the centres of tracked objects were estimated.
+        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
+            of the settings if None.
         settings: gates, priors and limits.
 
     Returns:
@@ -170,7 +172,7 @@ def estimate_scanner_pair(
     """
     of_a, of_b = _ScannerData.from_tracks(a, settings), _ScannerData.from_tracks(b, settings)
     proposals = _propose_hypotheses(of_a, of_b, rng, settings)
-    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, feature, settings)
+    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, depth_stddev, settings)
 
 
 def _propose_hypotheses(
@@ -195,14 +197,15 @@ def _evaluate_hypotheses(
     b: _ScannerData,
     proposals: Array | Rejected,
     icp: bool,
-    feature: CenterFeature,
+    depth_stddev: float | None,
     settings: ScannerPairSettings,
 ) -> ScannerPairEstimate | Rejected:
     """Registers and scores proposed poses, coarsely, then finely."""
     if isinstance(proposals, Rejected):
         return proposals
     limits = settings.hypotheses
-    depth_stddev = _depth_stddev(feature, settings.registration)
+    if depth_stddev is None:
+        depth_stddev = settings.registration.depth_stddev
     pairs = pair_samples(a.observations.samples, b.observations.samples)
     wanted = limits.rough_pairs, limits.coarse_pairs, limits.fine_pairs
     rough, coarse, fine = (_subsample_pairs(pairs, count, limits.min_samples) for count in wanted)
@@ -253,17 +256,6 @@ def _evaluate_hypotheses(
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
-
-
-def _depth_stddev(feature: CenterFeature, settings: RegistrationSettings) -> float:
-    """Prior standard deviation of the distance from tracked to true centres along the beam, m."""
-    match feature:
-        case "com":
-            return settings.depth_stddev_com
-        case "ellipse":
-            return settings.depth_stddev_ellipse
-        case "nls":
-            return settings.depth_stddev_nls
 
 
 def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:

@@ -1,22 +1,17 @@
-"""Centre of an object from its points in one scan: three estimators, of rising effort and accuracy."""
+"""Centre of an object from its points in one scan: the centroid, and the fit of an ellipse of known radii."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, People
 from calgraph.config.settings import CentroidSettings, EllipseSettings, TrackingSettings
-from calgraph.geometry import Array, ellipse
+from calgraph.geometry import Array
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.ellipse_fit import OrientationPrior, PointGroups, fit_ellipses
 
-CenterFeature = Literal["com", "ellipse", "nls"]
-
-# Radii of a free ellipse are plausible within these multiples of the target's.
-_RADIUS_BOUNDS = (0.3, 2.0)
 # Objects are fitted in batches of similar size, so that padding stays small.
 _BATCH = 2048
 
@@ -55,88 +50,55 @@ def target_width(target: People | Cylinder) -> float:
     return 2 * max(target_radii(target))
 
 
-def measure_centers(
-    feature: CenterFeature,
-    objects: Clusters,
-    target: People | Cylinder,
-    velocities: ObjectVelocities,
-    sigma: float,
-    settings: TrackingSettings,
+CenterEstimator = Callable[[Clusters, People | Cylinder, float, TrackingSettings], MeasuredCenters]
+"""From objects, what they are, the noise of a point (m) and settings to their centres."""
+
+
+def measure_centroids(
+    objects: Clusters, target: People | Cylinder, sigma: float, settings: TrackingSettings
 ) -> MeasuredCenters:
-    """Measures the centres of objects.
+    """Centroids of the objects' points, whose offset from the centres is a bias.
 
     Args:
-        feature: ``com``, the centre of mass of the points; ``ellipse``, the centre of Fitzgibbon's ellipse, or the
-            centre of mass moved back by the target's radius where that is not plausible; ``nls``, the centre of an
-            ellipse with the target's radii.
         objects: whose centres are measured.
         target: what they are.
-        velocities: of the objects; people's shoulders are across their walk.
         sigma: noise of a point, m.
         settings: of tracking.
     """
-    if feature == "com":
-        return _measure_centroids(objects, target_radii(target), sigma, settings.centroid)
-    if feature == "ellipse":
-        return _measure_direct_ellipses(objects, target_radii(target), sigma, settings.centroid)
-    radius_error = 0.0 if isinstance(target, Cylinder) else settings.ellipse.people_radius_error
-    return _measure_fixed_ellipses(
-        objects, target_radii(target), velocities, sigma, radius_error, settings.ellipse
-    )
-
-
-def _measure_centroids(
-    objects: Clusters, radii: tuple[float, float], sigma: float, settings: CentroidSettings
-) -> MeasuredCenters:
-    radius = float(np.mean(radii))
-    bias = _radial_covariances(
+    radius = float(np.mean(target_radii(target)))
+    bias = radial_covariances(
         objects.centroids,
-        np.full(len(objects), (settings.depth * radius) ** 2),
-        _lateral_sigma(objects, radius, settings) ** 2,
+        np.full(len(objects), (settings.centroid.depth * radius) ** 2),
+        lateral_sigma(objects, radius, settings.centroid) ** 2,
     )
     # The outermost beams on an object differ from scan to scan: variance of two uniform edges.
     edge = np.linalg.norm(objects.centroids, axis=-1) * objects.spacing / np.sqrt(24)
-    noise = _radial_covariances(
+    noise = radial_covariances(
         objects.centroids,
-        sigma**2 / objects.count + (settings.lateral_sigma * radius) ** 2,
+        sigma**2 / objects.count + (settings.centroid.lateral_sigma * radius) ** 2,
         sigma**2 / objects.count + edge**2,
     )
     return MeasuredCenters(objects.centroids, noise, bias)
 
 
-def _measure_direct_ellipses(
-    objects: Clusters, radii: tuple[float, float], sigma: float, settings: CentroidSettings
-) -> MeasuredCenters:
-    shapes = _map_batches(objects, 5, lambda groups, _: ellipse.fit_direct(groups.points, groups.used))
-    with np.errstate(invalid="ignore"):
-        plausible = (shapes[:, 4] > _RADIUS_BOUNDS[0] * min(radii)) & (
-            shapes[:, 3] < _RADIUS_BOUNDS[1] * max(radii)
-        )
-        plausible &= np.linalg.norm(shapes[:, :2] - objects.centroids, axis=-1) < _RADIUS_BOUNDS[1] * max(radii)
-    centroids = _measure_centroids(objects, radii, sigma, settings)
-    radius = float(np.mean(radii))
-    sight = objects.centroids / np.maximum(np.linalg.norm(objects.centroids, axis=-1, keepdims=True), 1e-9)
-    positions = np.where(plausible[:, None], shapes[:, :2], objects.centroids + settings.depth * radius * sight)
-    # Free radii and the centre are correlated along the line of sight; residuals do not measure by how much.
-    across = sigma**2 / objects.count + _lateral_sigma(objects, radius, settings) ** 2
-    free = _radial_covariances(objects.centroids, np.full(len(objects), (0.5 * radius) ** 2), across)
-    moved_back = _radial_covariances(
-        objects.centroids,
-        np.full(len(objects), (0.25 * radius) ** 2),
-        _lateral_sigma(objects, radius, settings) ** 2,
-    )
-    noise = np.where(plausible[:, None, None], free, centroids.noise)
-    return MeasuredCenters(positions, noise, np.where(plausible[:, None, None], 0.0, moved_back))
-
-
-def _measure_fixed_ellipses(
+def measure_fixed_ellipses(
     objects: Clusters,
-    radii: tuple[float, float],
+    target: People | Cylinder,
     velocities: ObjectVelocities,
     sigma: float,
-    radius_error: float,
     settings: EllipseSettings,
 ) -> MeasuredCenters:
+    """Centres of ellipses with the target's radii, fitted to the objects' points.
+
+    Args:
+        objects: whose centres are measured.
+        target: what they are.
+        velocities: of the objects; people's shoulders are across their walk.
+        sigma: noise of a point, m.
+        settings: of the fit.
+    """
+    radii = target_radii(target)
+    radius_error = 0.0 if isinstance(target, Cylinder) else settings.people_radius_error
     speed = np.linalg.norm(velocities.values, axis=-1)
     heading = np.arctan2(velocities.values[:, 1], velocities.values[:, 0])
     with np.errstate(divide="ignore"):
@@ -155,14 +117,14 @@ def _measure_fixed_ellipses(
         )
         return np.concatenate([fits.centers, fits.covariances.reshape(-1, 4)], axis=-1)
 
-    result = _map_batches(objects, 6, fit_batch)
+    result = map_batches(objects, 6, fit_batch)
     radius = float(np.mean(radii))
     occlusion_variance = np.where(objects.clipped, (settings.clipped_sigma * radius) ** 2, 0.0)
     noise = result[:, 2:].reshape(-1, 2, 2) + occlusion_variance[:, None, None] * np.eye(2)
     # Wrong radii shift the centre along the line of sight; laterally the outline's edges constrain it.
     along = np.full(len(objects), (radius_error * radius) ** 2)
     return MeasuredCenters(
-        result[:, :2], noise, _radial_covariances(objects.centroids, along, settings.lateral_bias**2 * along)
+        result[:, :2], noise, radial_covariances(objects.centroids, along, settings.lateral_bias**2 * along)
     )
 
 
@@ -183,12 +145,13 @@ def _estimate_point_sigma(
     return float(sigma * np.sqrt(max(1.0, np.median(fits.reduced_chi2))))
 
 
-def _lateral_sigma(objects: Clusters, radius: float, settings: CentroidSettings) -> Array:
+def lateral_sigma(objects: Clusters, radius: float, settings: CentroidSettings) -> Array:
+    """(C,) standard deviation of centroids across the line of sight, m."""
     ratio = np.where(objects.clipped, settings.clipped_lateral_sigma, settings.lateral_sigma)
     return ratio * radius
 
 
-def _radial_covariances(points: Array, along: Array, across: Array) -> Array:
+def radial_covariances(points: Array, along: Array, across: Array) -> Array:
     """Covariances (C, 2, 2) with the given variances along and across the lines of sight to points (C, 2)."""
     sight = points / np.maximum(np.linalg.norm(points, axis=-1, keepdims=True), 1e-9)
     side = np.stack([-sight[:, 1], sight[:, 0]], axis=-1)
@@ -198,7 +161,7 @@ def _radial_covariances(points: Array, along: Array, across: Array) -> Array:
     )
 
 
-def _map_batches(
+def map_batches(
     objects: Clusters, columns: int, measure: Callable[[PointGroups, NDArray[np.intp]], Array]
 ) -> Array:
     """Calls ``measure`` with batches of the objects and their indices; its rows (., columns), in order."""

@@ -6,7 +6,7 @@ from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.config.settings import TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.processes import parallel_map
-from calgraph.tracking.features import CenterFeature
+from calgraph.tracking.features import CenterEstimator
 from calgraph.tracking.scan_stack import ScanRun
 from calgraph.tracking.track import ScannerTracks
 from calgraph.tracking.track_scanner import track_runs
@@ -20,7 +20,7 @@ def track_scanners(
     target: People | Cylinder,
     noise: Mapping[str, RangeNoise],
     *,
-    feature: CenterFeature = "nls",
+    centers: CenterEstimator | None = None,
     settings: TrackingSettings = TrackingSettings(),
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
@@ -33,7 +33,7 @@ def track_scanners(
         scans: by scanner.
         target: what moves.
         noise: by scanner.
-        feature: how centres are measured.
+        centers: measures the centres of objects in place of the fit of ellipses.
         settings: of tracking.
         jobs: processes at most, see :func:`calgraph.processes.parallel_map`.
         progress: called with the fraction done, 0 to 1.
@@ -42,6 +42,6 @@ def track_scanners(
         CalibrationError: a process was killed.
     """
     beams = sum(run.ranges.size for runs in scans.values() for run in runs)
-    work = [(runs, target, noise[name], feature, settings) for name, runs in scans.items()]
+    work = [(runs, target, noise[name], centers, settings) for name, runs in scans.items()]
     found = parallel_map(track_runs, work, jobs if beams > _MIN_PARALLEL_BEAMS else 1, progress)
     return dict(zip(scans, found, strict=True))

@@ -13,10 +13,11 @@ from calgraph.sensors import LaserScan
 from calgraph.tracking.association import associate
 from calgraph.tracking.clusters import Clusters, cluster_foreground, subtract_background
 from calgraph.tracking.features import (
-    CenterFeature,
+    CenterEstimator,
     MeasuredCenters,
     ObjectVelocities,
-    measure_centers,
+    measure_centroids,
+    measure_fixed_ellipses,
     target_radii,
     target_width,
 )
@@ -34,7 +35,7 @@ def track_scanner(
     target: People | Cylinder,
     noise: RangeNoise,
     *,
-    feature: CenterFeature = "nls",
+    centers: CenterEstimator | None = None,
     settings: TrackingSettings = TrackingSettings(),
 ) -> ScannerTracks | Rejected:
     """Tracks everything that moves through the view of a stationary scanner (lrf-network, sections III-B and C).
@@ -43,20 +44,20 @@ def track_scanner(
         scans: in order of time.
         target: what moves: people, or a cylinder.
         noise: of the scanner; used only where the static background is too sparse to measure it.
-        feature: how centres are measured, see :func:`calgraph.tracking.features.measure_centers`.
+        centers: measures the centres of objects in place of the fit of ellipses.
         settings: of tracking.
 
     Returns:
         Tracks and background, or the reason why there are none.
     """
-    return track_runs(stack_scans(scans), target, noise, feature, settings)
+    return track_runs(stack_scans(scans), target, noise, centers, settings)
 
 
 def track_runs(
     runs: Sequence[ScanRun],
     target: People | Cylinder,
     noise: RangeNoise,
-    feature: CenterFeature,
+    centers: CenterEstimator | None,
     settings: TrackingSettings,
 ) -> ScannerTracks | Rejected:
     """Tracks as :func:`track_scanner` does, from stacked scans."""
@@ -79,7 +80,10 @@ def track_runs(
     ]
     segments = split_into_periods(identities, objects.scan, objects.times, settings.motion.max_undetected)
     velocities = _estimate_velocities(objects, segments, target, sigma, settings)
-    measured = measure_centers(feature, objects, target, velocities, sigma, settings)
+    if centers:
+        measured = centers(objects, target, sigma, settings)
+    else:
+        measured = measure_fixed_ellipses(objects, target, velocities, sigma, settings.ellipse)
     tracks = _build_tracks(segments, objects, measured, settings)
     if not tracks:
         motion = settings.motion
@@ -110,7 +114,7 @@ def _estimate_velocities(
 ) -> ObjectVelocities:
     """Velocities of the objects from their smoothed centroids."""
     velocities = ObjectVelocities(np.zeros((len(objects), 2)), np.full(len(objects), np.inf))
-    measured = measure_centers("com", objects, target, velocities, sigma, settings)
+    measured = measure_centroids(objects, target, sigma, settings)
     for track in smooth_segments([segment.members for segment in segments], objects.times, measured, settings):
         velocities.values[track.members] = track.mean[:, 2:]
         velocities.variances[track.members] = np.trace(track.covariance[:, 2:, 2:], axis1=1, axis2=2) / 2

@@ -1,7 +1,29 @@
 """Settings of the papers' estimators."""
 
+import numpy as np
+from pydantic import Field
+
 from calgraph.config.strict_model import StrictModel
 
 
 class BaselineSettings(StrictModel):
-    """The hypergraph and the published averages."""
+    """The hypergraph, the published averages and the published features."""
+
+    held_stddev: float = Field(default=0.01, gt=0)
+    """m and rad; the hypergraph holds a direction that a pair of the tree does not observe with this standard
+    deviation at its start value: tight beside the limit of an observed direction (`pairwise.board.max_stddev`)."""
+    prior_translation_stddev: float = Field(default=10.0, gt=0)
+    """m; standard deviation that the hypergraph states for unobservable positions: the size of a scene."""
+    prior_rotation_stddev: float = Field(default=float(np.pi), gt=0)
+    """rad; the same for unobservable rotations: any angle."""
+    stated_noise_weight: float = Field(default=3.0, gt=0)
+    """Weight of the stated noise in the variance factor of the hypergraph, in numbers of measurements: the stated
+    noise is right to a factor of about 1.5, as for the bundle."""
+    max_inlier_angle: float = Field(default=float(np.radians(5)), gt=0)
+    """rad (5°); edges that differ more from the averaged rotations are outliers: above the noise of pairs (0.2 to
+    2°), and small beside the error of wrong ones."""
+    centroid_depth_stddev: float = Field(default=0.2, gt=0)
+    """m; prior standard deviation of the distance from centroids to true centres along the beam: that of a half
+    circle lies 0.6 to 0.8 of the radius before the centre."""
+    direct_ellipse_depth_stddev: float = Field(default=0.05, gt=0)
+    """m; the same for direct ellipse fits, whose size is unknown."""

@@ -148,13 +148,9 @@ class RegistrationSettings(StrictModel):
     """Its lower limit, m: a few matches may coincide by chance."""
     clock_stddev: Positive = 0.01
     """Prior standard deviation of the clock offset of two scanners, s: clocks synchronized by NTP."""
-    depth_stddev_nls: Positive = 0.03
+    depth_stddev: Positive = 0.03
     """Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of
     fixed size: bodies differ from it by some centimetres."""
-    depth_stddev_ellipse: Positive = 0.05
-    """The same for direct ellipse fits, m, whose size is unknown."""
-    depth_stddev_com: Positive = 0.2
-    """The same for centres of mass, m: that of a half circle lies 0.6 to 0.8 of the radius before the centre."""
     systematic_stddev: Positive = 0.008
     """Standard deviation of errors that do not average out, m: the sides of a body and its gait as measured from
     two directions."""

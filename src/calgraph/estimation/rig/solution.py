@@ -3,10 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, diagonal_blocks
 from calgraph.result import EstimatedParameter
 
 
@@ -50,8 +48,6 @@ class RigSolution:
     """By capture and sensor, why a detection was rejected although it was an inlier of a pair."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
     """By sensor, where it was estimated."""
-    graph_error: float = float("nan")
-    """Sum of squared errors over all of a hypergraph's edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
     extra_parameters: tuple[EstimatedParameter, ...] = ()
     """Parameters estimated besides poses."""
     solved_bundle: SolvedBundle | None = None
@@ -60,6 +56,4 @@ class RigSolution:
     @property
     def covariance(self) -> dict[str, Array]:
         """(6, 6) by sensor, in the root's fixed axes; zero for the root."""
-        count = len(self.T_root_sensor)
-        blocks = self.joint_covariance.reshape(count, 6, count, 6)[np.arange(count), :, np.arange(count)]
-        return dict(zip(self.T_root_sensor, blocks, strict=True))
+        return dict(zip(self.T_root_sensor, diagonal_blocks(self.joint_covariance, 6), strict=True))
