@@ -64,7 +64,7 @@ def test_boards_of_the_background_are_no_candidates(known: bool) -> None:
     decoded: list[str] = []
     window = records("/points", [cloud(-0.6)] * 3, decoded) + records("/scan", [scan(-0.6)] * 3, decoded)
     backgrounds = learn_backgrounds(window, RIG) if known else {}
-    detectors = make_detectors(RIG, {}, backgrounds, "pnp", np.random.default_rng(0))
+    detectors = make_detectors(RIG, {}, backgrounds, None, np.random.default_rng(0))
     patches = detectors["lidar"]([cloud(-0.6, 0.5)])
     segments = detectors["laser"]([scan(-0.6, 0.5)])
     assert not isinstance(patches, Rejected)
@@ -106,7 +106,7 @@ def test_samples_depend_on_seed_and_stamp_only() -> None:
     clouds = [cloud(0.5, stamp=t) for t in (1.0, 2.0)]
     planes = []
     for order in (clouds, clouds[::-1]):
-        detect = make_detectors(RIG, {}, {}, "pnp", np.random.default_rng(7))["lidar"]
+        detect = make_detectors(RIG, {}, {}, None, np.random.default_rng(7))["lidar"]
         found = {c.stamp: detect([c]) for c in order}
         planes.append([found[t][0].plane for t in (1.0, 2.0)])  # type: ignore[index,union-attr]
     np.testing.assert_array_equal(planes[0], planes[1])

@@ -12,14 +12,14 @@ import pytest
 from calgraph.calibrate.options import CenterFeature
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import Cylinder, People, RangeNoise
-from calgraph.config.settings import TrackingSettings
+from calgraph.config.settings import EllipseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import ScannerTracks, Track, track_scanner
 from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.features import ObjectVelocities, measure_centers
+from calgraph.tracking.features import ObjectVelocities, measure_fixed_ellipses
 from walking_scenes import Walk, World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")
@@ -287,5 +287,5 @@ def test_what_hides_behind_an_occluder_is_part_of_the_noise() -> None:
             points, one, np.full(1, 21), one, np.zeros(1), np.zeros(21), np.full(1, 0.005), np.array([clipped])
         )
         still = ObjectVelocities(np.zeros((1, 2)), np.full(1, np.inf))
-        noise.append(measure_centers("nls", objects, CYLINDER, still, 0.01, TrackingSettings()).noise[0])
+        noise.append(measure_fixed_ellipses(objects, CYLINDER, still, 0.01, EllipseSettings()).noise[0])
     assert np.sqrt(noise[1][0, 0] - noise[0][0, 0]) == pytest.approx(0.15 * 0.25, rel=0.1)
