@@ -162,12 +162,12 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
 
 def build_scenario(cell: Cell) -> NetworkScenario:
     """The scenario of a recording."""
-    knobs: dict[str, Any] = {**SCENARIOS[cell.scenario], "people": {"count": cell.people}}
+    parameters: dict[str, Any] = {**SCENARIOS[cell.scenario], "people": {"count": cell.people}}
     if cell.condition == "clocks":
-        knobs["scanner"] = {"clock_offset": CLOCKS}
+        parameters["scanner"] = {"clock_offset": CLOCKS}
     if cell.condition == "arms":
-        knobs["people"]["swing"] = ARMS
-    return NetworkScenario(**knobs)
+        parameters["people"]["swing"] = ARMS
+    return NetworkScenario(**parameters)
 
 
 def apply_condition(rig: Rig, cell: Cell, seed: int) -> Rig:

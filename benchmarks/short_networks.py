@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     with ProcessPoolExecutor(args.jobs) as pool:
-        found = list(pool.map(outcome, range(args.first, args.first + args.seeds)))
+        found = list(pool.map(run, range(args.first, args.first + args.seeds)))
     errors, nees = (np.concatenate(columns) for columns in list(zip(*found, strict=True))[:2])
     wrong = find_gross_errors(errors)
     print(f"{args.seeds} recordings: {np.sum(~wrong)} scanners right, {np.sum(wrong)} grossly wrong, ", end="")
@@ -49,14 +49,14 @@ def main() -> None:
     print(f"NEES per degree of freedom of the right ones {np.mean(nees[~wrong]):.2f}")
 
 
-def outcome(seed: int) -> Outcome:
+def run(seed: int) -> Outcome:
     """Simulates and calibrates one recording."""
-    network = build_network(NetworkScenario(**knobs(np.random.default_rng(10000 + seed))), seed)
+    network = build_network(NetworkScenario(**draw_scenario(np.random.default_rng(10000 + seed))), seed)
     rig, truth = network_rig(network), project_poses(network_truth(network))
-    followed = track_scanners(
+    tracked = track_scanners(
         rig, {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}, "nls"
     )
-    found = calibrate_tracks(rig, followed, NetworkOptions(seed=seed))
+    found = calibrate_tracks(rig, tracked, NetworkOptions(seed=seed))
     others = [sensor for sensor in found.sensors if sensor.name != rig.root]
     rows = np.ix_((0, 1, 3), (0, 1, 3))
     off = np.array([se2.difference(sensor.T_root_sensor[rows], truth[sensor.name]) for sensor in others])
@@ -67,8 +67,8 @@ def outcome(seed: int) -> Outcome:
     return Outcome(errors, np.array(nees), len(found.evidence.unconnected))
 
 
-def knobs(rng: np.random.Generator) -> dict[str, Any]:
-    """Of one recording, at random."""
+def draw_scenario(rng: np.random.Generator) -> dict[str, Any]:
+    """Random parameters of a scenario."""
     layout = str(rng.choice(list(LAYOUTS), p=list(LAYOUTS.values())))
     count = int(rng.integers(3, 5 if layout == "halls" else 7))
     return {

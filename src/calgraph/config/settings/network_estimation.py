@@ -63,7 +63,7 @@ class BeamSettings(StrictModel):
     noise, this one 64 %, but the former takes swinging arms for the torso."""
     initial_near_side_factor: float = Field(default=2.5, ge=1)
     """In the first rounds, the limit is divided by this for beams that end in front of the outline. Arms are in
-    front of the torso or beside it, never behind, and an outline that once fits arms keeps them."""
+    front of the torso or beside it, never behind, and an outline that is fitted to arms keeps them."""
     min_cos_incidence: float = Field(default=0.35, gt=0.05, lt=1)
     """Least cosine of incidence, 70°: beyond, errors of a beam's direction exceed those of its range (1 mrad at 5
     m gives 14 mm), and its width covers more than the outline."""
@@ -138,7 +138,7 @@ class NetworkEstimationSettings(StrictModel):
     """The same before the second solution."""
     iterations: int = Field(default=4, ge=1)
     """Levenberg–Marquardt steps of each solution: weights and noise change between solutions, so that none needs
-    to converge on its own."""
+    to converge."""
     max_rounds: int = Field(default=5, ge=1)
     """Rounds of noise, weights, model error, walls and solution. Over 21 simulated offices, halls and labs, two
     rounds give a NEES of 0.59, five 0.96, and ten change nothing."""

@@ -56,7 +56,7 @@ def _extract_given_poses(calibration: Calibration) -> PlanarPoses:
 def _assess_scanner(
     sensor: SensorComparison, moved: MovedScanner | None, tolerance: Tolerance
 ) -> SensorComparison:
-    """The result of a scanner's own comparison, overruled by the joint test for moved scanners."""
+    """The result of a scanner's comparison, overruled by the joint test for moved scanners."""
     if moved is None:
         return replace(sensor, outcome="warn") if sensor.outcome == "fail" else sensor
     far = moved.distance > tolerance.position or abs(moved.rotation) > tolerance.rotation

@@ -1,7 +1,7 @@
 """Finds the headings of people who turn on the spot: the best sequence on a grid, by dynamic programming.
 
-Where people turn round, the path does not tell to which side, and least squares does not get from one side to the
-other; the outlines measured meanwhile decide. An ellipse has no front: headings are modulo π.
+Where people turn round, the path does not determine the side, and least squares does not get from one side to the
+other; the ranges to the outline do. An ellipse has no front: headings are modulo π.
 """
 
 from dataclasses import replace

@@ -41,6 +41,8 @@ _TOLERANCE = 1e-6
 # Larger than elsewhere: with few steps in each round, rejected ones are expensive. With 1e-5, one of 24 simulated
 # networks, of wrongly stated radii, did not converge.
 _INITIAL_DAMPING = 1e-3
+# Least radius, m: steps must not make an ellipse degenerate. Bodies are several times larger.
+_MIN_RADIUS = 0.02
 # Pairs of the four control points that a scan depends on.
 _EARLIER, _LATER = np.triu_indices(4)
 # Zero-gradient information (1/m², 1/m², 1/rad²) of poses: keeps a scanner in place where robust weights leave it
@@ -141,7 +143,7 @@ def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) ->
     """The state after steps (4S,) of scanners and clocks, and (3K + 2,) of each body's path and radii."""
     steps = step.reshape(-1, 4)
     paths = tuple(
-        BodyPath(path.control + body[:-2].reshape(-1, 3), np.maximum(path.radii + body[-2:], 0.02))
+        BodyPath(path.control + body[:-2].reshape(-1, 3), np.maximum(path.radii + body[-2:], _MIN_RADIUS))
         for path, body in zip(state.paths, body_steps, strict=True)
     )
     return NetworkState(se2.retract(state.T_root_scanner, steps[:, :3]), state.clock_offset + steps[:, 3], paths)

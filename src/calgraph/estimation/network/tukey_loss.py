@@ -58,10 +58,10 @@ class TukeyLoss:
     def median_shrinkage(self) -> float:
         """By how much the median absolute residual shrinks per leverage of the residuals on a fitted model.
 
-        It is the effect of a residual on its own prediction, less the noise that other residuals add to it.
+        It is the effect of a measurement on its prediction, less the noise that the others add to it.
         """
-        own_effect = (1 - (_MEDIAN / self.limit) ** 2) ** 2 / self._expected_score_derivative
-        return own_effect - self._expected_squared_score / self._expected_score_derivative**2 / 2
+        effect = (1 - (_MEDIAN / self.limit) ** 2) ** 2 / self._expected_score_derivative
+        return effect - self._expected_squared_score / self._expected_score_derivative**2 / 2
 
     def compute_weights(self, residual: Array, used: NDArray[np.bool_], near_side_factor: float = 1.0) -> Array:
         """(N,) scaled weights, whose sum is the information of the residuals.
