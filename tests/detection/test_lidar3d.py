@@ -300,6 +300,22 @@ def test_points_beside_the_fitted_rectangle_are_not_the_boards(rng: np.random.Ge
     assert np.linalg.norm(best.center - T_SENSOR_BOARD[:3, 3]) < 0.05
 
 
+@pytest.mark.parametrize(("height", "margin"), [(0.10, 0.0), (0.24, 0.02)])
+def test_points_near_the_outline_are_left_out_unless_too_few_remain(
+    height: float, margin: float, rng: np.random.Generator
+) -> None:
+    """Within 2 cm of all edges lie 42 % of the points of a board of 0.10 m, and 20 % of one of 0.24 m."""
+    narrow = Board(size=(1.0, height))
+    precise = RangeNoise(range=0.002, angle=1e-5)
+    T = se3.pose(
+        so3.exp(np.array([0, -np.pi / 2, 0])) @ so3.exp(np.array([0, 0, np.pi / 2])), np.array([1.5, 0, 0])
+    )
+    cloud = measure([rectangle(T, narrow.size)], spinner(planes=1600, beams=600), rng, noise=precise)
+    best = accepted(find_patches([cloud], [narrow], precise, None, rng))[0]
+    on_board = np.abs(se3.apply(se3.inverse(T), best.points)[:, 1])
+    assert height / 2 - on_board.max() == pytest.approx(margin, abs=0.006)
+
+
 def rejection(result: tuple[PlanePatch, ...] | Rejected) -> str:
     assert isinstance(result, Rejected), result
     return result.reason
