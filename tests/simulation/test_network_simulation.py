@@ -179,6 +179,8 @@ def test_the_recording_holds_the_simulated_scans(tmp_path: Path) -> None:
 def test_rig_yaml_can_be_read(tmp_path: Path) -> None:
     simulate_network(SHORT, tmp_path, 3)
     assert tuple(load_rig(tmp_path / "rig.yaml").sensors) == SHORT.names
+    # Settings stay at the defaults of the version that reads the file.
+    assert "settings" not in (tmp_path / "rig.yaml").read_text()
 
 
 def test_truth_yaml_holds_the_truth(tmp_path: Path) -> None:

@@ -177,6 +177,7 @@ def test_recording_comes_with_rig_and_truth(tmp_path: Path) -> None:
     simulate_rig(SMALL, tmp_path, seed=3, progress=lambda done, total: steps.append((done, total)))
     world = build_world(SMALL, 3)
     assert load_rig(tmp_path / "rig.yaml") == world_rig(world)
+    assert "settings" not in (tmp_path / "rig.yaml").read_text()
     truth = load_truth(tmp_path / "truth.yaml")
     for name, T in ground_truth(world).T_root_sensor.items():
         assert truth.T_root_sensor[name] == pytest.approx(T, abs=1e-12)

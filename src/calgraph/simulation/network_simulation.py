@@ -120,7 +120,8 @@ def simulate_network(
             writer.write(_topic(name), scan, arrival)
             if progress is not None:
                 progress(done + 1, total)
-    save_yaml(out / "rig.yaml", network_rig(network).model_dump(mode="json", exclude_none=True))
+    rig = network_rig(network)
+    save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
     save_truth(out / "truth.yaml", network_truth(network))
 
 

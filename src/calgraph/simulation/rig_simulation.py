@@ -44,7 +44,8 @@ def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Prog
                 writer.write(topic, message, arrival, encoding=scenario.camera.encoding)
             if progress is not None:
                 progress(done + 1, len(arrivals))
-    save_yaml(out / "rig.yaml", world_rig(world).model_dump(mode="json", exclude_none=True))
+    rig = world_rig(world)
+    save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
     save_truth(out / "truth.yaml", ground_truth(world))
 
 
