@@ -106,6 +106,13 @@ def test_a_track_continues_where_the_velocity_leads(rng: np.random.Generator) ->
     assert group(tracked) == [[(0, 0), (0, 1), (1, 0)]]
 
 
+def test_of_two_continuations_the_nearer_one_is_taken(rng: np.random.Generator) -> None:
+    # Another person comes into view 0.35 m beside where the first one is expected, at the same time.
+    whole, beside = simulate_path(0, 8, (0, 1), (1.5, 0)), simulate_path(4.6, 8, (6.9, 1.35), (1.5, 0))
+    tracked = [track_paths(0, [whole[:80], beside, whole[92:]], rng), track_paths(1, [whole[:80]], rng)]
+    assert group(tracked) == [[(0, 0), (0, 2), (1, 0)]]
+
+
 def test_people_behind_each_other_are_not_linked(rng: np.random.Generator) -> None:
     paths = [simulate_path(0, 6, (x, 1), (1, 0)) for x in (0, -0.8)]
     assert group([track_paths(s, [path], rng) for s, path in enumerate(paths)]) == []

@@ -9,9 +9,16 @@ import scipy.optimize
 
 from bundle_scenes import scene
 from calgraph.errors import CalibrationError
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPrior, minimize_bundle, retract_state
+from calgraph.estimation.rig.bundle_solver import (
+    Bundle,
+    BundleState,
+    SensorPrior,
+    linearize_bundle,
+    minimize_bundle,
+    retract_state,
+)
 from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.geometry import se3, so3
+from calgraph.geometry import Array, se3, so3
 from dense_bundles import dense_jacobian, residuals_after, unbiased_scene
 
 
@@ -173,3 +180,21 @@ def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
     T[1] = T[1] @ np.diag([-1.0, 1, -1, 1])
     with pytest.raises(CalibrationError, match="behind a camera"):
         minimize_bundle(exact.bundle, replace(exact.truth, T_root_sensor=T))
+
+
+def test_the_gradient_of_a_prior_is_that_of_its_cost() -> None:
+    """By finite differences, half a radian from the prior about each axis, with different standard deviations."""
+    exact = unbiased_scene()
+    off = np.array([0.1, -0.2, 0.05, 0.5, -0.4, 0.6])
+    mean = se3.retract(exact.truth.T_root_sensor[1], off)
+    prior = SensorPrior(1, mean, np.diag(np.array([0.01, 0.02, 0.05, 0.01, 0.03, 0.1]) ** -2))
+    bundle = replace(exact.bundle, priors=(prior,))
+
+    def prior_cost(step: Array) -> float:
+        state = retract_state(bundle, exact.truth, step, np.zeros((len(exact.truth.T_root_board), 6)))
+        return linearize_bundle(bundle, state).cost - linearize_bundle(exact.bundle, state).cost
+
+    found = linearize_bundle(bundle, exact.truth).g - linearize_bundle(exact.bundle, exact.truth).g
+    steps = 1e-5 * np.eye(bundle.parameter_count)
+    expected = [(prior_cost(step) - prior_cost(-step)) / 2e-5 for step in steps]
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
