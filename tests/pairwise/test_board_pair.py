@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
+from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import (
@@ -182,3 +183,14 @@ def test_pairs_need_more_residuals_than_unknowns(
     assert found == Rejected(
         f"RANSAC found no relative pose with at least {inliers} inliers among {count} shared captures"
     )
+
+
+def test_the_gate_of_reselection_is_in_standard_deviations(rng: np.random.Generator) -> None:
+    # Half of the squared residuals are below the median, which is 0.4549 standard deviations squared.
+    scene, T_a_b = make_boards(rng, 200), random_pose(rng)
+    a, b = (detect_boards("plane", T, scene, rng) for T in (np.eye(4), se3.inverse(T_a_b)))
+    estimate = estimate_pair("a", "b", a, b, SIZE, rng)
+    assert isinstance(estimate, PairwiseEstimate)
+    found = reselect_inliers(estimate, T_a_b, a, b, SIZE, BoardPairSettings(reselection_gate=np.sqrt(0.4549)))
+    assert isinstance(found, PairwiseEstimate)
+    assert found.inliers.mean() == pytest.approx(0.5, abs=0.03)

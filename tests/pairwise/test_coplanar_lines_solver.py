@@ -56,4 +56,4 @@ def test_segments_of_a_board_are_near_each_other(roll: float, yaw: float, rng: n
     a, b = segments(se3.pose(R, np.array([0.3, 0.2, 0.1])), rng)
     T = solve_coplanar_lines(a, b, DIHEDRAL)
     apart = np.linalg.norm(se3.apply(T, b.mean(axis=2)) - a.mean(axis=2), axis=-1)
-    assert np.median(apart) < 1.5
+    assert np.median(apart) < 0.6

@@ -128,6 +128,19 @@ def test_squared_mahalanobis_distances(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(_mahalanobis2(r, W), np.einsum("pi,pij,pj->p", r, W, r))
 
 
+def test_distant_matches_have_the_weight_of_the_cauchy_loss() -> None:
+    # A fifth of the positions is 0.3 m off: weights are 1 / (1 + d2 / 6) with d2 of the given model error.
+    pairs = simultaneous(count=1000)
+    b = replace(pairs.b, positions=pairs.b.positions.copy())
+    b.positions[::5] += np.array([0.3, 0.0]) @ T_A_B[:2, :2]
+    settings = RegistrationSettings(steps=1, clock_stddev=1e-6)
+    fit = register_tracks(T_A_B, pair_samples(pairs.a, b), 0.15, 1e-6, settings)
+    assert fit is not None
+    weight = 1 / (1 + 0.09 / (0.15**2 + 2 * 0.01**2) / 6)
+    expected = [-0.3 * 0.2 * weight / (0.8 + 0.2 * weight), 0.0, 0.0]
+    np.testing.assert_allclose(se2.difference(fit.T_a_b, T_A_B), expected, atol=2e-3)
+
+
 def test_combinations_of_trajectories_have_different_numbers() -> None:
     ticks = np.zeros(2, np.intp)
     two = TrackSamples(ticks, np.arange(2), np.ones((2, 2)), np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1)))
@@ -198,6 +211,7 @@ def test_proposals_are_limited_to_the_best_and_a_random_selection() -> None:
     everything = propose_poses(pairs, ProposalSettings(max_rms=1.0), np.random.default_rng(0))
     limited = propose_poses(pairs, ProposalSettings(max_rms=1.0, max_count=20), np.random.default_rng(0))
     assert len(everything) > 40
+    np.testing.assert_allclose(se2.difference(everything[0], np.eye(3)), 0, atol=1e-9)
     assert len(limited) == 20
     np.testing.assert_array_equal(limited[:10], everything[:10])
 

@@ -137,13 +137,13 @@ def test_a_scanner_measures_within_its_intervals(time: float, there: bool) -> No
 
 
 @pytest.mark.parametrize(("offset", "expected"), [
-    ([0.4, 0.0], True), ([0.6, 0.0], False), ([-0.6, 0.0], False), ([0.0, -0.6], False), ([-0.35, 0.35], True),
+    ([0.38, 0.0], True), ([0.43, 0.0], False), ([-0.6, 0.0], False), ([0.0, -0.6], False), ([-0.27, 0.27], True),
 ])  # fmt: skip
 def test_detections_within_the_radius_are_of_the_same_object(offset: list[float], expected: bool) -> None:
     x = circle(3.0)
     a, b = walks(x), walks(x + np.array(offset))
     views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
-    required, detected = find_missed_detections(np.eye(3)[None], pair_samples(a, b), *views, 0.5)
+    required, detected = find_missed_detections(np.eye(3)[None], pair_samples(a, b), *views, 0.4)
     assert required.shape == detected.shape == (1, 200)
     assert required.mean() > 0.75  # but for samples beyond the usual range of the other scanner
     assert (detected == expected).all()
@@ -164,3 +164,17 @@ def test_a_pose_is_refuted_by_the_share_of_missed_detections(share: float, refut
     )  # fmt: skip
     assert missed == pytest.approx(share / (2 - share), abs=0.03)
     assert found.tolist() == [refuted]
+
+
+@pytest.mark.parametrize(("distance", "visible"), [(0.2, False), (0.7, True), (4.3, True), (4.7, False)])
+def test_the_map_ends_before_the_background_and_near_the_scanner(distance: float, visible: bool) -> None:
+    # Free space before a wall at 5 m, but for 0.5 m, from 0.4 m on.
+    view = build_visibility_map(still(wall(5.0)), walks(circle(8.0)))
+    assert (view.covers(circle(distance)) == visible).all()
+
+
+@pytest.mark.parametrize(("count", "visible"), [(2, False), (3, True)])
+def test_cells_need_several_detections(count: int, visible: bool) -> None:
+    x = np.concatenate([np.tile([[3.0, 0.1]], (count, 1)), circle(6.0)])
+    view = build_visibility_map(still(np.zeros((0, 2))), walks(x))
+    assert view.covers(np.array([[3.0, 0.1]])).tolist() == [visible]
