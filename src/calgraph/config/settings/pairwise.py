@@ -30,7 +30,7 @@ class BoardPairSettings(StrictModel):
     """Limit on samples of RANSAC: enough for that confidence with up to 49 % outliers in samples of 8 line
     matches, and with up to 83 % in samples of 3 plane matches."""
     flatness: Positive = 0.001
-    """Standard deviation of a board's surface from its plane, m: a rigid sheet of 1 m bends by 1 to 2 mm."""
+    """Standard deviation of a board's surface from its plane, m: a rigid panel of 1 m bends by 1 to 2 mm."""
     max_stddev: Positive = 0.1
     """Standard deviation of a direction, m and rad, above which refinement does not move it: with weaker data the
     step would be noise, and the pose from RANSAC is closer."""
@@ -106,9 +106,9 @@ class VisibilitySettings(StrictModel):
     """Distance within which a detection by the other scanner is of the same object under a correct pose, m: a
     person's width, errors of clocks and of the pose."""
     min_expected: Count = 20
-    """Expected detections from which the pose of a pair is judged by missed ones: 2 s of one person."""
+    """Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person."""
     min_expected_of_part: Count = 50
-    """Expected detections, of each scanner every 0.1 s, from which the pose of a part of a network is judged."""
+    """Expected detections, of each scanner every 0.1 s, from which the pose of a part of a network is tested."""
     max_missed_share: Share = 0.5
     """Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and
     up to 0.5 where furniture occludes people from one of the two."""
