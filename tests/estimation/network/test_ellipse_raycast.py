@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.ellipse_raycast import RaycastHits, raycast_ellipses
+from calgraph.estimation.network.ellipse_raycast import RaycastHits, raycast_ellipses, rotate_by_small_angles
 from calgraph.geometry import Array
 from calgraph.simulation.network_beams import cast_ellipses
 
@@ -99,3 +99,9 @@ def test_a_beam_that_misses_has_no_incidence() -> None:
 def test_ranges_are_equal_for_opposite_headings() -> None:
     forward, reversed_heading = (cast_beam(0.03, (3.0, 0.1), heading).ranges[0] for heading in (0.4, 0.4 + np.pi))
     assert forward == pytest.approx(reversed_heading)
+
+
+def test_small_rotations_are_exact_to_the_stated_error() -> None:
+    heading, angle = np.meshgrid(np.linspace(0, 6, 25), np.linspace(-0.1, 0.1, 21))
+    rotated = rotate_by_small_angles(np.cos(heading), np.sin(heading), angle)
+    np.testing.assert_allclose(rotated, [np.cos(heading + angle), np.sin(heading + angle)], atol=2e-9)

@@ -168,14 +168,18 @@ def test_the_gradient_equals_finite_differences_of_the_cost(rng: np.random.Gener
 
 
 @pytest.mark.parametrize("faces", [True, False])
-def test_elimination_equals_the_dense_schur_complement(faces: bool, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_elimination_equals_the_dense_schur_complement(
+    faces: bool, damping: float, rng: np.random.Generator
+) -> None:
     net, truth = build_network(rng, faces=faces)
     net = replace(net, model_error_variance=np.array([1e-4, 1e-3]))
     [equations] = linearize_network(net, truth).bodies
     H, _ = build_dense_equations(equations)
     inner = len(H) - 12
+    H *= 1 + damping * np.eye(len(H))
     schur = H[inner:, inner:] - H[inner:, :inner] @ np.linalg.solve(H[:inner, :inner], H[:inner, inner:])
-    np.testing.assert_allclose(eliminate_path(equations, 0.0)[0], schur, rtol=1e-6, atol=1e-6 * schur.max())
+    np.testing.assert_allclose(eliminate_path(equations, damping)[0], schur, rtol=1e-6, atol=1e-6 * schur.max())
 
 
 def test_back_substitution_equals_the_dense_solution(rng: np.random.Generator) -> None:
