@@ -16,11 +16,7 @@ BoardKind = Literal["tags", "aprilgrid", "charuco", "checkerboard"]
 
 _MIN_RIM = MARGIN + 5.0
 """Minimum white rim around the print, mm: on a board as large as the paper it holds the rulers."""
-_DEFAULT_SHAPES: Mapping[BoardKind, tuple[int, int]] = {
-    "aprilgrid": (6, 4),
-    "charuco": (8, 6),
-    "checkerboard": (8, 5),
-}
+_DEFAULT_SHAPES = {"aprilgrid": (6, 4), "charuco": (8, 6), "checkerboard": (8, 5)}
 """Columns and rows of a board in landscape: tags, squares, and inner corners. Of a checkerboard's numbers one is
 odd and one even: only then its orientation is unambiguous."""
 # Kinds of boards that each option applies to.
@@ -74,70 +70,64 @@ def design_board(size: Pair, options: BoardOptions) -> Board:
     for name, kinds in _OPTION_KINDS.items():
         if getattr(options, name) is not None and options.kind not in kinds:
             raise InputError(f"`{name}`: applies to {' and '.join(kinds)} only, not to a board of {options.kind}")
-    printable = size[0] - 2 * _MIN_RIM, size[1] - 2 * _MIN_RIM
-    if min(printable) < _MIN_RIM:
+    space = size[0] - 2 * _MIN_RIM, size[1] - 2 * _MIN_RIM
+    if min(space) < _MIN_RIM:
         raise InputError(
             f"`size`: leaves no space for a print within a rim of {_MIN_RIM:g} mm, got {size[0]:g}x{size[1]:g}"
         )
-    content = {
-        "size": [_to_meters(length) for length in size],
-        **_DESIGN_FUNCTIONS[options.kind](printable, options),
-    }
+    content = {"size": [_m(length) for length in size], **_DESIGNERS[options.kind](space, options)}
     return validate_content(Board, content, Path("the requested board"))
 
 
-def _design_tags(printable: Pair, options: BoardOptions) -> dict[str, Any]:
+def _design_tags(space: Pair, options: BoardOptions) -> dict[str, Any]:
     """MSG-Cal's board: three tags, two along one edge and one before the middle of the other."""
     family = options.family or "tag36h11"
     if options.tags is not None:
         return {"family": family, "tags": [tag.model_dump() for tag in options.tags]}
-    long, short = max(printable), min(printable)
+    long, short = max(space), min(space)
     edge = options.tag_size or _round_down(min(0.3 * long, 0.445 * short))
     along, across = (long - edge) / 2, (short - edge) / 2
     places = [(-along, across), (along, across), (0.0, -across)]
-    if printable[1] > printable[0]:
+    if space[1] > space[0]:
         places = [(-y, -x) for x, y in places]
     first = options.first_id or 0
-    tags = [
-        {"id": first + i, "size": _to_meters(edge), "center": [_to_meters(x), _to_meters(y)]}
-        for i, (x, y) in enumerate(places)
-    ]
+    tags = [{"id": first + i, "size": _m(edge), "center": [_m(x), _m(y)]} for i, (x, y) in enumerate(places)]
     return {"family": family, "tags": tags}
 
 
-def _design_aprilgrid(printable: Pair, options: BoardOptions) -> dict[str, Any]:
+def _design_aprilgrid(space: Pair, options: BoardOptions) -> dict[str, Any]:
     spacing = 0.3 if options.spacing is None else options.spacing
     # Small squares are at all corners of all tags: n tags take n + (n + 1) spacing.
-    columns, rows, edge = _fit_grid(printable, options, options.tag_size, 1 + spacing, spacing)
+    columns, rows, edge = _fit_grid(space, options, options.tag_size, 1 + spacing, spacing)
     pattern = {
         "columns": columns,
         "rows": rows,
-        "tag_size": _to_meters(edge),
+        "tag_size": _m(edge),
         "tag_spacing": spacing,
         "first_id": options.first_id or 0,
     }
     return {"family": options.family or "tag36h11", "pattern": {"kind": "aprilgrid", **pattern}}
 
 
-def _design_charuco(printable: Pair, options: BoardOptions) -> dict[str, Any]:
-    columns, rows, square = _fit_grid(printable, options, options.square, 1, 0)
+def _design_charuco(space: Pair, options: BoardOptions) -> dict[str, Any]:
+    columns, rows, square = _fit_grid(space, options, options.square, 1, 0)
     pattern = {
         "columns": columns,
         "rows": rows,
-        "square": _to_meters(square),
-        "marker": _to_meters(options.marker or _round_down(0.75 * square)),
+        "square": _m(square),
+        "marker": _m(options.marker or _round_down(0.75 * square)),
         "dictionary": options.dictionary or "DICT_5X5_100",
         "first_id": options.first_id or 0,
     }
     return {"pattern": {"kind": "charuco", **pattern}}
 
 
-def _design_checkerboard(printable: Pair, options: BoardOptions) -> dict[str, Any]:
-    columns, rows, square = _fit_grid(printable, options, options.square, 1, 1)
-    return {"pattern": {"kind": "checkerboard", "columns": columns, "rows": rows, "square": _to_meters(square)}}
+def _design_checkerboard(space: Pair, options: BoardOptions) -> dict[str, Any]:
+    columns, rows, square = _fit_grid(space, options, options.square, 1, 1)
+    return {"pattern": {"kind": "checkerboard", "columns": columns, "rows": rows, "square": _m(square)}}
 
 
-_DESIGN_FUNCTIONS = {
+_DESIGNERS = {
     "tags": _design_tags,
     "aprilgrid": _design_aprilgrid,
     "charuco": _design_charuco,
@@ -146,18 +136,15 @@ _DESIGN_FUNCTIONS = {
 
 
 def _fit_grid(
-    printable: Pair, options: BoardOptions, edge: float | None, each: float, more: float
+    space: Pair, options: BoardOptions, edge: float | None, each: float, more: float
 ) -> tuple[int, int, float]:
     """Columns, rows and edge of a grid of which n elements are ``(each n + more)`` edges long."""
-    usual = _DEFAULT_SHAPES[options.kind] if printable[0] >= printable[1] else _DEFAULT_SHAPES[options.kind][::-1]
+    usual = _DEFAULT_SHAPES[options.kind] if space[0] >= space[1] else _DEFAULT_SHAPES[options.kind][::-1]
     if edge is None:
         columns, rows = options.columns or usual[0], options.rows or usual[1]
-        return (
-            columns,
-            rows,
-            _round_down(min(printable[0] / (each * columns + more), printable[1] / (each * rows + more))),
-        )
-    most = [max(1, floor((length / edge - more) / each + 1e-9)) for length in printable]
+        edge = _round_down(min(space[0] / (each * columns + more), space[1] / (each * rows + more)))
+        return columns, rows, edge
+    most = [max(1, floor((length / edge - more) / each + 1e-9)) for length in space]
     columns, rows = options.columns or most[0], options.rows or most[1]
     if options.kind == "checkerboard" and options.rows is None and (columns + rows) % 2 == 0:
         rows -= 1
@@ -169,6 +156,6 @@ def _round_down(length: float) -> float:
     return float(floor(length)) if length >= 20 else floor(10 * length) / 10
 
 
-def _to_meters(length: float) -> float:
+def _m(length: float) -> float:
     """From mm to m, without the binary fractions of the division."""
     return round(length / 1000, 7)

@@ -62,9 +62,8 @@ def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> 
 def _board_detections(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     """The sensor's detections that were used; all if none was used."""
     views = [view for view in calibration.pictures.board_views if view.sensor == sensor.name]
-    return _finite_points(view.measured for view in views if view.used) or _finite_points(
-        view.measured for view in views
-    )
+    used = _finite_points(view.measured for view in views if view.used)
+    return used or _finite_points(view.measured for view in views)
 
 
 def _scanned_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
@@ -103,19 +102,11 @@ def _camera_coverage(
     x, y = (np.linspace(-0.5, length - 0.5, n + 1) for length, n in zip(size, (columns, rows), strict=True))
     thirds = _count_views(views, *(np.linspace(-0.5, length - 0.5, 4) for length in size))
     empty = [f"{_THIRDS[1][i]} {_THIRDS[0][j]}" for i, j in np.argwhere(thirds == 0)]
-    missing = (
-        f"Missing: no corners in the {_join_words(empty)} of the image."
-        if empty
-        else "There were corners in all parts of the image."
-    )
-    return Coverage(
-        x,
-        y,
-        _count_views(views, x, y),
-        np.ones(columns, dtype=np.bool_),
-        ("px", "px"),
-        (missing, *_describe_board_poses(calibration, sensor)),
-    )
+    missing = "There were corners in all parts of the image."
+    if empty:
+        missing = f"Missing: no corners in the {_join_words(empty)} of the image."
+    remarks = (missing, *_describe_board_poses(calibration, sensor))
+    return Coverage(x, y, _count_views(views, x, y), np.ones(columns, dtype=np.bool_), ("px", "px"), remarks)
 
 
 def _describe_board_poses(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:

@@ -57,11 +57,8 @@ def _pose_states(calibration: Calibration) -> dict[str, list[list[float]]]:
     if not calibration.pictures.floor_views:
         return {}
     identity = {sensor.name: np.eye(4) for sensor in calibration.sensors}
-    start = (
-        {"before: averaged pairs": calibration.evidence.initial_poses}
-        if calibration.evidence.initial_poses
-        else {}
-    )
+    initial = calibration.evidence.initial_poses
+    start = {"before: averaged pairs": initial} if initial else {}
     poses_before: dict[str, Mapping[str, Array]] = {"not calibrated: identity poses": identity, **start}
     moves = {
         words: [

@@ -114,11 +114,11 @@ def _detector(
 
 
 def _stated_noise(sensor: RobotSensor, options: IdealDetectorOptions) -> PixelNoise | RangeNoise:
-    return _pixel_noise(options) if isinstance(sensor, MountedCamera) else _range_noise(sensor, options)
-
-
-def _pixel_noise(options: IdealDetectorOptions) -> PixelNoise:
-    return PixelNoise(pixel=options.stated_noise_factor * options.pixel)
+    return (
+        PixelNoise(pixel=options.stated_noise_factor * options.pixel)
+        if isinstance(sensor, MountedCamera)
+        else _range_noise(sensor, options)
+    )
 
 
 def _range_noise(scanner: MountedScanner, options: IdealDetectorOptions) -> RangeNoise:
@@ -146,7 +146,7 @@ def _detect_corners(
         return Rejected("no mark of the board lies fully in the image")
     pixels = (true + rng.normal(0.0, options.pixel, true.shape)).reshape(*marks.corners.shape[:2], 2)[in_view]
     corners = marks.corners[in_view]
-    sigma, settings = _pixel_noise(options).pixel, options.settings.camera.pose
+    sigma, settings = options.stated_noise_factor * options.pixel, options.settings.camera.pose
     pose = fit_pose(marks.ids[in_view], corners, pixels, camera, sigma, settings)
     return pose if isinstance(pose, Rejected) else (make_board_corners(pose, corners, pixels),)
 
