@@ -85,6 +85,25 @@ def test_sheets_are_where_the_board_was(one: DetectedRig, outlines: tuple[BoardO
         assert np.linalg.norm(outline.corners - truth, axis=1).max() < 0.02
 
 
+def test_boards_that_no_camera_detected_have_the_rectangle_of_the_scanners_points(
+    one: DetectedRig, used: InlierResiduals, joint: RigSolution
+) -> None:
+    """In the board's plane, with its centre and about its area; its axes are those of the points."""
+    of_lidar = {view: found for view, found in used.items() if view[1] == "lidar"}
+    other = replace(joint, solved_bundle=None, estimator="hypergraph")
+    pictured = [o for o in collect_board_outlines(one.rig, one.captures, of_lidar, other) if o.board is None]
+    assert len(pictured) > 10
+    area = np.prod(one.rig.board_size)
+    for outline in pictured:
+        corners = se3.apply(se3.inverse(one.truth.boards[outline.capture].T_root_board), outline.corners)
+        np.testing.assert_allclose(corners[:, 2], 0, atol=0.05)
+        np.testing.assert_allclose(corners.mean(axis=0), 0, atol=0.15)
+        along, across = corners[1] - corners[0], corners[3] - corners[0]
+        np.testing.assert_allclose(corners[2], corners[0] + along + across, atol=1e-9)
+        assert along @ across == pytest.approx(0, abs=1e-9)
+        assert 0.6 * area < np.linalg.norm(along) * np.linalg.norm(across) < 1.4 * area
+
+
 def test_without_a_bundle_nothing_is_predicted(
     one: DetectedRig, used: InlierResiduals, joint: RigSolution
 ) -> None:

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import t as student
 
 from bundle_scenes import Scene, scene
+from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.cross_validation import cross_validate
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
@@ -84,6 +85,16 @@ def test_every_view_is_held_out_once(folds: int) -> None:
     exact = scene(boards=8)
     predicted = left_out(exact, exact.measured(np.random.default_rng(0)), folds)
     assert [predicted[name].views for name in exact.bundle.sensors] == [8, 8, 8]
+
+
+@pytest.mark.parametrize(("stddev", "compared"), [(1e-4, False), (0.1, True)])
+def test_tilts_are_compared_of_views_that_determine_them(stddev: float, compared: bool) -> None:
+    """Views of the camera determine the tilt of a board to some milliradians."""
+    exact = scene(boards=8)
+    bundle = exact.measured(np.random.default_rng(0))
+    solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(8))
+    found = cross_validate(solved, 4, RigDiagnosticsSettings(compared_tilt_stddev=stddev))
+    assert (found["camera"].tilt is not None) == compared
 
 
 def test_one_fold_is_refused() -> None:

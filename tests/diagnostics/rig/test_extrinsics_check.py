@@ -183,6 +183,15 @@ def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
     assert (result.sensors[0].outcome, result.sensors[0].reason) == ("warn", "check the focal length")
 
 
+def test_a_moved_sensor_fails_although_its_calibration_is_weak() -> None:
+    found, adjusted = calibrated()
+    weak = replace(found.sensors[1], verdict=Verdict("weak", "check the focal length"))
+    calibration = replace(found, sensors=(found.sensors[0], weak, *found.sensors[2:]))
+    result = compare_rig_poses(calibration, adjusted, true_poses("camera", step(2, 0.05)))
+    assert result.failed == ("camera",)
+    assert "check the focal length" not in result.sensors[0].reason
+
+
 def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
     found, adjusted = calibrated()
     result = compare_rig_poses(

@@ -1,0 +1,55 @@
+"""The assessment of a calibration: suggested board poses as advice in verdicts."""
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from bundle_scenes import HEIGHT, WIDTH, scene
+from calgraph.diagnostics.rig.assessment import add_assessment
+from calgraph.estimation.rig.bundle_solver import minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.solution import SolvedBundle
+from calgraph.result import Calibration, SensorPose, Verdict
+
+KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
+    "lidar": "lidar3d",
+    "camera": "camera",
+    "laser": "lidar2d",
+}
+
+
+def assess(grade: Literal["good", "weak"], folds: int = 0) -> Calibration:
+    """Of three sensors and six boards, after which the laser is the least certain; all have the grade given."""
+    exact = scene(boards=6)
+    solved = minimize_bundle(exact.bundle, exact.truth)
+    verdict = Verdict(grade, "some axis ±3 mm")
+    sensors = tuple(
+        SensorPose(name, "lidar" if k else None, name, KINDS[name], exact.truth.T_root_sensor[k], verdict)
+        for k, name in enumerate(exact.bundle.sensors)
+    )
+    joint = pose_covariance(exact.bundle, solved.state, solved.equations)
+    calibration = Calibration("lidar", sensors, joint_covariance=joint)
+    rng = np.random.default_rng(0)
+    return add_assessment(
+        calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), folds, rng
+    )
+
+
+def test_the_first_suggestion_for_a_weak_sensor_is_in_its_verdict() -> None:
+    found = assess("weak")
+    (first, *_) = found.evidence.suggestions
+    reasons = {sensor.name: sensor.verdict.reason for sensor in found.sensors}
+    assert reasons[first.sensor] == f"some axis ±3 mm; first {first.hold}"
+    suggested = {suggestion.sensor for suggestion in found.evidence.suggestions}
+    assert {reasons[name] for name in reasons if name not in suggested} <= {"some axis ±3 mm"}
+    assert suggested != set(reasons)
+
+
+def test_good_sensors_need_no_advice() -> None:
+    assert {sensor.verdict.reason for sensor in assess("good").sensors} == {"some axis ±3 mm"}
+
+
+@pytest.mark.parametrize(("folds", "sensors"), [(0, 0), (3, 3)])
+def test_without_folds_there_is_no_cross_validation(folds: int, sensors: int) -> None:
+    assert len(assess("good", folds).evidence.cross_validation) == sensors
