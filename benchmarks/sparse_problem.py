@@ -11,7 +11,6 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, retract_state
-from calgraph.estimation.rig.normal_equations import HUBER_THRESHOLD
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, Index, so3
 from calgraph.geometry.se3 import relative_pose_jacobians
@@ -31,14 +30,15 @@ class SparseProblem:
 
     def residuals(self, x: Array) -> Array:
         """(N,)."""
-        return np.concatenate([stretched(r, J)[0].ravel() for r, J, _, _ in self._views(x)])
+        threshold = self.bundle.settings.huber_threshold
+        return np.concatenate([stretched(r, J, threshold)[0].ravel() for r, J, _, _ in self._views(x)])
 
     def jacobian(self, x: Array) -> csr_array:
         """(N, G + 6 C)."""
         turns = _turned(x)
         data, columns = [], []
         for r, J, sensor, board in self._views(x):
-            stretch = stretched(r, J)[1].reshape(-1, J.shape[-1])
+            stretch = stretched(r, J, self.bundle.settings.huber_threshold)[1].reshape(-1, J.shape[-1])
             moving = self.bundle.pose_columns(sensor)
             # The root's columns do not exist: zeros in those of another sensor.
             stretch[:, :6] *= len(moving) > 0
@@ -67,13 +67,13 @@ class SparseProblem:
             yield rows.residual, rows.jacobian @ (rows.local_jacobian @ by_pose)[view], sensor, views.board[view]
 
 
-def stretched(residual: Array, jacobian: Array) -> tuple[Array, Array]:
-    """Residuals (N, k), and derivatives (N, k, p), whose squares are twice Huber's cost of their lengths."""
+def stretched(residual: Array, jacobian: Array, threshold: float) -> tuple[Array, Array]:
+    """Residuals (N, k), and derivatives (N, k, p), whose squares are twice Huber's cost of their norms."""
     size = np.linalg.norm(residual, axis=1)[:, None]
-    far = np.maximum(size, HUBER_THRESHOLD)
-    length = np.sqrt(2 * HUBER_THRESHOLD * (far - HUBER_THRESHOLD / 2))
-    ratio = np.where(size > HUBER_THRESHOLD, length / far, 1.0)
-    slope = np.where(size > HUBER_THRESHOLD, HUBER_THRESHOLD / length, 1.0)
+    far = np.maximum(size, threshold)
+    length = np.sqrt(2 * threshold * (far - threshold / 2))
+    ratio = np.where(size > threshold, length / far, 1.0)
+    slope = np.where(size > threshold, threshold / length, 1.0)
     unit = residual / np.maximum(size, 1e-300)
     along = np.sum(unit[..., None] * jacobian, axis=1, keepdims=True)
     return ratio * residual, ratio[..., None] * jacobian + ((slope - ratio) * unit)[..., None] * along

@@ -95,6 +95,34 @@ def test_a_prior_acts_as_a_kalman_update(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(spread, P - gain @ P, atol=0.02 * np.abs(P - gain @ P).max())
 
 
+def test_the_gradient_with_a_prior_is_the_derivative_of_the_cost() -> None:
+    exact = unbiased_scene()
+    sigma = np.array([0.3, 0.2, 0.4, 0.5, 0.3, 0.4])
+    # Far from its prior: there the left Jacobian of the rotation differs from the identity.
+    error = np.array([0.2, -0.1, 0.3, 0.9, -0.7, 1.1])
+    prior = SensorPrior(1, se3.retract(exact.truth.T_root_sensor[1], error), np.diag(sigma**-2))
+    lonely = [views.select(np.zeros(8, dtype=bool)) for views in exact.bundle.views]
+    bundle = replace(exact.bundle, views=tuple(lonely), priors=(prior,))
+    boards = np.zeros((8, 6))
+    steps = 1e-6 * np.eye(bundle.parameter_count)
+    ahead, behind = (
+        np.array([linearize_bundle(bundle, retract_state(bundle, exact.truth, d, boards)).cost for d in signed])
+        for signed in (steps, -steps)
+    )
+    gradient = linearize_bundle(bundle, exact.truth).g
+    np.testing.assert_allclose(gradient, (ahead - behind) / 2e-6, atol=1e-6 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("damping", [1e-5, 1.0, 100.0])
+def test_the_predicted_decrease_is_that_of_the_cost(damping: float, rng: np.random.Generator) -> None:
+    exact = unbiased_scene()
+    state = disturbed(exact.truth, rng, size=1e-4)
+    equations = linearize_bundle(exact.bundle, state)
+    step, predicted = equations.solve(damping)
+    decrease = equations.cost - linearize_bundle(exact.bundle, retract_state(exact.bundle, state, *step)).cost
+    assert decrease == pytest.approx(predicted, rel=0.02)
+
+
 def test_a_sensor_without_views_is_at_the_mean_of_its_prior() -> None:
     exact = unbiased_scene()
     blind = replace(

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.config.settings import RigEstimationSettings
 from calgraph.estimation.rig.normal_equations import (
-    HUBER_THRESHOLD,
     accumulate,
     accumulate_biased,
     consistency_statistic,
@@ -15,6 +15,7 @@ from calgraph.estimation.rig.normal_equations import (
 from calgraph.estimation.rig.observations import LinearizedResiduals
 from calgraph.geometry import Array, Index
 
+HUBER_THRESHOLD = RigEstimationSettings().huber_threshold
 START = np.array([0, 30, 37])
 COUNTS = [30, 7, 23]
 
@@ -27,7 +28,9 @@ def random_residuals(rng: np.random.Generator, k: int, q: int, p: int, size: flo
 
 def marginalized(linearized: LinearizedResiduals, start: Index, view_bias: Array) -> tuple[Array, Array, Array]:
     """Along the sensor's axes."""
-    information, gradient, costs = accumulate_biased(linearized, start, view_bias).marginalize_bias(view_bias)
+    information, gradient, costs = accumulate_biased(
+        linearized, start, view_bias, HUBER_THRESHOLD
+    ).marginalize_bias(view_bias)
     turned = np.swapaxes(linearized.local_jacobian, -1, -2)
     return turned @ information @ linearized.local_jacobian, (turned @ gradient[..., None])[..., 0], costs
 
@@ -42,7 +45,7 @@ def dense(linearized: LinearizedResiduals, view: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize(("k", "q", "p"), [(2, 6, 6), (1, 3, 6), (1, 4, 7), (2, 12, 12)])
 def test_normal_equations_are_those_of_dense_matrices(rng: np.random.Generator, k: int, q: int, p: int) -> None:
     linearized = random_residuals(rng, k, q, p, size=0.3)
-    equations = accumulate(linearized, START)
+    equations = accumulate(linearized, START, HUBER_THRESHOLD)
     for view in range(len(COUNTS)):
         J, r = dense(linearized, view)
         np.testing.assert_allclose(equations.information[view], J.T @ J, atol=1e-9)
@@ -55,10 +58,12 @@ def test_views_without_measurements_have_no_information(rng: np.random.Generator
     linearized = LinearizedResiduals(
         3 * rng.normal(size=(5, 1)), rng.normal(size=(5, 1, 3)), rng.normal(size=(5, 3, 6))
     )
-    equations = accumulate(linearized, np.array([0, 0, 3, 3, 5]))
+    equations = accumulate(linearized, np.array([0, 0, 3, 3, 5]), HUBER_THRESHOLD)
     assert equations.residual_count.tolist() == [0, 3, 0, 2, 0]
     assert not equations.JtJ[[0, 2, 4]].any()
-    full = accumulate(replace(linearized, local_jacobian=linearized.local_jacobian[[1, 3]]), np.array([0, 3]))
+    full = accumulate(
+        replace(linearized, local_jacobian=linearized.local_jacobian[[1, 3]]), np.array([0, 3]), HUBER_THRESHOLD
+    )
     np.testing.assert_array_equal(equations.Jtr[[1, 3]], full.Jtr)
 
 
@@ -81,7 +86,7 @@ def test_gradient_is_the_derivative_of_the_cost(rng: np.random.Generator, view_b
 
 def test_scatter_is_about_the_best_fit_of_each_view(rng: np.random.Generator) -> None:
     linearized = random_residuals(rng, 1, 3, 6, size=0.3)
-    squares, freedom = accumulate(linearized, START).within_view_scatter()
+    squares, freedom = accumulate(linearized, START, HUBER_THRESHOLD).within_view_scatter()
     for view, count in enumerate(COUNTS):
         J, r = dense(linearized, view)
         left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
@@ -92,7 +97,7 @@ def test_scatter_is_about_the_best_fit_of_each_view(rng: np.random.Generator) ->
 def test_unmeasured_directions_take_no_degrees_of_freedom(rng: np.random.Generator) -> None:
     linearized = random_residuals(rng, 1, 3, 6)
     linearized.jacobian[..., 2] = 0
-    assert accumulate(linearized, START).within_view_scatter()[1].tolist() == [28, 5, 21]
+    assert accumulate(linearized, START, HUBER_THRESHOLD).within_view_scatter()[1].tolist() == [28, 5, 21]
 
 
 def one_view(J: Array, r: Array) -> LinearizedResiduals:
@@ -150,7 +155,7 @@ def test_outliers_in_a_biased_view_hardly_count(rng: np.random.Generator) -> Non
 
 def test_without_bias_the_equations_do_not_change(rng: np.random.Generator) -> None:
     linearized = random_residuals(rng, 2, 6, 6)
-    equations = accumulate(linearized, START, lambda found: np.zeros_like(found.Jtr))
+    equations = accumulate(linearized, START, HUBER_THRESHOLD, lambda found: np.zeros_like(found.Jtr))
     information, gradient, costs = marginalized(linearized, START, np.zeros(6))
     np.testing.assert_allclose(information, equations.information, rtol=1e-12)
     np.testing.assert_allclose(gradient, equations.gradient, rtol=1e-12)
@@ -194,7 +199,9 @@ def test_variance_factor_of_huber_weights_under_gaussian_noise(dimension: int) -
     size = np.linalg.norm(np.random.default_rng(0).normal(size=(1_000_000, dimension)), axis=1)
     left = np.minimum(1, HUBER_THRESHOLD / size) * size**2
     standard_error = np.std(left) / dimension / 1000
-    assert huber_variance_factor(dimension) == pytest.approx(left.mean() / dimension, abs=4 * standard_error)
+    assert huber_variance_factor(dimension, HUBER_THRESHOLD) == pytest.approx(
+        left.mean() / dimension, abs=4 * standard_error
+    )
 
 
 @pytest.mark.parametrize("k", [1, 2])

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bundle_scenes import HEIGHT, WIDTH, scene
+from calgraph.config.settings import OutlineSettings
 from calgraph.detection import PlanePatch
 from calgraph.estimation.rig.bundle_solver import ExtraParameter, linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -45,8 +46,8 @@ def patch(edges: Array) -> PlanePatch:
 
 def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
     """Of boards (V, 4, 4), weighed there."""
-    views = OutlineObservations.from_detections(
-        range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1))
+    views = OutlineObservations.from_edges(
+        range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)), OutlineSettings()
     )
     return views.update_noise(T_sensor_board, 1.0)
 

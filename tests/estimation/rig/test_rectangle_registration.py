@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from calgraph.config.settings import BoardRegistrationSettings
 from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.geometry import Array, se3, so3
 
+SETTINGS = BoardRegistrationSettings()
 HALF = np.array([0.42, 0.30])
 
 
@@ -26,7 +28,7 @@ def placed(points: Array, turn: float, shift: Array) -> tuple[Array, Array]:
 def test_rectangles_are_registered_to_their_outlines(rng: np.random.Generator) -> None:
     turns, shifts = rng.uniform(0, np.pi, 50), rng.uniform(-0.2, 0.2, (50, 2))
     seen = [placed(on_outline(rng, HALF, 30), turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
-    found, certain = register_rectangles([points for points, _ in seen], HALF)
+    found, certain = register_rectangles([points for points, _ in seen], HALF, SETTINGS)
     assert certain.mean() > 0.9
     T = np.array([T for _, T in seen])
     off = se3.difference(found, T)
@@ -39,21 +41,21 @@ def test_rectangles_are_registered_to_their_outlines(rng: np.random.Generator) -
 def test_a_square_is_ambiguous(rng: np.random.Generator) -> None:
     square = np.array([0.35, 0.35])
     points, _ = placed(on_outline(rng, square, 40), 0.4, np.zeros(2))
-    assert register_rectangles([points], square)[1].tolist() == [False]
+    assert register_rectangles([points], square, SETTINGS)[1].tolist() == [False]
 
 
 @pytest.mark.parametrize("count", [0, 5])
 def test_few_points_do_not_suffice(rng: np.random.Generator, count: int) -> None:
-    found, certain = register_rectangles([on_outline(rng, HALF, count)], HALF)
+    found, certain = register_rectangles([on_outline(rng, HALF, count)], HALF, SETTINGS)
     np.testing.assert_array_equal(found, np.eye(4)[None])
     assert not certain.any()
 
 
 def test_a_rectangle_of_another_size_is_not_registered(rng: np.random.Generator) -> None:
     points, _ = placed(on_outline(rng, 0.6 * HALF, 40), 1.0, np.zeros(2))
-    assert register_rectangles([points], HALF)[1].tolist() == [False]
+    assert register_rectangles([points], HALF, SETTINGS)[1].tolist() == [False]
 
 
 def test_no_rectangles_are_none() -> None:
-    found, certain = register_rectangles([], HALF)
+    found, certain = register_rectangles([], HALF, SETTINGS)
     assert (found.shape, certain.shape) == ((0, 4, 4), (0,))

@@ -175,6 +175,34 @@ def test_inlier_views_are_kept() -> None:
     assert wrong <= 1
 
 
+@pytest.mark.parametrize(("probability", "rejected"), [(2e-5, False), (0.5e-5, True)])
+def test_an_outlier_is_as_unlikely_as_stated(probability: float, rejected: bool) -> None:
+    """A view is displaced until a correct one would be as far away with this probability."""
+    exact = scene(("lidar", "camera", "lidar2", "laser"), boards=10)
+    T = relative_poses(exact.truth.T_root_sensor[1], exact.truth.T_root_board)
+
+    def displaced(size: float) -> tuple[Bundle, MinimizedBundle]:
+        off = np.zeros((10, 6))
+        off[3] = size
+        views = list(exact.bundle.views)
+        views[1] = remeasured(views[1], se3.retract(T, off), np.random.default_rng(0), 0.0)
+        bundle = replace(exact.bundle, views=tuple(views))
+        return bundle, minimize_bundle(bundle, exact.truth)
+
+    def statistic(size: float) -> tuple[float, int]:
+        bundle, solution = displaced(size)
+        at, F = solution.equations.views[1], view_covariance_factors(bundle, solution.equations)[1]
+        squared, freedom = consistency_statistic(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
+        return float(squared[3]), int(freedom[3])
+
+    size = 1e-3
+    for _ in range(4):
+        squared, freedom = statistic(size)
+        size *= np.sqrt(chi2.isf(probability, freedom) / squared)
+    assert statistic(size)[0] == pytest.approx(chi2.isf(probability, freedom), rel=0.01)
+    assert contradicting(*displaced(size))[1][3] == rejected
+
+
 def test_of_one_board_only_the_worst_view_is_an_outlier() -> None:
     exact, rng = scene(("lidar", "camera", "lidar2", "laser"), boards=10), np.random.default_rng(0)
     bundle = moved_views(exact, moved_views(exact, exact.measured(rng), 1, [3], rng), 3, [3], rng)

@@ -27,7 +27,7 @@ from calgraph.config.settings.diagnostics import (
     RigDiagnosticsSettings,
     VerdictSettings,
 )
-from calgraph.config.settings.estimation import EstimationSettings, RigEstimationSettings
+from calgraph.config.settings.estimation import EstimationSettings
 from calgraph.config.settings.graph import GraphSettings
 from calgraph.config.settings.network_estimation import (
     BodySettings,
@@ -48,6 +48,13 @@ from calgraph.config.settings.pairwise import (
     ScannerPairSettings,
     VisibilitySettings,
 )
+from calgraph.config.settings.rig_estimation import (
+    BoardRegistrationSettings,
+    ExtraParameterSettings,
+    OutlineSettings,
+    RigEstimationSettings,
+    VarianceComponentSettings,
+)
 from calgraph.config.settings.stages import Settings
 from calgraph.config.settings.tracking import (
     AssociationSettings,
@@ -62,14 +69,16 @@ from calgraph.config.settings.tracking import (
 
 __all__ = [
     "AssociationSettings", "BaselineSettings", "BoardEdgeSettings", "BoardPairSettings", "BoardPoseSettings",
+    "BoardRegistrationSettings",
     "BodySettings", "CameraDetectionSettings", "CameraNoiseSettings", "CaptureSettings", "CentroidSettings",
     "CloudBackgroundSettings", "ClusterSettings", "DetectionSettings", "DiagnosticsSettings", "EllipseSettings",
-    "EstimationSettings", "GraphSettings", "HeadingSearchSettings", "HypothesisSettings", "IcpSettings",
-    "Lidar2dDetectionSettings", "Lidar3dDetectionSettings", "MaxMessageSettings", "ModelErrorSettings",
-    "MotionDetectionSettings", "MotionSettings", "NetworkDiagnosticsSettings", "NetworkEstimationSettings",
-    "PairwiseSettings", "ProposalSettings", "RangeNoiseSettings", "RegionSettings", "RegistrationSettings",
-    "ResamplingSettings", "RigDiagnosticsSettings", "RigEstimationSettings", "ScanBackgroundSettings",
-    "ScannerDetectionSettings", "ScannerPairSettings", "Settings", "SmoothingSettings", "StaticSceneSettings",
-    "SurfaceFitSettings", "TagSettings", "TrackGroupingSettings", "TrackingSettings", "VerdictSettings",
+    "EstimationSettings", "ExtraParameterSettings", "GraphSettings", "HeadingSearchSettings",
+    "HypothesisSettings", "IcpSettings", "Lidar2dDetectionSettings", "Lidar3dDetectionSettings",
+    "MaxMessageSettings", "ModelErrorSettings", "MotionDetectionSettings", "MotionSettings",
+    "NetworkDiagnosticsSettings", "NetworkEstimationSettings", "OutlineSettings", "PairwiseSettings",
+    "ProposalSettings", "RangeNoiseSettings", "RegionSettings", "RegistrationSettings", "ResamplingSettings",
+    "RigDiagnosticsSettings", "RigEstimationSettings", "ScanBackgroundSettings", "ScannerDetectionSettings",
+    "ScannerPairSettings", "Settings", "SmoothingSettings", "StaticSceneSettings", "SurfaceFitSettings",
+    "TagSettings", "TrackGroupingSettings", "TrackingSettings", "VarianceComponentSettings", "VerdictSettings",
     "VisibilitySettings",
 ]  # fmt: skip

@@ -144,7 +144,7 @@ def _compare_with_prediction(
     """
     views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
     T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
-    observed = accumulate(views.linearize(T_board, extra), views.start)
+    observed = accumulate(views.linearize(T_board, extra), views.start, bundle.settings.huber_threshold)
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.extra_count])
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
     x, X = _predict_boards(bundle, state, equations, covariance, sensor)

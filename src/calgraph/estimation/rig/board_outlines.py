@@ -17,17 +17,6 @@ from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.geometry import Array, Index, se3
 from calgraph.pairwise import Candidates
 
-# Prior standard deviation of the offset by which a scanner sees sides too far out, m.
-_OUTLINE_OFFSET_STDDEV = 0.01
-# An offset beyond this, m, and this many of its standard deviations means that the stated size is wrong.
-_MAX_OUTLINE_OFFSET, _OFFSET_SIGMAS = 0.012, 4.0
-# Largest noise of edges over that stated: beyond it, the outline is not a rectangle of the stated size.
-_MAX_OUTLINE_NOISE_SCALE = 3.0
-# Only directions in which outlines reduce the variance by at least this share enter their test.
-_MIN_VARIANCE_SHARE = 0.05
-# Significance level of that test.
-_CONTRADICTION_CHANCE = 1e-4
-
 
 def add_outlines(
     bundle: Bundle,
@@ -50,14 +39,16 @@ def add_outlines(
         boards: (C,) observed boards.
         bias_variance: initial variance of the outlines' view bias, m².
     """
+    settings = bundle.settings.outlines
     half_sizes = np.array([board.size for board in rig.boards]) / 2
     number = np.array([board_number(board, detections) for board in boards], dtype=np.intp)
     registered, half = number >= 0, half_sizes[np.maximum(number, 0)]
     edges = {
-        s: OutlineObservations.from_detections(
+        s: OutlineObservations.from_edges(
             views.board.tolist(),
             [_surface_of(detections, boards[i], name) for i in views.board],
             half[views.board],
+            settings,
         )
         for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True))
         if isinstance(views, RangeObservations)
@@ -66,7 +57,7 @@ def add_outlines(
     if len(half_sizes) == 1:
         unregistered = np.flatnonzero(~registered)
         T_plane_board, registered[unregistered] = register_rectangles(
-            _edge_points(edges, state, unregistered), half_sizes[0]
+            _edge_points(edges, state, unregistered), half_sizes[0], bundle.settings.registration
         )
         T_root_board[unregistered] = T_root_board[unregistered] @ T_plane_board
     outlines: list[OutlineObservations] = []
@@ -74,7 +65,7 @@ def add_outlines(
     for s, observed in edges.items():
         outline = observed.select(registered[observed.board])
         view_set = len(bundle.sensors) + len(outlines)
-        offsets.append(ExtraParameter(bundle.sensors[s], "outline", "m", 0.0, _OUTLINE_OFFSET_STDDEV, (view_set,)))
+        offsets.append(ExtraParameter(bundle.sensors[s], "outline", "m", 0.0, settings.offset_stddev, (view_set,)))
         T_sensor_board = relative_poses(state.T_root_sensor[s], T_root_board[outline.board])
         outlines.append(outline.update_noise(T_sensor_board, 1.0))
     with_outlines = replace(
@@ -91,15 +82,16 @@ def add_outlines(
 def drop_wrong_outlines(bundle: Bundle, solution: MinimizedBundle) -> tuple[Bundle, tuple[str, ...]]:
     """The bundle without outlines that are not those of a board of the stated size; the reason for each."""
     stddev = np.sqrt(np.diag(parameter_covariance(solution.equations)))[6 * bundle.body_count :]
+    settings = bundle.settings.outlines
     outlines, remarks = [], []
     for k, outline in enumerate(bundle.outlines, start=len(bundle.views)):
         name, index = bundle.sensors[bundle.sensor_of(k)], bundle.extra_indices(k)
         offset, sigma = float(solution.state.extra[index].sum()), float(stddev[index].sum())
         why = ""
-        if abs(offset) > _MAX_OUTLINE_OFFSET and abs(offset) > _OFFSET_SIGMAS * sigma:
+        if abs(offset) > max(settings.max_offset, settings.max_offset_sigmas * sigma):
             where = "outside" if offset > 0 else "inside"
             why = f"{1000 * abs(offset):.0f} mm {where} the target's size on average"
-        elif outline.noise_scale > _MAX_OUTLINE_NOISE_SCALE:
+        elif outline.noise_scale > settings.max_noise_ratio:
             why = f"{outline.noise_scale:.1f} times as far from its sides as expected from their noise"
         if why:
             remarks.append(f"board edges in scans of {name} are {why}: not used; is `size` the board's?")
@@ -124,13 +116,14 @@ def outlines_contradict(
     (P, T), (Q, T_outlines) = (
         (pose_covariance(b, s.state, s.equations), s.state.T_root_sensor) for b, s in (without, with_outlines)
     )
+    settings = with_outlines[0].settings.outlines
     d = se3.difference(T_outlines, T).ravel()
     free = np.diag(P) > 0
     whiten = np.linalg.inv(np.linalg.cholesky(P[np.ix_(free, free)]))
     share, directions = np.linalg.eigh(whiten @ Q[np.ix_(free, free)] @ whiten.T)
-    tested = share < 1 - _MIN_VARIANCE_SHARE
+    tested = share < 1 - settings.min_variance_share
     squares = (directions.T @ whiten @ d[free])[tested] ** 2 / (1 - share[tested])
-    return bool(np.sum(squares) > chdtri(max(np.sum(tested), 1), _CONTRADICTION_CHANCE))
+    return bool(np.sum(squares) > chdtri(max(np.sum(tested), 1), settings.contradiction_significance))
 
 
 def _surface_of(detections: Mapping[str, Candidates], board: BoardObservation, name: str) -> PlanePatch | Segment:

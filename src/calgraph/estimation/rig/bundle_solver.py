@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calgraph.config.settings import RigEstimationSettings
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
@@ -81,6 +82,7 @@ class Bundle:
     """(O,) views of the boards' outlines, with separate noise, bias and extra parameters."""
     outline_sensor: tuple[int, ...] = ()
     """(O,) index of each outline's sensor."""
+    settings: RigEstimationSettings = RigEstimationSettings()
 
     @property
     def all_views(self) -> tuple[BoardViews, ...]:
@@ -242,7 +244,11 @@ def linearize_bundle(
         T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], T_root_board)
         cached = cache[k] if cache else None
         at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
-        linearizations.append(cached if cached and at else linearize_views(views, T_sensor_board, extra, bias))
+        linearizations.append(
+            cached
+            if cached and at
+            else linearize_views(views, T_sensor_board, extra, bias, bundle.settings.huber_threshold)
+        )
         at = at or linearizations[k].equations
         A, b, costs = at.marginalize_bias(bias)
         J_sensor, J_board = (at.local_jacobian @ J for J in view_jacobians(bundle, state, k))

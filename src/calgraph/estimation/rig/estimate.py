@@ -34,14 +34,6 @@ from calgraph.estimation.rig.variance_components import find_outlier_views, upda
 from calgraph.geometry import Array
 from calgraph.pairwise import MatchFilter, PairwiseEstimate, select_matches
 
-# Initial standard deviation of the view bias, m: large, so that few views are outliers before noise is estimated.
-_INITIAL_VIEW_BIAS = 0.003
-# Limits on the rounds of solving, estimating noise and rejecting outlier views: without and with outlines,
-_MAX_ROUNDS, _MAX_OUTLINE_ROUNDS = 12, 4
-# and on solver steps in each.
-_STEPS_PER_ROUND = 4
-# Rounds stop where noise and view bias change by less than these shares of their standard deviations.
-_NOISE_TOLERANCE, _BIAS_TOLERANCE = 0.02, 0.05
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 
 
@@ -80,7 +72,9 @@ def solve_bundle(
         number = np.array([board_number(board, captured.detections) for board in boards], dtype=np.intp)
         bundle, state = add_extra_parameters(bundle, state, rig, np.maximum(number, 0), estimate)
     solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
-    bundle, solution, rejected = _estimate_variance_components(bundle, solution, _MAX_ROUNDS)
+    bundle, solution, rejected = _estimate_variance_components(
+        bundle, solution, rig.settings.estimation.rig.variances.max_rounds
+    )
     outlined, outlined_solution, more = _solve_with_outlines(bundle, solution, rig, captured, boards)
     if outlines_contradict((bundle, solution), (outlined, outlined_solution)):
         remarks: tuple[str, ...] = (
@@ -168,8 +162,9 @@ def build_bundle(
         names,
         views,
         body=np.arange(len(names)),
-        bias_variance=np.full(len(names), _INITIAL_VIEW_BIAS**2),
+        bias_variance=np.full(len(names), rig.settings.estimation.rig.variances.initial_view_bias**2),
         lever=0.5 * max(rig.board_size),
+        settings=rig.settings.estimation.rig,
     )
     state = BundleState(
         stack_poses([T_root_sensor[name] for name in names]),
@@ -212,14 +207,19 @@ def _solve_with_outlines(
     Outlines are added to a solution, because sides are assigned at its poses, and so that they do not influence
     the estimated noise of planes and prints.
     """
-    outlined, state = add_outlines(bundle, solution.state, rig, captured.detections, boards, _INITIAL_VIEW_BIAS**2)
+    settings = bundle.settings.variances
+    outlined, state = add_outlines(
+        bundle, solution.state, rig, captured.detections, boards, settings.initial_view_bias**2
+    )
     if not outlined.outlines:
         return bundle, solution, set()
     cache = (*solution.equations.cache, *[None] * len(outlined.outlines))
     solution = minimize_bundle(
-        outlined, state, cache, iterations=_STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
+        outlined, state, cache, iterations=settings.steps_per_round, tolerance=COARSE_TOLERANCE, exact=False
     )
-    return _estimate_variance_components(outlined, solution, _MAX_OUTLINE_ROUNDS, first=len(outlined.views))
+    return _estimate_variance_components(
+        outlined, solution, settings.max_outline_rounds, first=len(outlined.views)
+    )
 
 
 def _estimate_variance_components(
@@ -242,7 +242,12 @@ def _estimate_variance_components(
         unchanged = zip(solution.equations.cache, before.all_views, bundle.all_views, strict=True)
         cache = [cached if new is old else None for cached, old, new in unchanged]
         solution = minimize_bundle(
-            bundle, solution.state, cache, iterations=_STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
+            bundle,
+            solution.state,
+            cache,
+            iterations=bundle.settings.variances.steps_per_round,
+            tolerance=COARSE_TOLERANCE,
+            exact=False,
         )
     return bundle, solution, rejected
 
@@ -271,14 +276,15 @@ def _remove_outlier_views(
 
 def _has_converged(before: Bundle, after: Bundle) -> bool:
     """Whether the views are the same, and their noise and bias nearly so."""
+    settings = before.settings.variances
     pairs = list(zip(before.all_views, after.all_views, strict=True))
     same_views = all(len(a.board) == len(b.board) for a, b in pairs)
-    same_noise = all(abs(a.noise_scale / b.noise_scale - 1) < _NOISE_TOLERANCE for a, b in pairs)
+    same_noise = all(abs(a.noise_scale / b.noise_scale - 1) < settings.noise_tolerance for a, b in pairs)
     change, smallest = (
         np.abs(before.bias_variance - after.bias_variance),
         np.minimum(before.bias_variance, after.bias_variance),
     )
-    return same_views and same_noise and bool(np.all(change <= 2 * _BIAS_TOLERANCE * smallest + 1e-9))
+    return same_views and same_noise and bool(np.all(change <= 2 * settings.bias_tolerance * smallest + 1e-9))
 
 
 def _residuals_by_sensor(bundle: Bundle, solution: MinimizedBundle) -> Iterator[tuple[str, Array]]:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config import Rig
+from calgraph.config.settings import ExtraParameterSettings
 from calgraph.detection import compute_landmarks
 from calgraph.detection.landmarks import Landmarks
 from calgraph.errors import InputError
@@ -23,13 +24,11 @@ from calgraph.sensors import CameraModel
 
 Estimable = Literal["range_bias", "intrinsics", "tags"]
 
-# Prior standard deviations of stated values: range biases, m; focal lengths, relative; principal points, relative
-# to the image size; distortion coefficients; displacements of tags on their board, m and rad.
-_BIAS, _FOCAL, _PRINCIPAL, _DISTORTION, _TAG, _TAG_ANGLE = 0.1, 0.1, 0.05, 0.3, 0.03, 0.05
-_COEFFICIENTS = {"pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
+_COEFFICIENTS = {
+    "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
 _NO_TAG = (-1, -1)
-# A parameter whose standard deviation exceeds this share of its prior's was not measured.
-_MAX_STDDEV_SHARE = 0.5
 
 TagCorners = dict[tuple[int, int], Array]
 """Corners (4, 3) by board and id."""
@@ -74,7 +73,7 @@ def summarize_extra_parameters(
             one.prior_value,
             float(value),
             float(stddev),
-            bool(stddev < _MAX_STDDEV_SHARE * one.prior_stddev),
+            bool(stddev < bundle.settings.parameters.max_stddev_share * one.prior_stddev),
         )
         for one, value, stddev in zip(bundle.extra_parameters, state.extra, np.sqrt(variances), strict=True)
         # Offsets of outlines are nuisance parameters.
@@ -95,7 +94,11 @@ def _add_range_biases(bundle: Bundle) -> Bundle:
     for s, observed in enumerate(bundle.views):
         if isinstance(observed, RangeObservations):
             views[s] = replace(observed, extra_count=1)
-            parameters.append(ExtraParameter(bundle.sensors[s], "range bias", "m", 0.0, _BIAS, (s,)))
+            parameters.append(
+                ExtraParameter(
+                    bundle.sensors[s], "range bias", "m", 0.0, bundle.settings.parameters.range_bias, (s,)
+                )
+            )
     return _extend(bundle, views, parameters, "range_bias: no scanner")
 
 
@@ -105,14 +108,20 @@ def _add_intrinsics(bundle: Bundle) -> Bundle:
     for s, observed in enumerate(bundle.views):
         if isinstance(observed, CornerObservations):
             views[s] = replace(observed, estimate_intrinsics=True)
-            parameters += _intrinsic_parameters(bundle.sensors[s], s, observed.camera)
+            parameters += _intrinsic_parameters(bundle.sensors[s], s, observed.camera, bundle.settings.parameters)
     return _extend(bundle, views, parameters, "intrinsics: no camera")
 
 
-def _intrinsic_parameters(name: str, sensor: int, camera: CameraModel) -> Iterator[ExtraParameter]:
+def _intrinsic_parameters(
+    name: str, sensor: int, camera: CameraModel, settings: ExtraParameterSettings
+) -> Iterator[ExtraParameter]:
     quantities = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[camera.model])[: len(camera.intrinsics)]
-    stddevs = [*(_FOCAL * camera.focal), _PRINCIPAL * camera.width, _PRINCIPAL * camera.height]
-    stddevs += [_DISTORTION] * len(camera.distortion)
+    stddevs = [
+        *(settings.focal_length * camera.focal),
+        settings.principal_point * camera.width,
+        settings.principal_point * camera.height,
+    ]
+    stddevs += [settings.distortion] * len(camera.distortion)
     for i, (quantity, stddev) in enumerate(zip(quantities, stddevs, strict=True)):
         yield ExtraParameter(
             name, quantity, "px" if i < 4 else "", float(camera.intrinsics[i]), float(stddev), (sensor,)
@@ -134,11 +143,16 @@ def _add_tag_displacements(bundle: Bundle, rig: Rig, board_of: Index) -> Bundle:
     for s, observed in cameras.items():
         tag = np.array([number.get(key, -1) for key in tags_of[s]], dtype=np.intp)
         views[s] = replace(observed, tag_centers=centers, tag_index=tag)
+    settings = bundle.settings.parameters
     names = [f"tag {key[1]}" + (f" of board {key[0] + 1}" if len(printed) > 1 else "") for key in free]
     parameters = [
         ExtraParameter(name, quantity, unit, 0.0, stddev, tuple(cameras))
         for name in names
-        for quantity, unit, stddev in (("x", "m", _TAG), ("y", "m", _TAG), ("rotation", "rad", _TAG_ANGLE))
+        for quantity, unit, stddev in (
+            ("x", "m", settings.tag_position),
+            ("y", "m", settings.tag_position),
+            ("rotation", "rad", settings.tag_rotation),
+        )
     ]
     return _extend(bundle, views, parameters, "tags: no camera detected two tags of one board")
 

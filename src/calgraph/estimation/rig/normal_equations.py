@@ -11,9 +11,6 @@ from calgraph.estimation.marginalization import compute_bias_covariance, margina
 from calgraph.estimation.rig.observations import LinearizedResiduals
 from calgraph.geometry import Array, Index
 
-# Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
-# information.
-HUBER_THRESHOLD = 2.5
 # Limit on the robust weights' iterations, which hardly ever binds.
 _MAX_REWEIGHTINGS = 3
 # They stop where a view's fit moves by less than this share of its standard deviations, root mean square.
@@ -116,6 +113,7 @@ class ViewNormalEquations:
 def accumulate(
     residuals: LinearizedResiduals,
     start: Index,
+    huber_threshold: float,
     fit: Callable[[ViewNormalEquations], Array] = ViewNormalEquations.fit,
 ) -> ViewNormalEquations:
     """Sums residuals into the normal equations of views.
@@ -126,6 +124,7 @@ def accumulate(
     Args:
         residuals: of N measurements.
         start: (V,) the first measurement of each view.
+        huber_threshold: norm of a whitened residual beyond which it is down-weighted.
         fit: from the equations to the change (V, q) of local parameters at which weights are computed.
     """
     columns, residual = _jacobian_columns(residuals), residuals.residual.ravel()
@@ -135,19 +134,21 @@ def accumulate(
     for _ in range(_MAX_REWEIGHTINGS):
         about_fit = residual + np.einsum("in,in->n", columns, np.repeat(shift.T, count, axis=1))
         norm = _residual_norms(about_fit.reshape(residuals.residual.shape))
-        if not np.any(norm > HUBER_THRESHOLD):
+        if not np.any(norm > huber_threshold):
             return unweighted
-        equations = _downweight_outliers(unweighted, columns, residual, start, norm)
+        equations = _downweight_outliers(unweighted, columns, residual, start, norm, huber_threshold)
         before, shift = shift, fit(equations)
         if np.all(unweighted.squared_change(shift - before) <= _REWEIGHTING_TOLERANCE**2 * count):
             break
     return equations
 
 
-def accumulate_biased(residuals: LinearizedResiduals, start: Index, variance: Array) -> ViewNormalEquations:
+def accumulate_biased(
+    residuals: LinearizedResiduals, start: Index, variance: Array, huber_threshold: float
+) -> ViewNormalEquations:
     """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (p,)."""
     prior = _bias_prior(residuals.local_jacobian, variance)
-    return accumulate(residuals, start, lambda equations: equations.estimate_bias(prior))
+    return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(prior))
 
 
 def _jacobian_columns(residuals: LinearizedResiduals) -> Array:
@@ -171,9 +172,14 @@ def _accumulate_unweighted(
 
 
 def _downweight_outliers(
-    unweighted: ViewNormalEquations, columns: Array, residual: Array, start: Index, norm: Array
+    unweighted: ViewNormalEquations,
+    columns: Array,
+    residual: Array,
+    start: Index,
+    norm: Array,
+    huber_threshold: float,
 ) -> ViewNormalEquations:
-    """The normal equations with outliers weighted by ``HUBER_THRESHOLD / norm``.
+    """The normal equations with outliers weighted by ``huber_threshold / norm``.
 
     Args:
         unweighted: with unit weights.
@@ -181,12 +187,13 @@ def _downweight_outliers(
         residual: (N·k,).
         start: (V,) the first measurement of each view.
         norm: (N,) of the residuals that decide the weights.
+        huber_threshold: of the norm.
     """
-    outlier = np.flatnonzero(norm > HUBER_THRESHOLD)
+    outlier = np.flatnonzero(norm > huber_threshold)
     far, k = norm[outlier], len(residual) // max(len(norm), 1)
     count = np.bincount(np.searchsorted(start, outlier, side="right") - 1, minlength=len(start))
     index = (k * outlier[:, None] + np.arange(k)).ravel()
-    root = np.repeat(np.sqrt(1 - HUBER_THRESHOLD / far), k)
+    root = np.repeat(np.sqrt(1 - huber_threshold / far), k)
     excess = _accumulate_unweighted(
         columns[:, index] * root, residual[index] * root, unweighted.local_jacobian, k * count
     )
@@ -195,7 +202,7 @@ def _downweight_outliers(
         JtJ=unweighted.JtJ - excess.JtJ,
         Jtr=unweighted.Jtr - excess.Jtr,
         squared_residuals=unweighted.squared_residuals - excess.squared_residuals,
-        robust_cost_offset=_sum_by_view(0.5 * HUBER_THRESHOLD * (far - HUBER_THRESHOLD), count),
+        robust_cost_offset=_sum_by_view(0.5 * huber_threshold * (far - huber_threshold), count),
     )
 
 
@@ -260,9 +267,9 @@ def consistency_statistic(
     return squared, np.asarray(checked.sum(axis=-1), dtype=np.intp)
 
 
-def huber_variance_factor(dimension: int) -> float:
+def huber_variance_factor(dimension: int, huber_threshold: float) -> float:
     """Mean of ``weight * |r|²`` over its degrees of freedom, for Gaussian residuals r of this dimension."""
-    d, h = dimension, HUBER_THRESHOLD
+    d, h = dimension, huber_threshold
     inside = d * chdtr(d + 2, h**2)
     outside = h * np.sqrt(2) * np.exp(gammaln((d + 1) / 2) - gammaln(d / 2)) * chdtrc(d + 1, h**2)
     return float((inside + outside) / d)

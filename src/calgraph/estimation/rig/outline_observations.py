@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import OutlineSettings
 from calgraph.detection import PlanePatch, Segment
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
@@ -20,17 +21,6 @@ from calgraph.estimation.rig.observations import (
     view_indices,
 )
 from calgraph.geometry import Array, Index, se3
-
-# Least standard deviation of an edge, m: boards are not cut, and beams not collimated, more sharply.
-_EDGE_BLUR = 0.002
-# Largest distance of the two beams on the board's plane, m.
-_MAX_BEAM_SPACING = 0.05
-# Largest distance of an edge from its side, m: farther ones are of an arm or a stand.
-_MAX_SIDE_DISTANCE = 0.06
-# Least distance of an edge from the corners, m: nearer, its side is ambiguous.
-_MIN_CORNER_DISTANCE = 0.04
-# Least cosine between a beam and the board's normal: at grazing incidence its place on the board is uncertain.
-_MIN_COSINE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +43,19 @@ class OutlineObservations:
     """(M,) 0 and 1 for the sides at -x and +x, 2 and 3 for those at -y and +y; -1 for edges that are not used."""
     sigma: Array
     """(M,) standard deviation of each distance, m."""
+    settings: OutlineSettings
     noise_scale: float = 1.0
     extra_count: int = 1
     """1, the offset of all sides, m, outwards positive: the beams' footprint, or a larger board than stated."""
     dimension: ClassVar[int] = 1
 
     @classmethod
-    def from_detections(
-        cls, board: Sequence[int], detections: Sequence[PlanePatch | Segment], half: Array
+    def from_edges(
+        cls,
+        board: Sequence[int],
+        detections: Sequence[PlanePatch | Segment],
+        half: Array,
+        settings: OutlineSettings,
     ) -> "OutlineObservations":
         """The views of these boards in their detections; no edge is used before :meth:`update_noise`."""
         edges = np.concatenate([np.empty((0, 2, 3)), *(d.edges for d in detections)])
@@ -71,6 +66,7 @@ class OutlineObservations:
             half.reshape(-1, 2),
             np.full(len(edges), -1, dtype=np.int8),
             np.ones(len(edges)),
+            settings,
         )
 
     @property
@@ -123,7 +119,9 @@ class OutlineObservations:
         """See :class:`BoardViews`: the outline is uniformly distributed between the two beams, plus blur."""
         view = self._view
         T, half = se3.inverse(T_sensor_board)[view], self.half_size[view]
-        facing = np.abs((T[:, None, :3, :3] @ self.edges[..., None])[..., 2, 0]).min(axis=1) > _MIN_COSINE
+        facing = (
+            np.abs((T[:, None, :3, :3] @ self.edges[..., None])[..., 2, 0]).min(axis=1) > self.settings.min_cosine
+        )
         on_board, past_board = (np.stack(_intersect_boards(T, self.edges[:, i])[0], axis=-1) for i in (0, 1))
         across, midpoint = past_board - on_board, (on_board + past_board) / 2
         axis, sign = np.array([0, 0, 1, 1]), np.array([-1.0, 1.0, -1.0, 1.0])
@@ -133,17 +131,20 @@ class OutlineObservations:
         each = np.arange(len(view))
         used = (
             facing
-            & (np.linalg.norm(across, axis=1) < _MAX_BEAM_SPACING)
-            & (distance[each, nearest] < _MAX_SIDE_DISTANCE)
+            & (np.linalg.norm(across, axis=1) < self.settings.max_beam_spacing)
+            & (distance[each, nearest] < self.settings.max_side_distance)
             & (outward[each, nearest] > 0)
-            & (half[each, 1 - nearest // 2] - np.abs(midpoint[each, 1 - nearest // 2]) > _MIN_CORNER_DISTANCE)
+            & (
+                half[each, 1 - nearest // 2] - np.abs(midpoint[each, 1 - nearest // 2])
+                > self.settings.min_corner_distance
+            )
         )
         # Standard deviation of a uniform distribution over the beams' distance across the side.
         spread = outward[each, nearest] / np.sqrt(12)
         return replace(
             self,
             side=np.where(used, nearest, -1).astype(np.int8),
-            sigma=scale * np.hypot(spread, _EDGE_BLUR),
+            sigma=scale * np.hypot(spread, self.settings.blur),
             noise_scale=scale,
         )
 
@@ -164,7 +165,7 @@ class OutlineObservations:
         """Of the edges between close beams, the view of each (N,) and its place in the board's plane (N, 2), m."""
         T = se3.inverse(T_sensor_board)[self._view]
         on_board, past_board = (np.stack(_intersect_boards(T, self.edges[:, i])[0], axis=-1) for i in (0, 1))
-        dense = np.linalg.norm(past_board - on_board, axis=1) < _MAX_BEAM_SPACING
+        dense = np.linalg.norm(past_board - on_board, axis=1) < self.settings.max_beam_spacing
         return self._view[dense], (on_board + past_board)[dense] / 2
 
     @property

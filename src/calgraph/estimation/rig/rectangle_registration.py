@@ -5,48 +5,46 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import BoardRegistrationSettings
 from calgraph.geometry import Array, Index, se3, so3
 
-# Least number of points to register a rectangle.
-_MIN_POINTS = 6
 # Grids of the search over rotations: coarse, then about its minimum, rad.
 _COARSE_ANGLES = np.radians(np.arange(0.0, 180.0, 5.0))
 _FINE_ANGLES = np.radians(np.arange(-4.0, 4.5, 1.0))
 # Iterations of the translation on either grid.
 _COARSE_ITERATIONS, _FINE_ITERATIONS = 2, 6
-# Distances of points from the outline are truncated at this, m.
-_MAX_DISTANCE = 0.05
-# Limit on the mean distance of an accepted fit, m; and on its ratio to that of any other rotation.
-_MAX_MEAN_DISTANCE, _AMBIGUITY_RATIO = 0.02, 1.5
-# Other rotations are at least this far from the best, rad.
-_MIN_ANGLE_APART = np.radians(20.0)
 
 
-def register_rectangles(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]]:
+def register_rectangles(
+    points: Sequence[Array], half: Array, settings: BoardRegistrationSettings
+) -> tuple[Array, NDArray[np.bool_]]:
     """Poses of rectangles in the plane from points on their outlines.
 
     Args:
         points: (M, 2) of each of n rectangles, in its plane, m.
         half: (2,) half width and half height of all of them, m.
+        settings: limits of an accepted fit.
 
     Returns:
         (n, 4, 4) poses of the rectangles in their planes, and (n,) whether each is certain: it has enough points,
         and one rotation only fits.
     """
     T = np.tile(np.eye(4), (len(points), 1, 1))
-    enough = np.array([len(p) >= _MIN_POINTS for p in points], dtype=np.bool_)
+    enough = np.array([len(p) >= settings.min_points for p in points], dtype=np.bool_)
     if not enough.any():
         return T, enough
     padded, valid = _pad_points([p for p, several in zip(points, enough, strict=True) if several])
     n = np.arange(len(padded))
     angles = np.broadcast_to(_COARSE_ANGLES, (len(padded), len(_COARSE_ANGLES)))
-    _, distances = _register_shifts(padded, valid, angles, half, _COARSE_ITERATIONS)
+    _, distances = _register_shifts(padded, valid, angles, half, settings.max_distance, _COARSE_ITERATIONS)
     best = np.argmin(distances, axis=1)
     apart = np.abs((_COARSE_ANGLES - _COARSE_ANGLES[best, None] + np.pi / 2) % np.pi - np.pi / 2)
-    second = np.where(apart > _MIN_ANGLE_APART, distances, np.inf).min(axis=1)
-    unique = (distances[n, best] <= _MAX_MEAN_DISTANCE) & (second >= _AMBIGUITY_RATIO * distances[n, best])
+    second = np.where(apart > settings.min_rotation_apart, distances, np.inf).min(axis=1)
+    unique = (distances[n, best] <= settings.max_mean_distance) & (
+        second >= settings.ambiguity_ratio * distances[n, best]
+    )
     angles = _COARSE_ANGLES[best, None] + _FINE_ANGLES
-    centers, distances = _register_shifts(padded, valid, angles, half, _FINE_ITERATIONS)
+    centers, distances = _register_shifts(padded, valid, angles, half, settings.max_distance, _FINE_ITERATIONS)
     best = np.argmin(distances, axis=1)
     R = so3.exp(np.column_stack([np.zeros((len(padded), 2)), angles[n, best]]))
     shifts = np.column_stack([centers[n, best], np.zeros(len(padded))])
@@ -64,7 +62,7 @@ def _pad_points(points: Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _register_shifts(
-    points: Array, valid: NDArray[np.bool_], angles: Array, half: Array, rounds: int
+    points: Array, valid: NDArray[np.bool_], angles: Array, half: Array, max_distance: float, rounds: int
 ) -> tuple[Array, Array]:
     """Translations that minimise the distances of outlines rotated by (n, A) from points (n, M, 2), (n, M) valid.
 
@@ -78,11 +76,11 @@ def _register_shifts(
     centers = (rotated.min(axis=2) + rotated.max(axis=2)) / 2
     for _ in range(rounds):
         off, nearest = _offsets_from_sides(rotated - centers[:, :, None], half)
-        shifts = [_limited_mean(off[..., axis], valid & (nearest == axis)) for axis in (0, 1)]
+        shifts = [_limited_mean(off[..., axis], valid & (nearest == axis), max_distance) for axis in (0, 1)]
         centers = centers + np.stack(shifts, axis=-1)
     off, nearest = _offsets_from_sides(rotated - centers[:, :, None], half)
     distance = np.abs(np.where(nearest == 0, off[..., 0], off[..., 1]))
-    return centers, _limited_mean(distance, np.broadcast_to(valid, distance.shape))
+    return centers, _limited_mean(distance, np.broadcast_to(valid, distance.shape), max_distance)
 
 
 def _offsets_from_sides(points: Array, half: Array) -> tuple[Array, Index]:
@@ -95,7 +93,7 @@ def _offsets_from_sides(points: Array, half: Array) -> tuple[Array, Index]:
     return off, np.asarray(far_y < far_x, dtype=np.intp)
 
 
-def _limited_mean(values: Array, valid: NDArray[np.bool_]) -> Array:
+def _limited_mean(values: Array, valid: NDArray[np.bool_], limit: float) -> Array:
     """Means over the last axis of the valid values, truncated; 0 where there are none."""
-    limited = np.clip(values, -_MAX_DISTANCE, _MAX_DISTANCE)
+    limited = np.clip(values, -limit, limit)
     return np.asarray(np.sum(limited * valid, axis=-1) / np.maximum(valid.sum(axis=-1), 1))

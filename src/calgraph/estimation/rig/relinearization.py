@@ -45,7 +45,7 @@ class CachedLinearization:
 
 
 def linearize_views(
-    views: BoardViews, T_sensor_board: Array, extra: Array, bias_variance: Array
+    views: BoardViews, T_sensor_board: Array, extra: Array, bias_variance: Array, huber_threshold: float
 ) -> CachedLinearization:
     """Linearizes every measurement of one sensor's views.
 
@@ -54,6 +54,8 @@ def linearize_views(
         T_sensor_board: (V, 4, 4) the state.
         extra: (e,) the sensor's extra parameters.
         bias_variance: (6 + e,) variances of a view's bias, along the sensor's axes.
+        huber_threshold: of whitened residuals.
     """
     residuals = views.linearize(T_sensor_board, extra)
-    return CachedLinearization(T_sensor_board, extra, accumulate_biased(residuals, views.start, bias_variance))
+    equations = accumulate_biased(residuals, views.start, bias_variance, huber_threshold)
+    return CachedLinearization(T_sensor_board, extra, equations)

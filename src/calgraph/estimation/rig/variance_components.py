@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import chdtri
 
+from calgraph.config.settings import VarianceComponentSettings
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, MinimizedBundle
 from calgraph.estimation.rig.normal_equations import consistency_statistic, huber_variance_factor, whitening
 from calgraph.estimation.rig.observations import relative_poses
@@ -15,18 +16,6 @@ from calgraph.geometry import Array, Index
 
 # Smaller relative changes of a noise are not applied: they would only cost a linearization.
 _MIN_NOISE_CHANGE = 5e-3
-# Weight of the stated noise, in numbers of measurements: it is right to a factor of about 1.5.
-_STATED_NOISE_WEIGHT = 3
-# Least noise, relative to that stated.
-_MIN_NOISE_SCALE = 0.01
-# Relative ridge on the Fisher matrix.
-_FISHER_RIDGE = 0.01
-# Largest factor by which the scatter among views changes a noise variance in one step.
-_MAX_VARIANCE_FACTOR = 4.0
-# Significance level of the test for outlier views.
-_OUTLIER_CHANCE = 1e-5
-# Views whose statistic is below this share of the largest are not rejected before the worst ones are.
-_MIN_SHARE_OF_WORST = 0.25
 
 
 def update_variance_components(
@@ -52,6 +41,7 @@ def update_variance_components(
         first: index of the first views whose components are estimated; those before it keep theirs.
     """
     statistics = [_view_statistics(bundle, solution.equations, k, factors[k]) for k in range(first, len(factors))]
+    settings = bundle.settings.variances
     # Noise and bias of each in turn.
     score = np.concatenate([one.score for one in statistics])
     fisher = np.zeros((len(score), len(score)))
@@ -66,11 +56,15 @@ def update_variance_components(
     before = np.column_stack([np.ones(len(statistics)), bundle.bias_variance[first:]]).ravel()
     least = np.array([[one.bounds[0], 0.0] for one in statistics]).ravel()
     most = np.array([[one.bounds[1], np.inf] for one in statistics]).ravel()
-    noise, bias = np.minimum(_fisher_scoring_step(before, score, fisher, least), most).reshape(-1, 2).T
+    noise, bias = (
+        np.minimum(_fisher_scoring_step(before, score, fisher, least, settings.fisher_ridge), most)
+        .reshape(-1, 2)
+        .T
+    )
     freedom, state = fisher.diagonal()[::2], solution.state
     all_views = list(bundle.all_views)
     for i, views in enumerate(bundle.all_views[first:]):
-        scale = _shrink_noise_scale(views.noise_scale**2 * noise[i], freedom[i])
+        scale = _shrink_noise_scale(views.noise_scale**2 * noise[i], freedom[i], settings)
         if abs(scale / views.noise_scale - 1) >= _MIN_NOISE_CHANGE:
             T_root_sensor = state.T_root_sensor[bundle.sensor_of(first + i)]
             T_sensor_board = relative_poses(T_root_sensor, state.T_root_board[views.board])
@@ -110,13 +104,17 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     expected = np.diagonal(W.sum(axis=0))
     score = np.add.reduceat(among - expected, [0, noise_directions])
     fisher = _sum_blocks(np.sum(W**2, axis=0), noise_directions, noise_directions)
-    within, freedom = squares.sum() / huber_variance_factor(views.dimension), freedom.sum()
+    within, freedom = (
+        squares.sum() / huber_variance_factor(views.dimension, bundle.settings.huber_threshold),
+        freedom.sum(),
+    )
     score[0] += within - freedom
     fisher[0, 0] += freedom
+    max_factor = bundle.settings.variances.max_variance_factor
     expected_among = expected[:noise_directions].sum()
     low, high = (
         (within + factor * expected_among) / max(freedom + expected_among, 1.0)
-        for factor in (1 / _MAX_VARIANCE_FACTOR, _MAX_VARIANCE_FACTOR)
+        for factor in (1 / max_factor, max_factor)
     )
     return _ViewStatistics(
         views.board, noise_directions, solution_factors, score, fisher, (float(low), float(high))
@@ -128,19 +126,20 @@ def _sum_blocks(squares: Array, rows: int, columns: int) -> Array:
     return np.asarray(np.add.reduceat(np.add.reduceat(squares, [0, rows], axis=0), [0, columns], axis=1))
 
 
-def _shrink_noise_scale(variance: float, freedom: float) -> float:
+def _shrink_noise_scale(variance: float, freedom: float, settings: VarianceComponentSettings) -> float:
     """Noise over that stated, shrunk towards 1, from its estimated variance with ``freedom`` degrees of freedom.
 
     The stated noise is uncertain by a factor, so logarithms are averaged: in a mean of variances, noise stated ten
     times too large would weigh as a hundred measurements.
     """
-    return float(np.sqrt(max(variance, _MIN_NOISE_SCALE**2)) ** (freedom / (freedom + _STATED_NOISE_WEIGHT)))
+    least = settings.min_noise_ratio**2
+    return float(np.sqrt(max(variance, least)) ** (freedom / (freedom + settings.stated_noise_weight)))
 
 
-def _fisher_scoring_step(variances: Array, score: Array, fisher: Array, least: Array) -> Array:
+def _fisher_scoring_step(variances: Array, score: Array, fisher: Array, least: Array, ridge: float) -> Array:
     """Variances after one step of Fisher scoring, none of them below the least."""
     # Two sensors alone determine the sum of their variances only: the ridge keeps the difference.
-    regularized = fisher + np.diag(_FISHER_RIDGE * np.diag(fisher) + np.finfo(float).tiny)
+    regularized = fisher + np.diag(ridge * np.diag(fisher) + np.finfo(float).tiny)
     root = np.linalg.cholesky(regularized).T
     above, _ = nnls(root, root @ (variances - least) + np.linalg.solve(root.T, score))
     return np.asarray(least + above)
@@ -159,14 +158,15 @@ def find_outlier_views(
         factors: (K,) of :func:`calgraph.estimation.rig.covariances.view_covariance_factors`.
         first: index of the first views to test.
     """
+    settings = bundle.settings.variances
     excess = [np.zeros(len(views.board)) for views in bundle.all_views]
     worst: Array = np.zeros(len(equations.H_board))
     for k, views in enumerate(bundle.all_views[first:], start=first):
         at, F = equations.views[k], factors[k]
         squared, freedom = consistency_statistic(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
-        excess[k] = squared / chdtri(np.maximum(freedom, 1), _OUTLIER_CHANCE)
+        excess[k] = squared / chdtri(np.maximum(freedom, 1), settings.outlier_significance)
         worst[views.board] = np.maximum(worst[views.board], excess[k])
-    limit = max(1.0, _MIN_SHARE_OF_WORST * worst.max(initial=0.0))
+    limit = max(1.0, settings.min_share_of_worst * worst.max(initial=0.0))
     return [
         np.asarray((over > limit) & (over >= worst[views.board]), dtype=np.bool_)
         for views, over in zip(bundle.all_views, excess, strict=True)

@@ -1,0 +1,123 @@
+"""Settings of the joint estimate of a rig with a board."""
+
+import math
+
+from pydantic import Field
+
+from calgraph.config.strict_model import StrictModel
+
+
+class VarianceComponentSettings(StrictModel):
+    """Estimated noise of measurements, bias of views, and the rejection of outlier views."""
+
+    initial_view_bias: float = Field(default=0.003, gt=0)
+    """Initial standard deviation of a view's displacement, m: larger than that of good rigs (0 to 2 mm), so that
+    few views are outliers before noise is estimated."""
+    max_rounds: int = Field(default=12, ge=1)
+    """Rounds of solving, estimating noise and rejecting views, without outlines: about twice those needed."""
+    max_outline_rounds: int = Field(default=4, ge=1)
+    """Rounds with outlines, which start at a converged solution and change few components."""
+    steps_per_round: int = Field(default=4, ge=1)
+    """Levenberg–Marquardt steps in a round: noise changes between rounds, so that none needs to converge alone."""
+    noise_tolerance: float = Field(default=0.02, gt=0)
+    """Relative change of all noises at which rounds end: a tenth of what 50 measurements determine."""
+    bias_tolerance: float = Field(default=0.05, gt=0)
+    """Relative change of all view biases (standard deviations) at which rounds end: a third of the standard error
+    from 20 views."""
+    stated_noise_weight: float = Field(default=3.0, gt=0)
+    """Weight of the stated noise, in degrees of freedom: rig.yaml is right to a factor of about 1.5."""
+    min_noise_ratio: float = Field(default=0.01, gt=0, le=1)
+    """Least noise over the stated one: a noise of zero, as of detections without noise, would be singular."""
+    fisher_ridge: float = Field(default=0.01, gt=0)
+    """Relative ridge on the Fisher matrix: two sensors determine the sum of their variances only, and the step
+    along the difference is zero."""
+    max_variance_factor: float = Field(default=4.0, gt=1)
+    """Factor that bounds the change of a noise variance by the scatter among views in one round: before outliers
+    are rejected, it is too large."""
+    outlier_significance: float = Field(default=1e-5, gt=0, lt=1)
+    """Probability that a correct view fails the χ² test for outliers: with 1,000 views, one recording in 100 loses
+    one."""
+    min_share_of_worst: float = Field(default=0.25, ge=0, le=1)
+    """Views with a smaller share of the largest test statistic wait for the next round: a gross outlier biases the
+    statistics of all others."""
+
+
+class OutlineSettings(StrictModel):
+    """Observations of the board's outline by scanners. Distances in m."""
+
+    max_beam_spacing: float = Field(default=0.05, gt=0)
+    """Largest distance of the two beams of an edge on the board's plane: their standard deviation is 14 mm, five
+    times that of the usual spacing."""
+    max_side_distance: float = Field(default=0.06, gt=0)
+    """Largest distance of an edge from its side: four standard deviations of the coarsest edge; farther ones are
+    of an arm or a stand."""
+    min_corner_distance: float = Field(default=0.04, ge=0)
+    """Least distance of an edge from the corners: three standard deviations of the coarsest edge; nearer, its
+    side is ambiguous."""
+    min_cosine: float = Field(default=0.1, gt=0, lt=1)
+    """Least cosine of incidence (84°) of either beam: an error of 1 mrad moves a flatter one by more than 10 mm a
+    metre of range along the board."""
+    blur: float = Field(default=0.002, gt=0)
+    """Least standard deviation of an edge: boards are cut, and beams collimated, no more sharply."""
+    offset_stddev: float = Field(default=0.01, gt=0)
+    """Prior standard deviation of the offset by which a scanner measures sides too far out: half the footprint
+    of a beam of 3 mrad at 6 m."""
+    max_offset: float = Field(default=0.012, gt=0)
+    """Largest offset: beyond it the stated size of the board is wrong, rather than the footprint large."""
+    max_offset_sigmas: float = Field(default=4.0, gt=0)
+    """Least significance of such an offset, in its standard deviations: 6e-5 by chance."""
+    max_noise_ratio: float = Field(default=3.0, gt=1)
+    """Largest noise of edges over that stated: the outline of a rectangle of another size scatters more."""
+    min_variance_share: float = Field(default=0.05, gt=0, lt=1)
+    """Share of the variance by which outlines must reduce a direction's to be tested: of smaller ones, the
+    difference of two covariances is inaccurate."""
+    contradiction_significance: float = Field(default=1e-4, gt=0, lt=1)
+    """Probability that correct outlines fail the χ² test against planes and tags: one recording in 10,000."""
+
+
+class BoardRegistrationSettings(StrictModel):
+    """Registration of boards that no camera detected to their edges in scans. Distances in m."""
+
+    min_points: int = Field(default=6, ge=3)
+    """Least number of edges of a board: its pose in the plane has three parameters."""
+    max_distance: float = Field(default=0.05, gt=0)
+    """Distances of edges from the outline are truncated at this: three standard deviations of the coarsest."""
+    max_mean_distance: float = Field(default=0.02, gt=0)
+    """Largest mean distance of edges from an accepted outline: edges between beams 5 cm apart have 12 mm."""
+    ambiguity_ratio: float = Field(default=1.5, gt=1)
+    """Least ratio of the mean distances of any other rotation and the best one: outlines of nearly square boards
+    are ambiguous."""
+    min_rotation_apart: float = Field(default=math.radians(20), gt=0)
+    """Least difference of other rotations, rad (20°): smaller ones belong to the same minimum."""
+
+
+class ExtraParameterSettings(StrictModel):
+    """Prior standard deviations of parameters that are estimated on request: they matter without data only."""
+
+    range_bias: float = Field(default=0.1, gt=0)
+    """Of a scanner's range bias, m: several times that of any data sheet."""
+    focal_length: float = Field(default=0.1, gt=0)
+    """Of focal lengths, relative: several times the error of a poor intrinsic calibration."""
+    principal_point: float = Field(default=0.05, gt=0)
+    """Of principal points, relative to the size of the image: mounting tolerances of lenses are smaller."""
+    distortion: float = Field(default=0.3, gt=0)
+    """Of distortion coefficients, as large as those of wide-angle lenses."""
+    tag_position: float = Field(default=0.03, gt=0)
+    """Of the displacement of a tag on its board, m: tags glued on by eye are within 1 cm."""
+    tag_rotation: float = Field(default=0.05, gt=0)
+    """Of the rotation of a tag on its board, rad (3°): 1 cm over the length of a tag of 20 cm."""
+    max_stddev_share: float = Field(default=0.5, gt=0, le=1)
+    """A parameter is reported as not observable if its standard deviation exceeds this share of its prior's: data
+    have then less than three times the information of the prior."""
+
+
+class RigEstimationSettings(StrictModel):
+    """The bundle of a rig with a board."""
+
+    huber_threshold: float = Field(default=2.5, gt=0)
+    """Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
+    information."""
+    variances: VarianceComponentSettings = VarianceComponentSettings()
+    outlines: OutlineSettings = OutlineSettings()
+    registration: BoardRegistrationSettings = BoardRegistrationSettings()
+    parameters: ExtraParameterSettings = ExtraParameterSettings()
