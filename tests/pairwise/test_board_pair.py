@@ -5,6 +5,7 @@ import pytest
 
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
 from calgraph.config.settings import BoardPairSettings
+from calgraph.detection import PlanePatch
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import (
@@ -194,3 +195,15 @@ def test_the_gate_of_reselection_is_in_standard_deviations(rng: np.random.Genera
     found = reselect_inliers(estimate, T_a_b, a, b, SIZE, BoardPairSettings(reselection_gate=np.sqrt(0.4549)))
     assert isinstance(found, PairwiseEstimate)
     assert found.inliers.mean() == pytest.approx(0.5, abs=0.03)
+
+
+def test_residuals_are_rms_distances_of_the_two_planes(rng: np.random.Generator) -> None:
+    # A translation by d moves a plane by n d.
+    a = detect_boards("plane", np.eye(4), make_boards(rng, 30), rng, 1e-9)
+    estimate = estimate_pair("a", "b", a, a, SIZE, rng)
+    assert isinstance(estimate, PairwiseEstimate)
+    d = np.array([0.02, -0.01, 0.005])
+    found = reselect_inliers(estimate, se3.pose(np.eye(3), d), a, a, SIZE)
+    assert isinstance(found, PairwiseEstimate)
+    normals = np.array([one.plane[:3] for (one,) in a.values() if isinstance(one, PlanePatch)])
+    np.testing.assert_allclose(found.residuals, np.abs(normals @ d), atol=1e-6)
