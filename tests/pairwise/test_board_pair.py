@@ -91,12 +91,26 @@ def test_the_correct_one_of_several_candidates_is_selected(rng: np.random.Genera
     assert (chosen[:, 2] == 1).mean() > 0.95
 
 
-def test_too_few_shared_captures_are_rejected(rng: np.random.Generator) -> None:
-    scene = make_boards(rng, 2)
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_shared_captures_are_rejected(count: int, rng: np.random.Generator) -> None:
+    scene = make_boards(rng, count)
     detections = detect_boards("plane", np.eye(4), scene, rng)
     found = estimate_pair("a", "b", detections, detections, SIZE, rng)
-    assert isinstance(found, Rejected)
-    assert "2 captures" in found.reason
+    assert found == Rejected(f"both detected the board in {count} captures, 3 are needed")
+
+
+@pytest.mark.parametrize(("sigmas", "inlier"), [(2.8, True), (3.2, False)])
+def test_captures_are_inliers_up_to_three_standard_deviations(
+    sigmas: float, inlier: bool, rng: np.random.Generator
+) -> None:
+    """Of the model error of 10 mm: one of twelve exact boards is displaced along its normal."""
+    scene = make_boards(rng, 12)
+    moved = scene.copy()
+    moved[4, :3, 3] += sigmas * 0.01 * moved[4, :3, 2]
+    a, b = (detect_boards("plane", np.eye(4), boards, rng, 1e-6) for boards in (scene, moved))
+    found = estimate_pair("a", "b", a, b, SIZE, rng, refine=False)
+    assert not isinstance(found, Rejected)
+    assert found.inliers[found.matches[:, 0] == 4].tolist() == [inlier]
 
 
 def test_upright_boards_leave_height_roll_and_pitch_unobservable(rng: np.random.Generator) -> None:
