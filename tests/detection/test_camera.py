@@ -1,6 +1,6 @@
 """Boards in images drawn with known poses."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.baselines import estimate_mean_plane
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector, PlaneEstimator, find_boards
+from calgraph.detection import BoardCorners, CameraDetector, PlaneEstimator
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
@@ -62,6 +62,16 @@ def a_pose(
 
 def image(pixels: Gray, stamp: float = 0.0) -> Image:
     return Image(stamp, "camera", pixels)
+
+
+def find_boards(
+    images: Sequence[Image],
+    boards: Sequence[Board],
+    camera: CameraModel,
+    noise: PixelNoise,
+    plane_estimator: PlaneEstimator | None = None,
+) -> tuple[BoardCorners, ...] | Rejected:
+    return CameraDetector(boards, camera, noise, plane_estimator).find(images)
 
 
 def one(found: tuple[BoardCorners, ...] | Rejected) -> BoardCorners:
@@ -199,6 +209,15 @@ def test_images_of_a_resting_board_are_averaged(render: Render, rng: np.random.G
     detector = CameraDetector([TAGGED], SMALL, NOISE)
     single = [np.std(one(detector.find([shot])).pixels - truth) for shot in images]
     assert np.std(one(detector.find(images)).pixels - truth) < 0.8 * np.mean(single)
+
+
+@pytest.mark.parametrize(("pixels", "moved"), [(1.6, False), (2.6, True)])
+def test_a_board_may_move_by_a_pixel_from_the_mean(
+    pixels: float, moved: bool, render: Render, rng: np.random.Generator
+) -> None:
+    shift = (2 * pixels / 350, 0.0, 2.0)
+    images = [image(render(TAGGED, SMALL, a_pose((0, 0, 0), t), rng)) for t in ((0.0, 0.0, 2.0), shift)]
+    assert isinstance(find_boards(images, [TAGGED], SMALL, NOISE), Rejected) == moved
 
 
 def test_a_board_that_moved_is_rejected(render: Render, rng: np.random.Generator) -> None:

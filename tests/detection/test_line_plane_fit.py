@@ -41,6 +41,18 @@ def test_outliers_do_not_move_a_line(rng: np.random.Generator) -> None:
     assert not fit.inliers[::6].any()
 
 
+@pytest.mark.parametrize("share", [0.2, 0.35])
+def test_a_third_of_outliers_on_one_side_do_not_move_a_line(share: float, rng: np.random.Generator) -> None:
+    outliers = rng.permutation(120) < share * 120
+    ranges = line_ranges() + rng.normal(0, 0.01, 120) + 0.2 * outliers
+    fit = fit_line(BEAMS, ranges, np.full(120, 0.01), np.full(120, 1e-3), LINE)
+    assert fit is not None
+    assert not (fit.inliers & outliers).any()
+    assert fit.inliers.sum() > 0.95 * (~outliers).sum()
+    error = fit.parameters - LINE
+    assert error @ np.linalg.solve(fit.covariance, error) < 13.8  # χ²(2), 99.9 %
+
+
 def test_an_exact_plane_is_found_exactly() -> None:
     start = plane.retract(PLANE, np.array([0.04, -0.03, 0.05]))
     fit = fit_plane(*to_beams(beams_at_plane(12)), 0.01, 1e-3, start)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.config import Board, PixelNoise, Tag
-from calgraph.detection import find_boards
+from calgraph.detection import CameraDetector
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array
 from calgraph.printing import BoardOptions, Page, design_board, layout_pages, parse_paper
@@ -64,7 +64,7 @@ def errors(board: Board, raster: Gray, corner: tuple[float, float], per_mm: floa
     # A camera 1 m before the paper that sees it as it was rasterised.
     K = np.array([[1000 * per_mm, 0, width / 2], [0, 1000 * per_mm, height / 2], [0, 0, 1]])
     camera = CameraModel("pinhole", width, height, K, np.zeros(0))
-    found = find_boards([Image(0.0, "", raster)], [board], camera, PixelNoise(pixel=0.3))
+    found = CameraDetector([board], camera, PixelNoise(pixel=0.3)).find([Image(0.0, "", raster)])
     assert isinstance(found, tuple), found
     (seen,) = found
     # Pixel centres are whole numbers, the raster's lower left corner is at (-0.5, height - 0.5).

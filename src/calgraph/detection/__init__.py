@@ -1,7 +1,7 @@
 """Detection of the board in the messages of one capture."""
 
 from calgraph.detection.background_learning import learn_cloud_background, learn_scan_background
-from calgraph.detection.camera import CameraDetector, PlaneEstimator, find_boards
+from calgraph.detection.camera import CameraDetector, PlaneEstimator
 from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import (
     BoardCorners,
@@ -23,7 +23,7 @@ from calgraph.detection.lidar3d import find_patches
 
 __all__ = [
     "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "DetectionResult", "Landmarks",
-    "PlaneEstimator", "PlanePatch", "Segment", "board_corners_from_pixels", "compute_landmarks",
-    "find_boards", "find_patches", "find_segments", "learn_cloud_background", "learn_scan_background",
-    "plane_of", "plane_patch_from_points", "segment_from_points", "to_beams",
+    "PlaneEstimator", "PlanePatch", "Segment", "board_corners_from_pixels", "compute_landmarks", "find_patches",
+    "find_segments", "learn_cloud_background", "learn_scan_background", "plane_of", "plane_patch_from_points",
+    "segment_from_points", "to_beams",
 ]  # fmt: skip

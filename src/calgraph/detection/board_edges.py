@@ -25,7 +25,7 @@ def find_board_edges(
     scan_line: Index,
     thickness: float,
     settings: ScannerDetectionSettings,
-    parallax: float = 0.0,
+    parallax: float,
 ) -> Array:
     """Pairs of beams between which the board ends.
 

@@ -40,7 +40,7 @@ class _PrintedBoard:
 
 
 class CameraDetector:
-    """Finds a rig's boards in one camera's images; build it once a camera, and use it from one thread.
+    """Finds a rig's boards in one camera's images; built once per camera, and used from one thread.
 
     Args:
         boards: the rig's boards; those without a print are not detected.
@@ -211,19 +211,6 @@ def make_board_corners(pose: BoardPose, corners: Array, pixels: Array, board: in
         rms=pose.rms,
         board=board,
     )
-
-
-def find_boards(
-    images: Sequence[Image],
-    boards: Sequence[Board],
-    camera: CameraModel,
-    noise: PixelNoise,
-    *,
-    plane_estimator: PlaneEstimator | None = None,
-    settings: CameraDetectionSettings = CameraDetectionSettings(),
-) -> tuple[BoardCorners, ...] | Rejected:
-    """Every board in the images of one capture; :class:`CameraDetector` for many captures."""
-    return CameraDetector(boards, camera, noise, plane_estimator, settings).find(images)
 
 
 def _average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | Rejected:

@@ -298,9 +298,8 @@ def _find_edges(
     thickness = max(settings.scanner.same_surface_sigmas * sigma, settings.scanner.min_thickness)
     # Beams that are not consecutive are different scan lines.
     scan_line = near - np.arange(len(near))
-    return find_board_edges(
-        scan.directions[near], (scan.ranges - predicted)[near], scan_line, thickness, settings.scanner
-    )
+    excess = (scan.ranges - predicted)[near]
+    return find_board_edges(scan.directions[near], excess, scan_line, thickness, settings.scanner, parallax=0.0)
 
 
 def build_segment(
