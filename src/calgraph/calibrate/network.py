@@ -81,6 +81,8 @@ def calibrate_tracks(
         pairs,
         observations,
         rng,
+        settings=rig.settings.graph,
+        hypothesis_settings=rig.settings.pairwise.scanners.hypotheses,
         averaging=select_averaging(options.average, rig.settings.baselines),
         weighted=options.weights == "weighted",
     )

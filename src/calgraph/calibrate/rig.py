@@ -152,12 +152,21 @@ def build_problem_from_captures(
         detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
     )
     start = select_initialization(options.start, rig.settings.baselines)
-    tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
+    tree = initialize_rig(
+        rig.root, select_successful(pairs), start, rng, rig.settings.graph, rig.settings.pairwise.board.max_stddev
+    )
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
         poses = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
         pairs = reselect_all_inliers(pairs, poses, detections, rig.board_size, settings)
-        tree = initialize_rig(rig.root, select_successful(pairs), start, rng)
+        tree = initialize_rig(
+            rig.root,
+            select_successful(pairs),
+            start,
+            rng,
+            rig.settings.graph,
+            rig.settings.pairwise.board.max_stddev,
+        )
     solver = SolverOptions(
         estimator=options.estimator, keep=options.keep, folds=options.folds, estimate=options.estimate
     )
@@ -189,7 +198,13 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     """
     rig, captures, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
-    tree = attach_by_priors(problem.tree, select_successful(pairs), solver.priors, solver.groups)
+    tree = attach_by_priors(
+        problem.tree,
+        select_successful(pairs),
+        solver.priors,
+        solver.groups,
+        rig.settings.pairwise.board.max_stddev,
+    )
     if solver.estimator == "bundle":
         joint = solve_bundle(
             rig, captures, select_successful(pairs), tree.T_root_sensor,

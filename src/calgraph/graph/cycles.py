@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import chdtri
 
+from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import Edges, PoseGraph
 
@@ -17,8 +18,6 @@ Cycle = NDArray[np.intp]
 Adjacency = list[list[tuple[int, int, int]]]
 """For every node its incident edges: neighbour, edge, direction."""
 
-# A cycle is consistent unless a right one would have an error as large with this probability only.
-_OUTLIER_PROBABILITY = 0.001
 # Information added to make the covariance of unobserved directions finite: 100 m or rad.
 _MIN_INFORMATION = 1e-4
 
@@ -77,7 +76,9 @@ def incidence_matrix(cycles: Sequence[Cycle], edges: int) -> csr_array:
     return csr_array((directed[:, 1].astype(np.float64), (rows, directed[:, 0])), shape=(len(cycles), edges))
 
 
-def check_consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.bool_]:
+def check_consistency(
+    graph: PoseGraph, cycles: Sequence[Cycle], settings: GraphSettings = GraphSettings()
+) -> NDArray[np.bool_]:
     """Whether the poses around each cycle multiply to the identity, within their covariances."""
     dof = graph.information.shape[-1]
     covariance = np.asarray(np.linalg.inv(graph.information + _MIN_INFORMATION * np.eye(dof)), dtype=np.float64)
@@ -98,14 +99,16 @@ def check_consistency(graph: PoseGraph, cycles: Sequence[Cycle]) -> NDArray[np.b
             error = error @ T[step]
         r = se_n.difference(error, np.eye(error.shape[-1]))
         chi2 = np.einsum("ci,ci->c", r, np.linalg.solve(error_covariance, r[..., None])[..., 0])
-        consistent[members] = chi2 <= chdtri(dof, _OUTLIER_PROBABILITY)
+        consistent[members] = chi2 <= chdtri(dof, settings.outlier_probability)
     return consistent
 
 
-def edge_support(graph: PoseGraph, cycles: Sequence[Cycle]) -> Array:
+def edge_support(graph: PoseGraph, cycles: Sequence[Cycle], settings: GraphSettings = GraphSettings()) -> Array:
     """(E,) share of consistent cycles among those through each edge, shrunk to one half where there are few."""
     through = abs(incidence_matrix(cycles, len(graph.edges))).T
-    return np.asarray((through @ check_consistency(graph, cycles) + 0.5) / (through @ np.ones(len(cycles)) + 1.0))
+    return np.asarray(
+        (through @ check_consistency(graph, cycles, settings) + 0.5) / (through @ np.ones(len(cycles)) + 1.0)
+    )
 
 
 def _forest(count: int, edges: Edges) -> NDArray[np.bool_]:

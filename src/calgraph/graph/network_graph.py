@@ -4,23 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array
 from calgraph.graph.graph_optimization import optimize_poses
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.pairwise import ScannerPairEstimate
 
-# Model error of pairs beyond their noise (bodies are not ellipses, clocks differ), m and rad.
-_ERROR_FLOOR = (0.02, 0.004)
-# Weight of the prior that this floor is right, in residuals.
-_FLOOR_PRIOR = 3.0
 # Bounds of the scale of the floor; bisections, which give it to 0.1 %.
 _SCALE_BOUNDS = (0.05, 20.0)
 _BISECTIONS = 16
-# Evidence at which an edge has half the full weight: agreeing positions (every 0.1 s) times the share that agrees.
-_HALF_WEIGHT_EVIDENCE = 50.0
-# Evidence of matching walls.
-_WALL_EVIDENCE = 100.0
 
 
 def build_network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
@@ -42,6 +35,7 @@ def average_network(
     rng: np.random.Generator,
     weights: Array | None = None,
     averaging: PoseAveraging | None = None,
+    settings: GraphSettings = GraphSettings(),
 ) -> tuple[PoseGraphSolution, PoseGraph]:
     """Poses of a network's scanners by :func:`average_poses`, and the graph with the estimated error floor.
 
@@ -53,18 +47,25 @@ def average_network(
         rng: source of the random trees of the consensus.
         weights: (E,) of the edges, 0..1; uniform if None.
         averaging: in place of the consensus; its poses are taken as they are.
+        settings: of the model error and the consensus.
     """
-    initial = graph.with_error_floor(*_ERROR_FLOOR)
-    solution = averaging(initial, weights) if averaging else average_poses(initial, rng, weights)
-    scale = _estimate_floor_scale(graph.select_edges(solution.inliers), solution.T_root_node)
-    inflated = graph.with_error_floor(*(scale * floor for floor in _ERROR_FLOOR))
+    initial = _add_error_floor(graph, 1.0, settings)
+    solution = averaging(initial, weights) if averaging else average_poses(initial, rng, weights, settings)
+    scale = _estimate_floor_scale(graph.select_edges(solution.inliers), solution.T_root_node, settings)
+    inflated = _add_error_floor(graph, scale, settings)
     if averaging:
         return solution, inflated
     T = optimize_poses(inflated, solution.T_root_node, solution.inliers.astype(np.float64))
     return PoseGraphSolution(T, solution.inliers), inflated
 
 
-def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array) -> float:
+def _add_error_floor(graph: PoseGraph, scale: float, settings: GraphSettings) -> PoseGraph:
+    return graph.with_error_floor(
+        scale * settings.network_translation_floor, scale * settings.network_rotation_floor
+    )
+
+
+def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array, settings: GraphSettings) -> float:
     """Scale of the error floor at which chi-squared equals the degrees of freedom, those of a prior included.
 
     The prior keeps the scale near 1 where the graph has few cycles.
@@ -73,15 +74,17 @@ def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array) -> float:
     low, high = _SCALE_BOUNDS
     for _ in range(_BISECTIONS):
         scale = float(np.sqrt(low * high))
-        chi2 = float(
-            chi_squared(inliers.with_error_floor(*(scale * floor for floor in _ERROR_FLOOR)), T_root_node).sum()
+        chi2 = float(chi_squared(_add_error_floor(inliers, scale, settings), T_root_node).sum())
+        too_small = (
+            chi2 + settings.floor_prior_weight / scale**2 > degrees_of_freedom + settings.floor_prior_weight
         )
-        too_small = chi2 + _FLOOR_PRIOR / scale**2 > degrees_of_freedom + _FLOOR_PRIOR
         low, high = (scale, high) if too_small else (low, scale)
     return float(np.sqrt(low * high))
 
 
-def edge_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
+def edge_weights(
+    names: Sequence[str], pairs: Sequence[ScannerPairEstimate], settings: GraphSettings = GraphSettings()
+) -> Array:
     """Weights (E,) of the edges of :func:`build_network_graph`, 0..1, from the evidence of each.
 
     Wrong estimates arise where two people were associated as one. These agree for seconds only, and most of what
@@ -91,12 +94,15 @@ def edge_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> 
     Args:
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
+        settings: of weights and evidence.
     """
-    evidence = edge_evidence(names, pairs)
-    return np.asarray(evidence / (evidence + _HALF_WEIGHT_EVIDENCE))
+    evidence = edge_evidence(names, pairs, settings)
+    return np.asarray(evidence / (evidence + settings.half_weight_evidence))
 
 
-def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
+def edge_evidence(
+    names: Sequence[str], pairs: Sequence[ScannerPairEstimate], settings: GraphSettings = GraphSettings()
+) -> Array:
     """Evidence (E,) of the edges of :func:`build_network_graph`: agreeing positions times the share that agrees.
 
     Matching walls add a constant: hardly any wrong pose aligns them.
@@ -104,9 +110,10 @@ def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) ->
     Args:
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
+        settings: of weights and evidence.
     """
     kept = [h for p in pairs if p.sensor_a in names for h in p.hypotheses]
-    return np.array([h.observations * h.matched_share + _WALL_EVIDENCE * h.uses_background for h in kept])
+    return np.array([h.observations * h.matched_share + settings.wall_evidence * h.uses_background for h in kept])
 
 
 def _connected_scanners(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:

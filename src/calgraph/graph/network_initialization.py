@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.errors import Rejected
 from calgraph.graph.conflicting_evidence import find_conflicting_evidence
 from calgraph.graph.network_graph import average_network, build_network_graph, edge_evidence, edge_weights
@@ -37,6 +38,8 @@ def initialize_network(
     *,
     averaging: PoseAveraging | None = None,
     weighted: bool = True,
+    settings: GraphSettings = GraphSettings(),
+    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> NetworkInitialization:
     """Averages a network's pairs, and removes hypotheses and scanners until no contradiction is left.
 
@@ -51,20 +54,22 @@ def initialize_network(
         rng: source of the random trees of the consensus.
         averaging: in place of the consensus.
         weighted: whether pairs are weighted by their evidence; uniformly otherwise.
+        settings: of weights, evidence and the consensus.
+        hypothesis_settings: differences up to which two poses are the same.
     """
     while True:
         estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
         graph, names = build_network_graph(root, estimates)
-        weights = edge_weights(names, estimates) if weighted else None
-        solution, graph = average_network(graph, rng, weights, averaging)
+        weights = edge_weights(names, estimates, settings) if weighted else None
+        solution, graph = average_network(graph, rng, weights, averaging, settings)
         # A root without any connection may have no observations.
         of_nodes = [observations[name] for name in names if name in observations]
-        missed = find_visibility_conflict(graph, of_nodes, solution, edge_evidence(names, estimates))
+        missed = find_visibility_conflict(graph, of_nodes, solution, edge_evidence(names, estimates, settings))
         if missed:
             why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
-        conflict = find_conflicting_evidence(graph, names, estimates, solution)
+        conflict = find_conflicting_evidence(graph, names, estimates, solution, settings, hypothesis_settings)
         if not conflict:
             return NetworkInitialization(pairs, graph, names, solution)
         if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):

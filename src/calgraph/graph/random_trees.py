@@ -3,15 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph
 
-# A node moves if the votes for its pose increase by more than this, in edges of full weight.
-_MIN_GAIN = 0.5
 # Sweeps end when no node moves; this cap is not reached in practice.
 _MAX_SWEEPS = 20
-# Most proposals for one node; (proposal, edge) combinations evaluated in one batch, which bounds memory.
-_MAX_PROPOSALS = 30
+# (Proposal, edge) combinations evaluated in one batch, which bounds memory.
 _CHUNK = 200_000
 
 
@@ -59,7 +57,12 @@ def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
 
 
 def improve_by_votes(
-    graph: PoseGraph, weights: Array, T_root_node: Array, gate: float, rng: np.random.Generator
+    graph: PoseGraph,
+    weights: Array,
+    T_root_node: Array,
+    gate: float,
+    rng: np.random.Generator,
+    settings: GraphSettings = GraphSettings(),
 ) -> Array:
     """Moves single nodes to the pose that an edge of a neighbour predicts where more of their edges then agree.
 
@@ -69,12 +72,13 @@ def improve_by_votes(
         T_root_node: (N, n+1, n+1).
         gate: squared Mahalanobis distance up to which an edge agrees.
         rng: selects the nodes that move in a sweep.
+        settings: the least gain, and the number of proposals.
     """
-    voting = _Voting(graph, weights, rng)
+    voting = _Voting(graph, weights, rng, settings.max_proposals)
     T = T_root_node.copy()
     for _ in range(_MAX_SWEEPS):
         proposals, gains = voting.count_votes(T, gate)
-        movers = np.flatnonzero(gains > _MIN_GAIN)
+        movers = np.flatnonzero(gains > settings.min_vote_gain)
         if not len(movers):
             break
         # The gain of a node assumes that its neighbours stay: about half move, the one of largest gain always.
@@ -86,7 +90,7 @@ def improve_by_votes(
 class _Voting:
     """Which edges vote on which proposals, which depends on the graph alone."""
 
-    def __init__(self, graph: PoseGraph, weights: Array, rng: np.random.Generator) -> None:
+    def __init__(self, graph: PoseGraph, weights: Array, rng: np.random.Generator, max_proposals: int) -> None:
         self.graph, self.weights = graph, weights
         edges = len(graph.edges)
         self.start = np.concatenate([graph.edges[:, 0], graph.edges[:, 1]])
@@ -95,9 +99,9 @@ class _Voting:
         self.edge = np.tile(np.arange(edges), 2)
         self.degree = np.bincount(self.end, weights[self.edge], minlength=graph.count)
         into = _group_by_node(self.end, graph.count, rng)
-        node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], _MAX_PROPOSALS))
-        voter = np.repeat(into, min(into.shape[1], _MAX_PROPOSALS), axis=1).ravel()
-        proposal = np.tile(into[:, :_MAX_PROPOSALS], (1, into.shape[1])).ravel()
+        node = np.repeat(np.arange(graph.count), into.shape[1] * min(into.shape[1], max_proposals))
+        voter = np.repeat(into, min(into.shape[1], max_proposals), axis=1).ravel()
+        proposal = np.tile(into[:, :max_proposals], (1, into.shape[1])).ravel()
         real = (voter < 2 * edges) & (proposal < 2 * edges)
         self.voter, self.proposal, self.node = voter[real], proposal[real], node[real]
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
+from calgraph.config.settings import BoardPairSettings
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, SensorPrior, stack_poses
@@ -98,8 +99,12 @@ def attach_by_priors(
     estimates: Sequence[PairwiseEstimate],
     priors: Sequence[PosePrior],
     groups: Sequence[RigidGroup],
+    max_stddev: float = BoardPairSettings().max_stddev,
 ) -> SpanningTree:
-    """The tree with the sensors that priors or groups connect to it, and those that captures connect to these."""
+    """The tree with the sensors that priors or groups connect to it, and those that captures connect to these.
+
+    A pair does not observe directions of a standard deviation (m or rad) above ``max_stddev``.
+    """
     from_groups = (
         (name, by, T)
         for group in groups
@@ -111,7 +116,9 @@ def attach_by_priors(
     for name, parent, T in chain(from_groups, from_priors):
         if name not in tree.T_root_sensor:
             extended = SpanningTree(tree.root, {**tree.parents, name: parent}, {**tree.T_root_sensor, name: T})
-            return attach_by_priors(grow_tree(extended, estimates), estimates, priors, groups)
+            return attach_by_priors(
+                grow_tree(extended, estimates, max_stddev), estimates, priors, groups, max_stddev
+            )
     return tree
 
 
