@@ -59,7 +59,7 @@ def average_poses(
         if inliers_of_tree[k].tobytes() in refined_inliers:
             continue
         refined_inliers.add(inliers_of_tree[k].tobytes())
-        T = _refine(graph, weights, starts[k], gate, rng, settings)
+        T = _refine_tree(graph, weights, starts[k], gate, rng, settings)
         (score,), (inliers,) = _score(graph, weights, T[None], gate)
         if best is None or score < best_score:
             best, best_score = PoseGraphSolution(T, inliers), float(score)
@@ -100,7 +100,7 @@ def _cheapest_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
     return in_tree
 
 
-def _refine(
+def _refine_tree(
     graph: PoseGraph,
     weights: Array,
     T_root_node: Array,
