@@ -167,6 +167,8 @@ def test_a_scanner_with_half_of_all_tracks_occluded_is_found(seed: int) -> None:
     observed = observe(walks, B, rng, background=room(B, rng))
     some = tuple(track for track in observed.tracks if rng.random() < 0.5)
     pair = estimate_scanner_pair("a", "b", observe(walks, A, rng), replace(observed, tracks=some), rng)
+    assert isinstance(pair, ScannerPairEstimate), pair
+    assert 0.25 < pair.hypotheses[0].matched_share < 0.8
     assert error(pair, se2.inverse(A) @ B)[0] < 0.1
 
 
