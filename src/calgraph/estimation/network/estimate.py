@@ -219,7 +219,11 @@ def _initialize_path(
     band[0] += 1e-9
     control = solveh_banded(band, right, lower=True)
     velocity = np.gradient(control, knots.step, axis=0)
-    heading = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+    walking = np.linalg.norm(velocity, axis=1) > settings.body.min_walking_speed
+    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
+    if walking.any():
+        k = np.arange(len(control))
+        heading = np.interp(k, k[walking], np.unwrap(heading[walking]))
     return BodyPath(np.column_stack([control, heading]), _prior_radii(target))
 
 
