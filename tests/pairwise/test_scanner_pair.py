@@ -12,9 +12,11 @@ from scipy.signal import lfilter
 from calgraph.calibrate.options import CenterFeature
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import People, RangeNoise
+from calgraph.config.settings import HypothesisSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
+from calgraph.pairwise.scanner_pair import _select_distinct
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import ScannerTracks, Track, track_scanner
@@ -319,3 +321,25 @@ def test_matches_by_chance_are_those_at_other_times() -> None:
     radius = np.sqrt(9.21 * (2 * SIGMA**2 + h.model_error**2))
     share = 1 - np.exp(-2 * np.arcsin(radius / 6) / np.pi)
     assert h.chance_observations == pytest.approx(share * h.observations, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("step", "distinct"),
+    [
+        ((0.29, 0.39, 0.0), False), ((0.31, 0.41, 0.0), True), ((-0.6, 0.0, 0.0), True), ((0.0, 0.6, 0.0), True),
+        ((0.0, 0.0, np.radians(7)), False), ((0.0, 0.0, np.radians(9)), True), ((0.3, 0.0, -np.radians(9)), True),
+    ],
+)  # fmt: skip
+def test_hypotheses_are_distinct_beyond_half_a_metre_or_eight_degrees(
+    step: tuple[float, float, float], distinct: bool
+) -> None:
+    best = se2.pose(3.1, np.array([2.0, -1.0]))
+    T = np.array([se2.retract(best, np.array(step)), best])
+    found = _select_distinct(T, np.array([0.4, 0.3]), 5, HypothesisSettings())
+    np.testing.assert_array_equal(found, T[[1, 0] if distinct else [1]])
+
+
+def test_the_distinct_hypotheses_of_least_cost_are_kept() -> None:
+    T = se2.pose(np.zeros(4), np.array([[0.0, 0], [1, 0], [2, 0], [3, 0]]))
+    found = _select_distinct(T, np.array([0.4, 0.1, 0.3, 0.2]), 2, HypothesisSettings())
+    np.testing.assert_array_equal(found, T[[1, 3]])
