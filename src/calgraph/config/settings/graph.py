@@ -14,8 +14,8 @@ class GraphSettings(StrictModel):
     tree_gate_factor: float = Field(default=9.0, ge=1)
     """Factor of the gate of squared distances before refinement: noise of nine edges in a row along a tree."""
     tree_edges: int = Field(default=100_000, ge=1)
-    """Random trees are drawn until they have this number of edges in total, within the limits below, which bounds the
-    time."""
+    """Random trees are drawn until they have this number of edges in total, within the limits below; it bounds
+    the time."""
     min_trees: int = Field(default=8, ge=1)
     """Least number of random trees, for graphs of more than 12,500 edges."""
     max_trees: int = Field(default=600, ge=1)
