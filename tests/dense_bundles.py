@@ -14,8 +14,8 @@ def unbiased_scene(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards
 
 def residuals(bundle: Bundle, state: BundleState) -> Array:
     parts = [
-        own.linearize(relative_poses(T, state.T_root_board[own.board]), np.zeros(0)).residual.ravel()
-        for own, T in zip(bundle.views, state.T_root_sensor, strict=True)
+        views.linearize(relative_poses(T, state.T_root_board[views.board]), np.zeros(0)).residual.ravel()
+        for views, T in zip(bundle.views, state.T_root_sensor, strict=True)
     ]
     return np.concatenate(parts)
 

@@ -1,4 +1,4 @@
-"""Sheets are laid where scanners saw them end; ends that are not those of such sheets are not used."""
+"""Boards are registered to their edges in scans; edges of boards of another size are not used."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def test_without_cameras_boards_are_registered_by_their_outlines() -> None:
     T_truth = np.array([boards[int(capture)] for capture in adjusted.captures])
     off = se3.inverse(T_truth) @ adjusted.minimized.state.T_root_board
     centers, turns = np.linalg.norm(off[:, :2, 3], axis=1), np.abs(off[:, 0, 1])
-    # Turned by half a turn a sheet looks the same; a few cannot be laid.
+    # A rectangle is ambiguous by half a turn; a few boards cannot be registered.
     assert np.mean((centers < 0.01) & (turns < 0.02)) > 0.8
 
 
@@ -68,7 +68,7 @@ def test_boards_of_a_wrong_size_are_remarked_and_their_outlines_not_used() -> No
 
 
 def print_aside(_: str, detection: Detection) -> Detection:
-    """As if the print were 3 cm to the left of where it is said to be on the sheet."""
+    """As if the print were 3 cm to the left of its stated place on the board."""
     if not isinstance(detection, BoardCorners):
         return detection
     aside = np.array([0.03, 0.0, 0.0])

@@ -31,10 +31,10 @@ def numerical_bound(
             by_sensor, by_board = derivatives(measured, T_sensor, T_board)
             H_board += by_board.T @ by_board
             if name != rig.root:
-                own = slice(6 * names.index(name), 6 * names.index(name) + 6)
-                H[own, own] += by_sensor.T @ by_sensor
-                coupling[:, own] += by_board.T @ by_sensor
-        # A board of which only the plane is seen has three directions that nothing depends on.
+                columns = slice(6 * names.index(name), 6 * names.index(name) + 6)
+                H[columns, columns] += by_sensor.T @ by_sensor
+                coupling[:, columns] += by_board.T @ by_sensor
+        # Of a board without corners only the plane is measured: three directions are not observable.
         H -= coupling.T @ np.linalg.pinv(H_board, rcond=1e-9, hermitian=True) @ coupling
     covariance: Array = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return {name: covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(names)}
@@ -70,7 +70,7 @@ def derivatives(
 
 
 def without_edges(captured: CaptureSet) -> CaptureSet:
-    """What the numbers above know of: planes and prints, not where sheets end."""
+    """Planes and prints, without the outlines, as in the numerical bound above."""
     blunt = {
         name: {
             capture: tuple(d if isinstance(d, BoardCorners) else replace(d, edges=d.edges[:0]) for d in found)

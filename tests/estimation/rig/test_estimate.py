@@ -30,7 +30,7 @@ def bound(one: DetectedRig) -> dict[str, Array]:
 
 
 def interval(count: int) -> tuple[float, float]:
-    """Where the mean of so many squared standard normal numbers lies."""
+    """99 % interval of the mean of that many squared standard normal numbers."""
     low, high = chi2.ppf([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], count) / count
     return float(low), float(high)
 
@@ -40,7 +40,7 @@ def test_errors_are_those_of_the_cramer_rao_bound(runs: list[tuple[DetectedRig, 
     errors = [se3.difference(joint.T_root_sensor[name], one.T_root_sensor[name]) for one, joint in runs]
     squared = [e @ np.linalg.solve(bound(one)[name], e) / 6 for e, (one, _) in zip(errors, runs, strict=True)]
     low, high = interval(6 * RUNS)
-    # Noise that is measured instead of known costs some percent.
+    # Estimating the noise costs a few percent.
     assert low < np.mean(squared) < 1.1 * high
 
 
@@ -67,7 +67,7 @@ def test_outliers_in_a_fifth_of_the_captures_cost_little() -> None:
     for seed in range(3):
         for i, stage in enumerate((calm, slipping)):
             one = detect_rig_on(stage, seed)
-            # Not even told by pairs which captures were disturbed.
+            # Pairs keep the disturbed captures as inliers.
             error = se3.difference(one.solve().T_root_sensor["camera"], one.T_root_sensor["camera"])
             squares[i] += error @ np.linalg.solve(bound(one)["camera"], error)
     assert np.sqrt(squares[1] / squares[0]) < 2

@@ -39,14 +39,14 @@ def jacobian(linearized: LinearizedResiduals, views: BoardViews) -> Array:
     )
 
 
-def numerical(views: BoardViews, T: Array, own: Array) -> Array:
+def numerical(views: BoardViews, T: Array, extra: Array) -> Array:
     """The same by central differences."""
 
     def residual(step: Array) -> Array:
         moved = se3.retract(T, np.tile(step[:6], (len(T), 1)))
-        return views.linearize(moved, own + step[6:]).residual.ravel()
+        return views.linearize(moved, extra + step[6:]).residual.ravel()
 
-    steps = STEP * np.eye(6 + len(own))
+    steps = STEP * np.eye(6 + len(extra))
     return np.stack([(residual(step) - residual(-step)) / (2 * STEP) for step in steps], axis=-1)
 
 
@@ -77,10 +77,10 @@ def test_derivatives_of_corners_by_intrinsics_and_displacements_of_tags(camera: 
         replace(corners(camera), estimate_intrinsics=True, tag_centers=centers, tag_index=tag),
         ORDINARY[None],
     )
-    own = np.concatenate([camera.intrinsics, [0.01, -0.02, 0.1, -0.01, 0.02, -0.2]])
-    expected = numerical(views, T, own)
+    extra = np.concatenate([camera.intrinsics, [0.01, -0.02, 0.1, -0.01, 0.02, -0.2]])
+    expected = numerical(views, T, extra)
     assert np.abs(expected[:, 6:]).max(axis=0).min() > 0
-    found = jacobian(views.linearize(T, own), views)
+    found = jacobian(views.linearize(T, extra), views)
     size = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(found / size, expected / size, atol=1e-6)
 
@@ -89,7 +89,7 @@ def test_a_tag_rotates_about_its_centre() -> None:
     tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
     views = replace(corners(CAMERA), tag_centers=centers, tag_index=tag)
     T, quarter = ORDINARY[None], np.array([0, 0, np.pi / 2, 0, 0, 0])
-    still, turned = (views.linearize(T, own).residual for own in (np.zeros(6), quarter))
+    still, turned = (views.linearize(T, extra).residual for extra in (np.zeros(6), quarter))
     # A quarter turn brings each corner where the next one was, and leaves other tags alone.
     np.testing.assert_allclose(turned[4:8], np.roll(still[4:8], 1, axis=0), atol=1e-8)
     np.testing.assert_allclose(np.delete(turned, slice(4, 8), axis=0), np.delete(still, slice(4, 8), axis=0))
@@ -102,9 +102,9 @@ def test_derivatives_of_ranges_are_the_numerical_ones(kind: str, bias: int) -> N
     T = relative_poses(truth.T_root_sensor[0], truth.T_root_board)
     views = beams(kind, T, bias)
     # Off the poses that the beams were made for: then their places on the boards matter.
-    T, own = se3.retract(T, np.tile([0.1, -0.2, 0.1, 0.1, -0.1, 0.2], (6, 1))), np.full(bias, 0.03)
+    T, extra = se3.retract(T, np.tile([0.1, -0.2, 0.1, 0.1, -0.1, 0.2], (6, 1))), np.full(bias, 0.03)
     np.testing.assert_allclose(
-        jacobian(views.linearize(T, own), views), numerical(views, T, own), rtol=1e-5, atol=1e-4
+        jacobian(views.linearize(T, extra), views), numerical(views, T, extra), rtol=1e-5, atol=1e-4
     )
 
 

@@ -18,12 +18,12 @@ from calgraph.geometry import Array, se3, so3
 HALF = np.array([WIDTH, HEIGHT]) / 2
 BEFORE = se3.pose(so3.exp(np.array([2.8, 0.3, -0.2])), np.array([0.2, -0.1, 2.0]))
 STEP = 0.02
-# Of one sheet: this many edges on each side.
+# Number of edges on each side of a board.
 EACH = 6
 
 
 def crossings(rng: np.random.Generator, each: int = EACH, step: float = STEP) -> Array:
-    """(4 each, 2, 2) places on and past each side of the sheet, where beams ``step`` apart meet its plane."""
+    """(4 each, 2, 2) places on and past each side of the board, where beams ``step`` apart meet its plane."""
     along = rng.uniform(-0.8, 0.8, (4, each))
     n = np.repeat(np.array([[-1.0, 0], [1, 0], [0, -1], [0, 1]])[:, None], each, axis=1)
     at = n * HALF + along[..., None] * HALF * np.abs(n[..., ::-1])
@@ -57,13 +57,13 @@ def test_derivatives_of_outlines_are_the_numerical_ones() -> None:
     T = np.stack([BEFORE, se3.retract(BEFORE, np.array([0.3, 0.2, 0.5, 0.4, -0.3, 0.8]))])
     views = outline(T, [edges_of(one, crossings(rng)) for one in T])
     # Elsewhere than where they were made for: then their places on the boards matter.
-    T, own = se3.retract(T, np.tile([0.02, -0.01, 0.1, 0.1, -0.1, 0.02], (2, 1))), np.array([0.003])
+    T, extra = se3.retract(T, np.tile([0.02, -0.01, 0.1, 0.1, -0.1, 0.02], (2, 1))), np.array([0.003])
 
     def residual(step: Array) -> Array:
-        return views.linearize(se3.retract(T, np.tile(step[:6], (2, 1))), own + step[6:]).residual.ravel()
+        return views.linearize(se3.retract(T, np.tile(step[:6], (2, 1))), extra + step[6:]).residual.ravel()
 
     numbers = np.stack([(residual(s) - residual(-s)) / (2 * small) for s in small * np.eye(7)], axis=-1)
-    linearized = views.linearize(T, own)
+    linearized = views.linearize(T, extra)
     view = np.repeat([0, 1], np.diff(views.start, append=len(linearized.residual)))
     assert len(view) > 40
     np.testing.assert_allclose(
@@ -82,7 +82,7 @@ def test_residual_of_an_outline_is_the_displacement_of_the_board() -> None:
 def test_residuals_of_outlines_have_the_stated_variance_and_no_mean() -> None:
     rng = np.random.default_rng(1)
     views = outline(BEFORE[None], [edges_of(BEFORE, crossings(rng, each=2000))])
-    # Beams apart by 20 mm at random phases, and 2 mm of blur that these sheets do not have.
+    # Beams apart by 20 mm at random phases, and 2 mm of blur that these boards do not have.
     whitened = views.linearize(BEFORE[None], np.zeros(1)).residual[:, 0]
     assert abs(whitened.mean()) < 4 / np.sqrt(len(whitened))
     assert whitened.std() == pytest.approx(np.sqrt(1 / (1 + 12 * (0.002 / STEP) ** 2)), rel=0.04)

@@ -1,4 +1,4 @@
-"""What is known beforehand: rigid groups help, priors are read from files, and what is wrong is called out."""
+"""Priors and rigid groups: their effect, their files, and the report of contradicted ones."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -98,20 +98,20 @@ def test_correct_priors_and_groups_pass_their_test() -> None:
 
 def test_a_wrong_prior_is_reported_with_its_size(rng: np.random.Generator) -> None:
     bundle = with_prior(EXACT.measured(rng), 1, np.array([0, 0, 0.2, 0, 0, 0]))
-    doubts = find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), [], 1e-3)
-    assert set(doubts) == {"camera"}
+    contradicted = find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), [], 1e-3)
+    assert set(contradicted) == {"camera"}
     # Ten standard deviations of the prior, to which those of the captures add little.
-    said = doubts["camera"].removeprefix("the prior of camera disagrees with the captures by ").split()
-    assert 9 < float(said[0]) < 11
-    assert 185 < float(said[3].lstrip("(")) < 210
+    numbers = contradicted["camera"].removeprefix("the prior of camera disagrees with the captures by ").split()
+    assert 9 < float(numbers[0]) < 11
+    assert 185 < float(numbers[3].lstrip("(")) < 210
 
 
 def test_a_wrong_group_is_reported_by_its_sensors(rng: np.random.Generator) -> None:
     group = group_of(EXACT, PAIR, wrong=np.array([0.03, 0, 0, 0, 0, 0]))
     bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
-    doubts = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
-    assert set(doubts) == set(PAIR)
-    assert all("the rigid group of" in why and "in rig: released" in why for why in doubts.values())
+    contradicted = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
+    assert set(contradicted) == set(PAIR)
+    assert all("the rigid group of" in why and "in rig: released" in why for why in contradicted.values())
 
 
 def stated_deviations(reason: str) -> float:
@@ -137,8 +137,8 @@ def test_priors_and_groups_are_contradicted_at_the_stated_probability(rng: np.ra
 def test_of_sensors_fixed_to_the_root_the_one_that_is_not_is_named(rng: np.random.Generator) -> None:
     group = group_of(EXACT, ("lidar", "laser", "camera"), wrong=np.array([0, 0.03, 0, 0, 0, 0]))
     bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
-    doubts = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
-    assert "the rigid group of camera and lidar, laser in rig: released, camera moves by" in doubts["camera"]
+    contradicted = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
+    assert "the rigid group of camera and lidar, laser in rig: released, camera moves by" in contradicted["camera"]
 
 
 def test_a_sensor_without_captures_is_reported() -> None:
@@ -227,9 +227,9 @@ def test_inconsistent_priors_are_refused(
     rig: Rig, captured: CaptureSet, file: Path, prior: object, rigid: list[tuple[str, ...]], message: str
 ) -> None:
     poses = read_extrinsics(file)
-    known = None if prior is None else PriorFile(poses, None if prior == "none" else (0, 0))
+    prior_file = None if prior is None else PriorFile(poses, None if prior == "none" else (0, 0))
     with pytest.raises(InputError, match=message):
-        resolve_prior_poses(rig, captured, known, [RigidFile(poses, sensors) for sensors in rigid])
+        resolve_prior_poses(rig, captured, prior_file, [RigidFile(poses, sensors) for sensors in rigid])
 
 
 def prior_of(sensor: str, x: float) -> PosePrior:

@@ -1,4 +1,4 @@
-"""A problem in a file: it comes back to the last bit, and whatever is wrong with the file is said."""
+"""A problem in a file: it is read back to the last bit, and errors in the file are named."""
 
 import dataclasses
 import json
@@ -71,7 +71,7 @@ def problem() -> Problem:
         frames={"lidar": "velodyne", "laser ä/1": "", "camera": "optical", "blind": "b"},
         holds=holds,
         detections=detections,
-        rejections={(i, n): f"it's “{n}”\n" for n, seen in detections.items() for i in range(12) if i not in seen},
+        rejections={(i, n): f"it's “{n}”\n" for n, by in detections.items() for i in range(12) if i not in by},
         cameras={"camera": CameraModel("fisheye", 640, 480, np.diag([500.1, 499.9, 1]), np.array([0.1, 0, 0, 0]))},
     )
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
@@ -144,7 +144,7 @@ def test_the_same_problem_gives_the_same_file(saved: Path, tmp_path: Path) -> No
 
 def test_what_is_solved_lies_in_memory_as_what_comes_from_a_file(problem: Problem) -> None:
     """Sums over an array in another order differ in their last bit."""
-    found = [d for by in round_trip(problem).captured.detections.values() for seen in by.values() for d in seen]
+    found = [d for by in round_trip(problem).captured.detections.values() for found in by.values() for d in found]
     arrays = [array for d in found for array in vars(d).values() if isinstance(array, np.ndarray)]
     assert len(arrays) > 100
     assert all(array.flags.c_contiguous and array.flags.owndata for array in arrays)

@@ -1,4 +1,4 @@
-"""Sheets are laid where points on their outlines say, and only where these say it."""
+"""Rectangles are registered to points on their outlines, if these determine the pose."""
 
 import numpy as np
 import pytest
@@ -20,17 +20,17 @@ def on_outline(rng: np.random.Generator, half: Array, count: int, noise: float =
 
 
 def placed(points: Array, turn: float, shift: Array) -> tuple[Array, Array]:
-    """The points after a motion of the sheet in its plane, and that motion (4, 4)."""
+    """The points after a motion of the rectangle in its plane, and that motion (4, 4)."""
     T = se3.pose(so3.exp(np.array([0.0, 0.0, turn])), np.append(shift, 0.0))
     return se3.apply(T, np.column_stack([points, np.zeros(len(points))]))[:, :2], T
 
 
 def test_rectangles_are_registered_to_their_outlines(rng: np.random.Generator) -> None:
     turns, shifts = rng.uniform(0, np.pi, 50), rng.uniform(-0.2, 0.2, (50, 2))
-    seen = [placed(on_outline(rng, HALF, 30), turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
-    found, certain = register_rectangles([points for points, _ in seen], HALF, SETTINGS)
+    moved = [placed(on_outline(rng, HALF, 30), turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
+    found, certain = register_rectangles([points for points, _ in moved], HALF, SETTINGS)
     assert certain.mean() > 0.9
-    T = np.array([T for _, T in seen])
+    T = np.array([T for _, T in moved])
     off = se3.difference(found, T)
     # A rectangle looks the same upside down.
     turned = np.abs((off[:, 5] + np.pi / 2) % np.pi - np.pi / 2)
