@@ -9,6 +9,7 @@ from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import (
     IcpResult,
     StaticBackground,
+    _build_normal_equations,
     _SurfacePoints,
     _wall_error_covariance,
     align_backgrounds,
@@ -199,3 +200,16 @@ def test_breaks_separate_walls() -> None:
     points = straight_wall(2.0, 0.1).points.copy()
     points[20] = np.nan
     assert len(StaticBackground(points).oriented_points.points) == 2 * (20 - 6)
+
+
+@pytest.mark.parametrize("r", [0.0, 0.05, 0.1, 0.19])
+def test_weights_are_halved_at_half_of_the_match_distance(r: float) -> None:
+    """One point in front of a wall ahead, beside the axis: weight, gradient, and the lever of the angle."""
+    wall = _SurfacePoints(np.array([[3.0, 0.0]]), np.array([[-1.0, 0.0]]))
+    point = _SurfacePoints(np.array([[3.0 - r, 0.5]]), np.array([[-1.0, 0.0]]))
+    match = np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp)
+    H, g = _build_normal_equations(np.eye(3), wall, point, match, noise2=0.01, match_distance=0.2)
+    weight = 100 / (1 + (r / 0.1) ** 2)
+    J = np.array([-1.0, 0.0, 0.5])
+    np.testing.assert_allclose(H, weight * np.outer(J, J), atol=1e-12)
+    np.testing.assert_allclose(g, weight * r * J, atol=1e-12)
