@@ -69,8 +69,8 @@ def color_clouds(
                 [_uniform_color(sensor_color(calibration, s.sensor), len(s.points)) for s in scans]
             )
         cuts = np.cumsum([len(s.points) for s in scans])[:-1]
-        for scan, own in zip(scans, np.split(colors, cuts), strict=True):
-            shown.setdefault(scan.sensor, []).append(Cloud(scan.points, own))
+        for scan, of_scan in zip(scans, np.split(colors, cuts), strict=True):
+            shown.setdefault(scan.sensor, []).append(Cloud(scan.points, of_scan))
     for view in calibration.pictures.floor_views:
         points = floor_to_sensor_frame(calibration, view.sensor, view.background)
         shown[view.sensor] = [Cloud(points, _uniform_color(sensor_color(calibration, view.sensor), len(points)))]

@@ -68,7 +68,7 @@ class RigDiagnosticsSettings(StrictModel):
     """Shortest intersection of scan plane and board that is predicted to be detected, as a share of the shorter
     side."""
     min_description_height: float = Field(default=0.15, gt=0)
-    """m; smaller heights relative to the sensor are not mentioned: nobody holds a board more precisely."""
+    """m; smaller heights relative to the sensor are not mentioned: an operator holds a board no more precisely."""
     min_description_angle: float = Field(default=float(np.radians(7.5)), gt=0)
     """rad (7.5°); the same for angles, which are rounded to 5°."""
 

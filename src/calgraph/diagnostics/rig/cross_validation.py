@@ -174,18 +174,17 @@ def _predict_boards(
     bundle: Bundle, state: BundleState, equations: BundleEquations, covariance: Array, sensor: int
 ) -> tuple[Array, Array]:
     """Change of each board pose before a sensor by the other sensors (V, p), and its covariance (V, p, p)."""
-    own, board = equations.views[sensor], bundle.views[sensor].board
+    omitted, board = equations.views[sensor], bundle.views[sensor].board
     of_sensor, B = view_jacobians(bundle, state, sensor)
-    Jt = np.swapaxes(own.J_board, -1, -2)
-    L = _invert_information(equations.H_board[board] - Jt @ own.information @ own.J_board)
-    step = -_multiply(L, equations.g_board[board] - _multiply(Jt, own.gradient))
+    Jt = np.swapaxes(omitted.J_board, -1, -2)
+    L = _invert_information(equations.H_board[board] - Jt @ omitted.information @ omitted.J_board)
+    step = -_multiply(L, equations.g_board[board] - _multiply(Jt, omitted.gradient))
     coupling = equations.H_board_sensor[board]
-    coupling[..., bundle.columns(sensor)] -= Jt @ own.information @ own.J_sensor
+    coupling[..., bundle.columns(sensor)] -= Jt @ omitted.information @ omitted.J_sensor
     by_sensors = -B @ L @ coupling
     by_sensors[..., bundle.columns(sensor)] += of_sensor
-    return _multiply(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_sensors @ covariance @ np.swapaxes(
-        by_sensors, -1, -2
-    )
+    by_covariance = by_sensors @ covariance @ np.swapaxes(by_sensors, -1, -2)
+    return _multiply(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_covariance
 
 
 def _split_predicted(X: Array, max_stddev: float) -> tuple[Array, Array]:

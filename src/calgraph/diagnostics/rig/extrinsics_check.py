@@ -52,17 +52,17 @@ def _compare_residuals(solved: SolvedBundle, T_root_sensor: Mapping[str, Array])
     """RMS residual by sensor under given and estimated poses, with boards located under each."""
     bundle, state = solved.bundle, solved.minimized.state
     views = tuple(
-        own.select(np.full(len(own.board), name in T_root_sensor))
-        for name, own in zip(bundle.sensors, bundle.views, strict=True)
+        of_sensor.select(np.full(len(of_sensor.board), name in T_root_sensor))
+        for name, of_sensor in zip(bundle.sensors, bundle.views, strict=True)
     )
     fixed = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
     poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.sensors, state.T_root_sensor, strict=True)]
     given = _rms_residuals(fixed, replace(state, T_root_sensor=np.array(poses)))
     estimated = _rms_residuals(fixed, state)
     return {
-        name: ResidualComparison("px" if isinstance(own, CornerObservations) else "m", given[s], estimated[s])
-        for s, (name, own) in enumerate(zip(bundle.sensors, views, strict=True))
-        if len(own.board)
+        name: ResidualComparison("px" if isinstance(views[s], CornerObservations) else "m", given[s], estimated[s])
+        for s, name in enumerate(bundle.sensors)
+        if len(views[s].board)
     }
 
 
