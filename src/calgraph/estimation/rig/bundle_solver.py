@@ -236,20 +236,14 @@ def linearize_bundle(
     H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     equations, linearizations = [], []
     for k, views in enumerate(bundle.all_views):
-        T_root_board, bias, extra = (
-            state.T_root_board[views.board],
-            bundle.bias_variances(k),
-            state.extra[bundle.extra_indices(k)],
-        )
-        T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], T_root_board)
+        bias, extra = bundle.bias_variances(k), state.extra[bundle.extra_indices(k)]
+        T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
         cached = cache[k] if cache else None
         at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
-        linearizations.append(
-            cached
-            if cached and at
-            else linearize_views(views, T_sensor_board, extra, bias, bundle.settings.huber_threshold)
-        )
-        at = at or linearizations[k].equations
+        if not (cached and at):
+            cached = linearize_views(views, T_sensor_board, extra, bias, bundle.settings.huber_threshold)
+            at = cached.equations
+        linearizations.append(cached)
         A, b, costs = at.marginalize_bias(bias)
         J_sensor, J_board = (at.local_jacobian @ J for J in view_jacobians(bundle, state, k))
         equations.append(MarginalizedViews(A, b, at.local_jacobian, J_sensor, J_board))
