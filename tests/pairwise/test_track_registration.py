@@ -381,3 +381,11 @@ def test_priors_of_clock_and_depths_bound_the_information_of_a_straight_walk(
     assert np.sqrt((at_walk @ covariance @ at_walk.T)[1, 1]) == pytest.approx(
         np.hypot(0.01 * speed, 0.008), rel=0.02
     )
+
+
+def test_a_track_of_one_position_has_no_samples() -> None:
+    x = np.array([[1.0, 2.0]])
+    single = Track(np.array([0.5]), x, x, np.eye(2)[None], period=0)
+    found = resample_tracks(ScannerTracks((single,), np.zeros((0, 2)), 0.01))
+    shapes = [found.tick.shape, found.positions.shape, found.velocities.shape, found.covariances.shape]
+    assert shapes == [(0,), (0, 2), (0, 2), (0, 2, 2)]

@@ -76,6 +76,12 @@ def test_nothing_is_visible_without_detections() -> None:
     assert not view.covers(np.concatenate([circle(r) for r in (0.0, 0.1, 1.0, 1e6)])).any()
 
 
+def test_a_scanner_without_detections_or_coverage_measured_at_no_time() -> None:
+    view = build_visibility_map(still(wall(9.0)), NO_SAMPLES)
+    assert view.coverage_intervals.shape == (0, 2)
+    assert not view.measures_at(np.array([0.0, 1.0])).any()
+
+
 def test_positions_outside_the_map_are_not_visible() -> None:
     view = VisibilityMap(np.pad(np.ones((20, 20), dtype=np.bool_), 1), np.zeros((0, 2)))
     assert view.covers(np.array([[0.0, 0.0], [1.9, -1.9]])).all()
