@@ -1,9 +1,10 @@
 """Words for displacements, and the limits of the test that compares poses."""
 
+import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from calgraph.diagnostics.comparison import SignificanceTest, format_displacement
+from calgraph.diagnostics.comparison import SignificanceTest, _grade_axes, format_displacement
 
 
 @pytest.mark.parametrize(
@@ -25,3 +26,26 @@ def test_limits_have_the_false_alarm_probability(probability: float) -> None:
     limits = SignificanceTest.of(probability)
     assert chi2.sf(limits.max_chi2, 6) == pytest.approx(probability)
     assert 2 * norm.sf(limits.max_sigmas) == pytest.approx(probability)
+
+
+ALLOWED = np.repeat([0.01, 0.005], 3)
+
+
+def test_an_axis_that_is_significant_alone_fails_only_if_all_six_together_are() -> None:
+    # 3.5 standard deviations: beyond the limit of one axis (3.3), within that of six (4.7).
+    offset, stddev = np.zeros(6), np.full(6, 1e-3)
+    offset[0], stddev[0] = 0.012, 0.012 / 3.5
+    test = SignificanceTest.of(1e-3)
+    assert _grade_axes(offset, np.diag(stddev**2), ALLOWED, test) == ["warn", *["pass"] * 5]
+    stddev[0] = 0.012 / 4.9
+    assert _grade_axes(offset, np.diag(stddev**2), ALLOWED, test) == ["fail", *["pass"] * 5]
+
+
+@pytest.mark.parametrize(("squared", "outcome"), [(20.0, "warn"), (30.0, "fail")])
+def test_uncertain_axes_fail_if_no_pose_within_the_tolerance_is_likely(squared: float, outcome: str) -> None:
+    """x and y are uncertain by 1 m each, but their difference, off by 0.2 m, is not; the limit is 22.5."""
+    offset = np.array([0.1, -0.1, 0, 0, 0, 0])
+    covariance = np.diag([1.0, 1.0, 1e-6, 1e-6, 1e-6, 1e-6])
+    # The nearest pose within the tolerance leaves 0.18 m of the difference.
+    covariance[0, 1] = covariance[1, 0] = 1 - 0.18**2 / squared / 2
+    assert _grade_axes(offset, covariance, ALLOWED, SignificanceTest.of(1e-3))[:2] == [outcome, outcome]

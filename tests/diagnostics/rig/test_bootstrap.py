@@ -3,9 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy.stats
 
 from bundle_scenes import scene
-from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
+from calgraph.diagnostics.rig.bootstrap import (
+    BootstrapScatter,
+    _confidence_factors,
+    _difference_covariance,
+    bootstrap_poses,
+)
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.solution import SolvedBundle
 
@@ -58,3 +64,25 @@ def test_draws_that_happen_to_be_the_captures_themselves_say_nothing() -> None:
     for s in found.values():
         assert ((s.ratio > 0) & (s.ratio < 1)).all()
         assert ((s.high / s.low > 10) & (s.high / s.low < 1e4)).all()
+
+
+def test_covariance_of_a_sample_is_that_of_simulated_samples(rng: np.random.Generator) -> None:
+    """One parameter, five captures of known information: the difference of two weighted means."""
+    information = np.array([1.0, 2.0, 4.0, 3.0, 0.5])
+    counts = np.array([2, 0, 1, 1, 1])
+    measured = rng.normal(size=(200_000, 5)) / np.sqrt(information)
+    whole = measured @ information / information.sum()
+    sample = measured @ (counts * information) / (counts * information).sum()
+    V = np.array([[1 / information.sum()]])
+    expected = _difference_covariance(information[:, None, None], V, counts)
+    np.testing.assert_allclose(np.var(sample - whole), expected[0, 0], rtol=0.02)
+
+
+def test_confidence_factors_are_those_of_chi_squared_shared_among_all_axes() -> None:
+    """Equal captures, many rounds: as many degrees of freedom as captures; each of two axes gets half of 5 %."""
+    captures = 40
+    information = np.tile(np.eye(2), (captures, 1, 1))
+    low, high = _confidence_factors(np.eye(2)[None], information, 10**9, 0.95)
+    bounds = scipy.stats.chi2.ppf([1 - 0.0125, 0.0125], captures)
+    np.testing.assert_allclose(low[0], np.sqrt(captures / bounds[0]), rtol=1e-6)
+    np.testing.assert_allclose(high[0], np.sqrt(captures / bounds[1]), rtol=1e-6)

@@ -153,3 +153,18 @@ def test_a_sensor_without_views_is_predicted_to_detect_nothing(name: str) -> Non
         views, KINDS[name], np.zeros((0, 4, 4)), board(name)[None], (WIDTH, HEIGHT), SETTINGS
     )
     assert len(found.board) == 0
+
+
+@pytest.mark.parametrize("height", [0.12, -0.12])
+def test_a_scan_line_is_where_the_scan_plane_cuts_the_board(height: float) -> None:
+    """The board is 0.12 m above or below the scan plane, and rolled by 30° about its normal."""
+    T = board("laser")
+    T[2, 3] = height
+    T[:3, :3] = T[:3, :3] @ so3.exp(np.array([0, 0, np.radians(30)]))
+    views = predict("laser", [board("laser")], [T])
+    assert isinstance(views, RangeObservations)
+    points = views.directions * views.ranges[:, None]
+    np.testing.assert_allclose(points[:, 2], 0, atol=1e-12)
+    on_board = se3.apply(se3.inverse(T), points)
+    np.testing.assert_allclose(on_board[:, 2], 0, atol=1e-12)
+    assert np.all(np.abs(on_board[:, :2]) <= np.array([WIDTH, HEIGHT]) / 2)

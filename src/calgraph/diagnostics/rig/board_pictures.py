@@ -118,7 +118,7 @@ def _detected_outline(
 
 
 def _board_rectangle(rig: Rig, number: int) -> Array:
-    """(4, 3) corners of a board in its own frame, m."""
+    """(4, 3) corners of a board in the board frame, m."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.column_stack([signs * np.array(rig.boards[number].size) / 2, np.zeros(4)])
 
