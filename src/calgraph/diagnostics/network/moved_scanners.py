@@ -29,8 +29,8 @@ class MovedScanner:
     """rad, counter-clockwise."""
 
     def __str__(self) -> str:
-        """The displacement in words."""
-        return f"{1000 * self.distance:.1f} mm and {np.degrees(self.rotation):+.2f}°"
+        """The displacement in words; adding zero removes the sign of a negative zero."""
+        return f"{1000 * self.distance:.1f} mm and {round(float(np.degrees(self.rotation)), 2) + 0.0:+.2f}°"
 
 
 def find_moved_scanners(
