@@ -85,7 +85,7 @@ def solve_hypergraph(
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}
     chi2 = sum(float(np.sum(residuals[factor.name] ** 2)) for factor in observed)
     dof = max(graph.degrees_of_freedom - 6 * (len(names) - 1), 0)
-    weight = settings.baselines.stated_noise_weight
+    weight = settings.estimation.rig.variances.stated_noise_weight
     return HypergraphSolution(
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
         joint_covariance=covariance * (chi2 + weight) / (dof + weight),

@@ -16,9 +16,6 @@ class BaselineSettings(StrictModel):
     """m; standard deviation that the hypergraph states for unobservable positions: the size of a scene."""
     prior_rotation_stddev: float = Field(default=float(np.pi), gt=0)
     """rad; the same for unobservable rotations: any angle."""
-    stated_noise_weight: float = Field(default=3.0, gt=0)
-    """Weight of the stated noise in the variance factor of the hypergraph, in numbers of measurements: the stated
-    noise is right to a factor of about 1.5, as for the bundle."""
     max_inlier_angle: float = Field(default=float(np.radians(5)), gt=0)
     """rad (5°); edges that differ more from the averaged rotations are outliers: above the noise of pairs (0.2 to
     2°), and small beside the error of wrong ones."""
