@@ -6,6 +6,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import csc_array, eye_array, random_array
 
 from calgraph.geometry import Array, se_n
+from calgraph.graph import PoseGraph, graph_optimization
 from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly, solve_sparse
 from calgraph.graph.pose_graph import residuals
 from pose_graphs import ANGLE, POSITION, complete, measured, true_poses, with_wrong
@@ -70,3 +71,13 @@ def test_robust_poses_fit_all_but_the_wrong_edges(n: int, rng: np.random.Generat
     found = optimize_poses_robustly(graph, se_n.retract(T, offset), gate)
     best = optimize_poses(graph, T, np.where(np.isin(np.arange(28), wrong), 0.0, 1.0))
     np.testing.assert_allclose(se_n.difference(found, best) / sigma, 0, atol=0.02)
+
+
+def test_the_last_robust_step_has_geman_mcclure_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two edges of a pair, 1 m apart: at a squared distance equal to the squared scale, a weight of a quarter."""
+    monkeypatch.setattr(graph_optimization, "_FIRST_SCALE", 0.25)
+    T = np.tile(np.eye(3), (2, 1, 1))
+    T_i_j = se_n.retract(T, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    graph = PoseGraph(2, np.array([[0, 1], [0, 1]]), T_i_j, np.tile(np.eye(3), (2, 1, 1)))
+    found = optimize_poses_robustly(graph, T, gate=4.0)
+    np.testing.assert_allclose(found[1, :2, 2], [0.25 / 1.25, 0.0], atol=1e-8)

@@ -5,8 +5,8 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from calgraph.geometry import se_n
-from calgraph.graph import PoseGraph
+from calgraph.geometry import Array, se_n
+from calgraph.graph import PoseGraph, random_trees
 from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
 from pose_graphs import complete, measured, random_poses, ring, true_poses, with_wrong
 
@@ -68,3 +68,45 @@ def test_votes_decrease_with_the_squared_distance_up_to_the_gate(rng: np.random.
         start[3, 0, 2] += np.sqrt(share * 16.0) * sigma
         found = improve_by_votes(g, np.array([0.5, 0.5, 0.01, 5, 5]), start, 16.0, rng)
         np.testing.assert_allclose(found[3], T[3] if moved else start[3], atol=1e-9)
+
+
+def build_star(leaves: int, rng: np.random.Generator) -> tuple[Array, PoseGraph]:
+    """True poses, and exact edges from the root to all other nodes."""
+    T = true_poses(leaves + 1, 2, rng)
+    return T, measured(T, [(0, k) for k in range(1, leaves + 1)], rng)
+
+
+def test_half_of_the_nodes_that_gain_votes_move_in_a_sweep(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of 400 nodes are misplaced: 200 move, with a standard deviation of 10."""
+    monkeypatch.setattr(random_trees, "_MAX_SWEEPS", 1)
+    T, graph = build_star(400, rng)
+    start = np.concatenate([T[:1], random_poses(400, 2, rng)])
+    found = improve_by_votes(graph, np.ones(400), start, 16.0, rng)
+    moved = np.abs(found - start).max(axis=(1, 2)) > 0
+    assert moved.sum() == pytest.approx(200, abs=40)
+
+
+def test_the_node_of_largest_gain_moves_in_every_sweep(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(random_trees, "_MAX_SWEEPS", 1)
+    T, graph = build_star(3, rng)
+    for _ in range(20):
+        start = np.concatenate([T[:1], random_poses(3, 2, rng)])
+        found = improve_by_votes(graph, np.array([1.0, 2.0, 1.0]), start, 16.0, rng)
+        np.testing.assert_allclose(found[2], T[2], atol=1e-9)
+
+
+@pytest.mark.parametrize(("share", "moved"), [(0.4, True), (0.6, False)])
+def test_nodes_with_the_majority_of_their_edges_stay(share: float, moved: bool, rng: np.random.Generator) -> None:
+    """Node 3 is where one edge of the weight share puts it; the two others agree with another pose."""
+    T = true_poses(4, 2, rng)
+    graph = measured(T, [(0, 1), (0, 2), (0, 3), (1, 3), (2, 3)], rng)
+    start = T.copy()
+    start[3] = random_poses(1, 2, rng)[0]
+    graph.T_i_j[2] = start[3]
+    weights = np.array([50.0, 50.0, 10 * share, 5 * (1 - share), 5 * (1 - share)])
+    found = improve_by_votes(graph, weights, start, 16.0, rng)
+    np.testing.assert_allclose(found[3], T[3] if moved else start[3], atol=1e-9)

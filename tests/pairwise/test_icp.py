@@ -6,6 +6,7 @@ import pytest
 from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.pairwise import icp
 from calgraph.pairwise.icp import (
     IcpResult,
     StaticBackground,
@@ -213,3 +214,41 @@ def test_weights_are_halved_at_half_of_the_match_distance(r: float) -> None:
     J = np.array([-1.0, 0.0, 0.5])
     np.testing.assert_allclose(H, weight * np.outer(J, J), atol=1e-12)
     np.testing.assert_allclose(g, weight * r * J, atol=1e-12)
+
+
+@pytest.mark.parametrize(("stddevs", "contradicts"), [(7.5, False), (9.0, True)])
+def test_walls_contradict_tracks_beyond_eight_standard_deviations(
+    stddevs: float, contradicts: bool, rng: np.random.Generator
+) -> None:
+    """The square root of 16.3, of twice the standard deviations of the initial pose; those of walls are small."""
+    walls = ScannerPairSettings(icp=IcpSettings(wall_error=1e-4, correlated_points=1.0))
+    a, b = (StaticBackground(scan(ROOM, T, rng).points, walls) for T in (A, B))
+    covariance = np.diag([0.02, 1.0, 1.0]) ** 2
+    start = se2.retract(T_A_B, np.array([stddevs * 0.02, 0.0, 0.0]))
+    found = align_backgrounds(start, covariance, a, b, SIGMA)
+    assert (found == Rejected("static background and tracks contradict each other")) == contradicts
+
+
+@pytest.mark.parametrize(
+    ("position", "angle", "expected"),
+    [
+        (0.2, 0.0, 0.6),
+        (0.15, 0.05, 3 * np.sqrt(0.15**2 + 0.05**2 * (2**2 + 0.9**2))),
+        (0.1, 0.0, 0.5),
+        (0.3, 0.0, 0.8),
+    ],
+)
+def test_the_first_match_distance_is_three_standard_deviations_within_limits(
+    position: float, angle: float, expected: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of a point at the median distance, sqrt(2² + 0.9²) m, in the direction of larger variance."""
+    distances: list[float] = []
+
+    def match_none(_T: Array, _a: object, _b: object, distance: float, _settings: object) -> tuple[Array, Array]:
+        distances.append(distance)
+        return np.zeros(0), np.zeros(0)
+
+    monkeypatch.setattr(icp, "_match_points", match_none)
+    wall = straight_wall(2.0, 0.1)
+    align_backgrounds(np.eye(3), np.diag([position, 0.05, angle]) ** 2, wall, wall, SIGMA)
+    assert distances == pytest.approx([expected])

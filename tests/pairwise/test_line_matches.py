@@ -196,3 +196,22 @@ def test_derivatives_of_the_regularized_coplanarity(rng: np.random.Generator) ->
     r, J = _regularized_coplanarity(T[None], a, b, 0.7, 0.01)
     assert r.shape == (1, 4 + 12)
     np.testing.assert_allclose(J[0], numerical(residuals, T, 6), atol=1e-6)
+
+
+def test_a_sample_of_one_repeated_match_has_no_solution(rng: np.random.Generator) -> None:
+    matches = plane_line(tilted_pose(), rng)
+    assert np.isnan(matches.solve(np.zeros((1, 5), dtype=np.intp))).any()
+
+
+@pytest.mark.parametrize("quarter_turns", range(4))
+def test_the_axis_aligned_rotation_of_least_residuals_comes_first(
+    quarter_turns: int, rng: np.random.Generator
+) -> None:
+    """Small residuals, in metres: 2 cm of noise at distances of some metres."""
+    R = so3.exp(np.array([0.0, 0.0, quarter_turns * np.pi / 2]))
+    matches = plane_line(se3.pose(R, np.array([0.1, 0.2, 0.05])), rng, 100, 0.002)
+    chosen = np.arange(len(matches.planes))[None]
+    n, d = np.repeat(matches.planes[chosen, :3], 2, axis=1), np.repeat(matches.planes[chosen, 3], 2, axis=1)
+    x = matches.endpoints[chosen].reshape(1, -1, 3)
+    found = matches._select_rotations(axis_aligned_rotations(), n, d, x)
+    np.testing.assert_allclose(found[0, 0], R, atol=1e-12)

@@ -15,11 +15,13 @@ from calgraph.config import People, RangeNoise
 from calgraph.config.settings import HypothesisSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
-from calgraph.pairwise.scanner_pair import _select_distinct
+from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs, scanner_pair
+from calgraph.pairwise.scanner_pair import _count_by_chance, _select_distinct
+from calgraph.pairwise.track_registration import TrackRegistration
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import ScannerTracks, Track, track_scanner
+from track_pairs import T_A_B, observe_walks, walk_along_curve
 
 STEP = 0.04  # s, of the simulated truth
 SIGMA = 0.04  # m, of a smoothed position
@@ -343,3 +345,18 @@ def test_the_distinct_hypotheses_of_least_cost_are_kept() -> None:
     T = se2.pose(np.zeros(4), np.array([[0.0, 0], [1, 0], [2, 0], [3, 0]]))
     found = _select_distinct(T, np.array([0.4, 0.1, 0.3, 0.2]), 2, HypothesisSettings())
     np.testing.assert_array_equal(found, T[[1, 3]])
+
+
+def test_the_radius_of_matches_by_chance_contains_the_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a gate of 4, twice the standard deviation of a distance: 3 cm from each scanner, 7 cm from models."""
+    radii: list[float] = []
+
+    def count_none(x: Array, _T: Array, _samples: object, radius: float) -> Array:
+        radii.append(radius)
+        return np.zeros(len(x))
+
+    monkeypatch.setattr(scanner_pair, "_count_neighbours", count_none)
+    pairs = observe_walks([walk_along_curve(5.0)], np.random.default_rng(0), stated_sigma=0.03)
+    fit = TrackRegistration(T_A_B, np.zeros(3), np.arange(len(pairs)), 0.07)
+    _count_by_chance(fit, pairs, pairs.b, 4.0)
+    assert radii == pytest.approx([2 * np.sqrt(2 * 0.03**2 + 0.07**2)])

@@ -389,3 +389,28 @@ def test_a_track_of_one_position_has_no_samples() -> None:
     found = resample_tracks(ScannerTracks((single,), np.zeros((0, 2)), 0.01))
     shapes = [found.tick.shape, found.positions.shape, found.velocities.shape, found.covariances.shape]
     assert shapes == [(0,), (0, 2), (0, 2), (0, 2, 2)]
+
+
+@pytest.mark.parametrize("turning", [0, 1])
+def test_joined_tracks_continue_with_the_velocities_at_the_gap(turning: int) -> None:
+    """At 1 m/s along x before and after a gap of 0.7 s; at 3 m/s along -x at the other end of a track."""
+    along = np.column_stack([np.arange(0, 2.71, 0.1), np.zeros(28)])
+    tracks = []
+    for k, rows in enumerate((slice(0, 11), slice(17, 28))):
+        v = np.tile([1.0, 0.0], (11, 1))
+        if k == turning:
+            v[-k] = [-3.0, 0.0]
+        tracks.append(Track(along[rows, 0], along[rows], v, np.tile(1e-4 * np.eye(2), (11, 1, 1)), period=k))
+    found = resample_tracks(ScannerTracks(tuple(tracks), np.zeros((0, 2)), 0.01))
+    assert len(np.unique(found.trajectory)) == 1
+
+
+def test_of_two_tracks_one_continues_another() -> None:
+    """Two tracks begin where one could lead: the nearer one continues it, the other is a new trajectory."""
+    first, near = track(np.arange(0, 2.01, 0.1)), track(2.3 + np.arange(0, 2.01, 0.1), period=1)
+    beside = replace(near, positions=near.positions + np.array([0.2, 0.0]))
+    found = resample_tracks(ScannerTracks((first, beside, near), np.zeros((0, 2)), 0.01))
+    at_end = found.positions[found.tick == 40]
+    joined = found.trajectory[found.tick == 40][np.argmin(np.abs(at_end - position(np.array([4.0]))).sum(axis=1))]
+    assert set(found.trajectory[found.tick == 10].tolist()) == {int(joined)}
+    assert len(np.unique(found.trajectory)) == 2

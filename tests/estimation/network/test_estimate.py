@@ -9,7 +9,14 @@ from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
-from calgraph.estimation.network.estimate import NetworkSolution, collect_scans, select_bridges, solve_network
+from calgraph.estimation.network.estimate import (
+    NetworkSolution,
+    _build_observations,
+    _initialize_path,
+    collect_scans,
+    select_bridges,
+    solve_network,
+)
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,
@@ -18,6 +25,7 @@ from calgraph.estimation.network.problem import (
     WallConstraint,
 )
 from calgraph.estimation.network.splines import Knots, evaluate_spline
+from calgraph.estimation.network.track_association import BodyTracks
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks, Track
@@ -290,3 +298,42 @@ def test_people_who_turn_on_the_spot_are_ellipses(monkeypatch: pytest.MonkeyPatc
 def test_the_model_error_is_a_standard_deviation(solved: list[NetworkSolution]) -> None:
     # Simulated bodies are exact ellipses on splines: the estimate is at most a few millimetres.
     assert 0.0005 <= np.median([solution.model_error for solution in solved]) < 0.003
+
+
+def test_synchronized_clocks_have_no_offset() -> None:
+    solution = solve_network(PEOPLE, *scene(5, bodies=1), estimate_clocks=False)
+    np.testing.assert_array_equal(solution.clock_offset, np.zeros(3))
+
+
+def build_body(times: Array, positions: Array) -> BodyTracks:
+    """A body that the root tracked, at given times (T,) and positions (T, 2)."""
+    hits = Hits(positions, times, np.arange(len(times)))
+    track = Track(times, positions, np.zeros_like(positions), np.tile(np.eye(2), (len(times), 1, 1)), 0, hits)
+    return BodyTracks(((0, track),), float(times[0]), float(times[-1]))
+
+
+@pytest.mark.parametrize(
+    ("target", "sigma"),
+    [(PEOPLE, SETTINGS.body.people_radii_sigma * np.array([0.25, 0.15])),
+     (ROUND, np.full(2, SETTINGS.body.cylinder_radius_sigma))],
+)  # fmt: skip
+def test_priors_of_radii_are_relative_for_people_and_absolute_for_cylinders(
+    target: People | Cylinder, sigma: Array
+) -> None:
+    body = build_body(np.arange(0.0, 2.0, 0.1), np.ones((20, 2)))
+    np.testing.assert_allclose(_build_observations(body, target, SETTINGS).radii_sigma, sigma)
+
+
+def test_the_heading_at_rest_is_that_of_the_motion_before() -> None:
+    """Two seconds along y at 1 m/s, then three at rest, with a drift of 1 cm/s along x."""
+    times = np.arange(0.0, 5.0, 0.05)
+    positions = np.column_stack([2 + 0.01 * times, np.minimum(times, 2.0)])
+    path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], SETTINGS, DENSITY)
+    np.testing.assert_allclose(path.control[:, 2], np.pi / 2, atol=0.15)
+
+
+def test_the_heading_of_a_body_that_never_walks_is_that_of_its_drift() -> None:
+    times = np.arange(0.0, 3.0, 0.05)
+    positions = np.column_stack([np.full_like(times, 2.0), 3 - 0.01 * times])
+    path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], SETTINGS, DENSITY)
+    np.testing.assert_allclose(path.control[:, 2], -np.pi / 2, atol=0.05)

@@ -10,7 +10,7 @@ from calgraph.estimation.network.problem import BodyObservations, BodyPath, Netw
 from calgraph.estimation.network.range_noise import estimate_range_noise
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.estimation.network.splines import Knots, evaluate_spline
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se2
 from network_scenes import DENSITY, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 BACKGROUND = np.array([0.013])
@@ -65,3 +65,17 @@ def test_noise_is_at_least_half_of_the_background(rng: np.random.Generator) -> N
     network, state = simulate_solution(20.0, rng)
     background = np.array([3 * SIGMA])
     assert estimate_range_noise(network, state, linearize_network(network, state), background) == 0.5 * background
+
+
+def test_noise_does_not_depend_on_the_directions_of_the_root_axes(rng: np.random.Generator) -> None:
+    """A model error of position, 2 cm along x as along y, with an exact heading: a quarter turn has no effect."""
+    network, state = simulate_solution(20.0, rng)
+    network = replace(network, model_error_variance=np.array([0.02, 1e-6]) ** 2)
+    turn = se2.pose(np.pi / 2, np.zeros(2))
+    (path,) = state.paths
+    control = np.column_stack([se2.apply(turn, path.control[:, :2]), path.control[:, 2] + np.pi / 2])
+    turned = NetworkState(turn @ state.T_root_scanner, state.clock_offset, (replace(path, control=control),))
+    # Without a lower limit by the background.
+    background = np.array([0.1 * SIGMA])
+    found = [estimate_range_noise(network, s, linearize_network(network, s), background) for s in (state, turned)]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
