@@ -1,61 +1,32 @@
-"""Priors and rigid groups: their effect, their files, and the report of contradicted ones."""
+"""Priors and rigid groups: their effect, and their files."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.special import chdtrc
 
-from bundle_scenes import Scene, scene
+from bundles_with_priors import EXACT, PAIR, group_of, grouped, with_prior
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
-from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, SensorPrior, minimize_bundle
+from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.priors import (
     PosePrior,
     PriorFile,
     RigidFile,
-    RigidGroup,
-    apply_rigid_groups,
     assign_bodies,
     attach_by_priors,
     resolve_prior_poses,
     without_priors,
 )
-from calgraph.geometry import Array, se3
+from calgraph.geometry import se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import read_extrinsics
 
 SEEDS = 16
-EXACT = scene(("lidar", "camera", "laser", "laser_2"), boards=8)
-PAIR = ("laser", "laser_2")
-# 20 mm and half a degree.
-STDDEV = np.repeat([0.02, np.radians(0.5)], 3)
-
-
-def group_of(exact: Scene, names: tuple[str, ...], wrong: Array | None = None) -> RigidGroup:
-    """Sensors as they truly stand to each other, the last of them off by a step (6,)."""
-    poses = {name: exact.truth.T_root_sensor[exact.bundle.sensors.index(name)] for name in names}
-    if wrong is not None:
-        poses[names[-1]] = se3.retract(poses[names[-1]], wrong)
-    return RigidGroup.model_validate(
-        {"T_group_sensor": {n: T.tolist() for n, T in poses.items()}, "source": "rig"}
-    )
-
-
-def grouped(bundle: Bundle, group: RigidGroup) -> MinimizedBundle:
-    start = apply_rigid_groups(minimize_bundle(bundle, EXACT.truth).state, bundle.sensors, [group])
-    return minimize_bundle(replace(bundle, body=assign_bodies(bundle.sensors, [group])), start)
-
-
-def with_prior(bundle: Bundle, sensor: int, off: Array) -> Bundle:
-    """The bundle with a prior that is off by a step (6,)."""
-    T = se3.retract(EXACT.truth.T_root_sensor[sensor], off)
-    return replace(bundle, priors=(SensorPrior(sensor, T, np.diag(STDDEV**-2)),))
 
 
 def test_a_group_stays_rigid(rng: np.random.Generator) -> None:
@@ -83,78 +54,6 @@ def test_a_group_makes_its_sensors_more_certain_and_more_right() -> None:
         assert spread[1] < spread[0]
     separate, shared = np.sqrt(np.mean(errors, axis=0))
     assert shared < 0.85 * separate
-
-
-def test_correct_priors_and_groups_pass_their_test() -> None:
-    # Chance would have it once in ten thousand for each.
-    for seed in range(SEEDS):
-        rng = np.random.default_rng(seed)
-        bundle = with_prior(EXACT.measured(rng), 1, STDDEV * rng.normal(size=6))
-        group = group_of(EXACT, PAIR)
-        assert find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), [], 1e-3) == {}
-        bundle = replace(bundle, body=assign_bodies(bundle.sensors, [group]))
-        assert find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3) == {}
-
-
-def test_a_wrong_prior_is_reported_with_its_size(rng: np.random.Generator) -> None:
-    bundle = with_prior(EXACT.measured(rng), 1, np.array([0, 0, 0.2, 0, 0, 0]))
-    contradicted = find_contradicted_priors(bundle, minimize_bundle(bundle, EXACT.truth), [], 1e-3)
-    assert set(contradicted) == {"camera"}
-    # Ten standard deviations of the prior, to which those of the captures add little.
-    numbers = contradicted["camera"].removeprefix("the prior of camera disagrees with the captures by ").split()
-    assert 9 < float(numbers[0]) < 11
-    assert 185 < float(numbers[3].lstrip("(")) < 210
-
-
-def test_a_wrong_group_is_reported_by_its_sensors(rng: np.random.Generator) -> None:
-    group = group_of(EXACT, PAIR, wrong=np.array([0.03, 0, 0, 0, 0, 0]))
-    bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
-    contradicted = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
-    assert set(contradicted) == set(PAIR)
-    assert all("the rigid group of" in why and "in rig: released" in why for why in contradicted.values())
-
-
-def stated_deviations(reason: str) -> float:
-    """Standard deviations in the reason of a contradiction."""
-    return float(reason.split(" standard deviations", maxsplit=1)[0].rsplit(maxsplit=1)[-1])
-
-
-def test_priors_and_groups_are_contradicted_at_the_stated_probability(rng: np.random.Generator) -> None:
-    """Statistics of six degrees of freedom, on either side of their chi-squared limit."""
-    measured, group = EXACT.measured(rng), group_of(EXACT, PAIR, wrong=np.array([0.015, 0, 0, 0, 0, 0]))
-    prior = with_prior(measured, 1, np.array([0, 0, 0.1, 0, 0, 0]))
-    grouped_bundle = replace(measured, body=assign_bodies(EXACT.bundle.sensors, [group]))
-    for bundle, solved, groups, name in (
-        (prior, minimize_bundle(prior, EXACT.truth), [], "camera"),
-        (grouped_bundle, grouped(grouped_bundle, group), [group], "laser"),
-    ):
-        deviations = stated_deviations(find_contradicted_priors(bundle, solved, groups, 0.01)[name])
-        below, above = chdtrc(6, (deviations + 0.06) ** 2), chdtrc(6, (deviations - 0.06) ** 2)
-        assert name not in find_contradicted_priors(bundle, solved, groups, below)
-        assert name in find_contradicted_priors(bundle, solved, groups, above)
-
-
-def test_of_sensors_fixed_to_the_root_the_one_that_is_not_is_named(rng: np.random.Generator) -> None:
-    group = group_of(EXACT, ("lidar", "laser", "camera"), wrong=np.array([0, 0.03, 0, 0, 0, 0]))
-    bundle = replace(EXACT.measured(rng), body=assign_bodies(EXACT.bundle.sensors, [group]))
-    contradicted = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
-    assert "the rigid group of camera and lidar, laser in rig: released, camera moves by" in contradicted["camera"]
-
-
-def test_a_sensor_without_captures_is_reported() -> None:
-    bundle = EXACT.bundle
-    blind = replace(bundle, views=(*bundle.views[:3], bundle.views[3].select(np.zeros(8, dtype=bool))))
-    blind = with_prior(blind, 3, np.zeros(6))
-    solution = minimize_bundle(blind, EXACT.truth)
-    assert find_contradicted_priors(blind, solution, [], 1e-3) == {
-        "laser_2": "no capture connects laser_2 to another sensor: its pose is the prior"
-    }
-    np.testing.assert_allclose(
-        pose_covariance(blind, solution.state, solution.equations)[18:, 18:],
-        np.diag(STDDEV**2),
-        rtol=1e-4,
-        atol=1e-12,
-    )
 
 
 def test_without_priors_all_sensors_with_views_are_free() -> None:
