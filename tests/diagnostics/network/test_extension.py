@@ -146,3 +146,17 @@ def test_moved_scanners_are_named_with_advice(moved: int, advice: str, rng: np.r
     solution = solve(replace(earlier, T_root_scanner=se2.inverse(T[0]) @ T))
     with pytest.raises(CalibrationError, match=rf"{earlier.names[moved]} has moved by 50\.0 mm .*{advice}"):
         build_consistent_prior(earlier, earlier.names, solution, SETTINGS)
+
+
+def test_edges_of_removed_scanners_are_removed() -> None:
+    earlier = calibration(four_scanners(np.random.default_rng(0)))
+    earlier = with_edges(earlier, edge("a", "b", 7), edge("b", "c", 8), edge("c", "d", 9))
+    edges = remove_scanners(earlier, ("c",)).evidence.edges
+    assert [(one.sensor_a, one.sensor_b) for one in edges] == [("a", "b")]
+
+
+def test_a_calibration_that_is_not_of_a_network_cannot_be_extended() -> None:
+    found = calibration(four_scanners(np.random.default_rng(0)))
+    with_camera = replace(found, sensors=(*found.sensors[:3], replace(found.sensors[3], kind="camera")))
+    with pytest.raises(InputError, match=r"^`extend`: "):
+        extract_earlier_poses(with_camera, "a")

@@ -1,10 +1,12 @@
 """The calibration of a network from its solution: clocks, tree, and evidence of pairs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calgraph.config import Rig
-from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
+from calgraph.diagnostics.network.assemble import NetworkPairs, _build_edge, assemble_network
 from calgraph.errors import Rejected
 from calgraph.estimation import NetworkSolution
 from calgraph.geometry import se2
@@ -118,3 +120,18 @@ def test_without_a_joint_solution_the_covariance_is_that_of_averaging() -> None:
     # North is measured directly with 1 mm, and through east with 10 mm.
     assert np.sqrt(covariance[12, 12]) == pytest.approx(0.001, rel=0.05)
     assert (found.evidence.estimator, found["north"].clock_offset) == ("averaging", None)
+
+
+def test_an_outlier_pair_states_the_expected_positions_of_its_first_hypothesis() -> None:
+    pair = build_pair(0)
+    second = replace(pair.hypotheses[0], observations=20)
+    several = replace(pair, hypotheses=(*pair.hypotheses, second))
+    assert _build_edge(("west", "east"), several, {}, {}).captures == 60
+
+
+def test_the_distance_of_an_edge_is_that_of_its_nearest_hypothesis() -> None:
+    far, near = build_pair(0, 0.5), build_pair(0, -0.02)
+    several = replace(far, hypotheses=(*far.hypotheses, replace(near.hypotheses[0], observations=20)))
+    found = _build_edge(("west", "east"), several, {("west", "east"): (T_ROOT[0], T_ROOT[1])}, {"east": "west"})
+    assert (found.captures, found.inliers, found.in_tree) == (40, 20, True)
+    np.testing.assert_allclose(found.residuals, [0.02])

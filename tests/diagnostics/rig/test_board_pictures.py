@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from calgraph.detection import BoardCorners
-from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
+from calgraph.diagnostics.rig.board_pictures import (
+    InlierResiduals,
+    _subsample_measurements,
+    collect_board_outlines,
+    collect_board_views,
+)
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
@@ -115,3 +120,14 @@ def test_without_a_bundle_nothing_is_predicted(
         n for by in one.captures.detections.values() for n, d in by.items() if isinstance(d[0], BoardCorners)
     }
     assert {o.capture for o in outlines if o.board == 0} == seen_by_cameras
+
+
+@pytest.mark.parametrize(("count", "kept"), [(1, 1), (299, 299), (300, 150), (601, 201)])
+def test_measurements_are_thinned_to_at_most_300(count: int, kept: int) -> None:
+    pixels = np.zeros((count, 2))
+    pixels[:, 0] = np.arange(count)
+    detection = BoardCorners(
+        np.zeros((count, 3)), pixels, np.eye(4), np.eye(6), np.array([0.0, 0, 1, 1]), np.eye(3), 0.1
+    )
+    thinned = _subsample_measurements(detection)
+    np.testing.assert_array_equal(thinned[:, 0], np.arange(0, count, -(-count // kept)))

@@ -86,3 +86,10 @@ def test_confidence_factors_are_those_of_chi_squared_shared_among_all_axes() -> 
     bounds = scipy.stats.chi2.ppf([1 - 0.0125, 0.0125], captures)
     np.testing.assert_allclose(low[0], np.sqrt(captures / bounds[0]), rtol=1e-6)
     np.testing.assert_allclose(high[0], np.sqrt(captures / bounds[1]), rtol=1e-6)
+
+
+def test_few_rounds_limit_the_degrees_of_freedom() -> None:
+    """20 equal captures in 20 rounds: the reciprocals of both numbers add up to that of 10."""
+    low, high = _confidence_factors(np.eye(1)[None], np.ones((20, 1, 1)), 20, 0.9)
+    bounds = scipy.stats.chi2.ppf([0.95, 0.05], 10)
+    np.testing.assert_allclose([low[0, 0], high[0, 0]], np.sqrt(10 / bounds), rtol=1e-9)

@@ -200,3 +200,17 @@ def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
         true_poses(),
     )
     assert (result.sensors[-1].sensor, result.sensors[-1].outcome) == ("sonar", "warn")
+
+
+def test_residuals_are_infinite_where_given_poses_put_boards_behind_a_camera() -> None:
+    result = compare_rig_poses(*calibrated(0), true_poses("camera", step(4, np.pi)))
+    residuals = [result.misfit, *(sensor.misfit for sensor in result.sensors)]
+    assert [one and one.given for one in residuals] == [np.inf] * 4
+    assert all(one and one.found < 0.1 for one in residuals)
+
+
+def test_the_uncertainty_of_exact_poses_is_their_rounding() -> None:
+    """1e-6 m and rad."""
+    found, _ = calibrated()
+    result = compare_rig_poses(replace(found, joint_covariance=np.zeros((24, 24))), None, true_poses())
+    np.testing.assert_allclose([axis.stddev for axis in result.sensors[0].axes], 1e-6)

@@ -1,12 +1,13 @@
 """The next board poses: they fix what upright boards leave open, and by as much as they promise."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
+from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.verdict import grade_pose
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
@@ -118,3 +119,38 @@ def test_words_say_where_the_board_is_and_how_it_is_tilted() -> None:
     assert describe_pose("laser", KINDS, {"camera": camera}, RigDiagnosticsSettings()) == words.replace(
         "laser", "camera"
     )
+
+
+def draw_candidates_before(sensor: int) -> tuple[Array, Array]:
+    """Centres (K, 3) and normals (K, 3) of candidates near a board, in the frame of the sensor before it."""
+    exact = scene(boards=1)
+    views = tuple(v if s == sensor else v.select(np.zeros(1, bool)) for s, v in enumerate(exact.bundle.views))
+    candidates = _draw_candidates(
+        replace(exact.bundle, views=views), exact.truth, np.random.default_rng(0), RigDiagnosticsSettings()
+    )
+    T = relative_poses(exact.truth.T_root_sensor[sensor], candidates)
+    return T[:, :3, 3], T[:, :3, 2]
+
+
+def test_candidates_are_tilted_from_the_line_of_sight_up_to_the_limit() -> None:
+    """300 angles, uniform up to 60 degrees: their mean has a standard deviation of 1 degree."""
+    centers, normals = draw_candidates_before(1)
+    cosine = -np.sum(normals * centers, axis=1) / np.linalg.norm(centers, axis=1)
+    tilt = np.degrees(np.arccos(cosine))
+    assert tilt.max() < 60
+    assert abs(tilt.mean() - 30) < 3
+
+
+def test_candidates_are_tilted_to_all_sides_equally() -> None:
+    """A camera, z ahead: half of 300 normals point to the left of the line of sight, and half above it, ±3 %."""
+    centers, normals = draw_candidates_before(1)
+    across = normals - centers * (np.sum(normals * centers, axis=1) / np.sum(centers**2, axis=1))[:, None]
+    np.testing.assert_allclose((across[:, :2] > 0).mean(axis=0), 0.5, atol=0.1)
+
+
+def test_candidates_are_near_recorded_boards() -> None:
+    """Within 0.3 m along each axis of the root, uniformly."""
+    exact = scene(boards=1)
+    centers, _ = draw_candidates_before(0)
+    off = centers - exact.truth.T_root_board[0, :3, 3]
+    np.testing.assert_allclose([off.min(axis=0), off.max(axis=0)], [[-0.3] * 3, [0.3] * 3], atol=0.01)

@@ -10,6 +10,7 @@ from calgraph.captures import CaptureSet
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
 from calgraph.estimation import Problem, RigSolution, SolverOptions
+from calgraph.estimation.rig.bundle_solver import SensorPrior
 from calgraph.geometry import se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate
@@ -179,3 +180,35 @@ def test_a_root_without_detections_is_named_for_all_sensors(detected: DetectedRi
     of_root = "the root lidar detected the board in none of 5 captures, mostly because: no plane"
     reason = f"detected the board in 5 captures, but no other sensor did; {of_root}"
     assert unconnected == dict.fromkeys(("camera", "laser_front"), reason)
+
+
+def solve_with_wrong_prior(detected: DetectedRig) -> RigSolution:
+    """The joint solution with a prior of the laser, whose standard deviation is 0.1 m, 1 m off."""
+    solution = detected.solve()
+    solved = solution.solved_bundle
+    assert solved is not None
+    laser = solved.bundle.sensors.index("laser_front")
+    T = solved.minimized.state.T_root_sensor[laser] @ se3.pose(np.eye(3), np.array([1.0, 0, 0]))
+    bundle = replace(solved.bundle, priors=(SensorPrior(laser, T, 1e2 * np.eye(6)),))
+    return replace(solution, solved_bundle=replace(solved, bundle=bundle))
+
+
+@pytest.mark.parametrize("normalized_rms", [1.0, 5.0])
+def test_a_contradicted_prior_is_in_the_verdict_after_inconsistent_residuals(
+    detected: DetectedRig, normalized_rms: float
+) -> None:
+    pairs = all_pairs(detected, {})
+    pairs = {
+        names: replace(pair, normalized_rms=normalized_rms if "laser_front" in names else 1.0)
+        for names, pair in pairs.items()
+        if isinstance(pair, PairwiseEstimate)
+    }
+    tree = SpanningTree("lidar", CONNECTED, detected.T_root_sensor)
+    problem = Problem(detected.rig, detected.captures, pairs, tree, SolverOptions())
+    found = assemble_rig(problem, tree, solve_with_wrong_prior(detected))
+    reasons = found["laser_front"].verdict.reason.split("; ")
+    assert reasons[-1].startswith("the prior of laser_front disagrees with the captures by ")
+    assert [reason.split(" against")[0] for reason in reasons[:-1]] == ["laser_front residuals"] * (
+        normalized_rms > 3
+    )
+    assert found["camera"].verdict.grade == "good"
