@@ -1,5 +1,7 @@
 """Detection of moved scanners: which, how far, and the rate of false alarms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,3 +113,9 @@ def test_a_second_node_is_named_by_the_degrees_of_freedom_that_remain() -> None:
     difference = np.zeros((4, 3))
     difference[1, 0], difference[2, 1] = 20.0, 5.0
     assert find_displaced_nodes(T, difference, np.eye(12), CHANCE) == (1, 2)
+
+
+def test_poses_that_agree_exactly_have_not_moved() -> None:
+    """Without covariances, the rounding of the poses remains."""
+    exact = replace(random_network(np.random.default_rng(0)), covariance=np.zeros((18, 18)))
+    assert find_moved_scanners(exact, exact, SETTINGS) == ("a", ())

@@ -135,3 +135,12 @@ def test_the_distance_of_an_edge_is_that_of_its_nearest_hypothesis() -> None:
     found = _build_edge(("west", "east"), several, {("west", "east"): (T_ROOT[0], T_ROOT[1])}, {"east": "west"})
     assert (found.captures, found.inliers, found.in_tree) == (40, 20, True)
     np.testing.assert_allclose(found.residuals, [0.02])
+
+
+def test_a_rejected_pair_has_an_edge_without_positions_that_states_the_reason() -> None:
+    last = assemble().evidence.edges[-1]
+    assert (last.captures, last.inliers, last.in_tree, last.note) == (0, 0, False, "too few")
+
+
+def test_scanners_without_frame_are_in_the_frame_of_their_name() -> None:
+    assert tuple(one.frame_id for one in assemble().sensors) == NAMES

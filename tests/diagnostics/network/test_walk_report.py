@@ -12,7 +12,7 @@ from calgraph.diagnostics.network.walk_report import (
     match_across_scanners,
 )
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
+from calgraph.pairwise.synchronized_tracks import TICK_PERIOD, TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
 from calgraph.tracking import ScannerTracks, Track
 
@@ -204,3 +204,18 @@ def test_the_floor_plan_of_a_long_recording_is_thinned(rng: np.random.Generator)
     assert sum(map(len, view.tracks)) <= 30_000
     # Points on 10 m of wall, one in each cell of 3 cm.
     assert len(view.background) == pytest.approx(333, abs=10)
+
+
+def test_lines_of_the_floor_plan_have_every_third_tick(rng: np.random.Generator) -> None:
+    tracks = {"east": build_tracks("east", [simulate_walk(1, 3, 1.5)], rng)}
+    samples = {name: resample_tracks(one) for name, one in tracks.items()}
+    (view,) = build_floor_views(tracks, samples, T_ROOT, START)
+    np.testing.assert_allclose(np.diff(view.times[0]), 3 * TICK_PERIOD)
+
+
+@pytest.mark.parametrize(("points", "kept"), [(11_999, 11_999), (12_001, 6_001)])
+def test_the_floor_plan_has_at_most_12_000_static_points(points: int, kept: int) -> None:
+    wall = np.column_stack([0.1 * np.arange(points), np.zeros(points)])
+    tracked = {"west": ScannerTracks((), wall, SIGMA)}
+    (view,) = build_floor_views(tracked, {"west": resample_tracks(tracked["west"])}, T_ROOT, START)
+    assert len(view.background) == kept

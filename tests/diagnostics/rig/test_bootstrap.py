@@ -10,9 +10,10 @@ from calgraph.diagnostics.rig.bootstrap import (
     BootstrapScatter,
     _confidence_factors,
     _difference_covariance,
+    _resample_bundle,
     bootstrap_poses,
 )
-from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
+from calgraph.estimation.rig.bundle_solver import Bundle, linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.solution import SolvedBundle
 
 BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
@@ -93,3 +94,14 @@ def test_few_rounds_limit_the_degrees_of_freedom() -> None:
     low, high = _confidence_factors(np.eye(1)[None], np.ones((20, 1, 1)), 20, 0.9)
     bounds = scipy.stats.chi2.ppf([0.95, 0.05], 10)
     np.testing.assert_allclose([low[0, 0], high[0, 0]], np.sqrt(10 / bounds), rtol=1e-9)
+
+
+def test_a_sample_has_the_views_of_its_boards_as_often_as_they_are_drawn() -> None:
+    """The laser detected the first and the third of four boards."""
+    exact = scene(boards=4)
+    lidar, camera, laser = exact.bundle.views
+    bundle = exact.bundle.with_views((lidar, camera, laser.select(np.array([True, False, True, False]))))
+    equations = linearize_bundle(bundle, exact.truth)
+    sample, _, state = _resample_bundle(bundle, exact.truth, equations, np.array([3, 2, 2, 1]))
+    assert [views.board.tolist() for views in sample.views] == [[0, 1, 2, 3], [0, 1, 2, 3], [1, 2]]
+    np.testing.assert_array_equal(state.T_root_board, exact.truth.T_root_board[[3, 2, 2, 1]])

@@ -119,3 +119,9 @@ def test_tilt_is_determined_by_views_of_smaller_standard_deviation(deviations: f
     """Of 10 mm on the board, at a lever of 0.5 m."""
     A = np.eye(6)[None] / 0.01**2
     assert _observes_tilt(A, np.eye(4)[None], 0.5, deviations * 0.01).tolist() == [determined]
+
+
+@pytest.mark.parametrize(("limit", "determined"), [(1.1, True), (0.9, False)])
+def test_a_tilt_that_is_not_observed_is_uncertain_by_one_radian(limit: float, determined: bool) -> None:
+    """Also with a seventh unknown."""
+    assert _observes_tilt(np.zeros((1, 7, 7)), np.eye(4)[None], 0.5, limit).tolist() == [determined]
