@@ -104,3 +104,34 @@ def test_what_holds_a_scanner_goes_even_if_better_evidence_hardly_contradicts_it
     graph, names, doubt = doubted(AB, BC, replace(CD, hypotheses=(found("c", "d", 30, 0.09),)), near)
     assert doubt
     assert [tuple(names[k] for k in edge) for edge in graph.edges[doubt.weaker_edges].tolist()] == [("c", "d")]
+
+
+def test_edges_with_more_evidence_than_the_conflict_are_kept() -> None:
+    """An outlier 0.3 m off does not contradict the estimated pose, but the moved one."""
+    better = ScannerPairEstimate("b", "d", (found("b", "d", 40, 8.0),))
+    near = ScannerPairEstimate("a", "d", (found("a", "d", 60, 0.3),))
+    graph, names, conflict = doubted(AB, BC, CD, better, near)
+    assert conflict
+    assert [tuple(names[k] for k in edge) for edge in graph.edges[conflict.weaker_edges].tolist()] == [("c", "d")]
+
+
+def test_the_largest_of_several_parts_is_in_conflict() -> None:
+    weak = replace(BC, hypotheses=(found("b", "c", 30),))
+    to_c, to_d = (ScannerPairEstimate(a, b, (found(a, b, 40, 8.0),)) for a, b in (("a", "c"), ("b", "d")))
+    assert set(doubts(AB, weak, CD, to_c, to_d)) == {"c", "d"}
+
+
+def test_the_conflict_of_most_evidence_moves_the_part() -> None:
+    near, far = (
+        ScannerPairEstimate(a, "d", (found(a, "d", count, shift),))
+        for a, count, shift in (("b", 40, 8.0), ("a", 60, 5.0))
+    )
+    reason = doubts(AB, BC, CD, near, far)["d"]
+    assert reason == "a and d put it 5.0 m elsewhere, with better evidence than c and d have"
+
+
+def test_better_evidence_for_another_angle_is_a_conflict() -> None:
+    """Off by 0.15 m, which is no contradiction, and by 17 degrees, which is one."""
+    right = found("b", "d", 40)
+    turned = replace(right, T_a_b=se2.retract(right.T_a_b, np.array([0.15, 0.0, 0.3])))
+    assert list(doubts(AB, BC, CD, ScannerPairEstimate("b", "d", (turned,)))) == ["d"]

@@ -81,3 +81,18 @@ def test_the_last_robust_step_has_geman_mcclure_weights(monkeypatch: pytest.Monk
     graph = PoseGraph(2, np.array([[0, 1], [0, 1]]), T_i_j, np.tile(np.eye(3), (2, 1, 1)))
     found = optimize_poses_robustly(graph, T, gate=4.0)
     np.testing.assert_allclose(found[1, :2, 2], [0.25 / 1.25, 0.0], atol=1e-8)
+
+
+def test_scales_of_the_robust_loss_are_halved_from_64_to_a_quarter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without steps, the squared distance of an edge stays at the gate."""
+    used: list[float] = []
+
+    def record_weight(_graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
+        used.append(float(weights[0]))
+        return np.zeros((len(T_root_node), 3))
+
+    monkeypatch.setattr(graph_optimization, "gauss_newton_step", record_weight)
+    T = np.tile(np.eye(3), (2, 1, 1))
+    graph = PoseGraph(2, np.array([[0, 1]]), se_n.retract(T[:1], np.array([[2.0, 0.0, 0.0]])), np.eye(3)[None])
+    optimize_poses_robustly(graph, T, gate=4.0)
+    np.testing.assert_allclose(used, [(1 + 2.0**-k) ** -2 for k in range(6, -3, -1)])

@@ -5,7 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from calgraph.graph.tree_consensus import _cheapest_tree
+from calgraph.config.settings import GraphSettings
+from calgraph.geometry import Array
+from calgraph.graph import PoseGraph, average_poses, tree_consensus
+from calgraph.graph.random_trees import compute_tree_poses
+from calgraph.graph.tree_consensus import _cheapest_tree, _draw_edge_costs
 from pose_graphs import complete, measured, true_poses
 
 
@@ -22,3 +26,26 @@ def test_the_first_tree_has_the_least_total_cost(seed: int) -> None:
     ]
     cheapest = min(trees, key=lambda chosen: costs[chosen].sum())
     assert np.flatnonzero(_cheapest_tree(graph, costs)).tolist() == cheapest
+
+
+def test_the_first_tree_excludes_the_edge_of_least_weight(rng: np.random.Generator) -> None:
+    graph = measured(true_poses(3, 2, rng), complete(3), rng)
+    costs = _draw_edge_costs(graph, np.array([1.0, 0.1, 1.0]), 3, rng, GraphSettings())
+    assert (costs[0] > 1e8).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize(("tree_edges", "expected"), [(1, 2), (100, 6), (10_000, 50)])
+def test_the_number_of_trees_follows_from_their_edges_within_limits(
+    tree_edges: int, expected: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trees of a graph of 15 edges, at least 2 and at most 50."""
+    counts: list[int] = []
+
+    def record_count(graph: PoseGraph, costs: Array) -> Array:
+        counts.append(len(costs))
+        return compute_tree_poses(graph, costs)
+
+    monkeypatch.setattr(tree_consensus, "compute_tree_poses", record_count)
+    settings = GraphSettings(tree_edges=tree_edges, min_trees=2, max_trees=50)
+    average_poses(measured(true_poses(6, 2, rng), complete(6), rng), rng, settings=settings)
+    assert counts == [expected]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
@@ -252,3 +253,21 @@ def test_the_first_match_distance_is_three_standard_deviations_within_limits(
     wall = straight_wall(2.0, 0.1)
     align_backgrounds(np.eye(3), np.diag([position, 0.05, angle]) ** 2, wall, wall, SIGMA)
     assert distances == pytest.approx([expected])
+
+
+def test_the_match_distance_is_reduced_by_a_factor_at_each_step(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the 0.6 m of the initial pose to 0.06 m, by 0.7."""
+    distances: list[float] = []
+    match = icp._match_points
+
+    def record_distance(
+        T: Array, a: _SurfacePoints, b: _SurfacePoints, distance: float, settings: IcpSettings
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        distances.append(distance)
+        return match(T, a, b, distance, settings)
+
+    monkeypatch.setattr(icp, "_match_points", record_distance)
+    align_backgrounds(T_A_B, np.diag([0.2, 0.2, 0.0]) ** 2, scan(ROOM, A, rng), scan(ROOM, B, rng), SIGMA)
+    np.testing.assert_allclose(distances[:8], np.maximum(0.6 * 0.7 ** np.arange(8), 0.06))

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -207,11 +208,38 @@ def test_a_sample_of_one_repeated_match_has_no_solution(rng: np.random.Generator
 def test_the_axis_aligned_rotation_of_least_residuals_comes_first(
     quarter_turns: int, rng: np.random.Generator
 ) -> None:
-    """Small residuals, in metres: 2 cm of noise at distances of some metres."""
+    """In samples of eight segments with little noise, whose translation is free."""
     R = so3.exp(np.array([0.0, 0.0, quarter_turns * np.pi / 2]))
-    matches = plane_line(se3.pose(R, np.array([0.1, 0.2, 0.05])), rng, 100, 0.002)
-    chosen = np.arange(len(matches.planes))[None]
+    matches = plane_line(se3.pose(R, np.array([0.1, 0.2, 0.05])), rng, 300, 0.001)
+    chosen = np.arange(len(matches.planes) // 8 * 8).reshape(-1, 8)
     n, d = np.repeat(matches.planes[chosen, :3], 2, axis=1), np.repeat(matches.planes[chosen, 3], 2, axis=1)
-    x = matches.endpoints[chosen].reshape(1, -1, 3)
-    found = matches._select_rotations(axis_aligned_rotations(), n, d, x)
-    np.testing.assert_allclose(found[0, 0], R, atol=1e-12)
+    x = matches.endpoints[chosen].reshape(len(chosen), -1, 3)
+    found = matches._select_rotations(axis_aligned_rotations(), n, d, x)[:, 0]
+    assert np.isclose(found, R).all(axis=(1, 2)).mean() > 0.9
+
+
+def test_of_similar_solutions_from_upright_boards_the_least_rotated_is_taken(rng: np.random.Generator) -> None:
+    """Three noisy segments: without the penalty on rotations, a sixth of the samples has another solution."""
+    T_a_b = se3.pose(so3.exp(np.array([0, 0, 0.3])), np.array([0.2, -0.1, 0.0]))
+    matches = plane_line(T_a_b, rng, 300, 0.003, tilt=0.0)
+    found = matches.solve(np.arange(len(matches.planes) // 3 * 3).reshape(-1, 3))
+    error = np.abs(se3.difference(found, np.broadcast_to(T_a_b, found.shape)))[:, [0, 1, 5]].max(axis=1)
+    assert (error < 0.05).mean() > 0.95
+
+
+@pytest.mark.parametrize(("rms", "chosen"), [(0.004, 0), (0.008, 1)])
+def test_a_rotation_by_03_rad_outweighs_a_residual_of_6_mm(
+    rms: float, chosen: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The penalty is 20 mm/rad; the second solution is exact, the first one has not left its start."""
+
+    def minimize(_self: object, R: Array, *_: Array) -> tuple[Array, Array]:
+        turns = so3.exp(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]))
+        return se3.pose(turns @ R, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])), np.array([rms**2, 0.0])
+
+    monkeypatch.setattr(PlaneLineMatches, "_minimize", minimize)
+    matches = replace(
+        plane_line(np.eye(4), rng, 12, tilt=0.0),
+        settings=BoardPairSettings(refined_starts=2, rotation_penalty=0.02),
+    )
+    assert matches.solve(np.array([[0, 1, 2]]))[0, 0, 3] == chosen

@@ -19,6 +19,7 @@ from calgraph.pairwise.synchronized_tracks import (
 )
 from calgraph.pairwise.track_registration import (
     TrackRegistration,
+    _associate,
     _invert_symmetric,
     _mahalanobis2,
     compute_pose_costs,
@@ -414,3 +415,41 @@ def test_of_two_tracks_one_continues_another() -> None:
     joined = found.trajectory[found.tick == 40][np.argmin(np.abs(at_end - position(np.array([4.0]))).sum(axis=1))]
     assert set(found.trajectory[found.tick == 10].tolist()) == {int(joined)}
     assert len(np.unique(found.trajectory)) == 2
+
+
+@pytest.mark.parametrize(("before", "after"), [(3.0, 0.0), (0.0, 3.0)])
+def test_a_track_is_predicted_with_the_mean_velocity_over_the_gap(before: float, after: float) -> None:
+    """A gap of 0.7 s at a mean of 1.5 m/s, between tracks at rest or at 3 m/s along x."""
+    times, tracks = np.arange(0, 1.01, 0.1), []
+    for k, speed in enumerate((before, after)):
+        x = np.column_stack([(times - 1) * speed if k == 0 else 1.05 + times * speed, np.zeros(11)])
+        v = np.tile([speed, 0.0], (11, 1))
+        tracks.append(Track(times + 1.7 * k, x, v, np.tile(1e-4 * np.eye(2), (11, 1, 1)), period=k))
+    found = resample_tracks(ScannerTracks(tuple(tracks), np.zeros((0, 2)), 0.01))
+    assert len(np.unique(found.trajectory)) == 1
+
+
+def samples_at_one_tick(x: list[float], covariances: list[Array]) -> TrackSamples:
+    """Samples on the x axis."""
+    n = len(x)
+    zeros = np.zeros(n, dtype=np.intp)
+    return TrackSamples(
+        zeros, np.arange(n), np.column_stack([x, np.zeros(n)]), np.zeros((n, 2)), np.array(covariances)
+    )
+
+
+def test_the_nearest_neighbour_is_that_of_least_standard_deviations() -> None:
+    """0.10 m with a variance of 1e-4 m², or 0.14 m with 0.04 m²; 0.0025 m² of model error add to both."""
+    a = samples_at_one_tick([2.0], [1e-9 * np.eye(2)])
+    b = samples_at_one_tick([2.1, 2.14], [1e-4 * np.eye(2), 0.04 * np.eye(2)])
+    pairs = pair_samples(a, b)
+    rows, d2 = _associate(np.eye(3), np.zeros(3), pairs, 0.05, 9.21)
+    assert pairs.row_b[rows].tolist() == [1]
+    np.testing.assert_allclose(d2, [0.14**2 / 0.0425], rtol=1e-6)
+
+
+def test_matches_along_the_larger_variance_are_within_the_gate() -> None:
+    """2.5 standard deviations of 0.2 m along x; across, 1 mm: 3.5 of the mean variance."""
+    a = samples_at_one_tick([2.0], [1e-9 * np.eye(2)])
+    pairs = pair_samples(a, samples_at_one_tick([2.5], [np.diag([0.04, 1e-6])]))
+    assert len(_associate(np.eye(3), np.zeros(3), pairs, 1e-3, 9.21)[0]) == 1

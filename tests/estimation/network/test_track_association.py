@@ -142,3 +142,11 @@ def test_the_tracks_of_a_body_are_grouped_by_scanner(rng: np.random.Generator) -
     tracked = [track_paths(0, [whole], rng), track_paths(1, [whole[:60], whole[62:]], rng)]
     [one] = group_tracks_by_body(tracked, T_ROOT[:2], SETTINGS)
     assert {scanner: len(tracks) for scanner, tracks in one.by_scanner().items()} == {0: 1, 1: 2}
+
+
+def test_a_body_starts_at_its_first_scan(rng: np.random.Generator) -> None:
+    """The first scanner misses five scans after its first one, while the second scanner begins."""
+    whole = simulate_path(0, 6, (0, 1), (1, 0.1))
+    tracked = [track_paths(0, [np.delete(whole, np.arange(1, 6), axis=0)], rng), track_paths(1, [whole[2:]], rng)]
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2], SETTINGS)
+    assert one.start == 0.0
