@@ -9,11 +9,16 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from bundle_scenes import Scene, remeasured, scene
+from calgraph.config.settings import VarianceComponentSettings
 from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
 from calgraph.estimation.rig.normal_equations import consistency_statistic
 from calgraph.estimation.rig.observations import BoardViews, RangeObservations, relative_poses
-from calgraph.estimation.rig.variance_components import find_outlier_views, update_variance_components
+from calgraph.estimation.rig.variance_components import (
+    _shrink_noise_scale,
+    find_outlier_views,
+    update_variance_components,
+)
 from calgraph.geometry import se3
 
 SEEDS = 20
@@ -232,3 +237,9 @@ def test_views_are_outliers_beyond_the_significance_level() -> None:
         at_target = brentq(lambda distance, t=target: excess(distance) - t, 0.001, 0.3, xtol=1e-5)
         found = [int(bad.sum()) for bad in contradicting(*move_view(at_target))]
         assert found == [0, int(target > 1), 0, 0]
+
+
+def test_noise_is_at_least_the_least_ratio_of_that_stated() -> None:
+    """From residuals of zero with many degrees of freedom, which outweigh the noise as stated."""
+    settings = VarianceComponentSettings(min_noise_ratio=0.1)
+    assert _shrink_noise_scale(0.0, 1e9, settings) == pytest.approx(0.1)
