@@ -119,3 +119,23 @@ def test_a_single_pair_is_given_the_usual_error_beyond_its_noise() -> None:
     found, loosened = average_network(graph, np.random.default_rng(0))
     sd = np.sqrt(np.diag(pose_covariances(loosened, found.T_root_node)[1]))
     np.testing.assert_allclose(sd, [0.02, 0.02, 0.004], rtol=0.05)
+
+
+def test_covariances_add_up_along_a_chain_of_turned_scanners() -> None:
+    T_a_b, T_b_c = se2.pose(0.7, np.array([3.0, 1.0])), se2.pose(-0.4, np.array([2.0, -1.5]))
+    covariance_ab, covariance_bc = np.diag([4e-4, 1e-4, 9e-6]), np.diag([1e-4, 2.5e-3, 1e-6])
+    graph = PoseGraph(
+        3,
+        np.array([[0, 1], [1, 2]]),
+        np.array([T_a_b, T_b_c]),
+        np.linalg.inv(np.array([covariance_ab, covariance_bc])),
+    )
+    found = pose_covariances(graph, np.array([np.eye(3), T_a_b, T_a_b @ T_b_c]))
+    # An error of the first rotation moves c about b.
+    arm = T_a_b[:2, :2] @ T_b_c[:2, 2]
+    by_first, by_second = np.eye(3), np.eye(3)
+    by_first[:2, 2] = -arm[1], arm[0]
+    by_second[:2, :2] = T_a_b[:2, :2]
+    expected = by_first @ covariance_ab @ by_first.T + by_second @ covariance_bc @ by_second.T
+    np.testing.assert_allclose(found[1], covariance_ab, atol=1e-9)
+    np.testing.assert_allclose(found[2], expected, atol=1e-9)

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array, se3
 from calgraph.graph import SpanningTree, find_spanning_tree
+from calgraph.graph.spanning_tree import unobservable_stddev
 from calgraph.pairwise import PairwiseEstimate
 
 TRUTH = {
@@ -113,3 +114,10 @@ def test_tree_knows_which_pairs_it_joins() -> None:
     assert tree.has_edge("lidar", "camera")
     assert tree.has_edge("laser", "camera")
     assert not tree.has_edge("lidar", "laser")
+
+
+def test_the_standard_deviation_of_an_unobserved_direction_is_that_of_the_weakest() -> None:
+    # 1 / sqrt(0.25) m along z, above the limit of 0.1 m; nothing where all directions are below it.
+    open_z = pair("lidar", "camera", 0.01, information=np.diag([1e4, 1e4, 0.25, 1e6, 1e6, 1e6]))
+    assert unobservable_stddev(open_z, 0.1) == pytest.approx(2.0)
+    assert unobservable_stddev(pair("lidar", "camera", 0.01), 0.1) == 0.0

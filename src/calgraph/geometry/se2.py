@@ -13,6 +13,7 @@ from calgraph.geometry.se_n import (
     difference,
     inverse,
     inverse_covariance,
+    relative_pose_jacobians,
     retract,
 )
 
@@ -24,6 +25,7 @@ __all__ = [
     "inverse",
     "inverse_covariance",
     "pose",
+    "relative_pose_jacobians",
     "retract",
     "to_se3",
 ]

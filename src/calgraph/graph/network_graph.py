@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.config.settings import GraphSettings
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se2
 from calgraph.graph.graph_optimization import optimize_poses
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.tree_consensus import average_poses
@@ -133,18 +133,12 @@ def compute_joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
     Zero for the root. Unobservable directions get a standard deviation of 1000 m or rad.
     """
     i, j = graph.edges.T
-    R = T_root_node[i, :2, :2]
-    B = np.zeros((len(i), 3, 3))
-    B[:, :2, :2], B[:, 2, 2] = R, 1
-    W = B @ graph.information @ np.swapaxes(B, -1, -2)
-    arm = T_root_node[j, :2, 2] - T_root_node[i, :2, 2]
-    J_i = np.tile(-np.eye(3), (len(i), 1, 1))
-    J_i[:, :2, 2] -= np.stack([-arm[:, 1], arm[:, 0]], axis=-1)
-    WJ = W @ J_i
-    blocks = ((i, i, np.swapaxes(J_i, -1, -2) @ WJ), (i, j, np.swapaxes(WJ, -1, -2)), (j, i, WJ), (j, j, W))
+    jacobians = se2.relative_pose_jacobians(T_root_node[i], T_root_node[j])
     H = np.zeros((graph.count, graph.count, 3, 3))
-    for a, b, block in blocks:
-        np.add.at(H, (a, b), block)
+    for a, J_a in enumerate(jacobians):
+        for b, J_b in enumerate(jacobians):
+            block = np.swapaxes(J_a, -1, -2) @ graph.information @ J_b
+            np.add.at(H, (graph.edges[:, a], graph.edges[:, b]), block)
     flat = H.transpose(0, 2, 1, 3).reshape(3 * graph.count, -1) + 1e-6 * np.eye(3 * graph.count)
     free = np.repeat(np.arange(graph.count) != graph.root, 3)
     covariance = np.zeros_like(flat)
