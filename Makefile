@@ -24,8 +24,8 @@ test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
 # All tests; settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
-coverage: $(READY)  ## run all tests and measure coverage; fails below the limit in pyproject.toml
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-report= $(ARGS)
+coverage:  ## run the tests and measure coverage; fails below the limit in pyproject.toml
+	$(MAKE) test ARGS="--cov --cov-report= $(ARGS)"
 
 # ROOM may be several, parts of one, or files. The tests of the room run, and those that TESTS names.
 N := 50

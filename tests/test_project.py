@@ -119,7 +119,7 @@ def test_ci_tests_every_supported_python() -> None:
 def test_workflow_runs_the_targets_of_the_ci_script_and_the_documentation() -> None:
     of_script = make_targets((ROOT / ".ci/run").read_text(encoding="utf-8"))
     of_workflow = make_targets((ROOT / WORKFLOW).read_text(encoding="utf-8"))
-    assert of_script == {"setup", "check", "coverage"}
+    assert of_script == {"setup", "check", "test"}
     assert of_workflow == of_script | {"docs"}
 
 
