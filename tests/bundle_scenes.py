@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import PixelNoise, RangeNoise
+from calgraph.config.settings import RigEstimationSettings
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
 from calgraph.geometry import Array, se3, so3
@@ -99,7 +100,7 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
     start = np.cumsum([0, *[len(points) for points in ends[:-1]]])
     return RangeObservations(
         np.arange(count), start, np.concatenate(ends) / ranges[:, None], ranges, RANGE,
-        np.full(len(ranges), RANGE.range),
+        np.full(len(ranges), RANGE.range), RigEstimationSettings().min_incidence_cosine,
     )  # fmt: skip
 
 

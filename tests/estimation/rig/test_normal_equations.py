@@ -16,6 +16,7 @@ from calgraph.estimation.rig.observations import LinearizedResiduals
 from calgraph.geometry import Array, Index
 
 HUBER_THRESHOLD = RigEstimationSettings().huber_threshold
+MIN_REDUNDANCY = RigEstimationSettings().variances.min_redundancy
 START = np.array([0, 30, 37])
 COUNTS = [30, 7, 23]
 
@@ -165,7 +166,7 @@ def test_without_bias_the_equations_do_not_change(rng: np.random.Generator) -> N
 def test_consistency_of_three_measurements_of_one_number() -> None:
     """Of 0, 0 and 3 with unit noise the mean is 1: gradients 1, 1 and -2 with variance 2/3 each."""
     squared, freedom = consistency_statistic(
-        np.ones((3, 1, 1)), np.full((3, 1, 1), 1 / 3), np.array([[1.0], [1.0], [-2.0]])
+        np.ones((3, 1, 1)), np.full((3, 1, 1), 1 / 3), np.array([[1.0], [1.0], [-2.0]]), MIN_REDUNDANCY
     )
     np.testing.assert_allclose(squared, [1.5, 1.5, 6.0])
     assert freedom.tolist() == [1, 1, 1]
@@ -175,7 +176,7 @@ def test_directions_without_redundancy_are_not_tested() -> None:
     """Of two parameters only the first is measured twice."""
     information = np.tile(np.diag([1.0, 1.0]), (1, 1, 1))
     spread = np.diag([0.5, 1.0])[None]
-    squared, freedom = consistency_statistic(information, spread, np.array([[1.0, 0.0]]))
+    squared, freedom = consistency_statistic(information, spread, np.array([[1.0, 0.0]]), MIN_REDUNDANCY)
     assert squared[0] == pytest.approx(2.0)
     assert freedom[0] == 1
 
@@ -186,9 +187,9 @@ def test_consistency_does_not_depend_on_units(rng: np.random.Generator) -> None:
     P: Array = np.asarray(0.3 * np.linalg.inv(A), dtype=np.float64)
     scale = 10.0 ** np.arange(-3, 3)
     D, D_inverse = np.diag(scale), np.diag(1 / scale)
-    expected = consistency_statistic(A, P, gradient)[0]
+    expected = consistency_statistic(A, P, gradient, MIN_REDUNDANCY)[0]
     np.testing.assert_allclose(
-        consistency_statistic(D @ A @ D, np.asarray(D_inverse @ P @ D_inverse), gradient @ D)[0],
+        consistency_statistic(D @ A @ D, np.asarray(D_inverse @ P @ D_inverse), gradient @ D, MIN_REDUNDANCY)[0],
         expected,
         rtol=1e-6,
     )

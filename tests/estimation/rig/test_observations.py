@@ -7,6 +7,7 @@ import pytest
 
 from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of
 from calgraph.config import RangeNoise
+from calgraph.config.settings import RigEstimationSettings
 from calgraph.estimation.rig.observations import (
     BoardViews,
     CornerObservations,
@@ -179,7 +180,7 @@ def test_no_views_have_no_residuals(kind: str) -> None:
 def one_beam(direction: Array, measured: float) -> RangeObservations:
     return RangeObservations(
         np.array([0]), np.array([0]), direction[None], np.array([measured]), RangeNoise(range=0.012, angle=1e-5),
-        np.array([0.012]),
+        np.array([0.012]), RigEstimationSettings().min_incidence_cosine,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bundle_scenes import Scene, scene
+from calgraph.config.settings import ExtrapolationSettings
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.normal_equations import ViewNormalEquations
@@ -14,6 +15,7 @@ from calgraph.estimation.rig.relinearization import linearize_views
 from calgraph.geometry import Array, se3, so3
 
 STILL, NO_BIAS = np.zeros(0), np.zeros(6)
+LIMITS = ExtrapolationSettings()
 
 
 def lidar_views(rng: np.random.Generator) -> tuple[RangeObservations, Array]:
@@ -32,7 +34,7 @@ def gradients(equations: ViewNormalEquations) -> Array:
 def test_extrapolation_by_a_solver_step_is_accurate(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     near = se3.retract(T, 3e-4 * rng.normal(size=(6, 6)))
-    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL)
+    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL, LIMITS)
     exact_equations = linearize_views(views, near, STILL, NO_BIAS, 2.5).equations
     assert extrapolated is not None
     np.testing.assert_allclose(
@@ -48,7 +50,7 @@ def test_the_error_of_extrapolation_shrinks_with_the_step(rng: np.random.Generat
     off = []
     for size in (1e-3, 1e-4):
         near = se3.retract(T, np.full((6, 6), size))
-        extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL)
+        extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL, LIMITS)
         assert extrapolated is not None
         off.append(
             np.abs(
@@ -61,7 +63,7 @@ def test_the_error_of_extrapolation_shrinks_with_the_step(rng: np.random.Generat
 def test_motion_within_the_plane_does_not_change_ranges(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     slid = T @ se3.pose(so3.exp(np.array([0, 0, 1.0])), np.array([0.4, -0.3, 0]))
-    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, slid, STILL)
+    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, slid, STILL, LIMITS)
     assert extrapolated is not None
     np.testing.assert_allclose(
         extrapolated.gradient, linearize_views(views, slid, STILL, NO_BIAS, 2.5).equations.gradient, atol=1e-6
@@ -73,13 +75,13 @@ def test_extrapolation_is_limited(step: list[float], rng: np.random.Generator) -
     views, T = lidar_views(rng)
     far = T.copy()
     far[2] = T[2] @ se3.retract(np.eye(4), np.array(step)[[0, 2, 1, 3, 4, 5]])
-    assert linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, far, STILL) is None
+    assert linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, far, STILL, LIMITS) is None
 
 
 def test_a_range_bias_is_extrapolated(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     views, zero, biased = replace(views, extra_count=1), np.zeros(1), np.array([0.002])
-    extrapolated = linearize_views(views, T, zero, np.zeros(7), 2.5).extrapolate(views, T, biased)
+    extrapolated = linearize_views(views, T, zero, np.zeros(7), 2.5).extrapolate(views, T, biased, LIMITS)
     exact_equations = linearize_views(views, T, biased, np.zeros(7), 2.5).equations
     assert extrapolated is not None
     assert np.abs(gradients(extrapolated) - gradients(exact_equations)).max() < 0.1

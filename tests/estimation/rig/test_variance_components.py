@@ -197,7 +197,9 @@ def test_an_outlier_is_as_unlikely_as_stated(probability: float, rejected: bool)
     def statistic(size: float) -> tuple[float, int]:
         bundle, solution = displaced(size)
         at, F = solution.equations.views[1], view_covariance_factors(bundle, solution.equations)[1]
-        squared, freedom = consistency_statistic(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
+        squared, freedom = consistency_statistic(
+            at.information, F @ np.swapaxes(F, -1, -2), at.gradient, bundle.settings.variances.min_redundancy
+        )
         return float(squared[3]), int(freedom[3])
 
     size = 1e-3
@@ -230,7 +232,9 @@ def test_views_are_outliers_beyond_the_significance_level() -> None:
     def excess(distance: float) -> float:
         bundle, solution = move_view(distance)
         at, F = solution.equations.views[1], view_covariance_factors(bundle, solution.equations)[1]
-        squared, freedom = consistency_statistic(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
+        squared, freedom = consistency_statistic(
+            at.information, F @ np.swapaxes(F, -1, -2), at.gradient, bundle.settings.variances.min_redundancy
+        )
         return float(squared[3] / chi2.isf(1e-5, freedom[3]))
 
     for target in (0.95, 1.05):

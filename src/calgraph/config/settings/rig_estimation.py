@@ -37,6 +37,15 @@ class VarianceComponentSettings(StrictModel):
     max_variance_factor: float = Field(default=4.0, gt=1)
     """Factor that bounds the change of a noise variance by the scatter among views in one round: before outliers
     are rejected, it is too large."""
+    min_noise_change: float = Field(default=5e-3, ge=0)
+    """Smaller relative changes of a noise are not applied: they would only cost a linearization, and are a quarter
+    of ``noise_tolerance``."""
+    min_redundancy: float = Field(default=1e-3, gt=0, lt=1)
+    """Directions that the other views check with less than this redundancy number (Baarda) do not enter the test
+    for outliers, nor that of priors: an error there hardly shows, and the statistic would amplify rounding."""
+    max_outlier_share: float = Field(default=0.5, gt=0, lt=1)
+    """A sensor that would lose a larger share of its views keeps them: where most views are outliers, the model of
+    the sensor is wrong instead."""
     outlier_significance: float = Field(default=1e-5, gt=0, lt=1)
     """Probability that a correct view fails the χ² test for outliers: with 1,000 views, one recording in 100 loses
     one."""
@@ -114,13 +123,35 @@ class ExtraParameterSettings(StrictModel):
     have then less than three times the information of the prior."""
 
 
+class ExtrapolationSettings(StrictModel):
+    """Linearizations of views that are extrapolated to nearby states instead of computed anew."""
+
+    max_residual_change: float = Field(default=0.3, ge=0)
+    """Largest root mean square change of the residuals of any view, in standard deviations: the error is of second
+    order in it. 0 linearizes at every state."""
+    max_rotation: float = Field(default=0.01, ge=0, lt=1)
+    """Largest rotation of a board, rad (0.6°): ranges change by its square, 1e-4, beyond first order."""
+    max_cost_ratio: float = Field(default=20.0, ge=0)
+    """The solution is linearized exactly if the cost fell by more than this multiple of the solver's tolerance
+    since the last exact linearization: extrapolation is exact to second order below."""
+
+
 class RigEstimationSettings(StrictModel):
     """The bundle of a rig with a board."""
 
     huber_threshold: float = Field(default=2.5, gt=0)
     """Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
     information."""
+    min_incidence_cosine: float = Field(default=0.05, gt=0, lt=1)
+    """Least cosine between a beam and the board's normal (87°), at which smaller ones are truncated: ranges at
+    grazing incidence are not linear in the pose."""
+    position_prior_stddev: float = Field(default=10.0, gt=0)
+    """Prior standard deviation of a sensor's position about the present estimate, m: several times the size of any
+    rig, so that it matters only for directions without measurements."""
+    rotation_prior_stddev: float = Field(default=math.pi, gt=0)
+    """The same of its rotation, rad: half a turn is the largest rotation."""
     variances: VarianceComponentSettings = VarianceComponentSettings()
     outlines: OutlineSettings = OutlineSettings()
+    extrapolation: ExtrapolationSettings = ExtrapolationSettings()
     registration: BoardRegistrationSettings = BoardRegistrationSettings()
     parameters: ExtraParameterSettings = ExtraParameterSettings()

@@ -18,18 +18,14 @@ from calgraph.estimation.rig.relinearization import CachedLinearization, lineari
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.levenberg_marquardt import minimize
 
-# Prior information on a board's pose (m⁻², rad⁻²): regularizes directions that no view measures.
+# Prior information on a board's pose (m⁻², rad⁻²): makes directions that no view measures invertible. A single
+# beam has 10⁷ times as much.
 BOARD_PRIOR_INFORMATION = 1e-4
-# Prior standard deviation of a sensor's pose: m and rad.
-_POSE_PRIOR_STDDEV = np.array([10.0, 10.0, 10.0, np.pi, np.pi, np.pi])
 # Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no parameter is then
 # off by more than 5 % of its standard deviation,
 COARSE_TOLERANCE = 1e-3
 # or by more than 0.05 %.
 _FINE_TOLERANCE = 1e-7
-# An extrapolated linearization is exact to second order, and accepted as final, if the cost fell by less than this
-# multiple of the tolerance since it was evaluated.
-_EXTRAPOLATION_LIMIT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +124,8 @@ class Bundle:
     @property
     def prior_stddev(self) -> Array:
         """(G,) prior standard deviations of the reduced problem's parameters."""
-        return np.concatenate(
-            [np.tile(_POSE_PRIOR_STDDEV, self.body_count), [one.prior_stddev for one in self.extra_parameters]]
-        )
+        pose = [self.settings.position_prior_stddev] * 3 + [self.settings.rotation_prior_stddev] * 3
+        return np.array(pose * self.body_count + [one.prior_stddev for one in self.extra_parameters])
 
     def bias_variances(self, k: int) -> Array:
         """(6 + e,) variances of the bias of a view in k, along the sensor's axes."""
@@ -231,7 +226,7 @@ def linearize_bundle(
         state: the linearization point.
         cache: (K,) earlier linearizations of the same views, or None: extrapolated where they are near enough.
     """
-    size, boards = bundle.parameter_count, len(state.T_root_board)
+    size, boards, settings = bundle.parameter_count, len(state.T_root_board), bundle.settings
     cost, H, g = _prior_equations(bundle, state)
     H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     equations, linearizations = [], []
@@ -239,9 +234,9 @@ def linearize_bundle(
         bias, extra = bundle.bias_variances(k), state.extra[bundle.extra_indices(k)]
         T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
         cached = cache[k] if cache else None
-        at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
+        at = cached.extrapolate(views, T_sensor_board, extra, settings.extrapolation) if cached else None
         if not (cached and at):
-            cached = linearize_views(views, T_sensor_board, extra, bias, bundle.settings.huber_threshold)
+            cached = linearize_views(views, T_sensor_board, extra, bias, settings.huber_threshold)
             at = cached.equations
         linearizations.append(cached)
         A, b, costs = at.marginalize_bias(bias)
@@ -295,7 +290,7 @@ def minimize_bundle(
         return equations
 
     def refine(state: BundleState, equations: BundleEquations, settled: bool) -> BundleEquations | None:
-        limit = _EXTRAPOLATION_LIMIT * tolerance if settled else 0.0
+        limit = bundle.settings.extrapolation.max_cost_ratio * tolerance if settled else 0.0
         return linearize_bundle(bundle, state) if equations.extrapolated > limit else None
 
     minimum = minimize(

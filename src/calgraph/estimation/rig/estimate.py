@@ -34,6 +34,8 @@ from calgraph.estimation.rig.variance_components import find_outlier_views, upda
 from calgraph.geometry import Array
 from calgraph.pairwise import MatchFilter, PairwiseEstimate, select_matches
 
+# Change of the variance of a view bias that counts as none, m²: (0.03 mm)².
+_BIAS_VARIANCE_TOLERANCE = 1e-9
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 
 
@@ -196,7 +198,9 @@ def _select_views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[Bo
         corners = [d for _, d in detected if isinstance(d, BoardCorners)]
         return CornerObservations.from_detections(indices, corners, captured.cameras[name], spec.noise)
     surfaces = [d for _, d in detected if not isinstance(d, BoardCorners)]
-    return RangeObservations.from_detections(indices, surfaces, spec.noise)
+    return RangeObservations.from_detections(
+        indices, surfaces, spec.noise, rig.settings.estimation.rig.min_incidence_cosine
+    )
 
 
 def _solve_with_outlines(
@@ -257,11 +261,10 @@ def _remove_outlier_views(
 ) -> tuple[Bundle, set[tuple[int, str]]]:
     """The bundle without outlier views, (K,) masks; and those, by board and sensor.
 
-    A sensor that would lose more than half of its initial views (K,) keeps them: its model is wrong instead.
+    A sensor that would lose most of its initial views (K,) keeps them: its model is wrong instead.
     """
-    removed = [
-        mask & (len(mask) - mask.sum() > count / 2) for mask, count in zip(outliers, initial_count, strict=True)
-    ]
+    least = (1 - bundle.settings.variances.max_outlier_share) * initial_count
+    removed = [mask & (len(mask) - mask.sum() > some) for mask, some in zip(outliers, least, strict=True)]
     rejected = {
         (int(board), name)
         for name, views, mask in zip(bundle.sensors, bundle.views, removed[: len(bundle.views)], strict=True)
@@ -284,7 +287,11 @@ def _has_converged(before: Bundle, after: Bundle) -> bool:
         np.abs(before.bias_variance - after.bias_variance),
         np.minimum(before.bias_variance, after.bias_variance),
     )
-    return same_views and same_noise and bool(np.all(change <= 2 * settings.bias_tolerance * smallest + 1e-9))
+    return (
+        same_views
+        and same_noise
+        and bool(np.all(change <= 2 * settings.bias_tolerance * smallest + _BIAS_VARIANCE_TOLERANCE))
+    )
 
 
 def _residuals_by_sensor(bundle: Bundle, solution: MinimizedBundle) -> Iterator[tuple[str, Array]]:

@@ -18,8 +18,6 @@ _REWEIGHTING_TOLERANCE = 1e-2
 # Directions with less than this share of a view's largest information count as not measured by it: a numerical
 # rank.
 _RANK_TOLERANCE = 1e-10
-# Directions that the other views check with less than this redundancy number do not enter a test.
-_MIN_REDUNDANCY = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +238,7 @@ def whitening(information: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def consistency_statistic(
-    information: Array, covariance: Array, gradient: Array
+    information: Array, covariance: Array, gradient: Array, min_redundancy: float
 ) -> tuple[Array, NDArray[np.intp]]:
     """Test statistic of each view against the solution that it is part of.
 
@@ -250,10 +248,11 @@ def consistency_statistic(
         information: (V, p, p) A of each view.
         covariance: (V, p, p) P of the solution in the view's parameters, the view's contribution included.
         gradient: (V, p) of each view at the solution; its covariance is A - A P A.
+        min_redundancy: least redundancy number of a direction, its share of A that the other views determine.
 
     Returns:
         Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,), without
-        directions of negligible redundancy.
+        directions of smaller redundancy.
     """
     whiten, measured = whitening(information)
     forced = whiten @ information
@@ -261,7 +260,7 @@ def consistency_statistic(
         forced, -1, -2
     )
     values, axes = np.linalg.eigh((redundancy + np.swapaxes(redundancy, -1, -2)) / 2)
-    checked = values > _MIN_REDUNDANCY
+    checked = values > min_redundancy
     along = (np.swapaxes(axes, -1, -2) @ whiten @ gradient[..., None])[..., 0]
     squared = np.sum(checked * along**2 / np.where(checked, values, 1.0), axis=-1)
     return squared, np.asarray(checked.sum(axis=-1), dtype=np.intp)

@@ -17,9 +17,6 @@ from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.sensors import CameraModel
 
-# Least cosine between a beam and the board's normal: at grazing incidence the range is not linear in the pose.
-_MIN_COSINE = 0.05
-
 
 @dataclass(frozen=True, eq=False)
 class LinearizedResiduals:
@@ -191,6 +188,8 @@ class RangeObservations:
     noise: RangeNoise
     sigma: Array
     """(N,) standard deviation of each range, m: it depends on the poses, but is constant within a minimisation."""
+    min_cosine: float
+    """Least cosine between a beam and the board's normal, at which smaller ones are truncated."""
     noise_scale: float = 1.0
     extra_count: int = 0
     """1 if the scanner's range bias (m) is estimated."""
@@ -198,7 +197,11 @@ class RangeObservations:
 
     @classmethod
     def from_detections(
-        cls, board: Sequence[int], detections: Sequence[PlanePatch | Segment], noise: RangeNoise
+        cls,
+        board: Sequence[int],
+        detections: Sequence[PlanePatch | Segment],
+        noise: RangeNoise,
+        min_cosine: float,
     ) -> "RangeObservations":
         """The views of these boards in their detections."""
         ranges = np.concatenate([np.empty(0), *(d.ranges for d in detections)])
@@ -210,6 +213,7 @@ class RangeObservations:
             ranges,
             noise,
             np.full(len(ranges), noise.range),
+            min_cosine,
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -272,7 +276,7 @@ class RangeObservations:
         """Offsets of the planes (V,), and cosines (N,) between beams and normals."""
         n, h = _board_planes(T_sensor_board)
         cosine = np.einsum("in,in->n", self.directions.T, np.repeat(n.T, self._counts, axis=1))
-        return h, np.copysign(np.maximum(np.abs(cosine), _MIN_COSINE), cosine)
+        return h, np.copysign(np.maximum(np.abs(cosine), self.min_cosine), cosine)
 
 
 def _board_planes(T_sensor_board: Array) -> tuple[Array, Array]:

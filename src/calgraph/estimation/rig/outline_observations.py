@@ -22,6 +22,9 @@ from calgraph.estimation.rig.observations import (
 )
 from calgraph.geometry import Array, Index, se3
 
+# Cosine of incidence at which smaller ones are truncated: keeps intersections finite. Such edges are not used.
+_MIN_COSINE = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class OutlineObservations:
@@ -176,6 +179,6 @@ class OutlineObservations:
 def _intersect_boards(T_board_sensor: Array, directions: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Intersections (x, y), (M,) each, of beams (M, 3) with boards (M, 4, 4), board frame; dx/dz, dy/dz."""
     u, v, w = np.moveaxis((T_board_sensor[:, :3, :3] @ directions[..., None])[..., 0], -1, 0)
-    w = np.copysign(np.maximum(np.abs(w), 1e-3), w)
+    w = np.copysign(np.maximum(np.abs(w), _MIN_COSINE), w)
     x, y, z = np.moveaxis(T_board_sensor[:, :3, 3], -1, 0)
     return (x - z * u / w, y - z * v / w), (u / w, v / w)

@@ -10,14 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import ExtrapolationSettings
 from calgraph.estimation.rig.normal_equations import ViewNormalEquations, accumulate_biased
 from calgraph.estimation.rig.observations import BoardViews
 from calgraph.geometry import Array, Index
-
-# Limits of extrapolation: root mean square change of the residuals of any view, in standard deviations,
-_MAX_RESIDUAL_CHANGE = 0.3
-# and the board's rotation, rad.
-_MAX_ROTATION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +26,15 @@ class CachedLinearization:
     """(e,) the sensor's extra parameters."""
     equations: ViewNormalEquations
 
-    def extrapolate(self, views: BoardViews, T_sensor_board: Array, extra: Array) -> ViewNormalEquations | None:
+    def extrapolate(
+        self, views: BoardViews, T_sensor_board: Array, extra: Array, limits: ExtrapolationSettings
+    ) -> ViewNormalEquations | None:
         """The equations at other poses (V, 4, 4) and extra parameters (e,); None beyond the limits."""
         cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
         change = views.local_difference(self.T_sensor_board, T_sensor_board, extra - self.extra)
-        near = self.equations.squared_change(change) <= _MAX_RESIDUAL_CHANGE**2 * self.equations.residual_count
-        if not np.all(near & (cosine >= 1 - _MAX_ROTATION**2 / 2)):
+        squared, count = self.equations.squared_change(change), self.equations.residual_count
+        near = squared <= limits.max_residual_change**2 * count
+        if not np.all(near & (cosine >= 1 - limits.max_rotation**2 / 2)):
             return None
         return self.equations.extrapolate(change, views.local_jacobian(T_sensor_board))
 

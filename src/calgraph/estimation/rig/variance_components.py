@@ -14,9 +14,6 @@ from calgraph.estimation.rig.normal_equations import consistency_statistic, hube
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, Index
 
-# Smaller relative changes of a noise are not applied: they would only cost a linearization.
-_MIN_NOISE_CHANGE = 5e-3
-
 
 def update_variance_components(
     bundle: Bundle, solution: MinimizedBundle, factors: Sequence[Array], first: int = 0
@@ -65,7 +62,7 @@ def update_variance_components(
     all_views = list(bundle.all_views)
     for i, views in enumerate(bundle.all_views[first:]):
         scale = _shrink_noise_scale(views.noise_scale**2 * noise[i], freedom[i], settings)
-        if abs(scale / views.noise_scale - 1) >= _MIN_NOISE_CHANGE:
+        if abs(scale / views.noise_scale - 1) >= settings.min_noise_change:
             T_root_sensor = state.T_root_sensor[bundle.sensor_of(first + i)]
             T_sensor_board = relative_poses(T_root_sensor, state.T_root_board[views.board])
             all_views[first + i] = views.update_noise(T_sensor_board, scale)
@@ -163,7 +160,9 @@ def find_outlier_views(
     worst: Array = np.zeros(len(equations.H_board))
     for k, views in enumerate(bundle.all_views[first:], start=first):
         at, F = equations.views[k], factors[k]
-        squared, freedom = consistency_statistic(at.information, F @ np.swapaxes(F, -1, -2), at.gradient)
+        squared, freedom = consistency_statistic(
+            at.information, F @ np.swapaxes(F, -1, -2), at.gradient, settings.min_redundancy
+        )
         excess[k] = squared / chdtri(np.maximum(freedom, 1), settings.outlier_significance)
         worst[views.board] = np.maximum(worst[views.board], excess[k])
     limit = max(1.0, settings.min_share_of_worst * worst.max(initial=0.0))
