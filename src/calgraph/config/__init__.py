@@ -16,10 +16,18 @@ from calgraph.config.rig_config import (
 )
 from calgraph.config.rig_file import load_rig
 from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard, Cylinder, People, Tag
+from calgraph.config.uncertainty import (
+    BoardUncertainty,
+    CameraUncertainty,
+    Lidar2dUncertainty,
+    Lidar3dUncertainty,
+    Tolerance,
+)
 
 __all__ = [
-    "FAMILIES", "AprilGrid", "Board", "CameraSpec", "Capture", "Charuco", "Checkerboard", "Cylinder", "Family",
-    "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar3dSpec", "People", "PixelNoise", "PrintedBitmap",
-    "RangeNoise", "Rig", "SensorSpec", "Tag", "black_rectangles", "dictionary", "draft_rig", "load_rig",
-    "marker_count", "printed_bitmaps",
+    "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
+    "Charuco", "Checkerboard", "Cylinder", "Family", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec",
+    "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap",
+    "RangeNoise", "Rig", "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig",
+    "load_rig", "marker_count", "printed_bitmaps",
 ]  # fmt: skip

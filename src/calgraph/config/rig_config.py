@@ -10,6 +10,7 @@ from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
 from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
+from calgraph.config.uncertainty import CameraUncertainty, Lidar2dUncertainty, Lidar3dUncertainty, Tolerance
 from calgraph.sensors import CameraModel
 
 Sigma = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
@@ -108,6 +109,7 @@ class CameraSpec(StrictModel):
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
     noise: PixelNoise = PixelNoise()
+    uncertainty: CameraUncertainty = CameraUncertainty()
 
     @model_validator(mode="after")
     def _one_source(self) -> "CameraSpec":
@@ -125,6 +127,7 @@ class Lidar2dSpec(StrictModel):
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
     noise: RangeNoise = RangeNoise()
+    uncertainty: Lidar2dUncertainty = Lidar2dUncertainty()
 
 
 class Lidar3dSpec(StrictModel):
@@ -136,6 +139,7 @@ class Lidar3dSpec(StrictModel):
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
     noise: RangeNoise = RangeNoise()
+    uncertainty: Lidar3dUncertainty = Lidar3dUncertainty()
 
 
 SensorSpec = Annotated[CameraSpec | Lidar2dSpec | Lidar3dSpec, Field(discriminator="kind")]
@@ -152,6 +156,8 @@ class Rig(StrictModel):
     """Intervals of the recording in which the target is searched for."""
     sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]
     """The sensors by name."""
+    tolerance: Tolerance = Tolerance()
+    """The largest acceptable error of a pose."""
     settings: Settings = Settings()
     """The numbers that influence the result, stage by stage."""
 

@@ -8,6 +8,7 @@ from pydantic import Discriminator, Field, Strict, field_validator, model_valida
 
 from calgraph.config.markers import DICTIONARIES, FAMILIES, Family, marker_count
 from calgraph.config.strict_model import StrictModel, invalid
+from calgraph.config.uncertainty import BoardUncertainty
 
 # Strict: YAML has types, so a quoted number or a `yes` where a number belongs is reported as an error.
 Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
@@ -144,6 +145,7 @@ class Board(StrictModel):
     """The AprilTags on the board."""
     pattern: Pattern | None = None
     """The pattern that is printed instead of tags."""
+    uncertainty: BoardUncertainty = BoardUncertainty()
 
     @model_validator(mode="after")
     def _one_print(self) -> "Board":
