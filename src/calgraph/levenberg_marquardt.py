@@ -71,10 +71,11 @@ class DenseLinearization:
 
     def solve(self, damping: Any) -> tuple[Array, Any]:
         """Steps ([K,] p) and predicted decreases ([K])."""
-        damped, g, i = self.information.copy(), self.gradient, np.arange(self.jacobian.shape[-1])
-        scaling = np.asarray(damping)[..., None] * damped[..., i, i]
-        damped[..., i, i] += scaling
-        step: Array = np.asarray(-np.linalg.solve(damped, g[..., None])[..., 0], dtype=np.float64)
+        damped, g = self.information.copy(), self.gradient
+        diagonal = np.einsum("...ii->...i", damped)  # a view
+        scaling = np.asarray(damping)[..., None] * diagonal
+        diagonal += scaling
+        step = np.asarray(-np.linalg.solve(damped, g[..., None])[..., 0])
         return step, 0.5 * np.einsum("...i,...i", step, scaling * step - g)
 
     def replace(self, accepted: NDArray[np.bool_], trial: Self) -> Self:
@@ -91,22 +92,19 @@ L = TypeVar("L", bound=Linearization)
 B = TypeVar("B", bound=BatchLinearization)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Damping:
-    """Marquardt's parameter of one problem, or (K,) of several."""
+    """Marquardt's parameter of one problem."""
 
-    value: Array
-    growth: Array
+    value: float
+    growth: float = 2.0
     """Factor by which the next rejected step increases it."""
 
-    def update(self, gain: Array | float) -> "Damping":
+    def update(self, gain: float) -> "Damping":
         """After a step with this ratio of the cost's decrease to the predicted one; not positive: rejected."""
-        accepted = np.greater(gain, 0)
-        eased = self.value * np.maximum(1 / 3, 1 - (2 * np.fmin(np.fmax(gain, 0), 1) - 1) ** 3)
-        return Damping(
-            np.where(accepted, np.maximum(eased, _MIN_DAMPING), self.value * self.growth),
-            np.where(accepted, 2.0, 2 * self.growth),
-        )
+        if gain > 0:
+            return Damping(max(self.value * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), _MIN_DAMPING))
+        return Damping(self.value * self.growth, 2 * self.growth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,22 +149,22 @@ def minimize(
     at = linearize(state, None)
     if not np.isfinite(at.cost):
         return Minimum(state, at, 0, converged=False)
-    damped = Damping(np.array(damping), np.array(2.0))
+    damped = Damping(damping)
     for iteration in range(iterations):
-        step, predicted = at.solve(float(damped.value))
+        step, predicted = at.solve(damped.value)
         if settled := predicted <= tolerance + relative_tolerance * at.cost:
             gain = 0.0
         else:
             trial = retract(state, step)
             ahead = linearize(trial, at)
-            gain = (at.cost - ahead.cost) / predicted
+            gain = float((at.cost - ahead.cost) / predicted)
         if gain > 0:  # False for NaN: the trial is not feasible
             state, at = trial, ahead
         elif refined := refine(state, at, settled) if refine else None:
             at = refined
             continue
         elif settled:
-            return Minimum(state, at, iteration, converged=bool(damped.value <= _MAX_CONVERGED_DAMPING))
+            return Minimum(state, at, iteration, converged=damped.value <= _MAX_CONVERGED_DAMPING)
         damped = damped.update(gain)
     return Minimum(state, at, iterations, converged=False)
 
@@ -195,9 +193,9 @@ def minimize_batch(
         The states (K, ...) and the problems there; start values that are not feasible are kept.
     """
     at = linearize(states)
-    damped = Damping(np.full(len(states), damping), np.full(len(states), 2.0))
+    damped = [Damping(damping)] * len(states)
     for _ in range(iterations):
-        step, predicted = at.solve(damped.value)
+        step, predicted = at.solve(np.array([d.value for d in damped]))
         active = np.isfinite(at.cost) & (predicted > relative_tolerance * at.cost)
         if not active.any():
             break
@@ -208,5 +206,5 @@ def minimize_batch(
         accepted = gain > 0
         states = np.where(accepted.reshape(-1, *[1] * (states.ndim - 1)), trial, states)
         at = at.replace(accepted, ahead)
-        damped = damped.update(gain)
+        damped = [d.update(g) for d, g in zip(damped, gain.tolist(), strict=True)]
     return states, at
