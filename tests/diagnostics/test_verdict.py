@@ -155,3 +155,7 @@ def test_of_an_inconsistent_root_all_sensors_are_inconsistent() -> None:
     assert all(
         reason.startswith("lidar residuals against all other sensors are 5 times") for reason in found.values()
     )
+
+
+def test_a_small_angle_to_another_pose_makes_a_scanner_ambiguous() -> None:
+    assert find_ambiguous_poses({"top": "lidar3d", "low": "lidar2d"}, [pair("top", "low", 0.1)]) == {"low": 0.1}

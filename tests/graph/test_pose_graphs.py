@@ -170,3 +170,11 @@ def test_an_edge_is_an_inlier_within_the_gate_of_chi_squared(
         T_i_j[2, 0, n] += factor * limit * POSITION
         found = average_poses(PoseGraph(3, g.edges, T_i_j, information), rng)
         assert found.inliers.tolist() == [True, True, factor < 1]
+
+
+@pytest.mark.parametrize(("count", "listed"), [(10, ""), (11, " ...")])
+def test_the_first_ten_nodes_that_no_edge_reaches_are_named(count: int, listed: str) -> None:
+    nothing = np.zeros((0, 3, 3))
+    graph = PoseGraph(count + 1, np.zeros((0, 2), dtype=np.intp), nothing, nothing)
+    with pytest.raises(CalibrationError, match=rf"nodes 1, 2, 3, 4, 5, 6, 7, 8, 9, 10{listed} to node 0"):
+        graph.require_connected()

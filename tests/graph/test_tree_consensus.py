@@ -49,3 +49,14 @@ def test_the_number_of_trees_follows_from_their_edges_within_limits(
     settings = GraphSettings(tree_edges=tree_edges, min_trees=2, max_trees=50)
     average_poses(measured(true_poses(6, 2, rng), complete(6), rng), rng, settings=settings)
     assert counts == [expected]
+
+
+def test_the_weight_of_an_edge_decides_in_the_first_trees_only(rng: np.random.Generator) -> None:
+    """Edges from node 0 have a hundredth of the weight: cheap in no first tree, as cheap as others in the last."""
+    edges = complete(30)
+    graph = measured(true_poses(30, 2, rng), edges, rng)
+    light = np.array([i == 0 for i, _ in edges])
+    costs = _draw_edge_costs(graph, np.where(light, 0.01, 1.0), 40, rng, GraphSettings())
+    ratio = np.median(costs[:, light], axis=1) / np.median(costs[:, ~light], axis=1)
+    assert (ratio[:10] > 10).all()
+    assert 0.4 < ratio[-1] < 2.5

@@ -184,3 +184,17 @@ def test_cells_need_several_detections(count: int, visible: bool) -> None:
     x = np.concatenate([np.tile([[3.0, 0.1]], (count, 1)), circle(6.0)])
     view = build_visibility_map(still(np.zeros((0, 2))), walks(x))
     assert view.covers(np.array([[3.0, 0.1]])).tolist() == [visible]
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_pose_is_tested_from_the_least_number_of_expected_detections_on(missing: int) -> None:
+    # Under the wrong pose, all expected detections are missed.
+    a, b = walks(circle(3.0)), walks(-circle(3.0))
+    views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
+    pairs = pair_samples(a, b)
+    expected = int(find_missed_detections(np.eye(3)[None], pairs, *views, 0.5)[0].sum())
+    assert expected > 100
+    found = contradicts_visibility(
+        np.eye(3)[None], pairs, *views, radius=0.5, min_expected=expected + missing, max_missed_share=0.5
+    )
+    assert found.tolist() == [missing == 0]

@@ -32,8 +32,9 @@ def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
     T_start_end = np.concatenate([graph.T_i_j, se_n.inverse(graph.T_i_j)])
     both_ways = np.concatenate([costs, costs], axis=1)
     T = np.zeros((len(costs), graph.count, *graph.T_i_j.shape[1:])) + np.eye(graph.T_i_j.shape[-1])
-    distance = np.full((len(costs), graph.count), np.inf)
-    distance[:, graph.root] = 0
+    distance = np.zeros((len(costs), graph.count))
+    in_tree = np.zeros(distance.shape, dtype=np.bool_)
+    in_tree[:, graph.root] = True
     # Distance at which a directed edge arrives, while it leaves the tree; infinite otherwise.
     arrival = np.full(both_ways.shape, np.inf)
     leaving, entering = _group_by_node(start, graph.count), _group_by_node(end, graph.count)
@@ -43,7 +44,7 @@ def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
         rows = sets[:, None]
         # Padding points one past the last edge.
         out_edge = np.minimum(out, len(start) - 1)
-        enters = (out < len(start)) & np.isinf(distance[rows, end[out_edge]])
+        enters = (out < len(start)) & ~in_tree[rows, end[out_edge]]
         k, at = np.nonzero(enters)
         e = out[k, at]
         arrival[k, e] = distance[k, start[e]] + both_ways[k, e]
@@ -51,6 +52,7 @@ def compute_tree_poses(graph: PoseGraph, costs: Array) -> Array:
         arrival[k, into[k, at]] = np.inf
         best = np.argmin(arrival, axis=1)
         added = end[best]
+        in_tree[sets, added] = True
         distance[sets, added] = arrival[sets, best]
         T[sets, added] = T[sets, start[best]] @ T_start_end[best]
     return T

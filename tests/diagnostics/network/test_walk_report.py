@@ -219,3 +219,31 @@ def test_the_floor_plan_has_at_most_12_000_static_points(points: int, kept: int)
     tracked = {"west": ScannerTracks((), wall, SIGMA)}
     (view,) = build_floor_views(tracked, {"west": resample_tracks(tracked["west"])}, T_ROOT, START)
     assert len(view.background) == kept
+
+
+def stand(ticks: int) -> TrackSamples:
+    """Samples of a person who stays at one place."""
+    x = np.zeros((ticks, 2))
+    return TrackSamples(np.arange(ticks), np.zeros(ticks, np.intp), x, x, np.tile(np.eye(2), (ticks, 1, 1)))
+
+
+@pytest.mark.parametrize(("ticks", "kept"), [(19_990, 19_990), (20_010, 10_005)])
+def test_the_histogram_has_at_most_20_000_residuals(ticks: int, kept: int) -> None:
+    matches = match_across_scanners(
+        dict.fromkeys("ab", stand(ticks)), {"a": np.eye(3), "b": np.eye(3)}, MAX_DISTANCE
+    )
+    assert len(matches.residuals) == kept
+
+
+@pytest.mark.parametrize(("scanners", "step"), [(1, 4), (2, 7), (3, 11)])
+def test_scanners_share_the_30_000_positions_of_the_floor_plan(scanners: int, step: int) -> None:
+    """Of 100,000 positions of each scanner, every fourth, seventh or eleventh is the first below the limit."""
+    names = list(T_ROOT)[:scanners]
+    nothing = ScannerTracks((), np.zeros((0, 2)), SIGMA)
+    views = build_floor_views(
+        dict.fromkeys(names, nothing),
+        dict.fromkeys(names, stand(100_000)),
+        {n: T_ROOT[n] for n in names},
+        start=0.0,
+    )
+    np.testing.assert_allclose(np.diff(views[0].times[0]), step * TICK_PERIOD)

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.stats
 
 from bundle_scenes import scene
+from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.bootstrap import (
     BootstrapScatter,
     _confidence_factors,
@@ -14,6 +15,7 @@ from calgraph.diagnostics.rig.bootstrap import (
     bootstrap_poses,
 )
 from calgraph.estimation.rig.bundle_solver import Bundle, linearize_bundle, minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.solution import SolvedBundle
 
 BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
@@ -105,3 +107,27 @@ def test_a_sample_has_the_views_of_its_boards_as_often_as_they_are_drawn() -> No
     sample, _, state = _resample_bundle(bundle, exact.truth, equations, np.array([3, 2, 2, 1]))
     assert [views.board.tolist() for views in sample.views] == [[0, 1, 2, 3], [0, 1, 2, 3], [1, 2]]
     np.testing.assert_array_equal(state.T_root_board, exact.truth.T_root_board[[3, 2, 2, 1]])
+
+
+def test_stated_deviations_are_along_the_axes_of_the_sensor() -> None:
+    """The optical axis of the camera is where the x axis of the root is."""
+    exact = scene(boards=6)
+    bundle = exact.measured(np.random.default_rng(0))
+    solved = minimize_bundle(bundle, exact.truth)
+    found = bootstrap_poses(
+        SolvedBundle(bundle, solved, np.arange(6)), 1, np.random.default_rng(0), lambda _: None
+    )
+    to_camera = np.kron(np.eye(2), solved.state.T_root_sensor[1, :3, :3].T)
+    covariance = to_camera @ pose_covariance(bundle, solved.state, solved.equations)[6:12, 6:12] @ to_camera.T
+    np.testing.assert_allclose(found["camera"].stated, np.sqrt(np.diag(covariance)))
+
+
+def test_a_difference_has_at_least_the_smallest_share_of_the_stated_variance() -> None:
+    """A share of a million divides ratios, which are about 1, by a thousand."""
+    exact = scene(boards=BOARDS)
+    bundle = exact.measured(np.random.default_rng(0))
+    solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(BOARDS))
+    settings = RigDiagnosticsSettings(bootstrap_min_variance_share=1e6)
+    found = bootstrap_poses(solved, ROUNDS, np.random.default_rng(0), lambda _: None, settings)
+    ratios = np.concatenate([one.ratio for one in found.values()])
+    assert 0.3e-3 < ratios.min() < ratios.max() < 3e-3

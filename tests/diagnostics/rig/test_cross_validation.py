@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from bundle_scenes import Scene, scene
+from bundle_scenes import Scene, remeasured, scene
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.cross_validation import _observes_tilt, _solve_boards, cross_validate
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, linearize_bundle, minimize_bundle
-from calgraph.estimation.rig.observations import CornerObservations
+from calgraph.estimation.rig.observations import CornerObservations, relative_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import se3
 from calgraph.result import HeldOutError
@@ -44,6 +44,7 @@ def test_errors_are_in_pixels_metres_and_radians() -> None:
     # Corners err by 0.3 px in x and y; ranges by 12 mm, to the plane by less.
     assert 0.3 * np.sqrt(2) * 0.9 < predicted["camera"].rms < 0.3 * np.sqrt(2) * 2
     assert predicted["lidar"].along == pytest.approx(0.012, rel=0.1)
+    assert predicted["camera"].along is None
     assert 0.007 < predicted["lidar"].rms < 0.012
     assert np.degrees(predicted["camera"].tilt or 90) < 1
     assert predicted["laser"].tilt is None
@@ -125,3 +126,21 @@ def test_tilt_is_determined_by_views_of_smaller_standard_deviation(deviations: f
 def test_a_tilt_that_is_not_observed_is_uncertain_by_one_radian(limit: float, determined: bool) -> None:
     """Also with a seventh unknown."""
     assert _observes_tilt(np.zeros((1, 7, 7)), np.eye(4)[None], 0.5, limit).tolist() == [determined]
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_the_expected_error_of_a_view_contains_its_bias(first: int) -> None:
+    """Views of the camera without noise, all of them off by one standard deviation along, or about, three axes.
+
+    With biases of 20 mm and 2°, everything else is negligible: half of the six degrees of freedom have an error.
+    """
+    exact = scene(boards=40)
+    bundle = replace(exact.bundle, bias_variance=np.square([1e-4, 0.02, 1e-4]))
+    signs = np.zeros((40, 6))
+    signs[:, first : first + 3] = np.random.default_rng(0).choice([-1, 1], (40, 3))
+    T = relative_poses(exact.truth.T_root_sensor[1], exact.truth.T_root_board)
+    off = se3.retract(T, signs * np.sqrt(bundle.bias_variances(1)))
+    lidar, camera, laser = bundle.views
+    camera = remeasured(camera, off, np.random.default_rng(0), noise=0.0)
+    predicted = left_out(exact, replace(bundle, views=(lidar, camera, laser)))
+    assert predicted["camera"].ratio == pytest.approx(np.sqrt(0.5), rel=0.1)

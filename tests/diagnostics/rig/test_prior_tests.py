@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy.special import chdtrc
 
+from bundle_scenes import Scene, scene, views_of
 from bundles_with_priors import EXACT, PAIR, STDDEV, group_of, grouped, with_prior
 from calgraph.diagnostics.rig.prior_tests import _format_discrepancy, find_contradicted_priors
-from calgraph.estimation.rig.bundle_solver import minimize_bundle
+from calgraph.estimation.rig.bundle_solver import SensorPrior, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.priors import assign_bodies
+from calgraph.geometry import se3
 
 SEEDS = 16
 
@@ -98,3 +101,28 @@ def test_a_discrepancy_is_the_length_of_the_translation_and_the_angle(
     error: tuple[float, ...], expected: str
 ) -> None:
     assert _format_discrepancy(9.0, np.array(error)) == expected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_a_group_with_the_root_the_other_sensor_is_released(seed: int) -> None:
+    """Releasing the root instead fits equally well, but it is where all poses are expressed."""
+    group = group_of(EXACT, ("lidar", "laser"), wrong=np.array([0, 0.03, 0, 0, 0, 0]))
+    bundle = EXACT.measured(np.random.default_rng(seed))
+    bundle = replace(bundle, body=assign_bodies(bundle.sensors, [group]))
+    contradicted = find_contradicted_priors(bundle, grouped(bundle, group), [group], 1e-3)
+    assert list(contradicted) == ["laser"]
+    assert "the rigid group of laser and lidar in rig: released, laser moves by" in contradicted["laser"]
+
+
+def test_the_discrepancy_of_a_prior_is_along_directions_that_captures_determine(rng: np.random.Generator) -> None:
+    """Two 3-D scanners with all boards facing them: 0.2 m along the normals, nothing along the boards."""
+    exact = scene(("lidar", "lidar_2"), boards=8)
+    T_root_board = se3.pose(exact.truth.T_root_board[:1, :3, :3], exact.truth.T_root_board[:, :3, 3])
+    truth = replace(exact.truth, T_root_board=T_root_board)
+    views = tuple(views_of("lidar", relative_poses(T, T_root_board)) for T in truth.T_root_sensor)
+    bundle = Scene(replace(exact.bundle, views=views), truth).measured(rng, noise=0.01)
+    off = np.concatenate([0.2 * T_root_board[0, :3, 2], np.zeros(3)])
+    prior = SensorPrior(1, se3.retract(truth.T_root_sensor[1], off), np.diag(STDDEV**-2))
+    bundle = replace(bundle, priors=(prior,))
+    contradicted = find_contradicted_priors(bundle, minimize_bundle(bundle, truth), [], 1e-3)
+    assert 195 < float(contradicted["lidar_2"].split("(")[1].split(" mm")[0]) < 205

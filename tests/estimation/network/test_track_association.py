@@ -1,9 +1,14 @@
 """Grouping of tracks by body."""
 
 import numpy as np
+import pytest
 
 from calgraph.config.settings import TrackGroupingSettings
-from calgraph.estimation.network.track_association import group_tracks_by_body
+from calgraph.estimation.network.track_association import (
+    _overlap_in_scanner,
+    _SampledTrack,
+    group_tracks_by_body,
+)
 from calgraph.geometry import Array, se2
 from calgraph.tracking import ScannerTracks, Track
 from calgraph.tracking.track import Hits
@@ -150,3 +155,17 @@ def test_a_body_starts_at_its_first_scan(rng: np.random.Generator) -> None:
     tracked = [track_paths(0, [np.delete(whole, np.arange(1, 6), axis=0)], rng), track_paths(1, [whole[2:]], rng)]
     [one] = group_tracks_by_body(tracked, T_ROOT[:2], SETTINGS)
     assert one.start == 0.0
+
+
+@pytest.mark.parametrize(("overlap", "overlapping"), [(0.52, True), (0.48, False)])
+@pytest.mark.parametrize("earlier", [0, 1])
+def test_groups_overlap_from_the_first_to_the_last_time_of_their_tracks(
+    overlap: float, overlapping: bool, earlier: int
+) -> None:
+    """Tracks of 3 s, sampled at their ends and in the middle, in either order; the limit is 0.5 s."""
+    times = np.array([0.0, 1.5, 3.0])
+    tracks = [
+        Track(t, np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2, 2)), 0) for t in (times, times + 3 - overlap)
+    ]
+    groups = [[_SampledTrack(0, track, np.zeros(0), np.zeros((0, 2)))] for track in tracks]
+    assert _overlap_in_scanner(groups[earlier], groups[1 - earlier], 0.5) == overlapping

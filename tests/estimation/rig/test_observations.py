@@ -188,3 +188,18 @@ def beams(kind: str, T_sensor_board: Array, bias: int) -> RangeObservations:
     views = views_of(kind, T_sensor_board)
     assert isinstance(views, RangeObservations)
     return replace(views, extra_count=bias)
+
+
+def test_a_camera_without_views_has_no_derivatives_by_displacements_of_tags() -> None:
+    views = replace(corners(CAMERA), tag_centers=np.zeros((2, 2)), tag_index=np.zeros(12, dtype=np.intp))
+    rows = views.select(np.zeros(0, dtype=np.intp)).linearize(np.zeros((0, 4, 4)), np.zeros(6))
+    assert rows.jacobian.shape == (0, 2, 12)
+
+
+def test_corners_are_where_they_are_printed_if_no_tag_is_displaced() -> None:
+    """The tags of a board with a single tag are known, and none of them may be displaced."""
+    views, T = corners(CAMERA), ORDINARY[None]
+    with_tags = replace(views, tag_index=np.full(12, -1))
+    np.testing.assert_array_equal(
+        with_tags.linearize(T, np.zeros(0)).residual, views.linearize(T, np.zeros(0)).residual
+    )

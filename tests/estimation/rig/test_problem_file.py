@@ -17,7 +17,8 @@ from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem
+from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem, with_prior_poses
+from calgraph.estimation.rig.priors import PosePrior
 from calgraph.estimation.rig.problem_file import DETECTIONS
 from calgraph.graph import SpanningTree, find_spanning_tree
 from calgraph.pairwise import PairwiseEstimate, estimate_pairs, select_successful
@@ -325,15 +326,27 @@ def test_text_that_does_not_fit_is_named(changes: dict[str, Any], message: str, 
         load_problem(with_text(saved, **changes))
 
 
-def test_matches_name_detections_that_exist(problem: Problem, tmp_path: Path) -> None:
+@pytest.mark.parametrize("candidate", [-1, 2])
+def test_matches_name_detections_that_exist(candidate: int, problem: Problem, tmp_path: Path) -> None:
+    """The lidar has the detections 0 and 1 in every capture."""
     ((names, pair), *_) = problem.pairs.items()
     assert isinstance(pair, PairwiseEstimate)
-    wrong = dataclasses.replace(pair, matches=pair.matches + np.array([0, 2, 0]))
-    save_problem(dataclasses.replace(problem, pairs={names: wrong}), tmp_path / "wrong.npz")
-    with pytest.raises(InputError, match=r"estimates/matches: of the pair lidar, laser ä/1 name detection 2 of"):
+    matches = pair.matches.copy()
+    matches[3, 1] = candidate
+    wrong = dataclasses.replace(problem, pairs={names: dataclasses.replace(pair, matches=matches)})
+    save_problem(wrong, tmp_path / "wrong.npz")
+    expected = f"estimates/matches: of the pair lidar, laser ä/1 name detection {candidate} of lidar in capture"
+    with pytest.raises(InputError, match=expected):
         load_problem(tmp_path / "wrong.npz")
 
 
 def test_a_problem_is_not_written_over_a_folder(problem: Problem, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder"):
         save_problem(problem, tmp_path)
+
+
+def test_a_problem_keeps_its_priors_unless_files_state_others(problem: Problem) -> None:
+    poses = {"T_root_sensor": np.eye(4).tolist(), "covariance": np.eye(6).tolist()}
+    prior = PosePrior.model_validate({"sensor": "camera", "source": "earlier.yaml", **poses})
+    with_prior = dataclasses.replace(problem, solver=SolverOptions(priors=(prior,)))
+    assert with_prior_poses(with_prior, None, ()).solver.priors == (prior,)

@@ -72,7 +72,7 @@ def _contradicted_groups(
     """
     for group in groups:
         members = [s for s, name in enumerate(bundle.sensors) if name in group.T_group_sensor]
-        scores = [(*_score_statistic(bundle, solved, s), s) for s in members if s > 0 and len(members) > 1]
+        scores = [(*_score_statistic(bundle, solved, s), s) for s in members if s > 0]
         squared, step, s = max(scores, key=lambda score: score[0], default=(0.0, np.zeros(6), 0))
         if squared > chdtri(6, false_alarm_probability):
             name = bundle.sensors[s]

@@ -145,7 +145,7 @@ class CornerObservations:
 
     def _displace_tags(self, displacements: Array) -> tuple[Array, Array]:
         """Corners (N, 3) with their tags displaced by (M, 3), and derivatives (N, 3, 3 M) by these."""
-        if self.tag_index is None or not len(displacements):
+        if self.tag_index is None:
             return self.corners_board, np.zeros((len(self.corners_board), 3, 0))
         displaced, on_tag = self.corners_board.copy(), np.flatnonzero(self.tag_index >= 0)
         x, y, angle = displacements[self.tag_index[on_tag]].T
@@ -156,7 +156,7 @@ class CornerObservations:
         J = np.zeros((len(displaced), 3, len(displacements), 3))
         J[on_tag, 0, self.tag_index[on_tag], 0] = J[on_tag, 1, self.tag_index[on_tag], 1] = 1
         J[on_tag, 0, self.tag_index[on_tag], 2], J[on_tag, 1, self.tag_index[on_tag], 2] = -arm[:, 1], arm[:, 0]
-        return displaced, J.reshape(len(displaced), 3, -1)
+        return displaced, J.reshape(len(displaced), 3, displacements.size)
 
     def update_noise(self, T_sensor_board: Array, scale: float) -> "CornerObservations":  # noqa: ARG002
         """See :class:`BoardViews`."""
