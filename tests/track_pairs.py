@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from calgraph.config.settings import ResamplingSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
 
+TICK_PERIOD = ResamplingSettings().tick_period
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))
 
 
@@ -47,4 +49,4 @@ def gather_samples(tracks: list[tuple[Array, Array]], sigma: float) -> TrackSamp
     order = np.argsort(tick, kind="stable")
     x, v = (np.concatenate(column)[order] for column in zip(*tracks, strict=True))
     covariances = np.broadcast_to(sigma**2 * np.eye(2), (len(x), 2, 2))
-    return TrackSamples(tick[order], trajectory[order], x, v, covariances)
+    return TrackSamples(tick[order], trajectory[order], x, v, covariances, TICK_PERIOD)

@@ -26,7 +26,7 @@ def test_every_problem_reaches_its_minimum(rng: np.random.Generator, count: int)
     start = se3.retract(T_true, 0.5 * rng.normal(size=(count, 6)) * (np.arange(count) > 0)[:, None])
     if count == 1:
         start = se3.retract(T_true, np.full((1, 6), 0.5))
-    T, cost = gauss_newton(start, lambda T: distances_to_points(T_true, T), 0.03)
+    T, cost = gauss_newton(start, lambda T: distances_to_points(T_true, T), 0.03, 12)
     np.testing.assert_allclose(T, T_true, atol=1e-6)
     np.testing.assert_allclose(cost, 0, atol=1e-12)
 
@@ -40,7 +40,7 @@ def test_cost_is_the_mean_square_at_the_minimum(rng: np.random.Generator) -> Non
         shift = np.tile([0.1, 0, 0], len(POINTS))
         return np.concatenate([r - shift, r + shift], axis=1), np.concatenate([J, J], axis=1)
 
-    T, cost = gauss_newton(se3.retract(T_true, 0.1 * rng.normal(size=(1, 6))), residuals, 0.03)
+    T, cost = gauss_newton(se3.retract(T_true, 0.1 * rng.normal(size=(1, 6))), residuals, 0.03, 12)
     np.testing.assert_allclose(T, T_true, atol=1e-6)
     assert cost == pytest.approx([0.01 / 3])
 
@@ -57,11 +57,11 @@ def test_directions_below_the_least_slope_keep_their_start() -> None:
 
     start = se3.retract(np.eye(4)[None], np.array([[0.3, 0.2, 0.5, 0.02, -0.01, 0.0]]))
     slope = 0.2  # above those of roll and pitch, some 0.07 m per rad, and below that of z
-    T, _ = gauss_newton(start, measure_heights, slope)
+    T, _ = gauss_newton(start, measure_heights, slope, 12)
     np.testing.assert_allclose(T[0, :2, 3], [0.3, 0.2], atol=1e-12)
     np.testing.assert_allclose(T[0, :3, :3], start[0, :3, :3], atol=1e-9)
     assert T[0, 2, 3] == pytest.approx(1.0, abs=0.01)
-    T, cost = gauss_newton(start, measure_heights, 0.01)
+    T, cost = gauss_newton(start, measure_heights, 0.01, 12)
     np.testing.assert_allclose(T[0, :2, 3], [0.3, 0.2], atol=1e-9)
     np.testing.assert_allclose(cost, 0, atol=1e-9)
 
@@ -69,7 +69,7 @@ def test_directions_below_the_least_slope_keep_their_start() -> None:
 def test_an_infeasible_start_has_an_infinite_cost() -> None:
     T_true = np.tile(np.eye(4), (2, 1, 1))
     start = se3.retract(T_true, np.array([[9.0, 0, 0, 0, 0, 0], [0.3, 0, 0, 0, 0, 0]]))
-    T, cost = gauss_newton(start, lambda T: distances_to_points(T_true, T), 0.03)
+    T, cost = gauss_newton(start, lambda T: distances_to_points(T_true, T), 0.03, 12)
     assert np.isinf(cost[0])
     np.testing.assert_allclose(T[1], np.eye(4), atol=1e-6)
 

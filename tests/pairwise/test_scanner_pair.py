@@ -367,7 +367,7 @@ def test_the_radius_of_matches_by_chance_contains_the_model_error(monkeypatch: p
     monkeypatch.setattr(scanner_pair, "_count_neighbours", count_none)
     pairs = observe_walks([walk_along_curve(5.0)], np.random.default_rng(0), stated_sigma=0.03)
     fit = TrackRegistration(T_A_B, np.zeros(3), np.arange(len(pairs)), 0.07)
-    _count_by_chance(fit, pairs, pairs.b, 4.0)
+    _count_by_chance(fit, pairs, pairs.b, 4.0, 300)
     assert radii == pytest.approx([2 * np.sqrt(2 * 0.03**2 + 0.07**2)])
 
 

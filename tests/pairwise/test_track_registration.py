@@ -15,7 +15,6 @@ from calgraph.pairwise.synchronized_tracks import (
     TrackSamples,
     pair_samples,
     resample_tracks,
-    to_ticks,
 )
 from calgraph.pairwise.track_registration import (
     TrackRegistration,
@@ -53,7 +52,7 @@ def samples(
     x, v = se2.apply(T, position(t)), velocity(t) @ T[:2, :2].T
     x = x * (1 - near / np.linalg.norm(x, axis=1, keepdims=True))
     S = np.tile(sigma**2 * np.eye(2), (len(t), 1, 1))
-    return TrackSamples(ticks.astype(np.intp), np.zeros(len(t), np.intp), x, v, S)
+    return TrackSamples(ticks.astype(np.intp), np.zeros(len(t), np.intp), x, v, S, track_pairs.TICK_PERIOD)
 
 
 def simultaneous(delay: float = 0.0, near: float = 0.0, count: int = 300) -> SimultaneousPairs:
@@ -144,7 +143,8 @@ def test_distant_matches_have_the_weight_of_the_cauchy_loss() -> None:
 
 def test_combinations_of_trajectories_have_different_numbers() -> None:
     ticks = np.zeros(2, np.intp)
-    two = TrackSamples(ticks, np.arange(2), np.ones((2, 2)), np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1)))
+    covariances = np.tile(np.eye(2), (2, 1, 1))
+    two = TrackSamples(ticks, np.arange(2), np.ones((2, 2)), np.ones((2, 2)), covariances, track_pairs.TICK_PERIOD)
     assert len(set(pair_samples(two, two).trajectories.tolist())) == 4
 
 
@@ -167,14 +167,16 @@ def test_correlation_time_of_an_autoregressive_process(correlation: float, expec
     for k in range(1, len(r)):
         r[k] = correlation * r[k - 1] + noise[k]
     ticks = step * np.tile(np.arange(2000), 10)
-    found = estimate_correlation_time(r, np.repeat(np.arange(10), 2000), ticks)
+    found = estimate_correlation_time(r, np.repeat(np.arange(10), 2000), ticks, SETTINGS.min_lag_share)
     assert found == pytest.approx(expected, rel=0.2)
 
 
 def test_correlation_time_does_not_reach_across_series() -> None:
     # Every series is constant: correlated within, independent of the others.
     r = np.repeat(np.random.default_rng(3).normal(size=(400, 2)), 2, axis=0)
-    found = estimate_correlation_time(r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400))
+    found = estimate_correlation_time(
+        r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400), SETTINGS.min_lag_share
+    )
     assert found == pytest.approx(3.0, rel=0.1)
 
 
@@ -204,10 +206,12 @@ def test_proposals_are_limited_to_the_best_and_a_random_selection() -> None:
     several = [replace(samples(np.eye(3), ticks + 37 * k), tick=ticks.astype(np.intp)) for k in range(6)]
     merged = TrackSamples(
         np.tile(ticks.astype(np.intp), 6), np.repeat(np.arange(6), 300),
-        *(np.concatenate([getattr(s, n) for s in several]) for n in ("positions", "velocities", "covariances")),
+        np.concatenate([s.positions for s in several]), np.concatenate([s.velocities for s in several]),
+        np.concatenate([s.covariances for s in several]), track_pairs.TICK_PERIOD,
     )  # fmt: skip
     order = np.argsort(merged.tick, kind="stable")
-    merged = TrackSamples(*(getattr(merged, name)[order] for name in vars(several[0]) if name != "tree"))
+    names = ("tick", "trajectory", "positions", "velocities", "covariances")
+    merged = replace(merged, **{name: getattr(merged, name)[order] for name in names})
     pairs = pair_samples(merged, merged)
     everything = propose_poses(pairs, ProposalSettings(max_rms=1.0), np.random.default_rng(0))
     limited = propose_poses(pairs, ProposalSettings(max_rms=1.0, max_count=20), np.random.default_rng(0))
@@ -223,7 +227,9 @@ def test_short_trajectories_propose_no_pose(extent: float, usable: bool) -> None
     ticks = np.arange(20)
     x = np.column_stack([np.linspace(0, extent * np.sqrt(12), 20), np.zeros(20)])
     S = np.tile(1e-4 * np.eye(2), (20, 1, 1))
-    line = TrackSamples(ticks, np.zeros(20, np.intp), x + np.array([2, 0]), np.ones((20, 2)), S)
+    line = TrackSamples(
+        ticks, np.zeros(20, np.intp), x + np.array([2, 0]), np.ones((20, 2)), S, track_pairs.TICK_PERIOD
+    )
     assert (
         len(propose_poses(pair_samples(line, line), ProposalSettings(), np.random.default_rng(0))) > 0
     ) == usable
@@ -278,7 +284,9 @@ def test_tracks_at_other_places_are_not_joined() -> None:
 
 
 def test_durations_are_rounded_to_ticks() -> None:
-    assert [to_ticks(s) for s in (0.6, 2.0, 8.0, 0.04)] == [6, 20, 80, 0]
+    one = samples(np.eye(3), np.arange(3.0))
+    assert [one.to_ticks(s) for s in (0.6, 2.0, 8.0, 0.04)] == [6, 20, 80, 0]
+    assert [replace(one, tick_period=0.2).to_ticks(s) for s in (0.6, 2.0)] == [3, 10]
 
 
 def register_walks(
@@ -363,7 +371,7 @@ def test_systematic_errors_bound_the_information(rng: np.random.Generator) -> No
 
 def test_alternating_residuals_have_a_correlation_time_of_one_step() -> None:
     r: Array = np.tile([1.0, -1.0], 100)[:, None]
-    assert estimate_correlation_time(r, np.zeros(200, dtype=np.intp), np.arange(200)) == 1.0
+    assert estimate_correlation_time(r, np.zeros(200, dtype=np.intp), np.arange(200), 0.1) == 1.0
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])
@@ -434,7 +442,12 @@ def samples_at_one_tick(x: list[float], covariances: list[Array]) -> TrackSample
     n = len(x)
     zeros = np.zeros(n, dtype=np.intp)
     return TrackSamples(
-        zeros, np.arange(n), np.column_stack([x, np.zeros(n)]), np.zeros((n, 2)), np.array(covariances)
+        zeros,
+        np.arange(n),
+        np.column_stack([x, np.zeros(n)]),
+        np.zeros((n, 2)),
+        np.array(covariances),
+        track_pairs.TICK_PERIOD,
     )
 
 

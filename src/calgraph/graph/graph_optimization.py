@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, coo_array, csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
+from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph, chi_squared, residuals
 
@@ -12,10 +13,12 @@ from calgraph.graph.pose_graph import PoseGraph, chi_squared, residuals
 _RIDGE = 1e-9
 # Largest component of a step (m or rad) at which the iteration has converged.
 _MIN_STEP = 1e-6
-# Scale of the first robust loss relative to the gate; each next scale is half of it (graduated non-convexity).
-_FIRST_SCALE = 64.0
+# Limit on Gauss–Newton steps: three to five suffice from the poses of inliers.
+_MAX_ITERATIONS = 10
 # Numbers of unknowns: up to the first, dense factors are the fastest; above the second, conjugate gradients.
-_MAX_DENSE, _MIN_ITERATIVE, _MAX_ITERATIONS = 100, 500, 300
+_MAX_DENSE, _MIN_ITERATIVE = 100, 500
+# Limit on conjugate gradients: graphs that need more, as long chains do, have sparse factors instead.
+_MAX_GRADIENTS = 300
 # Relative residual of the linear system for a step that others follow, and for a final solution.
 _STEP_TOLERANCE, _FINAL_TOLERANCE = 1e-4, 1e-10
 
@@ -47,9 +50,9 @@ def gauss_newton_step(graph: PoseGraph, T_root_node: Array, weights: Array) -> A
     return solve_sparse(H, g, np.arange(graph.count) != graph.root, _STEP_TOLERANCE)
 
 
-def optimize_poses(graph: PoseGraph, T_root_node: Array, weights: Array, iterations: int = 10) -> Array:
+def optimize_poses(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
     """Poses (N, n+1, n+1) of least weighted squared error, by Gauss–Newton from given start poses."""
-    for _ in range(iterations):
+    for _ in range(_MAX_ITERATIONS):
         delta = gauss_newton_step(graph, T_root_node, weights)
         T_root_node = se_n.retract(T_root_node, delta)
         if np.max(np.abs(delta), initial=0.0) < _MIN_STEP:
@@ -57,7 +60,7 @@ def optimize_poses(graph: PoseGraph, T_root_node: Array, weights: Array, iterati
     return T_root_node
 
 
-def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float) -> Array:
+def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float, settings: GraphSettings) -> Array:
     """Poses (N, n+1, n+1) that fit the edges within the gate, from start poses along a tree.
 
     Graduated non-convexity: Geman–McClure losses of ever smaller scale (Yang, Antonante, Tzoumas, Carlone,
@@ -66,10 +69,11 @@ def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float) -
     Args:
         graph: connected.
         T_root_node: (N, n+1, n+1) start.
-        gate: squared Mahalanobis distance of the final loss.
+        gate: squared Mahalanobis distance of an inlier.
+        settings: scales of the losses, relative to the gate.
     """
-    scale = _FIRST_SCALE
-    while scale >= 0.25:
+    scale = settings.first_robust_scale
+    while scale >= settings.last_robust_scale:
         chi2 = chi_squared(graph, T_root_node)
         weights = np.asarray((1 + chi2 / (scale * gate)) ** -2)
         T_root_node = se_n.retract(T_root_node, gauss_newton_step(graph, T_root_node, weights))
@@ -116,5 +120,5 @@ def _solve_by_conjugate_gradients(H: csc_array, g: Array, tolerance: float) -> A
     rows = np.repeat(np.arange(len(g)), np.diff(blocks.indptr))
     inverses = np.linalg.inv(blocks.data[rows == blocks.indices])
     jacobi = LinearOperator(H.shape, lambda v: (inverses @ v.reshape(*g.shape, 1)).ravel(), dtype=np.float64)
-    x, failure = cg(blocks, g.ravel(), rtol=tolerance, maxiter=_MAX_ITERATIONS, M=jacobi)
+    x, failure = cg(blocks, g.ravel(), rtol=tolerance, maxiter=_MAX_GRADIENTS, M=jacobi)
     return None if failure else np.asarray(x.reshape(g.shape), dtype=np.float64)

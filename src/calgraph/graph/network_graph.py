@@ -11,9 +11,10 @@ from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolutio
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.pairwise import ScannerPairEstimate
 
-# Bounds of the scale of the floor; bisections, which give it to 0.1 %.
-_SCALE_BOUNDS = (0.05, 20.0)
+# Bisections of the scale of the floor, which give it to 0.01 %.
 _BISECTIONS = 16
+# Information added to make the covariance of unobservable directions finite: 1000 m or rad.
+_MIN_INFORMATION = 1e-6
 
 
 def build_network_graph(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
@@ -71,7 +72,7 @@ def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array, settings: Grap
     The prior keeps the scale near 1 where the graph has few cycles.
     """
     degrees_of_freedom = inliers.information.shape[-1] * (len(inliers.edges) - inliers.count + 1)
-    low, high = _SCALE_BOUNDS
+    low, high = settings.min_floor_scale, settings.max_floor_scale
     for _ in range(_BISECTIONS):
         scale = float(np.sqrt(low * high))
         chi2 = float(chi_squared(_add_error_floor(inliers, scale, settings), T_root_node).sum())
@@ -139,7 +140,7 @@ def compute_joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
         for b, J_b in enumerate(jacobians):
             block = np.swapaxes(J_a, -1, -2) @ graph.information @ J_b
             np.add.at(H, (graph.edges[:, a], graph.edges[:, b]), block)
-    flat = H.transpose(0, 2, 1, 3).reshape(3 * graph.count, -1) + 1e-6 * np.eye(3 * graph.count)
+    flat = H.transpose(0, 2, 1, 3).reshape(3 * graph.count, -1) + _MIN_INFORMATION * np.eye(3 * graph.count)
     free = np.repeat(np.arange(graph.count) != graph.root, 3)
     covariance = np.zeros_like(flat)
     covariance[np.ix_(free, free)] = np.linalg.inv(flat[np.ix_(free, free)])

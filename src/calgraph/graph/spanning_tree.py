@@ -60,5 +60,6 @@ def grow_tree(
 
 def unobservable_stddev(estimate: PairwiseEstimate, max_stddev: float) -> float:
     """Standard deviation (m or rad) along the weakest direction if that is unobserved; 0 otherwise."""
+    # Zero information would have no finite weight.
     weakest = max(float(np.linalg.eigvalsh(estimate.information)[0]), 1e-12)
     return 0.0 if weakest >= max_stddev**-2 else weakest**-0.5

@@ -113,7 +113,7 @@ def _refine_tree(
     Votes and a robust loss repair the tree of a large graph, but may move the right one of a small graph away.
     """
     T = improve_by_votes(graph, weights, T_root_node, gate * settings.tree_gate_factor, rng, settings)
-    T = optimize_poses_robustly(graph, T, gate)
+    T = optimize_poses_robustly(graph, T, gate, settings)
     T = improve_by_votes(graph, weights, T, gate, rng, settings)
     candidates = np.stack([_fit_inliers(graph, weights, start, gate, settings) for start in (T, T_root_node)])
     return np.asarray(candidates[np.argmin(_score(graph, weights, candidates, gate)[0])])

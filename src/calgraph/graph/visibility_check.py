@@ -20,9 +20,6 @@ from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_de
 
 Flags = NDArray[np.bool_]
 
-# Longer recordings are subsampled to this number of ticks, which bounds the time of the comparison.
-_MAX_TICKS = 1000
-
 
 @dataclass(frozen=True, eq=False)
 class VisibilityConflict:
@@ -104,7 +101,8 @@ class _MutualDetections:
 
 def _compare_detections(observations: Sequence[ScannerObservations], T_root_node: Array) -> _MutualDetections:
     ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(scanner.samples.tick for scanner in observations)])
-    step = max(1, int(np.ptp(ticks)) // _MAX_TICKS) if len(ticks) else 1
+    settings = observations[0].visibility.settings if observations else VisibilitySettings()
+    step = max(1, int(np.ptp(ticks)) // settings.max_ticks) if len(ticks) else 1
     observations = [scanner.subsample(step) for scanner in observations]
     sizes = [len(scanner.samples.tick) for scanner in observations]
     starts = np.cumsum(sizes) - sizes
@@ -112,7 +110,6 @@ def _compare_detections(observations: Sequence[ScannerObservations], T_root_node
     max_range = np.array([scanner.visibility.max_range for scanner in observations])
     t = T_root_node[:, :2, 2]
     in_reach = np.linalg.norm(t[:, None] - t, axis=-1) < max_range[:, None] + max_range
-    settings = observations[0].visibility.settings if observations else VisibilitySettings()
     pairs = []
     for a, b in np.argwhere(np.triu(in_reach, 1)).tolist():
         simultaneous = pair_samples(observations[a].samples, observations[b].samples)

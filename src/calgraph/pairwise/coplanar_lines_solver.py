@@ -9,6 +9,9 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 
+# Sine or length below which two lines count as parallel, and a line as at infinity: keeps quotients finite.
+_SMALL = 1e-6
+
 
 def solve_coplanar_lines(a: Array, b: Array, dihedral_angle: float) -> Array:
     """Solves for poses under which the lines of each sample are coplanar.
@@ -61,13 +64,13 @@ def _lines(segments: Array, scale: Array) -> Array:
 def _normalize_line(line: Array) -> Array:
     """Normalizes lines (K, 3) to unit directions; NaN for a line at infinity."""
     length = np.linalg.norm(line[:, :2], axis=1, keepdims=True)
-    return line / np.where(length > 1e-6, length, np.nan)
+    return line / np.where(length > _SMALL, length, np.nan)
 
 
 def _intersect_lines(lines: Array, axis: Array) -> tuple[Array, Array]:
     """Coordinates along an axis (K, 3) at which lines (K, m, 3) cross it, and the sines of the angles there."""
     sine = lines[..., 0] * axis[:, None, 1] - lines[..., 1] * axis[:, None, 0]
-    sine = np.where(np.abs(sine) < 1e-6, 1e-6, sine)
+    sine = np.where(np.abs(sine) < _SMALL, _SMALL, sine)
     cosine = np.sum(lines[..., :2] * axis[:, None, :2], axis=-1)
     return (axis[:, 2:] * cosine - lines[..., 2]) / sine, sine
 

@@ -21,6 +21,10 @@ from calgraph.pairwise.visibility_map import is_free_space
 
 # Limit on steps; the match distance takes 6 to 8 of them to shrink.
 _MAX_STEPS = 25
+# Largest component of a step, m or rad, at which a match distance has converged.
+_STEP_TOLERANCE = 1e-4
+# Least extent of matched walls, m, by which errors of theirs are divided: keeps the quotient finite.
+_MIN_EXTENT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +97,13 @@ def align_backgrounds(
         return Rejected("too little static background")
     lever = float(np.median(np.linalg.norm(b.points, axis=1)))
     guess_stddev = np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2])) + lever**2 * covariance[2, 2])
-    match_distance = float(np.clip(3 * guess_stddev, settings.min_initial_distance, settings.max_initial_distance))
+    match_distance = float(
+        np.clip(
+            settings.initial_distance_factor * guess_stddev,
+            settings.min_initial_distance,
+            settings.max_initial_distance,
+        )
+    )
     noise2 = (sigma**2 + settings.wall_error**2) * settings.correlated_points
     scale = np.array([1, 1, 1 / settings.lever_arm])
     scale2 = np.outer(scale, scale)
@@ -106,7 +116,7 @@ def align_backgrounds(
         directions, values = _find_observable_directions(H * scale2, settings.max_stddev)
         step = np.asarray(-scale * (directions @ ((directions.T @ (scale * g)) / values)), dtype=np.float64)
         T = se2.retract(T, step)
-        converged = float(np.max(np.abs(step))) < 1e-4
+        converged = float(np.max(np.abs(step))) < _STEP_TOLERANCE
         if converged and match_distance <= settings.final_distance:
             break
         match_distance = max(settings.final_distance, match_distance * settings.distance_factor)
@@ -196,4 +206,4 @@ def _wall_error_covariance(T_a_b: Array, a: _SurfacePoints, of_a: NDArray[np.int
     center = x.mean(axis=0)
     offset = x - center
     extent = float(np.sqrt(np.mean((normal[:, 1] * offset[:, 0] - normal[:, 0] * offset[:, 1]) ** 2)))
-    return rigid_motion_covariance(T_a_b, center, wall_error, wall_error / max(extent, 0.1))
+    return rigid_motion_covariance(T_a_b, center, wall_error, wall_error / max(extent, _MIN_EXTENT))

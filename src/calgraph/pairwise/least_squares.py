@@ -9,9 +9,13 @@ import numpy as np
 from calgraph.geometry import Array, se3
 from calgraph.levenberg_marquardt import DenseLinearization, minimize_batch
 
+# Relative decrease of the cost at which a problem has converged; initial damping: many starts are far from a
+# minimum.
+_TOLERANCE, _INITIAL_DAMPING = 1e-9, 1e-4
+
 
 def gauss_newton(
-    T: Array, residuals: Callable[[Array], tuple[Array, Array]], min_rms_slope: float, iterations: int = 12
+    T: Array, residuals: Callable[[Array], tuple[Array, Array]], min_rms_slope: float, iterations: int
 ) -> tuple[Array, Array]:
     """Minimizes K independent sums of squares over poses.
 
@@ -32,7 +36,10 @@ def gauss_newton(
         root = np.sqrt(r.shape[1])
         return _PoseLinearization(r / root, np.nan_to_num(J) / root, min_rms_slope)
 
-    T, at = minimize_batch(T, linearize, se3.retract, iterations=iterations, relative_tolerance=1e-9, damping=1e-4)
+    T, at = minimize_batch(
+        T, linearize, se3.retract,
+        iterations=iterations, relative_tolerance=_TOLERANCE, damping=_INITIAL_DAMPING,
+    )  # fmt: skip
     return T, np.where(np.isnan(at.cost), np.inf, 2 * at.cost)
 
 

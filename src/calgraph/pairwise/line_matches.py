@@ -12,6 +12,10 @@ from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
 from calgraph.pairwise.least_squares import axis_aligned_rotations, gauss_newton
 from calgraph.pairwise.pairwise_estimate import Linearization
 
+# Singular values of the linear solution are at least this, which keeps its inverse finite; samples of which the
+# least one is below this share of the largest have no solution.
+_MIN_SINGULAR_VALUE, _RANK_TOLERANCE = 1e-9, 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class PlaneLineMatches:
@@ -49,16 +53,16 @@ class PlaneLineMatches:
         A = np.concatenate([x[..., :1] * n, x[..., 1:2] * n, n], axis=-1)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         if self._determined:
-            h = np.einsum("kij,ki,kli,kl->kj", Vt, 1 / np.maximum(s, 1e-9), U, -d)
+            h = np.einsum("kij,ki,kli,kl->kj", Vt, 1 / np.maximum(s, _MIN_SINGULAR_VALUE), U, -d)
             R = se_n.nearest_rotation(np.stack([h[:, :3], h[:, 3:6], np.cross(h[:, :3], h[:, 3:6])], axis=-1))
-            T, _ = self._minimize(R, n, d, x)
-            T[s[:, -1] < 1e-6 * s[:, 0]] = np.nan
+            T, _ = self._minimize(R, n, d, x, self.settings.sample_steps)
+            T[s[:, -1] < _RANK_TOLERANCE * s[:, 0]] = np.nan
             return T
         starts = self._select_rotations(axis_aligned_rotations(), n, d, x)
         count = starts.shape[1]
         n, d, x = (np.repeat(v, count, axis=0) for v in (n, d, x))
         R = starts.reshape(-1, 3, 3)
-        T, cost = self._minimize(R, n, d, x)
+        T, cost = self._minimize(R, n, d, x, self.settings.sample_steps)
         # Of solutions with similar residuals, the one with the smallest rotation from its start.
         angle = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
         best = np.argmin((cost + (self.settings.rotation_penalty * angle) ** 2).reshape(-1, count), axis=1)
@@ -74,7 +78,7 @@ class PlaneLineMatches:
         n = np.broadcast_to(np.repeat(self.planes[chosen, :3], 2, axis=0), (len(starts), 2 * int(chosen.sum()), 3))
         d = np.broadcast_to(np.repeat(self.planes[chosen, 3], 2), n.shape[:2])
         x = np.broadcast_to(self.endpoints[chosen].reshape(-1, 3), n.shape)
-        return self._minimize(starts, n, d, x, iterations=40)[0]
+        return self._minimize(starts, n, d, x, self.settings.search_steps)[0]
 
     def _select_rotations(self, starts: Array, n: Array, d: Array, x: Array) -> Array:
         """Selects for each sample the rotations (K, k, 3, 3) of (S, 3, 3) that fit best with some translation."""
@@ -84,7 +88,7 @@ class PlaneLineMatches:
         order = np.argsort(np.sum(r**2, axis=-1), axis=1, kind="stable")
         return starts[order[:, : self.settings.refined_starts]]
 
-    def _minimize(self, R: Array, n: Array, d: Array, x: Array, iterations: int = 12) -> tuple[Array, Array]:
+    def _minimize(self, R: Array, n: Array, d: Array, x: Array, iterations: int) -> tuple[Array, Array]:
         """Poses (K, 4, 4) from start rotations, and mean squared distances (K,).
 
         Start translations are zero in directions that the normals do not determine.
@@ -151,7 +155,7 @@ class LineLineMatches:
             _regularized_coplanarity, a=a, b=b, min_sine=self.settings.min_scan_plane_sine,
             gap_weight=self.settings.center_gap_weight / self.max_center_distance,
         )  # fmt: skip
-        return gauss_newton(start, residuals, self.settings.min_rms_slope)[0]
+        return gauss_newton(start, residuals, self.settings.min_rms_slope, self.settings.sample_steps)[0]
 
     def linearize(self, T_a_b: Array) -> Linearization:
         """Computes the distance of the two lines times the sine of their angle: zero if they are coplanar."""

@@ -12,6 +12,8 @@ from calgraph.geometry import Array, se3, so3
 
 # Limit on Gauss-Newton steps from the pose of a minimal sample to that of all inliers: 3 to 5 suffice.
 _MAX_STEPS = 20
+# Relative decrease of the cost at which these steps have converged.
+_TOLERANCE = 1e-6
 # Added to the covariances for their information, m: keeps those of exact detections regular.
 _MIN_STDDEV = 1e-4
 
@@ -113,7 +115,7 @@ def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_], sett
         along = np.where(values > min_information, vectors.T @ g / np.maximum(values, min_information), 0.0)
         trial = se3.retract(T_a_b, -np.asarray(vectors @ along, dtype=np.float64))
         trial_H, trial_g, trial_cost = evaluate(trial)
-        if not trial_cost < cost * (1 - 1e-6):
+        if not trial_cost < cost * (1 - _TOLERANCE):
             break
         T_a_b, H, g, cost = trial, trial_H, trial_g, trial_cost
     return T_a_b

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ProposalSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, to_ticks
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
 
 
 def propose_poses(pairs: SimultaneousPairs, settings: ProposalSettings, rng: np.random.Generator) -> Array:
@@ -22,9 +22,9 @@ def propose_poses(pairs: SimultaneousPairs, settings: ProposalSettings, rng: np.
     trajectories, ticks = trajectories[order], pairs.a.tick[pairs.row_a][order]
     moments = _compute_moments(pairs.x_a[order], pairs.x_b[order])
     poses, scores = [], []
-    for length in (*map(to_ticks, settings.stretch_durations), np.iinfo(np.intp).max):
+    for length in (*map(pairs.a.to_ticks, settings.stretch_durations), np.iinfo(np.intp).max):
         begins = np.diff(trajectories, prepend=-1).astype(bool) | np.diff(ticks // length, prepend=-1).astype(bool)
-        T, fit, extent = _fit_stretches(moments, np.flatnonzero(begins), to_ticks(settings.min_duration))
+        T, fit, extent = _fit_stretches(moments, np.flatnonzero(begins), pairs.a.to_ticks(settings.min_duration))
         usable = (extent > settings.min_extent) & (fit < settings.max_rms)
         poses.append(T[usable])
         scores.append(extent[usable] / (fit[usable] + settings.noise))

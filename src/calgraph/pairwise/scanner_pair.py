@@ -18,11 +18,9 @@ from calgraph.geometry import Array, se2
 from calgraph.pairwise.icp import StaticBackground, align_backgrounds
 from calgraph.pairwise.pose_hypotheses import propose_poses
 from calgraph.pairwise.synchronized_tracks import (
-    TICK_PERIOD,
     SimultaneousPairs,
     TrackSamples,
     pair_samples,
-    to_ticks,
 )
 from calgraph.pairwise.track_registration import (
     TrackRegistration,
@@ -36,8 +34,6 @@ from calgraph.tracking import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
-# Maximum number of positions whose neighbours are counted: the standard error of a share is below 3 %.
-_MAX_QUERIES = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,7 @@ class PoseHypothesis:
     information: Array
     """(3, 3) inverse covariance of T_a_b's error (x, y, theta) in the fixed axes of a."""
     observations: int
-    """Number of matching simultaneous positions, at ticks of 0.1 s."""
+    """Number of matching simultaneous positions, at ticks."""
     chance_observations: float
     """Expected number of matches if the scanners had tracked different people in the same places."""
     matched_share: float
@@ -181,9 +177,10 @@ def _propose_hypotheses(
     """Proposes poses (K, 3, 3)."""
     pairs = pair_samples(a.observations.samples, b.observations.samples)
     count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), settings.hypotheses.min_matched_time
-    if count < to_ticks(needed):
+    if count < pairs.a.to_ticks(needed):
         return Rejected(
-            f"both tracked somebody at the same time for {count * TICK_PERIOD:.1f} s, {needed:.1f} s are needed"
+            f"both tracked somebody at the same time for {count * pairs.a.tick_period:.1f} s, "
+            f"{needed:.1f} s are needed"
         )
     poses = propose_poses(pairs, settings.proposals, rng)
     if not len(poses):
@@ -245,9 +242,10 @@ def _evaluate_hypotheses(
         if (fit := register(T, fine, settings.registration.fine_model_error))
     ]
     hypotheses.sort(key=lambda h: -h.score)
-    kept = [h for h in hypotheses if _is_credible(h, settings.hypotheses)]
+    least = pairs.a.to_ticks(limits.min_matched_time)
+    kept = [h for h in hypotheses if _is_credible(h, least, settings.hypotheses)]
     if not kept:
-        seconds = round(max(counts) * len(pairs) / len(coarse)) * TICK_PERIOD
+        seconds = round(max(counts) * len(pairs) / len(coarse)) * pairs.a.tick_period
         return Rejected(
             f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
             "similar trajectories explain as well"
@@ -263,11 +261,10 @@ def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:
     return np.array([fit.T_a_b for fit in fits]).reshape(-1, 3, 3)
 
 
-def _is_credible(h: PoseHypothesis, settings: HypothesisSettings) -> bool:
+def _is_credible(h: PoseHypothesis, min_observations: int, settings: HypothesisSettings) -> bool:
     """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""
     return (
-        h.observations
-        >= max(to_ticks(settings.min_matched_time), settings.min_chance_ratio * h.chance_observations)
+        h.observations >= max(min_observations, settings.min_chance_ratio * h.chance_observations)
         and h.weight_of_evidence(settings) >= settings.min_weight_of_evidence
         and h.matched_share >= settings.min_matched_share
     )
@@ -308,7 +305,7 @@ def _build_hypothesis(
         fit.T_a_b,
         compute_registration_information(fit, pairs, depth_stddev, settings.registration),
         round(len(fit.matches) * scale),
-        _count_by_chance(fit, pairs, b.observations.samples, gate) * scale,
+        _count_by_chance(fit, pairs, b.observations.samples, gate, settings.hypotheses.max_queries) * scale,
         min(len(fit.matches) / expected, 1.0),
         float(compute_pose_costs(fit.T_a_b[None], pairs, settings.registration.max_model_error, gate)[0]),
         fit.model_error,
@@ -316,14 +313,16 @@ def _build_hypothesis(
     )
 
 
-def _count_by_chance(fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples, gate: float) -> float:
+def _count_by_chance(
+    fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples, gate: float, max_queries: int
+) -> float:
     """Expected number of a's samples that match one of b by chance, from matches at all times.
 
     If both scanners detect people all the time in one narrow passage, the number is large under any pose that
     superimposes the passages.
     """
     radius = np.sqrt(gate * (float(np.median(pairs.variance)) + fit.model_error**2))
-    sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // _MAX_QUERIES)]
+    sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // max_queries)]
     near = _count_neighbours(sampled, se2.inverse(fit.T_a_b), b, radius)
     return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(pairs.a.tick)
 
@@ -340,7 +339,7 @@ def _count_expected(
 def _count_observable(T: Array, samples: TrackSamples, other: TrackSamples, settings: HypothesisSettings) -> float:
     overlapping = (samples.tick >= other.tick.min()) & (samples.tick <= other.tick.max())
     x = samples.positions[overlapping]
-    sampled = x[:: max(1, len(x) // _MAX_QUERIES)]
+    sampled = x[:: max(1, len(x) // settings.max_queries)]
     near = _count_neighbours(sampled, T, other, settings.neighbour_radius)
     return float(np.mean(near >= settings.min_neighbours)) * len(x)
 

@@ -17,15 +17,6 @@ from calgraph.tracking import ScannerTracks, Track
 
 Indices = NDArray[np.intp]
 
-TICK_PERIOD = 0.1
-"""Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Not a setting, as
-numbers of matches, and with them weights of evidence, are in ticks."""
-
-
-def to_ticks(seconds: float) -> int:
-    """Rounds a duration, s, to ticks."""
-    return round(seconds / TICK_PERIOD)
-
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
@@ -41,11 +32,17 @@ class TrackSamples:
     """(S, 2) m/s."""
     covariances: Array
     """(S, 2, 2) of the positions, m²."""
+    tick_period: float
+    """Time between the ticks, s."""
+
+    def to_ticks(self, seconds: float) -> int:
+        """Rounds a duration, s, to ticks."""
+        return round(seconds / self.tick_period)
 
     @property
     def times(self) -> Array:
         """(S,) s."""
-        return np.asarray(self.tick * TICK_PERIOD, dtype=np.float64)
+        return np.asarray(self.tick * self.tick_period, dtype=np.float64)
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -61,6 +58,7 @@ class TrackSamples:
             self.positions[kept],
             self.velocities[kept],
             self.covariances[kept],
+            self.tick_period,
         )
 
 
@@ -139,10 +137,11 @@ def resample_tracks(tracked: ScannerTracks, settings: ResamplingSettings = Resam
     tracks = [track for track in tracked.tracks if len(track.times)]
     parts = [_interpolate_at_ticks(joined, i, settings) for i, joined in enumerate(_join_tracks(tracks, settings))]
     if not parts:
-        return TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)))
+        none, vectors = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
+        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)), settings.tick_period)
     tick, trajectory, x, v, S = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(tick, kind="stable")
-    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order])
+    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order], settings.tick_period)
 
 
 def _join_tracks(tracks: Sequence[Track], settings: ResamplingSettings) -> list[list[Track]]:
@@ -189,13 +188,14 @@ def _interpolate_at_ticks(
     t, x, v, S = t[usable], x[usable], v[usable], S[usable]
     if len(t) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2))
-    tick = np.arange(np.ceil(t[0] / TICK_PERIOD), np.floor(t[-1] / TICK_PERIOD) + 1).astype(np.intp)
-    k = np.clip(np.searchsorted(t, tick * TICK_PERIOD, "right") - 1, 0, len(t) - 2)
+    period = settings.tick_period
+    tick = np.arange(np.ceil(t[0] / period), np.floor(t[-1] / period) + 1).astype(np.intp)
+    k = np.clip(np.searchsorted(t, tick * period, "right") - 1, 0, len(t) - 2)
     h = np.diff(t)
     bridged = h[k] <= max(settings.max_gap, settings.max_gap_intervals * float(np.median(h)))
     tick, k = tick[bridged], k[bridged]
     gap = h[k][:, None]
-    u = (tick * TICK_PERIOD - t[k])[:, None] / gap
+    u = (tick * period - t[k])[:, None] / gap
     positions = (
         (1 + 2 * u) * (1 - u) ** 2 * x[k]
         + u * (1 - u) ** 2 * gap * v[k]

@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import RegistrationSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, to_ticks
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
 
 # Largest lag of the autocorrelation, steps: later residuals are independent.
 _MAX_LAG = 100
+# Median of χ² with two degrees of freedom.
+_CHI2_MEDIAN = 1.386
+# Information (1/m², 1/rad²) that is added to that of a pose: the angle is unobservable from an object at rest.
+_RIDGE = 1e-6
+# Least extent of positions, m, by which an error of theirs is divided: keeps the quotient finite.
+_MIN_EXTENT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +94,8 @@ def _associate(
     """Rows (P,) of mutual nearest neighbours within the gate, and their squared Mahalanobis distances."""
     differences = _compute_differences(T_a_b, nuisance, pairs)
     rough = np.sum(differences**2, axis=1) / (pairs.variance + model_error**2)
-    # The exact covariance matters for the gate only, not for the choice of the nearest neighbour.
+    # The exact covariance matters for the gate only, not for the choice of the nearest neighbour. Its largest
+    # variance is at most twice the mean, so that this rough gate loses no match.
     near = np.flatnonzero(rough < 4 * gate)
     if not len(near):
         return near, np.zeros(0)
@@ -131,13 +138,12 @@ def _build_normal_equations(r: Array, J: Array, W: Array, nuisance: Array, prior
     J, WJ = J.reshape(-1, 6), (W @ J).reshape(-1, 6)
     H = J.T @ WJ + np.diag(prior)
     g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
-    # Minimum damping: the angle is unobservable from an object at rest.
-    return H + 1e-6 * np.eye(6), g
+    return H + _RIDGE * np.eye(6), g
 
 
 def _estimate_model_error(r: Array, S: Array, settings: RegistrationSettings) -> float:
     """Robust standard deviation (m) of the residuals beyond their covariances."""
-    observed = float(np.median(np.sum(r**2, axis=1))) / 1.386  # the median of χ² with two degrees of freedom
+    observed = float(np.median(np.sum(r**2, axis=1))) / _CHI2_MEDIAN
     expected = float(np.mean(np.trace(S, axis1=1, axis2=2))) / 2
     error = np.sqrt(max(observed - expected, 0.0))
     return float(np.clip(error, settings.min_model_error, settings.max_model_error))
@@ -156,8 +162,9 @@ def compute_registration_information(
     W = _invert_symmetric(S + fit.model_error**2 * np.eye(2))
     d2 = _mahalanobis2(r, W)
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
-    correlation = estimate_correlation_time(whitened, pairs.trajectories[rows], pairs.a.tick[pairs.row_a[rows]])
-    correlation = max(correlation, to_ticks(settings.min_correlation_time))
+    ticks = pairs.a.tick[pairs.row_a[rows]]
+    correlation = estimate_correlation_time(whitened, pairs.trajectories[rows], ticks, settings.min_lag_share)
+    correlation = max(correlation, pairs.a.to_ticks(settings.min_correlation_time))
     prior = _build_prior(depth_stddev, settings)
     degrees_of_freedom = max(2 * len(rows) / correlation - 6, 1.0)
     variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, settings.min_variance_factor)
@@ -171,7 +178,7 @@ def _systematic_covariance(T_a_b: Array, x_a: Array, stddev: float) -> Array:
     """Covariance (3, 3) of the pose due to errors common to all positions (P, 2) and to those at either end."""
     center = x_a.mean(axis=0)
     extent = np.sqrt(np.mean(np.sum((x_a - center) ** 2, axis=1)))
-    return rigid_motion_covariance(T_a_b, center, stddev, stddev / max(float(extent), 0.1))
+    return rigid_motion_covariance(T_a_b, center, stddev, stddev / max(float(extent), _MIN_EXTENT))
 
 
 def rigid_motion_covariance(T_a_b: Array, center: Array, shift: float, turn: float) -> Array:
@@ -182,13 +189,16 @@ def rigid_motion_covariance(T_a_b: Array, center: Array, shift: float, turn: flo
     return np.asarray(G @ np.diag(np.array([shift, shift, turn]) ** 2) @ G.T)
 
 
-def estimate_correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp]) -> float:
+def estimate_correlation_time(
+    r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp], min_lag_share: float
+) -> float:
     """Estimates the integrated autocorrelation time of residuals, in steps, >= 1.
 
     Args:
         r: (P, k) residuals of mean 0.
         series: (P,) index of the time series of each residual.
         ticks: (P,) their times, in steps.
+        min_lag_share: share of the residuals with another one at a lag, below which the sum ends.
 
     Source: Geyer, "Practical Markov chain Monte Carlo", 1992: the sum ends where a pair of terms is negative.
     """
@@ -200,7 +210,7 @@ def estimate_correlation_time(r: Array, series: NDArray[np.intp], ticks: NDArray
     for lag in range(1, _MAX_LAG):
         found = np.searchsorted(key, key + lag * step)
         pairs = np.flatnonzero(key[np.minimum(found, len(key) - 1)] == key + lag * step)
-        if len(pairs) < 0.1 * len(r):
+        if len(pairs) < min_lag_share * len(r):
             break
         term = float(np.sum(r[pairs] * r[found[pairs]])) / len(pairs) / max(power, 1e-12)
         if lag % 2 == 0 and term + previous <= 0:

@@ -41,7 +41,7 @@ def track_paths(scanner: int, paths: list[Array], rng: np.random.Generator, late
 def group(tracked: list[ScannerTracks]) -> list[list[tuple[int, int]]]:
     """By body: scanner, and index of its tracks."""
     index = {id(track): (s, k) for s, scanner in enumerate(tracked) for k, track in enumerate(scanner.tracks)}
-    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)], SETTINGS)
+    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)], 0.1, SETTINGS)
     return sorted(sorted(index[id(track)] for _, track in walker.tracks) for walker in found)
 
 
@@ -139,13 +139,13 @@ def test_a_body_of_half_a_second_is_left_out(rng: np.random.Generator) -> None:
 
 
 def test_without_tracks_there_are_no_bodies() -> None:
-    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2], SETTINGS) == []
+    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2], 0.1, SETTINGS) == []
 
 
 def test_the_tracks_of_a_body_are_grouped_by_scanner(rng: np.random.Generator) -> None:
     whole = simulate_path(0, 9, (0, 1), (1, 0.1))
     tracked = [track_paths(0, [whole], rng), track_paths(1, [whole[:60], whole[62:]], rng)]
-    [one] = group_tracks_by_body(tracked, T_ROOT[:2], SETTINGS)
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1, SETTINGS)
     assert {scanner: len(tracks) for scanner, tracks in one.by_scanner().items()} == {0: 1, 1: 2}
 
 
@@ -153,7 +153,7 @@ def test_a_body_starts_at_its_first_scan(rng: np.random.Generator) -> None:
     """The first scanner misses five scans after its first one, while the second scanner begins."""
     whole = simulate_path(0, 6, (0, 1), (1, 0.1))
     tracked = [track_paths(0, [np.delete(whole, np.arange(1, 6), axis=0)], rng), track_paths(1, [whole[2:]], rng)]
-    [one] = group_tracks_by_body(tracked, T_ROOT[:2], SETTINGS)
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1, SETTINGS)
     assert one.start == 0.0
 
 

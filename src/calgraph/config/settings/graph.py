@@ -41,6 +41,12 @@ class GraphSettings(StrictModel):
     noise of the others."""
     max_proposals: int = Field(default=30, ge=1)
     """Most poses proposed to one node: among 30 random edges of which 90 % are wrong, one is right with 96 %."""
+    first_robust_scale: float = Field(default=64.0, gt=0)
+    """Scale of the first robust loss of a refined tree, relative to the gate of squared distances: at eight
+    times the gate's distance, an edge still has a quarter of its weight. Each next scale is half of it (graduated
+    non-convexity)."""
+    last_robust_scale: float = Field(default=0.25, gt=0)
+    """Least of these scales: an edge at the gate has then a weight of 1/25."""
     rig_translation_floor: float = Field(default=0.01, ge=0)
     """m; standard deviation of the model error of a rig's pairs (bend of the board, range bias, stamps)."""
     rig_rotation_floor: float = Field(default=0.005, ge=0)
@@ -50,6 +56,10 @@ class GraphSettings(StrictModel):
     graph."""
     network_rotation_floor: float = Field(default=0.004, gt=0)
     """rad (0.2°); the same of rotations: the above over the 5 m that a walk is long."""
+    min_floor_scale: float = Field(default=0.05, gt=0, lt=1)
+    """Least scale of these floors: 1 mm and 0.01°, which no pair reaches."""
+    max_floor_scale: float = Field(default=20.0, gt=1)
+    """Largest scale of these floors: 0.4 m and 5°, with which any pairs agree."""
     floor_prior_weight: float = Field(default=3.0, gt=0)
     """Weight of the prior that these floors are right, in residuals: those of one pair."""
     half_weight_evidence: float = Field(default=50.0, gt=0)

@@ -58,6 +58,11 @@ class BoardPairSettings(StrictModel):
     min_rms_slope: Positive = 0.03
     """Change of the residuals' RMS per unit of a direction (m or rad) below which a sample does not determine
     it."""
+    sample_steps: Count = 12
+    """Most least-squares steps for the pose of a sample: bounds the time, and the best pose is refined later."""
+    search_steps: Count = 40
+    """The same for the search of other minima from axis-aligned rotations, up to 63 degrees off: their results are
+    not refined."""
     min_scan_plane_sine: Share = 0.05
     """Sine of the angle between two scan planes (3 degrees) below which coplanarity does not determine their pose:
     its residual, divided by this sine, multiplies noise by more than 20."""
@@ -70,8 +75,11 @@ class BoardPairSettings(StrictModel):
 
 
 class ResamplingSettings(StrictModel):
-    """Tracks at the ticks of the common clock, 0.1 s apart."""
+    """Tracks at the ticks of the common clock."""
 
+    tick_period: Positive = 0.1
+    """Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Matches, expected
+    detections and evidence are counted in ticks: with another period, limits on these have to be scaled."""
     max_gap: Positive = 0.5
     """Gap of a track that is interpolated, s: about one step of a person, who seldom turns within it."""
     max_gap_intervals: Positive = 2.5
@@ -109,7 +117,9 @@ class VisibilitySettings(StrictModel):
     min_expected: Count = 20
     """Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person."""
     min_expected_of_part: Count = 50
-    """Expected detections, of each scanner every 0.1 s, from which the pose of a part of a network is tested."""
+    """Expected detections, of each scanner at every tick, from which the pose of a part of a network is tested."""
+    max_ticks: Count = 1000
+    """Longer recordings are subsampled to this number of ticks for the test of a part, which bounds its time."""
     max_missed_share: Share = 0.5
     """Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and
     up to 0.5 where furniture occludes people from one of the two."""
@@ -157,6 +167,9 @@ class RegistrationSettings(StrictModel):
     two directions."""
     min_variance_factor: Positive = 0.1
     """Lower limit of the factor by which covariances are scaled to the residuals: few matches may coincide."""
+    min_lag_share: Share = 0.1
+    """Least share of the residuals with another one at a lag, for it to enter the correlation time: of fewer, the
+    autocorrelation is noise."""
     min_correlation_time: Positive = 0.5
     """Shortest correlation time of residuals, s: people turn another side to a scanner at every step, which a few
     seconds of residuals alone understate."""
@@ -184,6 +197,9 @@ class IcpSettings(StrictModel):
     max_normal_angle: Angle = float(np.radians(25))
     """Angle between the normals of matched points, rad (25 degrees): the error of a line through seven noisy
     points and of the initial pose; less than half of the angle between two walls of a room."""
+    initial_distance_factor: Positive = 3.0
+    """Match distance of the first step over the standard deviation of points under the initial pose, within the
+    next two limits: 99.7 % of a normal distribution."""
     min_initial_distance: Positive = 0.5
     """Least match distance of the first step, m: a smaller one misses walls that contradict the initial pose."""
     max_initial_distance: Positive = 0.8
@@ -254,6 +270,8 @@ class HypothesisSettings(StrictModel):
     min_weight_of_evidence: Positive = 45.0
     """Least weight of evidence of a hypothesis, a log likelihood ratio: a perfect fit of 2 s has 52, a fit with 9
     cm needs 9 s for the same. Chosen on benchmarks/short_networks.py."""
+    max_queries: Count = 300
+    """Positions whose neighbours are counted at most: the standard error of a share is below 3 %."""
     neighbour_radius: Positive = 0.4
     """Distance within which a scanner's other detections show that it detects people at a place, m."""
     min_neighbours: Count = 3

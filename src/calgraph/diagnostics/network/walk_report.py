@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.result import CaptureRow, FloorView
 from calgraph.tracking import ScannerTracks
 
@@ -85,10 +85,10 @@ def build_walk_rows(
     """
     rows = [
         (
-            float(of_scanner.tick[walk[0]]) * TICK_PERIOD - start,
-            float(of_scanner.tick[walk[-1]]) * TICK_PERIOD - start,
+            float(of_scanner.times[walk[0]]) - start,
+            float(of_scanner.times[walk[-1]]) - start,
             name,
-            *_assess_walk(name, walk, matches, min_ticks),
+            *_assess_walk(name, walk, matches, min_ticks, of_scanner.tick_period),
         )
         for name, of_scanner in samples.items()
         for walk in _split_walks(of_scanner)
@@ -97,7 +97,7 @@ def build_walk_rows(
 
 
 def _assess_walk(
-    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, min_ticks: int
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, min_ticks: int, tick_period: float
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
@@ -107,7 +107,7 @@ def _assess_walk(
     if len(d) >= min_ticks:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {min_ticks * TICK_PERIOD:g} s", None
+        return False, f"another scanner detected it for less than {min_ticks * tick_period:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,
@@ -145,7 +145,7 @@ def build_floor_views(
             name,
             se2.apply(T_root_scanner[name], _thin_points(tracked[name].background, _MAX_POINTS // len(names))),
             tuple(se2.apply(T_root_scanner[name], samples[name].positions[rows]) for rows in lines[name]),
-            tuple(np.asarray(samples[name].tick[rows] * TICK_PERIOD - start) for rows in lines[name]),
+            tuple(np.asarray(samples[name].times[rows] - start) for rows in lines[name]),
         )
         for name in names
     )

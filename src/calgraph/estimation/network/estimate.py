@@ -93,7 +93,7 @@ def solve_network(
         prior: of scanner poses, from an earlier calibration.
         settings: of the estimate.
         acceleration_density: spectral density of a body's acceleration, m²/s³.
-        pair_settings: of the ICP of static backgrounds.
+        pair_settings: of the ICP of static backgrounds, and of the ticks at which tracks are compared.
     """
     T_root_scanner = averaged.T_root_node
     edges = [
@@ -103,7 +103,7 @@ def solve_network(
         )
         if inlier
     ]
-    bodies = group_tracks_by_body(tracked, T_root_scanner, settings.grouping)
+    bodies = group_tracks_by_body(tracked, T_root_scanner, pair_settings.resampling.tick_period, settings.grouping)
     state = NetworkState(
         T_root_scanner,
         np.zeros(len(tracked)),
@@ -216,6 +216,7 @@ def _initialize_path(
     for i in range(3):
         for j in range(i, 3):
             band[j - i, i : knots.count - 2 + i] += smooth[i, j]
+    # Makes knots without positions invertible; the smoothness determines them.
     band[0] += 1e-9
     control = solveh_banded(band, right, lower=True)
     velocity = np.gradient(control, knots.step, axis=0)

@@ -18,7 +18,7 @@ from calgraph.estimation.network.solver import build_scan_equations, evaluate_at
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 
-# Tolerance of the logarithm of a variance.
+# Tolerance of the logarithm of a variance: 1 % of a standard deviation.
 _LOG_TOLERANCE = 0.02
 # Ridge (1/m², 1/rad²) that makes matrices invertible where there is no information.
 _RIDGE = 1e-6

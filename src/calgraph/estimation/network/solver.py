@@ -33,20 +33,17 @@ from calgraph.levenberg_marquardt import minimize
 
 # Second difference of control points.
 _SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
-# Beams with a smaller cosine of incidence count as misses: the derivatives of their range grow beyond all bounds.
-_MIN_COS_INCIDENCE = 0.05
 # Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no unknown is then
 # off by more than 0.2 % of its standard deviation.
 _TOLERANCE = 1e-6
-# Larger than elsewhere: with few steps in each round, rejected ones are expensive. With 1e-5, one of 24 simulated
-# networks, of wrongly stated radii, did not converge.
-_INITIAL_DAMPING = 1e-3
 # Least radius, m: steps must not make an ellipse degenerate. Bodies are several times larger.
 _MIN_RADIUS = 0.02
+# Information (1/rad²) that makes headings invertible of bodies that rest: 1000 rad.
+_HEADING_RIDGE = 1e-6
 # Pairs of the four control points that a scan depends on.
 _EARLIER, _LATER = np.triu_indices(4)
 # Zero-gradient information (1/m², 1/m², 1/rad²) of poses: keeps a scanner in place where robust weights leave it
-# no beams. Clocks always have a prior.
+# no beams. A single beam has 10⁵ times as much. Clocks always have a prior.
 _POSE_REGULARIZER = np.array([1e-4, 1e-4, 0.1, 0.0])
 
 
@@ -134,7 +131,7 @@ def optimize_network(
         lambda state, step: apply_step(state, *step),
         iterations=iterations,
         tolerance=tolerance,
-        damping=_INITIAL_DAMPING,
+        damping=network.settings.initial_damping,
     )
     return minimum.state, minimum.linearization
 
@@ -245,7 +242,7 @@ def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Ar
 def compute_residuals(network: NetworkProblem, scans: BodyScans, hits: RaycastHits) -> tuple[Array, Array]:
     """Whitened residuals (N,) of beams, and their derivatives (N, 5) by the body's pose and radii."""
     sigma = network.range_sigma[scans.scanner]
-    hit = hits.cos_incidence > _MIN_COS_INCIDENCE
+    hit = hits.cos_incidence > network.settings.beams.min_hit_cosine
     residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, network.settings.beams.missed_residual)
     return residual, np.where(hit[:, None], hits.jacobian / sigma, 0.0)
 
@@ -299,7 +296,7 @@ def _linearize_path_prior(
     # The direction of motion is taken as exact: the heading would add hardly any information to the path.
     offset, weight = compute_heading_offsets(body, control[:, :2], control[:, 2:], network.settings.body)
     gradient[:, 2] += weight * offset[:, 0]
-    band[:, 0, 2, 2] += weight + 1e-6
+    band[:, 0, 2, 2] += weight + _HEADING_RIDGE
     return band, gradient, cost + 0.5 * float(weight @ offset[:, 0] ** 2)
 
 

@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from calgraph.config.settings import TrackGroupingSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TICK_PERIOD
 from calgraph.tracking import ScannerTracks, Track
 
 
@@ -44,27 +43,28 @@ class _SampledTrack:
 
 
 def group_tracks_by_body(
-    tracked: Sequence[ScannerTracks], T_root_scanner: Array, settings: TrackGroupingSettings
+    tracked: Sequence[ScannerTracks], T_root_scanner: Array, tick_period: float, settings: TrackGroupingSettings
 ) -> list[BodyTracks]:
     """Groups the tracks of all scanners by body.
 
     Args:
         tracked: by scanner.
         T_root_scanner: (S, 3, 3) approximate poses.
+        tick_period: interval at which tracks are compared, s.
         settings: of the grouping.
 
     Returns:
         Bodies that at least two scanners tracked, in order of time.
     """
     sampled = [
-        _sample_track(scanner, track, T_root_scanner[scanner])
+        _sample_track(scanner, track, T_root_scanner[scanner], tick_period)
         for scanner, found in enumerate(tracked)
         for track in found.tracks
         if len(track.hits.times)
     ]
     group_of = {i: i for i in range(len(sampled))}
     members = {i: [i] for i in range(len(sampled))}
-    links = [*_link_simultaneous(sampled, settings), *_link_successive(sampled, settings)]
+    links = [*_link_simultaneous(sampled, settings), *_link_successive(sampled, tick_period, settings)]
     for _, i, j in sorted(links, key=lambda link: -link[0]):
         a, b = group_of[i], group_of[j]
         group, other = ([sampled[k] for k in members[one]] for one in (a, b))
@@ -81,10 +81,10 @@ def group_tracks_by_body(
     return sorted(bodies, key=lambda body: body.start)
 
 
-def _sample_track(scanner: int, track: Track, T: Array) -> _SampledTrack:
-    ticks = np.arange(np.ceil(track.times[0] / TICK_PERIOD), np.floor(track.times[-1] / TICK_PERIOD) + 1)
+def _sample_track(scanner: int, track: Track, T: Array, tick_period: float) -> _SampledTrack:
+    ticks = np.arange(np.ceil(track.times[0] / tick_period), np.floor(track.times[-1] / tick_period) + 1)
     positions = se2.apply(T, track.positions)
-    at_ticks = np.column_stack([np.interp(ticks * TICK_PERIOD, track.times, positions[:, k]) for k in (0, 1)])
+    at_ticks = np.column_stack([np.interp(ticks * tick_period, track.times, positions[:, k]) for k in (0, 1)])
     return _SampledTrack(scanner, track, ticks, at_ticks)
 
 
@@ -113,7 +113,7 @@ def _link_simultaneous(
 
 
 def _link_successive(
-    sampled: Sequence[_SampledTrack], settings: TrackGroupingSettings
+    sampled: Sequence[_SampledTrack], tick_period: float, settings: TrackGroupingSettings
 ) -> list[tuple[float, int, int]]:
     """Links between tracks of one scanner that continue each other: the closer, the stronger."""
     links = []
@@ -132,7 +132,7 @@ def _link_successive(
                 jump = float(np.linalg.norm(later.positions[0] - extrapolated))
                 if jump < settings.max_jump:
                     links.append(
-                        ((1 - gap / settings.max_gap) / TICK_PERIOD * (1 - jump / settings.max_jump), i, j)
+                        ((1 - gap / settings.max_gap) / tick_period * (1 - jump / settings.max_jump), i, j)
                     )
     return links
 
