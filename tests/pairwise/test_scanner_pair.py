@@ -380,18 +380,17 @@ def build_hypothesis(observations: int = 100, chance: float = 0.0, share: float 
 def test_credible_matches_are_several_times_as_many_as_by_chance(chance: float, credible: bool) -> None:
     """100 matches, of which at most a third may be by chance."""
     settings = HypothesisSettings(min_chance_ratio=3.0)
-    assert _is_credible(build_hypothesis(chance=chance), settings) == credible
+    assert _is_credible(build_hypothesis(chance=chance), 20, settings) == credible
 
 
 @pytest.mark.parametrize(("observations", "credible"), [(50, True), (49, False)])
 def test_credible_matches_last_for_the_least_time(observations: int, credible: bool) -> None:
-    settings = HypothesisSettings(min_matched_time=5.0)
-    assert _is_credible(build_hypothesis(observations), settings) == credible
+    assert _is_credible(build_hypothesis(observations), 50, HypothesisSettings()) == credible
 
 
 @pytest.mark.parametrize(("share", "credible"), [(0.41, True), (0.39, False)])
 def test_credible_matches_are_the_least_share_of_the_expected_ones(share: float, credible: bool) -> None:
-    assert _is_credible(build_hypothesis(share=share), HypothesisSettings(min_matched_share=0.4)) == credible
+    assert _is_credible(build_hypothesis(share=share), 20, HypothesisSettings(min_matched_share=0.4)) == credible
 
 
 @pytest.mark.parametrize(("min_samples", "left"), [(100, 100), (101, 1000)])
@@ -399,7 +398,7 @@ def test_pairs_are_subsampled_if_enough_samples_are_left(min_samples: int, left:
     """1000 simultaneous pairs of one person, of which a hundred are wanted."""
     walk = TrackSamples(
         np.arange(1000), np.zeros(1000, np.intp), np.zeros((1000, 2)), np.zeros((1000, 2)),
-        np.tile(np.eye(2), (1000, 1, 1)),
+        np.tile(np.eye(2), (1000, 1, 1)), 0.1,
     )  # fmt: skip
     assert len(_subsample_pairs(pair_samples(walk, walk), 100, min_samples)) == left
 
