@@ -31,23 +31,9 @@ def gauss_newton_step(graph: PoseGraph, T_root_node: Array, weights: Array) -> A
         T_root_node: (N, n+1, n+1) where to linearise.
         weights: (E,) of the edges' squared residuals.
     """
-    i, j = graph.edges.T
-    n = graph.dimension
-    # In the axes of the root: the residual's derivative by node j is the identity, that by node i minus the
-    # adjoint.
-    B = se_n.rotation_adjoint(se_n.rotation(T_root_node))[i]
-    W = weights[:, None, None] * (B @ graph.information @ se_n.transpose(B))
-    r = (B @ residuals(graph, T_root_node)[..., None])[..., 0]
-    J_i = np.zeros_like(W) - np.eye(W.shape[-1])
-    lever = se_n.translation(T_root_node)[j] - se_n.translation(T_root_node)[i]
-    J_i[:, :n, n:] -= se_n.rotation_jacobian(lever)
-    WJ = W @ J_i
-    H = _assemble_blocks(graph, se_n.transpose(J_i) @ WJ, se_n.transpose(WJ), W)
+    H, g = build_normal_equations(graph, T_root_node, weights)
     H = csc_array(H + _RIDGE * float(H.diagonal().mean()) * eye_array(H.shape[0]))
-    g = np.zeros((graph.count, W.shape[-1]))
-    np.add.at(g, i, -np.einsum("eki,ek->ei", WJ, r))
-    np.add.at(g, j, -np.einsum("eij,ej->ei", W, r))
-    return solve_sparse(H, g, np.arange(graph.count) != graph.root, _STEP_TOLERANCE)
+    return -solve_sparse(H, g, np.arange(graph.count) != graph.root, _STEP_TOLERANCE)
 
 
 def optimize_poses(graph: PoseGraph, T_root_node: Array, weights: Array) -> Array:
@@ -81,15 +67,25 @@ def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float, s
     return T_root_node
 
 
-def _assemble_blocks(graph: PoseGraph, ii: Array, ij: Array, jj: Array) -> csc_array:
-    """Sparse symmetric matrix (N k, N k) of the edges' blocks (E, k, k), summed."""
-    i, j = graph.edges.T
-    k = ii.shape[-1]
-    blocks = np.concatenate([ii, ij, se_n.transpose(ij), jj])
-    rows = np.concatenate([i, i, j, j])[:, None, None] * k + np.arange(k)[:, None]
-    columns = np.concatenate([i, j, i, j])[:, None, None] * k + np.arange(k)
-    where = (np.broadcast_to(rows, blocks.shape).ravel(), np.broadcast_to(columns, blocks.shape).ravel())
-    return csc_array(coo_array((blocks.ravel(), where), shape=(graph.count * k, graph.count * k)))
+def build_normal_equations(graph: PoseGraph, T_root_node: Array, weights: Array) -> tuple[csc_array, Array]:
+    """The sparse matrix (N (n+d), N (n+d)) and the gradient (N, n+d) in the root's fixed axes.
+
+    Args:
+        graph: its edges are the residuals.
+        T_root_node: (N, n+1, n+1) where to linearize.
+        weights: (E,) of the edges' squared residuals.
+    """
+    r = residuals(graph, T_root_node)
+    J = np.stack(se_n.relative_pose_jacobians(*np.swapaxes(T_root_node[graph.edges], 0, 1)), axis=1)
+    WJ = (weights[:, None, None] * graph.information)[:, None] @ J
+    g = np.zeros((graph.count, r.shape[-1]))
+    np.add.at(g, graph.edges, np.einsum("evki,ek->evi", WJ, r))
+    blocks = se_n.transpose(J)[:, :, None] @ WJ[:, None]
+    k = r.shape[-1]
+    rows = np.broadcast_to(graph.edges[:, :, None, None, None] * k + np.arange(k)[:, None], blocks.shape)
+    columns = np.broadcast_to(graph.edges[:, None, :, None, None] * k + np.arange(k), blocks.shape)
+    triplets = (blocks.ravel(), (rows.ravel(), columns.ravel()))
+    return csc_array(coo_array(triplets, shape=(graph.count * k, graph.count * k))), g
 
 
 def solve_sparse(H: csc_array, g: Array, free: NDArray[np.bool_], tolerance: float) -> Array:

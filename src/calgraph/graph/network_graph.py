@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.config.settings import GraphSettings
-from calgraph.geometry import Array, se2
-from calgraph.graph.graph_optimization import optimize_poses
+from calgraph.geometry import Array
+from calgraph.graph.graph_optimization import build_normal_equations, optimize_poses
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.pairwise import ScannerPairEstimate
@@ -133,15 +133,9 @@ def compute_joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
 
     Zero for the root. Unobservable directions get a standard deviation of 1000 m or rad.
     """
-    i, j = graph.edges.T
-    jacobians = se2.relative_pose_jacobians(T_root_node[i], T_root_node[j])
-    H = np.zeros((graph.count, graph.count, 3, 3))
-    for a, J_a in enumerate(jacobians):
-        for b, J_b in enumerate(jacobians):
-            block = np.swapaxes(J_a, -1, -2) @ graph.information @ J_b
-            np.add.at(H, (graph.edges[:, a], graph.edges[:, b]), block)
-    flat = H.transpose(0, 2, 1, 3).reshape(3 * graph.count, -1) + _MIN_INFORMATION * np.eye(3 * graph.count)
+    H, _ = build_normal_equations(graph, T_root_node, np.ones(len(graph.edges)))
+    information = np.asarray(H.toarray()) + _MIN_INFORMATION * np.eye(3 * graph.count)
     free = np.repeat(np.arange(graph.count) != graph.root, 3)
-    covariance = np.zeros_like(flat)
-    covariance[np.ix_(free, free)] = np.linalg.inv(flat[np.ix_(free, free)])
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
     return covariance

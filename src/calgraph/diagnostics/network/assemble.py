@@ -11,7 +11,7 @@ from calgraph.diagnostics.verdict import grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.planar_poses import lift_covariance
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
@@ -61,7 +61,7 @@ def assemble_network(
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
     )
-    blocks = covariance.reshape(len(names), 6, len(names), 6)[np.arange(len(names)), :, np.arange(len(names))]
+    blocks = diagonal_blocks(covariance, 6)
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _find_parents(inliers, names)
     T_root_sensor = se2.to_se3(T_root_scanner)

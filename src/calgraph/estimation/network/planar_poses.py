@@ -38,14 +38,9 @@ class PlanarPoses:
         """The same poses in the frame of another scanner, which becomes the first and the root."""
         reordered = self.select([name, *(other for other in self.names if other != name)])
         T, count = reordered.T_root_scanner, len(self.names)
-        arm = T[:, :2, 2] - T[0, :2, 2]
-        by_new_root = -np.tile(np.eye(3), (count, 1, 1))
-        by_new_root[:, 0, 2], by_new_root[:, 1, 2] = arm[:, 1], -arm[:, 0]
-        J = np.eye(3 * count)
+        by_new_root, by_scanner = se2.relative_pose_jacobians(np.broadcast_to(T[0], T.shape), T)
+        J = np.kron(np.eye(count), by_scanner[0])
         J[:, :3] += by_new_root.reshape(-1, 3)
-        rotation = np.eye(3)
-        rotation[:2, :2] = T[0, :2, :2].T
-        J = np.kron(np.eye(count), rotation) @ J
         return PlanarPoses(reordered.names, se2.inverse(T[0]) @ T, J @ reordered.covariance @ J.T)
 
 
@@ -59,7 +54,7 @@ def lift_covariance(planar: Array) -> Array:
 
 def project_to_plane(T: Array) -> Array:
     """Poses (..., 3, 3) in SE(2) from those in SE(3) (..., 4, 4): height and tilt are dropped."""
-    return se2.pose(np.arctan2(T[..., 1, 0], T[..., 0, 0]), T[..., :2, 3])
+    return se2.pose(se2.angle(T), T[..., :2, 3])
 
 
 def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
