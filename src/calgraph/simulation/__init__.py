@@ -1,6 +1,7 @@
 """Simulated recordings with ground truth, of robots with a board and of networks with people."""
 
 from calgraph.simulation.ideal_detections import IdealDetectorOptions, simulate_detections
+from calgraph.simulation.model_errors import BoardErrors, Bump, CameraErrors, ModelErrors, ScannerErrors
 from calgraph.simulation.network_scenario import LayoutName, NetworkScenario, PeopleOptions, ScannerOptions
 from calgraph.simulation.network_simulation import (
     SimulatedNetwork,
@@ -32,10 +33,11 @@ from calgraph.simulation.world import (
 )
 
 __all__ = [
-    "BeamOptions", "BoardTruth", "CameraOptions", "GroundTruth", "IdealDetectorOptions", "LaserOptions",
-    "LayoutName", "MultibeamOptions", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress",
-    "RigScenario", "ScannerOptions", "SimulatedCapture", "SimulatedNetwork", "SpinningOptions",
-    "StationaryScanner", "World", "build_network", "build_world", "ground_truth", "load_truth", "network_rig",
-    "network_truth", "save_truth", "simulate_background", "simulate_captures", "simulate_detections",
-    "simulate_network", "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
+    "BeamOptions", "BoardErrors", "BoardTruth", "Bump", "CameraErrors", "CameraOptions", "GroundTruth",
+    "IdealDetectorOptions", "LaserOptions", "LayoutName", "ModelErrors", "MultibeamOptions", "NetworkScenario",
+    "PeopleOptions", "PersonTruth", "Progress", "RigScenario", "ScannerErrors", "ScannerOptions",
+    "SimulatedCapture", "SimulatedNetwork", "SpinningOptions", "StationaryScanner", "World", "build_network",
+    "build_world", "ground_truth", "load_truth", "network_rig", "network_truth", "save_truth",
+    "simulate_background", "simulate_captures", "simulate_detections", "simulate_network",
+    "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
 ]  # fmt: skip
