@@ -107,7 +107,7 @@ def _find_spans_by_stillness(timeline: RecordingTimeline, settings: CaptureSetti
     fast = [times for times in timeline.sensors.values() if times.period <= settings.max_motion_period]
     if not fast:
         return []
-    spans = [find_still_spans(times.stamps, times.activity) for times in fast]
+    spans = [find_still_spans(times.stamps, times.activity, settings.motion) for times in fast]
     common = spans[0]
     for other in spans[1:]:
         common = _intersect(common, other)

@@ -11,8 +11,7 @@ from calgraph.sensors import Image, LaserScan, Message, PointCloud
 Signature = NDArray[np.float64] | NDArray[np.int64]
 """What is compared of a message: grey values, ranges, or the keys of occupied cells."""
 
-# Ranges of beams without return, m: farther than any wall.
-_NO_RETURN = 100.0
+# Factors that pack the indices of a cell into one key, 21 bits an axis.
 _PACK = np.array([1, 2**21, 2**42])
 _WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
 
@@ -26,7 +25,7 @@ class ActivityMeter:
 
     def measure_change(self, message: Message) -> float:
         """Share of the view, in 0..1, that differs from the message before; 0 for the first."""
-        current = _compute_signature(message, self._settings.cell)
+        current = _compute_signature(message, self._settings)
         previous, self._previous = self._previous, current
         if previous is None:
             return 0.0
@@ -45,18 +44,16 @@ class ActivityMeter:
         return float(np.mean(np.abs(current - previous) > min_change))
 
 
-def _compute_signature(message: Message, cell: float) -> Signature:
+def _compute_signature(message: Message, settings: MotionDetectionSettings) -> Signature:
     if isinstance(message, Image):
         height, width = message.gray.shape
-        return np.asarray(
-            cv2.resize(message.gray, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA),
-            dtype=np.float64,
-        )
+        size = max(width // settings.image_block, 1), max(height // settings.image_block, 1)
+        return np.asarray(cv2.resize(message.gray, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
     if isinstance(message, LaserScan):
         # A beam without return counts as far: a return that appears or vanishes is a change.
-        return np.where(message.valid, message.ranges, _NO_RETURN)
+        return np.where(message.valid, message.ranges, settings.no_return_range)
     if isinstance(message, PointCloud):
-        cells = np.floor(message.points / cell).astype(np.int64) + 2**20
+        cells = np.floor(message.points / settings.cell).astype(np.int64) + 2**20
         return np.unique(cells @ _PACK)
     return np.zeros(0)
 
@@ -65,7 +62,7 @@ def _dilate_cells(cells: Signature) -> Signature:
     return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
 
 
-def find_still_spans(stamps: Array, activity: Array) -> Array:
+def find_still_spans(stamps: Array, activity: Array, settings: MotionDetectionSettings) -> Array:
     """Spans in which a sensor's view rests.
 
     The level between rest and motion is Otsu's threshold on the logarithm of the activity, as noise differs from
@@ -74,14 +71,15 @@ def find_still_spans(stamps: Array, activity: Array) -> Array:
     Args:
         stamps: (N,) s, ascending.
         activity: (N,) change since the message before, 0..1.
+        settings: of the least activity.
 
     Returns:
         (S, 2) first and last stamp of runs of messages without change among them.
     """
     if len(stamps) < 3:
         return np.zeros((0, 2))
-    level = _compute_otsu_threshold(np.log10(activity[1:] + 1e-4))
-    moving = np.log10(activity + 1e-4) > level
+    level = _compute_otsu_threshold(np.log10(activity[1:] + settings.min_activity))
+    moving = np.log10(activity + settings.min_activity) > level
     moving[0] = False
     edges = np.flatnonzero(moving)
     first = np.concatenate([[0], edges])

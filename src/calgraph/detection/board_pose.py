@@ -17,6 +17,13 @@ _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a 2-D normal error, in standard deviations of one coordinate."""
 _MAX_ITERATIONS = 30
 """Most iterations of Levenberg–Marquardt: from the start values of IPPE it converges in fewer than ten."""
+_SAME_POSE = 1e-5
+"""Largest difference of two minima that are one, m and rad: the iteration ends with smaller errors."""
+_MIN_WIDTH_RATIO = 1e-3
+"""Corners whose extents have a smaller ratio lie on one line (numerical rank)."""
+_MIN_COSINE = 0.05
+"""Least cosine of rays and the direction of the board: a pinhole's coordinates are bounded by its inverse. No
+board spans more than 174°."""
 _TOLERANCE, _RELATIVE_TOLERANCE = 1e-14, 1e-9
 """Predicted decrease of the squared reprojection error to stop at, pixels² and relative: 1e-4 of the noise."""
 
@@ -76,7 +83,7 @@ def fit_pose(
     marks, minima = consistent
     inliers = np.repeat(marks[:, None], pixels.shape[1], axis=1)
     readmittable = in_view & ~np.isin(ids, ids[marks])
-    for _ in range(5):
+    for _ in range(settings.max_rejection_rounds):
         if not minima:
             return Rejected("the corners detected do not determine a pose: too few of them, or all on one line")
         distance = _compute_reprojection_errors(minima[0].T, corners, pixels, camera)
@@ -200,7 +207,7 @@ def _find_minima(corners: Array, pixels: Array, camera: CameraModel) -> list[_Po
         if fit is not None and plane.from_pose(fit.T)[3] > 0:
             fits.append(fit)
     fits.sort(key=lambda fit: fit.cost)
-    same = len(fits) == 2 and np.abs(se3.difference(fits[1].T, fits[0].T)).max() < 1e-5
+    same = len(fits) == 2 and np.abs(se3.difference(fits[1].T, fits[0].T)).max() < _SAME_POSE
     return fits[:1] if same else fits
 
 
@@ -209,14 +216,14 @@ def _solve_ippe(corners: Array, rays: Array) -> list[Array]:
     if len(corners) < 4:
         return []
     singular_values = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-    if singular_values[1] < 1e-3 * singular_values[0]:
+    if singular_values[1] < _MIN_WIDTH_RATIO * singular_values[0]:
         return []
     # A pinhole camera that points at the board: fisheye rays may be far from, or behind, the optical axis.
     axis = rays.sum(axis=0)
     axis /= np.linalg.norm(axis)
     R_view_camera = np.concatenate([plane.tangent_basis(axis).T, axis[None]])
     rays_view = rays @ R_view_camera.T
-    if rays_view[:, 2].min() < 0.05:
+    if rays_view[:, 2].min() < _MIN_COSINE:
         return []
     try:
         _, rotations, translations, _ = cv2.solvePnPGeneric(

@@ -248,10 +248,7 @@ def _make_finders(boards: Sequence[Board], settings: CameraDetectionSettings) ->
             case None | AprilGrid():
                 kind = TagFinder if board.pattern is None else GridFinder
                 if (kind, board.family) not in shared:
-                    made = (
-                        TagFinder(board.family, settings.tags) if kind is TagFinder else GridFinder(board.family)
-                    )
-                    shared[kind, board.family] = made
+                    shared[kind, board.family] = kind(board.family, settings.tags)
                 finder = shared[kind, board.family]
                 for mark in marks.ids.tolist():
                     other = board_of_tag.setdefault((kind, board.family, mark), number)

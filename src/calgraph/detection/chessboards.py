@@ -10,10 +10,8 @@ from calgraph.config.settings import CameraDetectionSettings
 from calgraph.detection.tags import Gray, Marks, empty_marks
 from calgraph.geometry import Array
 
-_ATTEMPTS = ((480, 0), (960, cv2.CALIB_CB_NORMALIZE_IMAGE))
-"""Longer side, pixels, to which an image is reduced for a search, and its flags: the search takes 0.05 s and
-0.15 s then, the full image up to 0.6 s, and corners are refined in the full image anyway."""
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+"""Steps of sub-pixel refinement end below 1e-3 pixels, a fiftieth of the noise, or after 40."""
 
 
 class CheckerboardFinder:
@@ -27,7 +25,7 @@ class CheckerboardFinder:
     def __init__(
         self, pattern: Checkerboard, settings: CameraDetectionSettings = CameraDetectionSettings()
     ) -> None:
-        self.pattern, self._window = pattern, settings.checkerboard_window
+        self.pattern, self._settings = pattern, settings
 
     def find(self, gray: Gray) -> Marks:
         """All inner corners of the board in an image (height, width), or none."""
@@ -42,14 +40,15 @@ class CheckerboardFinder:
     def _find_corners(self, gray: Gray) -> Array | None:
         """Corners (rows, columns, 2) in some orientation, refined in the full image."""
         columns, rows = self.pattern.columns, self.pattern.rows
-        for side, flags in _ATTEMPTS:
+        for attempt, side in enumerate(self._settings.checkerboard_sides):
+            flags = cv2.CALIB_CB_NORMALIZE_IMAGE if attempt else 0
             scale = min(1.0, side / max(gray.shape))
             small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else gray
             found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=flags)
             if found:
                 lattice = np.reshape(corners, (rows, columns, 2)).astype(np.float64)
                 ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
-                return _refine_corners(gray, (lattice + 0.5) * ratio - 0.5, self._window)
+                return _refine_corners(gray, (lattice + 0.5) * ratio - 0.5, self._settings)
         return None
 
 
@@ -74,11 +73,11 @@ class CharucoFinder:
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), np.reshape(corners, (-1, 1, 2)).astype(np.float64))
 
 
-def _refine_corners(gray: Gray, lattice: Array, window: float) -> Array:
+def _refine_corners(gray: Gray, lattice: Array, settings: CameraDetectionSettings) -> Array:
     """Corners (rows, columns, 2) refined to sub-pixel accuracy in the full image."""
     gaps = [np.linalg.norm(np.diff(lattice, axis=axis), axis=-1).min() for axis in (0, 1)]
-    # Smaller windows hold no edge, larger ones are slow and bend with the lens, pixels.
-    reach = int(np.clip(window * min(gaps), 2, 12))
+    # A window of fewer pixels than two to each side holds no edge.
+    reach = int(np.clip(settings.checkerboard_window * min(gaps), 2, settings.max_checkerboard_window))
     start = lattice.reshape(-1, 1, 2).astype(np.float32)
     return np.reshape(cv2.cornerSubPix(gray, start, (reach, reach), (-1, -1), _CRITERIA), lattice.shape).astype(
         np.float64

@@ -25,8 +25,8 @@ Indices = NDArray[np.intp]
 
 # Variance in z of end points, m²: keeps their covariance invertible.
 _Z_VARIANCE = 1e-8
-# Samples of RANSAC: a line with a fifth of the beams is drawn with 99.9 % by 169 pairs.
-_MAX_SAMPLES = 300
+# Least difference of two angles whose sine is divided by, rad: keeps the quotient finite.
+_MIN_ANGLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def _split_runs(scan: AveragedScan, noise: RangeNoise, settings: DetectionSettin
     near = np.minimum(scan.ranges[beams[1:]], scan.ranges[beams[:-1]])
     grazing = settings.lidar2d.max_grazing_angle
     noise_gap = settings.scanner.same_surface_sigmas * noise.range
-    max_gap = near * np.sin(step) / np.sin(np.maximum(grazing - step, 1e-3)) + noise_gap
+    max_gap = near * np.sin(step) / np.sin(np.maximum(grazing - step, _MIN_ANGLE)) + noise_gap
     missing = step > settings.lidar2d.gap_spacings * scan.spacing
     splits = (gap > np.maximum(max_gap, 0)) | (missing & (gap > settings.lidar2d.max_gap)) | (step > grazing / 2)
     return np.split(beams, np.flatnonzero(splits) + 1)
@@ -110,7 +110,7 @@ def _extract_lines(
         beams = pending.pop()
         if len(beams) < settings.lidar2d.min_beams:
             continue
-        consensus = _find_consensus_line(scan.points[beams], threshold, rng)
+        consensus = _find_consensus_line(scan.points[beams], threshold, settings.lidar2d.ransac_samples, rng)
         if consensus is None:
             continue
         first, last = _find_longest_run(scan, beams, consensus[1], settings.lidar2d)
@@ -122,7 +122,7 @@ def _extract_lines(
 
 
 def _find_consensus_line(
-    points: Array, threshold: float, rng: np.random.Generator
+    points: Array, threshold: float, max_samples: int, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """The line (angle, distance) with the most inliers among points (N, 2), and the inliers."""
 
@@ -141,9 +141,7 @@ def _find_consensus_line(
         return np.asarray(((points @ n).T - lines[:, 1:]) ** 2)
 
     groups = np.arange(len(points))
-    consensus = find_consensus(
-        groups, 2, solve, squared_residuals, threshold**2, rng=rng, max_samples=_MAX_SAMPLES
-    )
+    consensus = find_consensus(groups, 2, solve, squared_residuals, threshold**2, rng=rng, max_samples=max_samples)
     return None if consensus is None else (consensus.model, consensus.inliers)
 
 
@@ -192,9 +190,9 @@ def _trim_bent_ends(scan: AveragedScan, beams: Indices, start: Array, settings: 
 
     Each of their beams lies within the noise; their means, over a block of beams, do not.
     """
-    size = settings.lidar2d.end_block
-    blocks = np.array_split(beams, len(beams) // size) if len(beams) >= 5 * size else []
-    outer = len(blocks) // 5
+    size, parts = settings.lidar2d.end_block, settings.lidar2d.end_parts
+    blocks = np.array_split(beams, len(beams) // size) if len(beams) >= parts * size else []
+    outer = len(blocks) // parts
     if not outer:
         return beams
     middle = np.concatenate(blocks[outer:-outer])

@@ -24,12 +24,6 @@ from calgraph.geometry import Array, plane
 from calgraph.ransac import find_consensus
 from calgraph.sensors import PointCloud
 
-# Samples of RANSAC, and most points that it samples from: a plane with a third of the points is drawn with 99.9 %.
-_MAX_SAMPLES = 200
-_SAMPLE_POINTS = 400
-# Most points of the scene, evenly chosen, that show whether a candidate stands free.
-_SCENE_POINTS = 30_000
-
 
 def find_patches(
     clouds: Sequence[PointCloud],
@@ -79,7 +73,7 @@ def find_patches(
     regions = [] if cells is None else grow_flat_regions(cells, thickness, settings.lidar3d.regions)
     if cells is None or not regions:
         return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or seen edge-on")
-    subsampled = scene[:: max(1, len(scene) // _SCENE_POINTS)]
+    subsampled = scene[:: max(1, len(scene) // settings.lidar3d.max_scene_points)]
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     patches = [
         _fit_patch(points, cells, region, boards, noise, thickness, subsampled, rng, settings)
@@ -135,7 +129,8 @@ def _fit_patch(
     settings: DetectionSettings,
 ) -> PlanePatch | None:
     """The plane, points and score of one flat region."""
-    surface = _find_consensus_plane(points[np.isin(cells.cell_of_point, region)], thickness, rng)
+    chosen = points[np.isin(cells.cell_of_point, region)]
+    surface = _find_consensus_plane(chosen, thickness, rng, settings.lidar3d)
     if surface is None:
         return None
     members = _collect_plane_points(points, cells, region, surface, thickness)
@@ -154,10 +149,12 @@ def _fit_patch(
     return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, match)
 
 
-def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
+def _find_consensus_plane(
+    points: Array, threshold: float, rng: np.random.Generator, settings: Lidar3dDetectionSettings
+) -> Array | None:
     """The plane (4,) with the most inliers among the points (N, 3)."""
-    if len(points) > _SAMPLE_POINTS:
-        points = points[rng.choice(len(points), _SAMPLE_POINTS, replace=False)]
+    if len(points) > settings.max_ransac_points:
+        points = points[rng.choice(len(points), settings.max_ransac_points, replace=False)]
 
     def solve(samples: Indices) -> Array:
         chosen = points[samples]
@@ -172,7 +169,7 @@ def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Genera
 
     groups = np.arange(len(points))
     consensus = find_consensus(
-        groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=_MAX_SAMPLES
+        groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=settings.ransac_samples
     )
     return None if consensus is None else consensus.model
 
@@ -221,16 +218,14 @@ def _score_patch(
     step = spacing * float(np.linalg.norm(centre))
     limits = settings.lidar3d
     cosine = abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre))
-    # Half a cell's footprint on the plane, and a tenth; at most a quarter of the board's shorter side.
-    reach = min(0.6 * step / max(cosine, limits.min_footprint_cosine), min(board.size) / 4)
+    footprint = limits.footprint_reach * step / max(cosine, limits.min_footprint_cosine)
+    reach = min(footprint, limits.max_reach_ratio * min(board.size))
     rectangle = fit_rectangle(surface, cells, board.size, reach, limits.outline_blur)
     if rectangle.covered * rectangle.contained < limits.min_score:
         return 0.0, rectangle
-    # At least one cell and a half wide.
-    frame = max(settings.scanner.surroundings, 1.5 * step)
+    frame = max(settings.scanner.surroundings, limits.min_frame_cells * step)
     solidity, isolation = measure_solidity_and_isolation(rectangle, scene, thickness, frame, settings)
-    # A few cells fit any outline: far walls hit by few rings are no boards.
-    resolution = min(1.0, min(board.size) / (4 * step))
+    resolution = min(1.0, min(board.size) / (limits.resolved_cells * step))
     return rectangle.covered * rectangle.contained * solidity * isolation * resolution, rectangle
 
 

@@ -14,8 +14,6 @@ from calgraph.detection.tags import Gray
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 
-_LONGEST = 2000
-"""Most pixels along an edge of the view: bounds memory and time."""
 _STEP = 8
 """The map from view to image is computed every 8 pixels, and interpolated: it is smooth."""
 
@@ -64,7 +62,7 @@ def rectify_view(gray: Gray, camera: CameraModel, corners: Array, settings: TagS
     focal = settings.view_scale * float(np.median(_edge_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
     margin = settings.view_margin * edges.max()
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
-    focal = min(focal, _LONGEST / (high - low).max())
+    focal = min(focal, settings.max_view_size / (high - low).max())
     width, height = np.ceil(focal * (high - low)).astype(int) + 1
     nodes = np.stack(np.meshgrid(_grid_nodes(width), _grid_nodes(height)), axis=-1)
     sparse = _project_to_image(nodes, camera, R_camera_view, focal, low)

@@ -11,9 +11,6 @@ from calgraph.config.settings import RegionSettings
 from calgraph.detection.voxel_normals import Cells, Indices
 from calgraph.geometry import Array, plane
 
-# A region's plane is fitted anew whenever the region has grown by this factor.
-_REFIT = 1.2
-
 
 def grow_flat_regions(cells: Cells, thickness: float, settings: RegionSettings) -> list[Indices]:
     """Cells of each flat region, the region with the flattest seed first.
@@ -58,7 +55,7 @@ def _grow_region(
         frontier = reached[joins]
         inside[frontier] = True
         size += len(frontier)
-        if size >= max(settings.min_cells, _REFIT * fitted):
+        if size >= max(settings.min_cells, settings.refit_growth * fitted):
             surface, fitted = plane.fit(cells.points[inside]), size
     members = np.flatnonzero(inside)
     # The plane moved while the region grew: cells that joined early may be off it.

@@ -11,9 +11,6 @@ from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.geometry import Array, Index
 from calgraph.sensors import LaserScan, align_ranges
 
-# Widest gap of a full turn between last and first beam, in beam spacings: some beams may have no return.
-_SEAM = 20
-
 
 @dataclass(frozen=True, eq=False)
 class AveragedScan:
@@ -93,13 +90,14 @@ def average_scans(
             noise.angle / np.sqrt(count),
             np.asarray(2 * votes[kept] > answered[kept]),
             float(np.median(np.diff(angles))),
-        )
+        ),
+        settings.max_seam_spacings,
     )
 
 
-def _move_seam(scan: AveragedScan) -> AveragedScan:
+def _move_seam(scan: AveragedScan, max_spacings: float) -> AveragedScan:
     """Starts a scan that goes all around at its largest jump in range, so that no board lies across the seam."""
-    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - _SEAM * scan.spacing:
+    if scan.angles[-1] - scan.angles[0] < 2 * np.pi - max_spacings * scan.spacing:
         return scan
     start = int(np.argmax(np.abs(np.diff(scan.ranges)))) + 1
     turned = np.roll(scan.angles, -start)

@@ -1,5 +1,6 @@
 """Detection of AprilTags in an image: single tags by the AprilTag library, Kalibr's grids by OpenCV."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from calgraph.geometry import Array
 
 Gray = NDArray[np.uint8]
 
+# Steps of sub-pixel refinement end below 1e-3 pixels, a fiftieth of the noise, or after 40.
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
 
 
@@ -52,7 +54,7 @@ class TagFinder:
         corrected = settings.min_corrected_margin
         # Least decision margin by the number of corrected bits; tags with more corrections are rejected.
         self._margins = (corrected,) if family == "tag16h5" else (settings.min_decision_margin, corrected)
-        self._coarse = _make_detector(family, quad_decimate=2.0, quad_sigma=0.8)
+        self._coarse = _make_detector(family, quad_decimate=2.0, quad_sigma=settings.half_resolution_blur)
         self._fine = _make_detector(family, quad_decimate=1.0, quad_sigma=0.0)
 
     def find(self, gray: Gray) -> Marks:
@@ -69,6 +71,7 @@ class TagFinder:
         return Marks(found.ids, found.pixels + low)
 
     def _decode(self, detector: Any, gray: Gray) -> Marks:
+        # No tag has fewer pixels, and the library fails on such images.
         if min(gray.shape) < 8:
             return empty_marks(4)
         tags = [
@@ -89,8 +92,8 @@ class TagFinder:
 class GridFinder:
     """Finds the tags of Kalibr's grids, which have borders two bits wide and squares at their corners."""
 
-    def __init__(self, family: Family) -> None:
-        self.family = family
+    def __init__(self, family: Family, settings: TagSettings = TagSettings()) -> None:
+        self.family, self._windows = family, settings.saddle_windows
         parameters = cv2.aruco.DetectorParameters()
         parameters.markerBorderBits = 2
         self._detector = cv2.aruco.ArucoDetector(dictionary(FAMILIES[family]), parameters)
@@ -100,7 +103,7 @@ class GridFinder:
         corners, ids, _ = self._detector.detectMarkers(gray)
         if not len(corners):
             return empty_marks(4)
-        pixels = np.array([_refine_saddles(gray, np.reshape(c, (4, 2))) for c in corners])
+        pixels = np.array([_refine_saddles(gray, np.reshape(c, (4, 2)), self._windows) for c in corners])
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), pixels)
 
 
@@ -113,15 +116,15 @@ def _make_detector(family: Family, quad_decimate: float, quad_sigma: float) -> A
     return detector
 
 
-def _refine_saddles(gray: Gray, corners: NDArray[np.float32]) -> Array:
+def _refine_saddles(gray: Gray, corners: NDArray[np.float32], windows: Sequence[float]) -> Array:
     """Corners (4, 2) moved to the saddle points next to them.
 
     OpenCV's quadrilateral may be off by 3 % of its circumference, an eighth of an edge, where the squares touch
-    it; the next saddle point is at least 0.2 edges away.
+    it; the next saddle point is at least 0.2 edges away. Half widths of windows are in edges.
     """
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min()
     refined = corners.reshape(4, 1, 2).astype(np.float32)
-    for share in (0.14, 0.07):
+    for share in windows:
         reach = max(2, round(share * edge))
         cv2.cornerSubPix(gray, refined, (reach, reach), (-1, -1), _CRITERIA)
     return np.asarray(refined[:, 0], dtype=np.float64)

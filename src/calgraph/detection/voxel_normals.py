@@ -16,11 +16,11 @@ from calgraph.geometry import Array
 
 Indices = NDArray[np.intp]
 
-# Steps of elevation: width of a bin, and least distance of two rings, rad.
-_ELEVATION_BIN = np.radians(0.1)
-_MIN_RING_STEP = np.radians(0.05)
-# Least share of all points in a bin of a ring: rings are counted by it where they have no numbers.
-_MIN_RING_SHARE = 2e-4
+# Percentage of the steps between rings that are no larger than their spacing: LiDARs have denser rings near the
+# horizon.
+_SPACING_PERCENTILE = 75
+# Least cosine of an elevation by which the width of a cell is divided: keeps it finite at the poles.
+_MIN_POLE_COSINE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,12 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
     """Averages points (N, 3) in cells, removes stray cells and finds normals; None if too few are left."""
     regions = settings.lidar3d.regions
     levels = _find_ring_elevations(points, rings, settings.lidar3d.regions)
-    across = float(np.percentile(np.diff(levels), 75)) if levels is not None else regions.cell_angle
-    along = max(regions.min_ring_cell_angle, across / 3) if levels is not None else regions.cell_angle
+    across = (
+        float(np.percentile(np.diff(levels), _SPACING_PERCENTILE)) if levels is not None else regions.cell_angle
+    )
+    along = (
+        max(regions.min_ring_cell_angle, across / regions.ring_cells) if levels is not None else regions.cell_angle
+    )
     # Points of one direction cell whose ranges differ by a depth jump are on two surfaces.
     cell = _assign_cells(points, levels, along, settings.scanner.min_depth_jump)
     means = _average_cells(points, cell)
@@ -63,7 +67,7 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
         return None
     new_index = np.where(keep, np.cumsum(keep) - 1, -1)
     neighbours = np.where(near, new_index[neighbours], -1)[keep]
-    normals, curvature = _estimate_normals(means[keep], neighbours, regions.min_neighbours)
+    normals, curvature = _estimate_normals(means[keep], neighbours, settings.lidar3d.regions)
     return Cells(means[keep], new_index[cell], spacing, neighbours, normals, curvature)
 
 
@@ -76,13 +80,15 @@ def _find_ring_elevations(
         levels = np.sort([np.median(elevation[rings == ring]) for ring in np.unique(rings)])
     else:
         # The histogram of elevations of a multi-beam scanner has few narrow peaks.
-        bins = np.floor(elevation / _ELEVATION_BIN).astype(np.int64)
+        bins = np.floor(elevation / settings.elevation_bin).astype(np.int64)
         values, count = np.unique(bins, return_counts=True)
-        values = values[count > _MIN_RING_SHARE * len(points)]
+        values = values[count > settings.min_ring_share * len(points)]
         peaks = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
-        levels = np.array([_ELEVATION_BIN * (peak.mean() + 0.5) for peak in peaks if len(peak)])
-    levels = levels[np.append(True, np.diff(levels) > _MIN_RING_STEP)] if len(levels) else levels
-    if len(levels) < 2 or np.percentile(np.diff(levels), 75) < 1.5 * settings.cell_angle:
+        levels = np.array([settings.elevation_bin * (peak.mean() + 0.5) for peak in peaks if len(peak)])
+    levels = levels[np.append(True, np.diff(levels) > settings.min_ring_step)] if len(levels) else levels
+    if len(levels) < 2:
+        return None
+    if np.percentile(np.diff(levels), _SPACING_PERCENTILE) < settings.sparse_ring_ratio * settings.cell_angle:
         return None
     return np.asarray(levels)
 
@@ -96,7 +102,7 @@ def _assign_cells(points: Array, levels: Array | None, along: float, depth_step:
     else:
         row = np.searchsorted(0.5 * (levels[1:] + levels[:-1]), elevation)
     # Cells keep their width towards the poles.
-    width = along / np.maximum(np.cos(row * along - np.pi if levels is None else levels[row]), 0.02)
+    width = along / np.maximum(np.cos(row * along - np.pi if levels is None else levels[row]), _MIN_POLE_COSINE)
     column = np.floor((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / width).astype(np.int64)
     depth = np.floor(radius / depth_step).astype(np.int64)
     _, cell = np.unique((row << 40) | (column << 24) | np.minimum(depth, 2**24 - 1), return_inverse=True)
@@ -118,7 +124,7 @@ def _select_inlier_cells(relative: Array, near: NDArray[np.bool_], settings: Reg
     return np.asarray(enough & (mean < usual.mean() + settings.stray_sigmas * usual.std() + 1e-9))
 
 
-def _estimate_normals(points: Array, neighbours: Indices, min_neighbours: int) -> tuple[Array, Array]:
+def _estimate_normals(points: Array, neighbours: Indices, settings: RegionSettings) -> tuple[Array, Array]:
     valid = neighbours >= 0
     offsets = np.where(valid[..., None], points[neighbours] - points[:, None], 0)
     count = np.maximum(valid.sum(axis=1), 1)
@@ -127,6 +133,6 @@ def _estimate_normals(points: Array, neighbours: Indices, min_neighbours: int) -
     values, vectors = np.linalg.eigh(scatter)
     normals = vectors[..., 0]
     normals *= -np.sign(np.sum(normals * points, axis=1, keepdims=True))
-    line = (values[:, 1] < 0.02 * values[:, 2]) | (count <= min_neighbours)
+    line = (values[:, 1] < settings.min_width_ratio * values[:, 2]) | (count <= settings.min_neighbours)
     curvature = np.where(line, np.inf, np.maximum(values[:, 0], 0) / np.maximum(values.sum(axis=1), 1e-12))
     return np.where(line[:, None], 0, normals), curvature

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from calgraph.config.settings import EllipseSettings
 from calgraph.geometry import Array, ellipse
 
-# Most Gauss-Newton steps of a batch; it ends earlier where all steps are below the next bound.
-_ITERATIONS = 8
+# Mean of a visible half before the centre, in radii: of a start value.
+_MEAN_DEPTH = 0.7
 # Steps smaller than this, m and rad, end the iterations.
 _CONVERGED = 5e-4
 # Information that regularises unobservable directions, 1/m² and 1/rad²: the orientation of a circle, or the pose
@@ -86,13 +86,13 @@ def fit_ellipses(
     shape = np.concatenate([_initial_centers(groups, radii, prior), prior.angle[:, None], fixed_radii], axis=-1)
     phases = _initial_phases(shape, groups.points)
     weights = groups.used.astype(float)
-    for _ in range(_ITERATIONS):
+    for _ in range(settings.max_steps):
         residual, J, tangents, off = _linearize(shape, phases, groups.points)
         weights = groups.used / np.maximum(1.0, np.abs(residual) / (settings.huber_sigmas * sigma))
         H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma, settings.min_edge_sigma)
         step = np.asarray(np.linalg.solve(H, g[..., None])[..., 0])
         # A short arc barely constrains the orientation: a full step from a poor start may flip it.
-        step[:, 2] = np.clip(step[:, 2], -0.3, 0.3)
+        step[:, 2] = np.clip(step[:, 2], -settings.max_turn, settings.max_turn)
         step[:, :2] /= np.maximum(1.0, np.linalg.norm(step[:, :2], axis=-1, keepdims=True) / max(radii))
         shape[:, :3] += step
         moved = off - _point_displacements(shape, phases, step)
@@ -116,8 +116,7 @@ def _initial_centers(groups: PointGroups, radii: tuple[float, float], prior: Ori
     sight = means / np.maximum(distance, 1e-9)
     turned = np.arctan2(sight[:, 1], sight[:, 0]) - prior.angle
     depth = np.hypot(radii[0] * np.cos(turned), radii[1] * np.sin(turned))
-    # The mean of a visible half lies about 0.7 radii before the centre.
-    return np.asarray(means + 0.7 * depth[:, None] * sight)
+    return np.asarray(means + _MEAN_DEPTH * depth[:, None] * sight)
 
 
 def _initial_phases(shape: Array, points: Array) -> Array:

@@ -9,11 +9,18 @@ class MotionDetectionSettings(StrictModel):
     """The change of a sensor's view between two messages."""
 
     min_gray_change: float = Field(default=12.0, gt=0)
-    """Change of a grey value, averaged over 8 x 8 pixels, that counts as motion: noise and flicker stay below."""
+    """Change of a grey value, averaged over a block, that counts as motion: noise and flicker stay below."""
+    image_block: int = Field(default=8, ge=1)
+    """Edge of the blocks of an image that are averaged, pixels: noise of a pixel falls to an eighth."""
     min_range_change: float = Field(default=0.05, gt=0)
     """Change of a range, m, that counts as motion: more than twice the noise of a 2-D scanner (20 mm)."""
     min_range_change_ratio: float = Field(default=0.02, ge=0)
     """The same over the smaller of both ranges: noise of ranges and of angles of incidence grows with range."""
+    no_return_range: float = Field(default=100.0, gt=0)
+    """Range of a beam without return, m: farther than any wall, so that a return that appears is a change."""
+    min_activity: float = Field(default=1e-4, gt=0)
+    """Change of a view, 0..1, added before the logarithm in which rest and motion are separated: less than one
+    beam of a thousand, so that views without any change do not dominate."""
     cell: float = Field(default=0.2, gt=0)
     """Cell by whose occupation two clouds are compared, m: points in cells next to occupied ones have not moved,
     as noise alone takes points across borders of cells."""

@@ -19,6 +19,8 @@ class BoardPoseSettings(StrictModel):
     ambiguity_chi2: float = Field(default=9.0, gt=0)
     """Both tilts of a planar PnP are rejected as ambiguous if their squared errors differ by fewer variances: a
     likelihood ratio of exp(4.5) = 90."""
+    max_rejection_rounds: int = Field(default=5, ge=1)
+    """Most rounds of solving and rejecting corners: they end where the inliers stay the same."""
     max_rms_sigmas: float = Field(default=10.0, gt=0)
     """Largest RMS reprojection error, in stated standard deviations: beyond it size or intrinsics are wrong, as
     motion blur triples the noise at most."""
@@ -35,6 +37,12 @@ class TagSettings(StrictModel):
     half_resolution_above: int = Field(default=500_000, gt=0)
     """Images with more pixels are searched at half their resolution, at a ninth of the time: tags down to about
     20 pixels are found, and corners are refined at full resolution (RMS 0.06 instead of 0.05 px)."""
+    half_resolution_blur: float = Field(default=0.8, ge=0)
+    """Standard deviation of the blur of images that are searched at half their resolution, pixels of these: the
+    value that the authors of the AprilTag library recommend for noisy images."""
+    saddle_windows: tuple[float, ...] = (0.14, 0.07)
+    """Half widths of the windows in which corners of Kalibr's tags are moved to saddle points, in edges of a tag:
+    the first one contains the error of OpenCV's quadrilateral, an eighth, and not the next saddle at 0.2."""
     search_margin: float = Field(default=0.5, ge=0)
     """Margin around predicted tags in the second search, in edges of a tag: the error of a prediction."""
     min_search_margin: float = Field(default=10.0, ge=0)
@@ -44,6 +52,8 @@ class TagSettings(StrictModel):
     view_margin: float = Field(default=0.4, ge=0)
     """Margin around the tags in a rectified view, in edges of the largest tag: its white border and the error of
     the prediction."""
+    max_view_size: int = Field(default=2000, gt=0)
+    """Most pixels along an edge of a rectified view: bounds memory and time."""
     max_view_tangent: float = Field(default=4.0, gt=0)
     """Tangent of the largest angle between a corner and the axis of a rectified view (76°): beyond it the view is
     stretched more than tenfold towards its edge."""
@@ -57,6 +67,12 @@ class CameraDetectionSettings(StrictModel):
     min_motion_noise: float = Field(default=0.2, gt=0)
     """Least noise of a corner, pixels, in the test whether the board moved between images (by
     ``pose.outlier_sigmas`` of it): 1 px of motion is accepted, as averaging halves its effect."""
+    checkerboard_sides: tuple[int, ...] = (480, 960)
+    """Longer sides, pixels, to which an image is reduced for the search of a checkerboard, one after the other: it
+    takes 0.05 s and 0.15 s then, the full image up to 0.6 s, and corners are refined in the full image."""
+    max_checkerboard_window: int = Field(default=12, ge=2)
+    """Largest half width of the window of sub-pixel refinement, pixels: larger ones are slow and bend with the
+    lens."""
     checkerboard_window: float = Field(default=0.35, gt=0, lt=0.5)
     """Half width of the window of sub-pixel refinement, in squares of the checkerboard: at half a square, it
     reaches the next corner."""
@@ -103,6 +119,9 @@ class ScannerDetectionSettings(StrictModel):
     +15 mm, boards bow by some millimetres, and fingers on the board are as thick."""
     same_surface_sigmas: float = Field(default=4.0, gt=0)
     """The same distance in standard deviations of a range: 6e-5 of the correct ones are beyond."""
+    max_seam_spacings: float = Field(default=20.0, ge=1)
+    """Widest gap between the last and the first beam of a scan all around, in beam spacings: some beams may have
+    no return. The scan is cut at a jump in range then, so that no board lies across the seam."""
     surroundings: float = Field(default=0.15, gt=0)
     """Width around the board, m, that is searched for its edges, and in which it must stand free: wider, arms and
     body of the operator are inside."""
@@ -135,6 +154,11 @@ class Lidar2dDetectionSettings(StrictModel):
     max_end_offset: float = Field(default=0.006, gt=0)
     """Least offset of a block of beams at an end of the line, m, at which it is cut off: scanners bend straight
     boards by this much. With legs beside the board, whitened errors of end points fall from 5.0 to 1.3."""
+    ransac_samples: int = Field(default=300, ge=1)
+    """Samples of RANSAC: a line with a fifth of the beams is drawn with 99.9 % by 169 pairs."""
+    end_parts: int = Field(default=5, ge=3)
+    """One part of so many at either end of a line may be bent, if it has that many blocks of beams: the others
+    determine the line."""
     end_block: int = Field(default=5, gt=1)
     """Beams whose median offset decides whether an end of the line is bent: it has 0.56 of the noise of a beam."""
     mixed_beams: int = Field(default=2, ge=0)
@@ -156,6 +180,24 @@ class RegionSettings(StrictModel):
     """Edge of a direction cell, 0.7°: 12 mm at one metre and 8 cells across a board of 0.6 m at 6 m."""
     min_ring_cell_angle: float = Field(default=math.radians(0.4), gt=0)
     """Least width of a cell along a sparse ring, 0.4°; wider ones have a third of the spacing of rings."""
+    elevation_bin: float = Field(default=math.radians(0.1), gt=0)
+    """Bin of the histogram of elevations by which rings without numbers are found, rad (0.1°): the spread within a
+    ring."""
+    min_ring_share: float = Field(default=2e-4, gt=0, lt=1)
+    """Least share of all points in a bin of a ring: a ring of 128 has a share of 8e-3, bins of stray points far
+    less."""
+    min_ring_step: float = Field(default=math.radians(0.05), gt=0)
+    """Least elevation between two rings, rad (0.05°): half of that of the densest LiDARs; closer ones are one."""
+    sparse_ring_ratio: float = Field(default=1.5, gt=0)
+    """Rings are sparse if their spacing (75 % quantile) is at least this many cells: below, square cells hold
+    points of several rings."""
+    ring_cells: float = Field(default=3.0, ge=1)
+    """Cells along a sparse ring for its spacing: normals need several along a ring where there are few rings."""
+    refit_growth: float = Field(default=1.2, gt=1)
+    """Growth of a region after which its plane is fitted again: its normal is then a sixth more accurate."""
+    min_width_ratio: float = Field(default=0.02, ge=0, lt=1)
+    """Least ratio of the neighbours' scatter across and along their longest direction, for a normal: those of one
+    ring lie on a line."""
     neighbours: int = Field(default=16, ge=8)
     """Neighbours of a cell from which its normal is computed: two rings of a square grid hold 24."""
     ring_neighbours: int = Field(default=24, ge=8)
@@ -183,6 +225,21 @@ class Lidar3dDetectionSettings(StrictModel):
     """Least points on the board: the standard deviation of its offset is then a quarter of that of a range."""
     min_rings: int = Field(default=3, ge=2)
     """Least rings on the board: two determine a plane without any residual."""
+    ransac_samples: int = Field(default=200, ge=1)
+    """Samples of RANSAC: a plane with a third of the points is drawn with 99.9 %."""
+    max_ransac_points: int = Field(default=400, ge=3)
+    """Most points that RANSAC draws from and scores: the share of inliers is accurate to 2.5 %."""
+    max_scene_points: int = Field(default=30_000, ge=1)
+    """Most points of the scene, evenly chosen, that show whether a candidate stands free: bounds the time."""
+    footprint_reach: float = Field(default=0.6, gt=0)
+    """Reach of a cell on the plane, in spacings of cells: half of its footprint, and a tenth."""
+    max_reach_ratio: float = Field(default=0.25, gt=0)
+    """Largest reach over the shorter side of the board: farther, single cells would cover it."""
+    min_frame_cells: float = Field(default=1.5, gt=0)
+    """Least width of the frame around a board that must be empty, in spacings of cells: it contains a cell."""
+    resolved_cells: float = Field(default=4.0, gt=0)
+    """Cells across the shorter side from which the score is not reduced: a few cells fit any outline, as of far
+    walls."""
     min_range: float = Field(default=0.1, ge=0)
     """Shorter ranges, m, are returns from the housing or the robot, or mark missing beams."""
     min_score: float = Field(default=0.1, ge=0, lt=1)

@@ -121,6 +121,11 @@ class SmoothingSettings(StrictModel):
 class EllipseSettings(StrictModel):
     """Centres of objects by ellipses with the target's radii."""
 
+    max_steps: int = Field(default=8, ge=1)
+    """Most Gauss–Newton steps of a fit: from its start value it converges in a few, and short arcs hardly do."""
+    max_turn: float = Field(default=0.3, gt=0)
+    """Largest change of the orientation in a step, rad (17°): a short arc barely constrains it, and a full step
+    from a poor start may flip it."""
     huber_sigmas: float = Field(default=2.5, gt=0)
     """Huber threshold in standard deviations of a point: arms, and beams at the object's edge, lie beyond it."""
     min_edge_sigma: float = Field(default=1e-3, gt=0)
