@@ -9,7 +9,8 @@ from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array
 from calgraph.graph import PoseGraph, average_poses, tree_consensus
 from calgraph.graph.random_trees import compute_tree_poses
-from calgraph.graph.tree_consensus import _cheapest_tree, _draw_edge_costs
+from calgraph.graph.tree_consensus import _draw_edge_costs
+from calgraph.graph.tree_cuts import find_minimum_tree
 from pose_graphs import complete, measured, true_poses
 
 
@@ -25,7 +26,7 @@ def test_the_first_tree_has_the_least_total_cost(seed: int) -> None:
         if graph.select_edges(np.isin(np.arange(len(edges)), chosen)).find_reachable().all()
     ]
     cheapest = min(trees, key=lambda chosen: costs[chosen].sum())
-    assert np.flatnonzero(_cheapest_tree(graph, costs)).tolist() == cheapest
+    assert np.flatnonzero(find_minimum_tree(graph, costs)).tolist() == cheapest
 
 
 def test_the_first_tree_excludes_the_edge_of_least_weight(rng: np.random.Generator) -> None:

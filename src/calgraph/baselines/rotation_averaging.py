@@ -3,19 +3,21 @@
 The default is :func:`calgraph.graph.average_poses`, which averages whole poses.
 """
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import block_array, coo_array, csc_array, csr_array, eye_array
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.sparse.linalg import eigsh
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se_n
 from calgraph.graph.cycles import Cycle, find_cycle_basis, incidence_matrix, list_incident_edges
-from calgraph.graph.graph_optimization import solve_sparse
+from calgraph.graph.graph_optimization import assemble_blocks, solve_sparse
 from calgraph.graph.pose_graph import Edges, PoseGraph
+from calgraph.graph.random_trees import compute_tree_poses
+from calgraph.graph.tree_cuts import find_minimum_tree
 
 # Up to this number of rows, all eigenvectors are computed by a dense solver; above, the leading ones only.
 _MAX_DENSE = 300
@@ -179,8 +181,8 @@ def _linearize_cycles(R_i_j: Array, cycles: tuple[Cycle, ...]) -> tuple[csr_arra
             R = after
         errors[c] = se_n.log(R)
     where = np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
-    A = _sparse_blocks(*where, np.array(blocks).reshape(-1, 3, 3), len(cycles), len(R_i_j))
-    return A, errors.ravel()
+    A = assemble_blocks(*where, np.array(blocks).reshape(-1, 3, 3), len(cycles), len(R_i_j))
+    return csr_array(A), errors.ravel()
 
 
 def _minimize_absolute_sum(A: csr_array, b: Array, weights: Array, soft: bool) -> Array:
@@ -208,38 +210,18 @@ def _minimize_absolute_sum(A: csr_array, b: Array, weights: Array, soft: bool) -
 
 def _chain_along_tree(graph: PoseGraph, R_i_j: Array, cost: Array) -> Array:
     """Rotations (N, n, n) along the spanning tree of least costs (E,) of the edges."""
-    i, j = graph.edges.T
-    # SciPy treats stored zeros as missing edges, and sums alternatives: only the best one is given.
-    value = 1.0 + cost
-    order = np.lexsort((value, graph.pair_of_edge))
-    best = order[np.unique(graph.pair_of_edge[order], return_index=True)[1]]
-    edge_of = {(int(a), int(b)): int(e) for e in best for a, b in ((i[e], j[e]), (j[e], i[e]))}
-    shape = (graph.count, graph.count)
-    tree = minimum_spanning_tree(csr_array((value[best], (i[best], j[best])), shape=shape))
-    nodes, before = breadth_first_order(tree, graph.root, directed=False)
-    R = np.zeros((graph.count, *R_i_j.shape[1:])) + np.eye(R_i_j.shape[-1])
-    for node in nodes[1:]:
-        parent = int(before[node])
-        e = edge_of[parent, int(node)]
-        R[node] = R[parent] @ (R_i_j[e] if i[e] == parent else R_i_j[e].T)
-    return R
+    # SciPy treats stored zeros as missing edges.
+    in_tree = find_minimum_tree(graph, 1.0 + cost)
+    rotations = replace(graph, T_i_j=se_n.pose(R_i_j, np.zeros((len(R_i_j), graph.dimension))))
+    return se_n.rotation(compute_tree_poses(rotations.select_edges(in_tree), np.ones((1, graph.count - 1)))[0])
 
 
 def _block_matrix(graph: PoseGraph, blocks: Array) -> csr_array:
     """Sparse symmetric matrix (N n, N n) with the blocks (E, n, n) at (i, j), summed over alternatives."""
     i, j = graph.edges.T
     rows, columns = np.concatenate([i, j]), np.concatenate([j, i])
-    return _sparse_blocks(
-        rows, columns, np.concatenate([blocks, se_n.transpose(blocks)]), graph.count, graph.count
-    )
-
-
-def _sparse_blocks(rows: Edges, columns: Edges, blocks: Array, height: int, width: int) -> csr_array:
-    """Sparse matrix of square blocks (B, k, k) at block rows and columns (B,), summed where several coincide."""
-    k = blocks.shape[-1]
-    r = np.broadcast_to(rows[:, None, None] * k + np.arange(k)[:, None], blocks.shape)
-    c = np.broadcast_to(columns[:, None, None] * k + np.arange(k), blocks.shape)
-    return csr_array((blocks.ravel(), (r.ravel(), c.ravel())), shape=(height * k, width * k))
+    both_ways = np.concatenate([blocks, se_n.transpose(blocks)])
+    return csr_array(assemble_blocks(rows, columns, both_ways, graph.count, graph.count))
 
 
 def _leading_eigenvectors(G: csr_array, n: int) -> Array:

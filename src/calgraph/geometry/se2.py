@@ -18,17 +18,9 @@ from calgraph.geometry.se_n import (
 )
 
 __all__ = [
-    "angle",
-    "apply",
-    "compose_covariance",
-    "difference",
-    "inverse",
-    "inverse_covariance",
-    "pose",
-    "relative_pose_jacobians",
-    "retract",
-    "to_se3",
-]
+    "angle", "apply", "compose_covariance", "difference", "inverse", "inverse_covariance", "pose",
+    "relative_pose_jacobians", "retract", "to_se3",
+]  # fmt: skip
 
 
 def pose(theta: Array | float, t: Array) -> Array:

@@ -21,17 +21,9 @@ from calgraph.geometry.se_n import (
 )
 
 __all__ = [
-    "apply",
-    "compose_covariance",
-    "difference",
-    "from_xyz_quaternion",
-    "inverse",
-    "inverse_covariance",
-    "pose",
-    "relative_covariance",
-    "relative_pose_jacobians",
-    "retract",
-]
+    "apply", "compose_covariance", "difference", "from_xyz_quaternion", "inverse", "inverse_covariance", "pose",
+    "relative_covariance", "relative_pose_jacobians", "retract",
+]  # fmt: skip
 
 
 def from_xyz_quaternion(xyz: Array, xyzw: Array) -> Array:

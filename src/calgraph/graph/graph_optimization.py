@@ -82,10 +82,18 @@ def build_normal_equations(graph: PoseGraph, T_root_node: Array, weights: Array)
     np.add.at(g, graph.edges, np.einsum("evki,ek->evi", WJ, r))
     blocks = se_n.transpose(J)[:, :, None] @ WJ[:, None]
     k = r.shape[-1]
-    rows = np.broadcast_to(graph.edges[:, :, None, None, None] * k + np.arange(k)[:, None], blocks.shape)
-    columns = np.broadcast_to(graph.edges[:, None, :, None, None] * k + np.arange(k), blocks.shape)
-    triplets = (blocks.ravel(), (rows.ravel(), columns.ravel()))
-    return csc_array(coo_array(triplets, shape=(graph.count * k, graph.count * k))), g
+    rows, columns = np.repeat(graph.edges, 2, axis=1).ravel(), np.tile(graph.edges, 2).ravel()
+    return csc_array(assemble_blocks(rows, columns, blocks.reshape(-1, k, k), graph.count, graph.count)), g
+
+
+def assemble_blocks(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], blocks: Array, height: int, width: int
+) -> coo_array:
+    """Sparse matrix of square blocks (B, k, k) at block rows and columns (B,), summed where several coincide."""
+    k = blocks.shape[-1]
+    i = np.broadcast_to(rows[:, None, None] * k + np.arange(k)[:, None], blocks.shape)
+    j = np.broadcast_to(columns[:, None, None] * k + np.arange(k), blocks.shape)
+    return coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(height * k, width * k))
 
 
 def solve_sparse(H: csc_array, g: Array, free: NDArray[np.bool_], tolerance: float) -> Array:

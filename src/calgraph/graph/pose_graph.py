@@ -65,8 +65,8 @@ class PoseGraph:
                 " leave them out, or add pairs that reach them"
             )
 
-    def select_edges(self, keep: NDArray[np.bool_]) -> "PoseGraph":
-        """The graph of some of its edges (E,), between the same nodes."""
+    def select_edges(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "PoseGraph":
+        """The graph of some of its edges, by a mask (E,) or by index, between the same nodes."""
         return PoseGraph(self.count, self.edges[keep], self.T_i_j[keep], self.information[keep], self.root)
 
     def with_error_floor(self, position: float, angle: float) -> "PoseGraph":

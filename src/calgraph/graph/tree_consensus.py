@@ -6,8 +6,6 @@ cycles more often. The best trees by truncated residuals of whole transforms are
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.special import chdtri
 
 from calgraph.config.settings import GraphSettings
@@ -16,7 +14,7 @@ from calgraph.graph.cycles import edge_support, find_cycle_basis, find_cycles_th
 from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
-from calgraph.ransac import select_best_of_groups
+from calgraph.graph.tree_cuts import find_minimum_tree
 
 # Cost factor that excludes an edge from a tree wherever there is another path.
 _EXCLUDED = 1e9
@@ -84,20 +82,8 @@ def _draw_edge_costs(
     randomness = np.linspace(0, 1, count)[:, None]
     cost = (weights * edge_support(graph, cycles, settings)) ** (-settings.support_exponent * (1 - randomness))
     costs = np.asarray(cost * (1 - randomness + randomness * rng.exponential(size=(count, len(graph.edges)))))
-    costs[0] *= np.where(_cheapest_tree(graph, 1 / weights), 1.0, _EXCLUDED)
+    costs[0] *= np.where(find_minimum_tree(graph, 1 / weights), 1.0, _EXCLUDED)
     return costs
-
-
-def _cheapest_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
-    """(E,) the edges of the spanning tree of least total cost."""
-    # The cheapest alternative of each pair; SciPy would sum them.
-    best = select_best_of_groups(costs / costs.max(), graph.pair_of_edge)
-    i, j = graph.edges[best].T
-    tree = minimum_spanning_tree(coo_array((costs[best], (i, j)), shape=(graph.count, graph.count))).tocoo()
-    chosen = np.isin(i * graph.count + j, tree.row * graph.count + tree.col)
-    in_tree = np.zeros(len(costs), dtype=np.bool_)
-    in_tree[np.flatnonzero(best)[chosen]] = True
-    return in_tree
 
 
 def _refine_tree(

@@ -1,30 +1,35 @@
-"""Fundamental cuts of a graph: the two parts into which each edge of its maximum spanning tree divides it."""
+"""The minimum spanning tree of a graph, and its fundamental cuts: the two parts that each of its edges joins."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.ransac import select_best_of_groups
+
+
+def find_minimum_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:
+    """(E,) the edges of the spanning tree of least total cost, from positive costs (E,)."""
+    # The cheapest alternative of each pair; SciPy would sum them.
+    best = select_best_of_groups(costs / costs.max(initial=0.0), graph.pair_of_edge)
+    i, j = graph.edges[best].T
+    tree = minimum_spanning_tree(coo_array((costs[best], (i, j)), shape=(graph.count, graph.count))).tocoo()
+    chosen = np.isin(i * graph.count + j, tree.row * graph.count + tree.col)
+    in_tree = np.zeros(len(costs), dtype=np.bool_)
+    in_tree[np.flatnonzero(best)[chosen]] = True
+    return in_tree
 
 
 def fundamental_cuts(graph: PoseGraph, evidence: Array) -> list[tuple[int, NDArray[np.bool_]]]:
-    """The edges of the maximum spanning tree, and the nodes (N,) that each separates from the root.
+    """The edges of the tree of most evidence, and the nodes (N,) that each separates from the root.
 
     Args:
         graph: connected by edges with evidence.
-        evidence: (E,) weight of each edge; of several edges of a pair at most one may be above zero.
+        evidence: (E,) weight of each edge, not negative.
     """
     used = np.flatnonzero(evidence)
-    costs = coo_array((1 / evidence[used], graph.edges[used].T), shape=(graph.count, graph.count))
-    tree = minimum_spanning_tree(costs).tocoo()
-    edge_of = {(int(a), int(b)): int(edge) for (a, b), edge in zip(graph.edges[used], used, strict=True)}
-    cuts = []
-    for k, ends in enumerate(zip(map(int, tree.row), map(int, tree.col), strict=True)):
-        others = np.arange(tree.nnz) != k
-        rest = coo_array((tree.data[others], (tree.row[others], tree.col[others])), shape=tree.shape)
-        part = connected_components(rest, directed=False)[1]
-        far = ends[0] if part[ends[0]] != part[graph.root] else ends[1]
-        cuts.append((edge_of[ends], part == part[far]))
-    return cuts
+    graph = graph.select_edges(used)
+    tree = np.flatnonzero(find_minimum_tree(graph, 1 / evidence[used]))
+    return [(int(used[edge]), ~graph.select_edges(tree[tree != edge]).find_reachable()) for edge in tree]

@@ -35,10 +35,6 @@ class IcpResult:
     """(3, 3); in unobservable directions that of the initial pose."""
     information: Array
     """(3, 3) of the error in the fixed axes of a; zero in unobservable directions."""
-    observable_directions: Array
-    """(3, k) orthonormal observable directions of (x, y, theta times the lever arm)."""
-    match_count: int
-    """Number of b's points that match lines of a."""
 
     def fuse(self, T_a_b: Array, information: Array) -> tuple[Array, Array]:
         """Fuses this with an independent estimate and its information: pose (3, 3) and information (3, 3)."""
@@ -141,7 +137,7 @@ def align_backgrounds(
     if deviation @ np.linalg.solve(total, deviation) > settings.max_mahalanobis2:
         return Rejected("static background and tracks contradict each other")
     information = directions @ np.linalg.solve(icp_covariance, directions.T) / scale2
-    return IcpResult(T, information, directions, count)
+    return IcpResult(T, information)
 
 
 def _fit_lines(background: Array, settings: IcpSettings) -> _SurfacePoints:
