@@ -5,7 +5,7 @@ import numpy as np
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph import NetworkInitialization, PoseGraphSolution, build_network_graph, initialize_network
-from calgraph.graph.visibility_check import VisibilityConflict, find_visibility_conflict
+from calgraph.graph.visibility_check import VisibilityConflict, _compare_detections, find_visibility_conflict
 from calgraph.pairwise import PoseHypothesis, ScannerObservations, ScannerPairEstimate
 from calgraph.tracking import ScannerTracks, Track
 
@@ -123,3 +123,13 @@ def test_it_is_left_out_if_they_did_not(rng: np.random.Generator) -> None:
 
 def test_so_it_is_if_too_little_was_seen(rng: np.random.Generator) -> None:
     assert outvoted(TURNED, T["d"], sights(0.8), rng).names == ("a", "b", "c")
+
+
+def test_the_missed_share_is_that_of_the_expected_detections() -> None:
+    found = judged(ELSEWHERE, sights())
+    assert found
+    poses = np.array([ELSEWHERE if name == "d" else T[name] for name in ("a", "b", "d", "c")])
+    expected, missed = _compare_detections([sights()[n] for n in ("a", "b", "d", "c")], poses).count_across(
+        found.part
+    )
+    assert found.missed_share == missed / expected

@@ -221,3 +221,20 @@ def test_residuals_are_rms_distances_of_the_two_planes(rng: np.random.Generator)
     assert isinstance(found, PairwiseEstimate)
     normals = np.array([one.plane[:3] for (one,) in a.values() if isinstance(one, PlanePatch)])
     np.testing.assert_allclose(found.residuals, np.abs(normals @ d), atol=1e-6)
+
+
+@pytest.mark.parametrize(("refine", "degrees"), [(True, 40.0), (False, 0.0)])
+def test_upright_boards_leave_the_side_ambiguous_to_which_a_scanner_is_tilted(
+    refine: bool, degrees: float
+) -> None:
+    """By 20° about x; a pose tilted to the other side fits equally well; it is searched if poses are refined."""
+    rng = np.random.default_rng(0)
+    scene = make_boards(rng, 30, tilt=0.0)
+    for i in range(30):
+        scene[i, :3, :3] = so3.exp(np.array([0, 0, rng.uniform(-0.6, 0.6)])) @ scene[i, :3, :3]
+    T_a_b = se3.pose(so3.exp(np.array([np.radians(20), 0, 0])), np.array([0.2, -0.1, 0.0]))
+    a = detect_boards("plane", np.eye(4), scene, rng)
+    b = detect_boards("line", se3.inverse(T_a_b), scene, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine)
+    assert isinstance(found, PairwiseEstimate)
+    assert np.degrees(found.alternative_pose_angle) == pytest.approx(degrees, abs=1.0)

@@ -6,7 +6,7 @@ import pytest
 from board_scenes import detect_boards, make_boards, random_pose, segment_endpoints
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import evaluate_coplanarity
-from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
+from calgraph.pairwise.coplanar_lines_solver import _intersect_lines, solve_coplanar_lines
 
 DIHEDRAL = 0.15  # rad, between the scan planes of the solutions
 
@@ -57,3 +57,12 @@ def test_segments_of_a_board_are_near_each_other(roll: float, yaw: float, rng: n
     T = solve_coplanar_lines(a, b, DIHEDRAL)
     apart = np.linalg.norm(se3.apply(T, b.mean(axis=2)) - a.mean(axis=2), axis=-1)
     assert np.median(apart) < 0.6
+
+
+def test_a_line_parallel_to_the_axis_has_no_weight() -> None:
+    """Weights are squared sines: that of a line of 90° is 1."""
+    axis = np.array([[1.0, 0.0, 0.0]])
+    lines = np.array([[[1.0, 0.0, 0.5], [0.0, 1.0, 0.0]]])
+    crossing, sine = _intersect_lines(lines, axis)
+    assert np.isfinite(crossing).all()
+    np.testing.assert_allclose(sine**2, [[0, 1]], atol=1e-11)

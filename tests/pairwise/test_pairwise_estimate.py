@@ -156,3 +156,9 @@ def test_matches_of_the_joint_solution_are_inliers_or_first_candidates(rng: np.r
     estimate = replace(build_estimate(rng), inliers=np.array([True, False, False]))
     assert select_matches(estimate, "ransac").tolist() == [True, False, False]
     assert select_matches(estimate, "none").tolist() == [False, False, True]
+
+
+def test_as_many_residuals_as_unknowns_count_as_one_degree_of_freedom() -> None:
+    matches = DirectionMatches(DIRECTIONS, np.full(6, 0.02), np.full(6, 0.01**2))
+    rms = compute_normalized_rms(linearize_at(np.eye(4), matches), np.ones(6, dtype=bool), 0.0)
+    assert rms == pytest.approx(np.sqrt(6 * 2.0**2))

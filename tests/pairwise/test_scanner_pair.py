@@ -416,3 +416,15 @@ def test_the_matched_share_is_of_the_expected_matches_and_one_at_most(
     found = _build_hypothesis(fit, pairs, data, data, 2 * len(pairs), 0.1, ScannerPairSettings())
     assert found.matched_share == share
     assert (found.observations, found.chance_observations) == (160, 20.0)
+
+
+def test_a_pair_without_a_credible_pose_states_the_time_that_its_best_pose_matches() -> None:
+    """Two minutes of tracks, of which the coarse stage takes every n-th tick."""
+    rng = np.random.default_rng(3)
+    walks = [wander(rng, seconds=120)]
+    A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
+    settings = ScannerPairSettings(hypotheses=HypothesisSettings(min_weight_of_evidence=1e9))
+    found = estimate_scanner_pair("a", "b", observe(walks, A, rng), observe(walks, B, rng), rng, settings=settings)
+    assert isinstance(found, Rejected)
+    seconds = float(found.reason.split("the best one matches ")[1].split(" s")[0])
+    assert 50 < seconds < 120

@@ -19,6 +19,7 @@ from calgraph.pairwise.synchronized_tracks import (
 from calgraph.pairwise.track_registration import (
     TrackRegistration,
     _associate,
+    _build_prior,
     _invert_symmetric,
     _mahalanobis2,
     compute_pose_costs,
@@ -466,3 +467,8 @@ def test_matches_along_the_larger_variance_are_within_the_gate() -> None:
     a = samples_at_one_tick([2.0], [1e-9 * np.eye(2)])
     pairs = pair_samples(a, samples_at_one_tick([2.5], [np.diag([0.04, 1e-6])]))
     assert len(_associate(np.eye(3), np.zeros(3), pairs, 1e-3, 9.21)[0]) == 1
+
+
+def test_the_prior_is_of_clock_and_depths_and_not_of_the_pose() -> None:
+    prior = _build_prior(0.1, RegistrationSettings(clock_stddev=0.02))
+    np.testing.assert_allclose(prior, [0, 0, 0, 2500, 100, 100])

@@ -18,6 +18,9 @@ Cycle = NDArray[np.intp]
 Adjacency = list[list[tuple[int, int, int]]]
 """For every node its incident edges: neighbour, edge, direction."""
 
+Steps = dict[int, tuple[int, int, int] | None]
+"""For every node of a search the node before it, the edge, and its direction away from the start; None there."""
+
 # Information added to make the covariance of unobserved directions finite: 100 m or rad.
 _MIN_INFORMATION = 1e-4
 
@@ -140,8 +143,7 @@ def _shortest_path(
     Edges whose label is the one to ``avoid`` are not traversed.
     """
     labels, forbidden = avoid if avoid is not None else (None, -1)
-    # By node: the previous node, the edge, and its direction away from this end of the path.
-    reached: tuple[dict[int, tuple[int, int, int]], ...] = ({start: (-1, -1, 0)}, {end: (-1, -1, 0)})
+    reached: tuple[Steps, Steps] = ({start: None}, {end: None})
     fronts = [[start], [end]]
     while fronts[0] and fronts[1]:
         side = 0 if len(fronts[0]) <= len(fronts[1]) else 1
@@ -159,11 +161,10 @@ def _shortest_path(
     return None
 
 
-def _trace_back(reached: dict[int, tuple[int, int, int]], node: int) -> list[tuple[int, int]]:
+def _trace_back(reached: Steps, node: int) -> list[tuple[int, int]]:
     """The edges by which a node was reached, the last first."""
     path: list[tuple[int, int]] = []
-    while True:
-        node, edge, direction = reached[node]
-        if edge < 0:
-            return path
+    while step := reached[node]:
+        node, edge, direction = step
         path.append((edge, direction))
+    return path

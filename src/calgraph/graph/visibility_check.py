@@ -53,11 +53,10 @@ def find_visibility_conflict(
     limits = detections.settings
     for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
         expected, missed = detections.count_across(part)
-        share = missed / max(expected, 1)
-        if expected >= limits.min_expected_of_part and share > (
-            worst.missed_share if worst else limits.max_missed_share
-        ):
-            worst = VisibilityConflict(part, solution.inliers & (part[i] != part[j]), share)
+        least_share = worst.missed_share if worst else limits.max_missed_share
+        if expected >= limits.min_expected_of_part and missed > least_share * expected:
+            edges = solution.inliers & (part[i] != part[j])
+            worst = VisibilityConflict(part, edges, missed / expected)
     return worst
 
 

@@ -131,7 +131,7 @@ def _compute_differences(
 
 def _build_prior(depth_stddev: float, settings: RegistrationSettings) -> Array:
     """Prior information (6,) of pose, clock offset and depths."""
-    return np.array([0, 0, 0, settings.clock_stddev**-2, depth_stddev**-2, depth_stddev**-2])
+    return np.append(np.zeros(3), [settings.clock_stddev**-2, depth_stddev**-2, depth_stddev**-2])
 
 
 def _build_normal_equations(r: Array, J: Array, W: Array, nuisance: Array, prior: Array) -> tuple[Array, Array]:

@@ -100,7 +100,8 @@ def test_an_edge_states_expected_and_matched_positions_and_its_distance_from_the
 
 def test_an_outlier_pair_has_no_inliers() -> None:
     first = assemble(inliers=(False, True, True)).evidence.edges[0]
-    assert (first.captures, first.inliers, first.note) == (60, 0, "contradicts the other pairs")
+    assert (first.captures, first.inliers, first.in_tree) == (60, 0, False)
+    assert first.note == "contradicts the other pairs"
 
 
 def test_an_unconnected_scanner_has_the_reasons_of_its_pairs() -> None:

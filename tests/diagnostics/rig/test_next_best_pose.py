@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
-from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.config.settings import RigDiagnosticsSettings, VerdictSettings
 from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
-from calgraph.diagnostics.verdict import grade_pose
+from calgraph.diagnostics.verdict import axis_names, grade_pose, weak_stddev
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
@@ -167,3 +168,16 @@ def test_without_an_estimated_pose_no_board_is_suggested() -> None:
     bundle = replace(exact.bundle, body=np.zeros(3, dtype=np.intp))
     solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(4))
     assert suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0)) == ()
+
+
+def test_the_sensor_and_axis_of_a_suggestion_are_those_of_the_largest_standard_deviation() -> None:
+    """Relative to the limits of weak."""
+    exact = scene(("lidar", "camera"), boards=2)
+    solved = SolvedBundle(exact.bundle, minimize_bundle(exact.bundle, exact.truth), np.arange(2))
+    covariance = pose_covariance(exact.bundle, solved.minimized.state, solved.minimized.equations)[6:, 6:]
+    to_camera = np.kron(np.eye(2), exact.truth.T_root_sensor[1, :3, :3].T)
+    deviations = np.sqrt(np.diag(to_camera @ covariance @ to_camera.T))
+    worst = int(np.argmax(deviations / weak_stddev(VerdictSettings())))
+    first = suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))[0]
+    assert (first.sensor, first.axis) == ("camera", axis_names("camera")[worst])
+    assert first.stddev == pytest.approx(deviations[worst])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.heading_search import search_headings
+from calgraph.estimation.network.heading_search import _find_cheapest_sequence, search_headings
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.splines import Knots
 from calgraph.geometry import Array
@@ -82,3 +82,19 @@ def test_without_beams_the_heading_follows_the_path(rng: np.random.Generator) ->
     unseen = tuple(replace(one, weight=np.zeros(len(one.ranges))) for one in body.scans)
     [path] = search_headings(replace(network, bodies=(replace(body, scans=unseen),)), state).paths
     assert np.abs(np.sin(path.control[:, 2])).max() < 0.2
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("gain", "turned"), [(1.9, False), (2.1, True)])
+def test_a_turn_costs_half_the_squared_angle_over_the_variance(side: int, gain: float, turned: bool) -> None:
+    """A turn of 0.4 rad, of a variance of 0.04 rad²: 2, less than what the second heading saves, or more."""
+    grid = np.array([0.0, 0.4 * side])
+    found = _find_cheapest_sequence(np.array([[0.0, 10.0], [gain, 0.0]]), grid, 0.04)
+    assert found.tolist() == [0, int(turned)]
+
+
+def test_headings_half_a_turn_apart_are_the_same() -> None:
+    """An ellipse looks the same from behind: between 10° and 175° it turns by 15° only."""
+    grid = np.radians([10.0, 60.0, 175.0])
+    found = _find_cheapest_sequence(np.array([[0.0, 9, 9], [9, 1.0, 1.0]]), grid, 0.1)
+    assert found.tolist() == [0, 2]

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from bundle_scenes import scene
 from calgraph.estimation import RigSolution, cramer_rao, solve_bundle
+from calgraph.estimation.rig.estimate import _has_converged
 from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
@@ -147,3 +149,17 @@ def test_stated_noise_hardly_matters() -> None:
 
 def _twice(noise: dict[str, float]) -> dict[str, float]:
     return {key: 2 * value for key, value in noise.items() if key in ("pixel", "range")}
+
+
+@pytest.mark.parametrize(("tolerances", "converged"), [(1.9, True), (2.1, False)])
+def test_view_bias_has_converged_within_twice_the_tolerance_of_its_deviation(
+    tolerances: float, converged: bool
+) -> None:
+    """A variance changes by twice as much as a standard deviation."""
+    bundle = scene(boards=2).bundle
+    before = replace(bundle, bias_variance=np.full(3, 1e-4))
+    change = 1e-4 * tolerances * bundle.settings.variances.bias_tolerance
+    for sign in (1, -1):
+        after = replace(bundle, bias_variance=np.array([1e-4, 1e-4 + change, 1e-4]))
+        pair = (before, after)[::sign]
+        assert _has_converged(*pair) == converged

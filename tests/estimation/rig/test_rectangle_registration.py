@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import BoardRegistrationSettings
-from calgraph.estimation.rig.rectangle_registration import register_rectangles
+from calgraph.estimation.rig.rectangle_registration import _limited_mean, register_rectangles
 from calgraph.geometry import Array, se3, so3
 
 SETTINGS = BoardRegistrationSettings()
@@ -59,3 +59,39 @@ def test_a_rectangle_of_another_size_is_not_registered(rng: np.random.Generator)
 def test_no_rectangles_are_none() -> None:
     found, certain = register_rectangles([], HALF, SETTINGS)
     assert (found.shape, certain.shape) == ((0, 4, 4), (0,))
+
+
+def draw_sides(*sides: tuple[tuple[float, float], tuple[float, float]]) -> Array:
+    """Twenty points on each side between two corners, in units of half the rectangle's size."""
+    t = np.linspace(0, 1, 20)[:, None]
+    return np.concatenate([HALF * (np.array(a) + t * (np.array(b) - np.array(a))) for a, b in sides])
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        draw_sides(((-1, -1), (-1, 1)), ((-1, 1), (0.6, 1)), ((-1, -1), (0.6, -1))),
+        draw_sides(((-1, -1), (1, -1)), ((-1, -1), (-1, 0.6)), ((1, -1), (1, 0.6))),
+    ],
+    ids=["without the right", "without the top"],
+)
+def test_three_sides_of_a_rectangle_suffice(points: Array) -> None:
+    """The middle of the points is 84 or 60 mm from the centre."""
+    found, certain = register_rectangles([points + np.array([0.1, 0.05])], HALF, SETTINGS)
+    assert certain.all()
+    np.testing.assert_allclose(found[0, :3, 3], [0.1, 0.05, 0], atol=1e-3)
+
+
+def test_rectangles_are_registered_independently(rng: np.random.Generator) -> None:
+    """One has more points than the other, whose points are padded."""
+    points = [placed(on_outline(rng, HALF, count), 0.3, np.array([0.1, 0.0]))[0] for count in (12, 60)]
+    together, _ = register_rectangles(points, HALF, SETTINGS)
+    alone = np.concatenate([register_rectangles([one], HALF, SETTINGS)[0] for one in points])
+    np.testing.assert_allclose(together, alone, atol=1e-9)
+
+
+@pytest.mark.parametrize(("valid", "mean"), [
+    ([False, False, False], 0.0), ([True, False, False], 0.02), ([True, True, False], -0.015),
+])  # fmt: skip
+def test_means_are_of_valid_values_truncated_at_the_limit(valid: list[bool], mean: float) -> None:
+    assert _limited_mean(np.array([0.02, -0.3, 7.0]), np.array(valid), 0.05) == pytest.approx(mean)

@@ -103,3 +103,15 @@ def test_extrapolation_changes_solutions_by_less_than_a_thousandth_of_their_erro
         P, (_, g, _) = parameter_covariance(equations), equations.eliminate_boards()
         assert solution.converged
         assert np.all(np.abs(P @ g) < 1e-3 * np.sqrt(np.diag(P)))
+
+
+@pytest.mark.parametrize(("share", "extrapolated"), [(0.98, True), (1.02, False)])
+def test_views_are_extrapolated_up_to_the_largest_rotation(
+    share: float, extrapolated: bool, rng: np.random.Generator
+) -> None:
+    """Of 0.1 rad about the board's x axis, with any change of residuals."""
+    views, T = lidar_views(rng)
+    limits = ExtrapolationSettings(max_residual_change=1e9, max_rotation=0.1)
+    rotated = T @ se3.pose(so3.exp(np.array([0.1 * share, 0, 0])), np.zeros(3))
+    found = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, rotated, STILL, limits)
+    assert (found is not None) == extrapolated

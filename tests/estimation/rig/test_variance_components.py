@@ -247,3 +247,15 @@ def test_noise_is_at_least_the_least_ratio_of_that_stated() -> None:
     """From residuals of zero with many degrees of freedom, which outweigh the noise as stated."""
     settings = VarianceComponentSettings(min_noise_ratio=0.1)
     assert _shrink_noise_scale(0.0, 1e9, settings) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("min_noise_change", "kept"), [(0.2, True), (0.0, False)])
+def test_views_whose_noise_hardly_changes_are_kept(min_noise_change: float, kept: bool) -> None:
+    exact = scene(boards=12)
+    bundle = exact.measured(np.random.default_rng(0), noise=1.02)
+    variances = bundle.settings.variances.model_copy(update={"min_noise_change": min_noise_change})
+    bundle = replace(bundle, settings=bundle.settings.model_copy(update={"variances": variances}))
+    solution = minimize_bundle(bundle, exact.truth)
+    updated = update_variance_components(bundle, solution, view_covariance_factors(bundle, solution.equations))
+    same = [after is before for after, before in zip(updated.views, bundle.views, strict=True)]
+    assert same == [kept] * 3

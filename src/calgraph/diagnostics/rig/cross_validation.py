@@ -87,7 +87,7 @@ def cross_validate(
     fold_of = number % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     caches = solved.minimized.equations.cache
-    for fold in range(min(folds, int(number.max()) + 1)):
+    for fold in np.unique(fold_of):
         training, cache = _select_boards(bundle, caches, fold_of != fold)
         trained = minimize_bundle(training, solved.minimized.state, cache, tolerance=COARSE_TOLERANCE, exact=False)
         covariance = parameter_covariance(trained.equations)

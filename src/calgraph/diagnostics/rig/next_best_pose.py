@@ -71,9 +71,10 @@ def suggest_board_poses(
     for _ in range(settings.rig.suggestions):
         before = _standard_deviations(axes, V) / limits
         worst = int(np.argmax(before))
+        sensor, axis = divmod(worst, 6)
         if before[worst] == 0:  # no pose is estimated
             break
-        scaled = axes[6 * (worst // 6) :][:6] / limits[:6, None] / min(before[worst], 1.0)
+        scaled = axes[6 * sensor :][:6] / limits[:6, None] / min(before[worst], 1.0)
         V_with = np.asarray(np.linalg.solve(np.eye(len(V)) + V @ information, V))
         volume = _log_volume(scaled, V_with)
         best = int(np.argmin(volume))
@@ -81,17 +82,17 @@ def suggest_board_poses(
             break
         V = V_with[best]
         after = _standard_deviations(axes, V) / limits
-        sensor, axis = bundle.sensors[worst // 6], worst % 6
+        name = bundle.sensors[sensor]
         T_sensor_board = {
-            name: relative_poses(T, state.T_root_board[best])
-            for (name, _, T), observed in zip(sensors, views, strict=True)
+            by: relative_poses(T, state.T_root_board[best])
+            for (by, _, T), observed in zip(sensors, views, strict=True)
             if best in observed.board
         }
         suggestions.append(
             Suggestion(
-                hold=describe_pose(sensor, kinds, T_sensor_board, settings.rig),
-                sensor=sensor,
-                axis=axis_names(kinds[sensor])[axis],
+                hold=describe_pose(name, kinds, T_sensor_board, settings.rig),
+                sensor=name,
+                axis=axis_names(kinds[name])[axis],
                 unit="m" if axis < 3 else "rad",
                 stddev=float(before[worst] * limits[worst]),
                 expected=float(after[worst] * limits[worst]),

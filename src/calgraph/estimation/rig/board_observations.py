@@ -45,8 +45,7 @@ def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]
     components: dict[int, list[tuple[int, Node]]] = {}
     for node, n in nodes.items():
         components.setdefault(int(labels[n]), []).append((int(links[n]), node))
-    observations = [_select_detections(members) for members in components.values()]
-    return sorted((o for o in observations if len(o.detection_index) > 1), key=lambda o: o.capture)
+    return sorted(map(_select_detections, components.values()), key=lambda o: o.capture)
 
 
 def _select_detections(members: Sequence[tuple[int, Node]]) -> BoardObservation:

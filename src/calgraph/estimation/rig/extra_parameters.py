@@ -28,10 +28,11 @@ _COEFFICIENTS = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
-_NO_TAG = (-1, -1)
 
-TagCorners = dict[tuple[int, int], Array]
-"""Corners (4, 3) by board and id."""
+Tag = tuple[int, int]
+"""Board and id."""
+TagCorners = dict[Tag, Array]
+"""Corners (4, 3) of each."""
 
 _log = logging.getLogger(__name__)
 
@@ -133,11 +134,11 @@ def _add_tag_displacements(bundle: Bundle, rig: Rig, board_of: Index) -> Bundle:
     cameras = {s: observed for s, observed in enumerate(bundle.views) if isinstance(observed, CornerObservations)}
     printed = [_tag_corners(which, compute_landmarks(board)) for which, board in enumerate(rig.boards)]
     tags_of = {s: _find_tags(observed, board_of, printed) for s, observed in cameras.items()}
-    detections = Counter(key for keys in tags_of.values() for key in keys if key != _NO_TAG)
+    detections = Counter(key for keys in tags_of.values() for key in keys if key)
     by_board = groupby(sorted(detections), key=itemgetter(0))
     fixed = {max(keys, key=lambda key: detections[key]) for _, keys in by_board}
     free = [key for tags in printed for key in tags if key in detections and key not in fixed]
-    number = {key: i for i, key in enumerate(free)}
+    number: dict[Tag | None, int] = {key: i for i, key in enumerate(free)}
     centers = np.array([printed[key[0]][key].mean(axis=0)[:2] for key in free]).reshape(-1, 2)
     views: list[BoardViews] = list(bundle.views)
     for s, observed in cameras.items():
@@ -164,16 +165,13 @@ def _tag_corners(board: int, marks: Landmarks) -> TagCorners:
     return {(board, int(i)): corners for i, corners in zip(marks.ids, marks.corners, strict=True)}
 
 
-def _find_tags(views: CornerObservations, board_of: Index, printed: Sequence[TagCorners]) -> list[tuple[int, int]]:
-    """The tag of each corner; ``_NO_TAG`` for those of none."""
+def _find_tags(views: CornerObservations, board_of: Index, printed: Sequence[TagCorners]) -> list[Tag | None]:
+    """The tag of each corner; None for those of none."""
     places = {
         (key[0], *corner.tolist()): key for tags in printed for key, corners in tags.items() for corner in corners
     }
     board = np.repeat(board_of[views.board], np.diff(views.start, append=len(views.pixels)))
-    return [
-        places.get((int(b), *corner), _NO_TAG)
-        for b, corner in zip(board, views.corners_board.tolist(), strict=True)
-    ]
+    return [places.get((int(b), *corner)) for b, corner in zip(board, views.corners_board.tolist(), strict=True)]
 
 
 def _extend(

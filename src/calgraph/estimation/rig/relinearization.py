@@ -34,7 +34,7 @@ class CachedLinearization:
         change = views.local_difference(self.T_sensor_board, T_sensor_board, extra - self.extra)
         squared, count = self.equations.squared_change(change), self.equations.residual_count
         near = squared <= limits.max_residual_change**2 * count
-        if not np.all(near & (cosine >= 1 - limits.max_rotation**2 / 2)):
+        if not np.all(near & (cosine >= np.cos(limits.max_rotation))):
             return None
         return self.equations.extrapolate(change, views.local_jacobian(T_sensor_board))
 
