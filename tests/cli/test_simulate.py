@@ -24,6 +24,8 @@ TINY = (
 
 def leaves(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     for name, field in model.model_fields.items():
+        if name == "uncertainty":
+            continue
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             yield from leaves(field.annotation, (*path, name))
         elif (*path, name) != ("board", "kind"):

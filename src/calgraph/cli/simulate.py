@@ -17,7 +17,12 @@ _PANELS = {
     "bearings": "Poses of the board",
     "background": "Recording and disturbances",
 }
-_MODEL_OPTIONS = {option.parameter: option for option in list_options(RigScenario, _PANELS)}
+_MODEL_OPTIONS = {
+    option.parameter: option
+    for option in list_options(RigScenario, _PANELS)
+    # Priors of the calibration; a simulated board is exactly as stated.
+    if option.path[:2] != ("board", "uncertainty")
+}
 
 
 def simulate_rig_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0, **options: Any) -> None:
