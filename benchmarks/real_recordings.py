@@ -37,6 +37,8 @@ VLP16: dict[str, object] = {
         },
         "lidar": {"kind": "lidar3d", "topic": "lidar"},
     },
+    # By which the published solutions scatter.
+    "tolerance": {"translation": "35 mm", "rotation": "1 deg"},
 }
 
 WALL: dict[str, object] = {
@@ -59,6 +61,8 @@ WALL: dict[str, object] = {
         },
         "laser": {"kind": "lidar2d", "topic": "laser"},
     },
+    # Five poses determine no direction better than this.
+    "tolerance": {"translation": "5 cm", "rotation": "2 deg"},
 }
 
 

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures
+from calgraph.config import load_rig
 from calgraph.errors import Rejected
 from calgraph.estimation import PriorFile, RigidFile, load_problem, save_problem, with_prior_poses
 from calgraph.geometry import Array, se3, so3
@@ -118,6 +119,20 @@ def test_out_has_the_audit_and_the_calibration(known: Known, tmp_path: Path, run
     assert camera["axes"][4]["offset"] == pytest.approx(0.02, abs=0.002)
     assert camera["misfit"]["given"] > 3 * camera["misfit"]["found"]
     assert load_calibration(out / "calibration.yaml").root == "lidar"
+
+
+def test_check_uses_the_tolerance_of_the_rig_unless_an_option_states_another(
+    known: Known, tmp_path: Path, run: Run
+) -> None:
+    poses = known.poses(tmp_path / "poses.yaml", "camera", (0, 0, 0, 0, 0.02, 0))
+    rig = load_rig(known.folder / "rig.yaml").to_plain() | {"tolerance": {"rotation": "2 deg"}}
+    save_yaml(tmp_path / "rig.yaml", rig)
+    arguments = ("check", tmp_path / "rig.yaml", known.dump, "--against", poses, "-o", tmp_path / "out")
+    assert run(*arguments).exit_code == 0
+    audit = json.loads((tmp_path / "out/check.json").read_text(encoding="utf-8"))
+    assert audit["tolerance"] == {"position": 0.01, "rotation": pytest.approx(np.radians(2))}
+    assert run(*arguments, "--tolerance", "0.01", "0.5").exit_code == 1
+    assert load_rig(tmp_path / "out/rig.resolved.yaml").tolerance.rotation == 0.5
 
 
 @pytest.mark.parametrize("format", ["tf", "urdf"])

@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.diagnostics.verdict import (
     axis_names,
     find_ambiguous_poses,
     find_inconsistent_sensors,
     grade_pose,
-    weak_stddev,
+    max_good_stddev,
 )
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import Verdict
 
+TOLERANCE = Tolerance(translation=0.04, rotation=1.0)
 GOOD = np.array([0.01, 0.01, 0.01, 0.004, 0.004, 0.004])
 TO_THE_SIDE = se3.pose(so3.exp(np.array([0, 0, np.pi / 2])), np.zeros(3))
 """T_root_sensor of a sensor whose x axis is the root's y axis."""
@@ -26,7 +28,9 @@ def grade(
     """With standard deviations (6,) along and about the root's axes."""
     T = np.eye(4) if T_root_sensor is None else T_root_sensor
     covariance = np.diag(np.square(stddev))
-    return grade_pose("top", kind, T, covariance, ambiguity=ambiguity, data="boards", advice="move {name}")
+    return grade_pose(
+        "top", kind, T, covariance, ambiguity=ambiguity, tolerance=TOLERANCE, data="boards", advice="move {name}"
+    )
 
 
 def with_axis(axis: int, stddev: float) -> Array:
@@ -43,10 +47,11 @@ def test_small_standard_deviations_are_good() -> None:
 
 
 @pytest.mark.parametrize(
-    ("axis", "limit"), [(k, 0.02) for k in range(3)] + [(k, np.radians(0.5)) for k in range(3, 6)]
+    ("axis", "limit"),
+    [(k, 0.04 / 1.959964) for k in range(3)] + [(k, np.radians(1.0) / 1.959964) for k in range(3, 6)],
 )
-def test_limits_of_weak_axes(axis: int, limit: float) -> None:
-    assert weak_stddev(VerdictSettings())[axis] == pytest.approx(limit)
+def test_good_axes_are_within_the_tolerance_with_95_percent(axis: int, limit: float) -> None:
+    assert max_good_stddev(TOLERANCE, VerdictSettings())[axis] == pytest.approx(limit)
     assert grade(with_axis(axis, 0.99 * limit)).grade == "good"
     assert grade(with_axis(axis, 1.01 * limit)).grade == "weak"
 
@@ -59,24 +64,44 @@ def test_limits_of_unobservable_axes(axis: int, limit: float) -> None:
     assert grade(with_axis(axis, 1.01 * limit)).grade == "unobservable"
 
 
-def test_a_weak_axis_is_named_with_its_standard_deviation() -> None:
-    assert grade(with_axis(2, 0.035)) == Verdict("weak", "height (z) ±35 mm of top: move top")
-    assert grade(with_axis(3, np.radians(1.2))) == Verdict("weak", "roll (about x) ±1.2° of top: move top")
-    assert grade(with_axis(2, 0.035), "camera") == Verdict("weak", "depth (z) ±35 mm of top: move top")
+def test_another_confidence_allows_other_standard_deviations() -> None:
+    limits = max_good_stddev(TOLERANCE, VerdictSettings(tolerance_confidence=0.99))
+    np.testing.assert_allclose(limits, TOLERANCE.limits / 2.575829, rtol=1e-6)
+
+
+def test_a_weak_axis_is_named_with_its_error_and_the_tolerance() -> None:
+    for stddev, kind, words in (
+        (with_axis(2, 0.035), "lidar3d", "height (z) ±68.6 mm (95 %) of top exceeds the tolerance of 40 mm"),
+        (with_axis(2, 0.035), "camera", "depth (z) ±68.6 mm (95 %) of top exceeds the tolerance of 40 mm"),
+        (
+            with_axis(3, np.radians(1.2)),
+            "lidar3d",
+            "roll (about x) ±2.35° (95 %) of top exceeds the tolerance of 1°",
+        ),
+        (
+            [0.035, 0.01, 0.03, 0.004, 0.004, np.radians(1.2)],
+            "lidar3d",
+            "forward (x) ±68.6 mm, height (z) ±58.8 mm, yaw (about z) ±2.35° (95 %) of top exceed the tolerance "
+            "of 40 mm and 1°",
+        ),
+    ):
+        assert grade(np.array(stddev), kind) == Verdict("weak", f"{words}: move top")
 
 
 @pytest.mark.parametrize(
     ("T_root_sensor", "words"),
     [
-        (TO_THE_SIDE, "sideways (y) ±35 mm"),
-        (se3.inverse(TO_THE_SIDE), "sideways (y) ±35 mm"),
+        (TO_THE_SIDE, "sideways (y)"),
+        (se3.inverse(TO_THE_SIDE), "sideways (y)"),
         # The sensor's x is the root's y, its y the root's z, and its z the root's x.
-        (se3.pose(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), np.zeros(3)), "height (z) ±35 mm"),
+        (se3.pose(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]), np.zeros(3)), "height (z)"),
     ],
 )
 def test_axes_are_those_of_the_sensor(T_root_sensor: Array, words: str) -> None:
     """The covariance is in the root's axes: its x axis is weak."""
-    assert grade(with_axis(0, 0.035), T_root_sensor=T_root_sensor) == Verdict("weak", f"{words} of top: move top")
+    assert grade(with_axis(0, 0.035), T_root_sensor=T_root_sensor) == Verdict(
+        "weak", f"{words} ±68.6 mm (95 %) of top exceeds the tolerance of 40 mm: move top"
+    )
 
 
 def test_unobservable_axes_are_listed_before_weak_ones() -> None:
@@ -85,7 +110,7 @@ def test_unobservable_axes_are_listed_before_weak_ones() -> None:
     assert grade(several) == Verdict(
         "unobservable",
         "forward (x), height (z) and roll (about x) of top are not observable from these boards; "
-        "weakly observable: sideways (y) ±30 mm; move top",
+        "beyond the tolerance of 40 mm: sideways (y) ±58.8 mm (95 %); move top",
     )
 
 
@@ -97,7 +122,13 @@ def test_an_ambiguous_pose_is_unobservable() -> None:
 def test_an_inconsistent_pose_is_weak_at_best() -> None:
     for stddev, expected in (
         (GOOD, Verdict("weak", "residuals are large")),
-        (with_axis(0, 0.03), Verdict("weak", "residuals are large; forward (x) ±30 mm of top: move top")),
+        (
+            with_axis(0, 0.03),
+            Verdict(
+                "weak",
+                "residuals are large; forward (x) ±58.8 mm (95 %) of top exceeds the tolerance of 40 mm: move top",
+            ),
+        ),
         (
             with_axis(0, 0.3),
             Verdict(
@@ -108,7 +139,14 @@ def test_an_inconsistent_pose_is_weak_at_best() -> None:
     ):
         covariance = np.diag(np.square(stddev))
         found = grade_pose(
-            "top", "lidar3d", np.eye(4), covariance, "residuals are large", data="boards", advice="move {name}"
+            "top",
+            "lidar3d",
+            np.eye(4),
+            covariance,
+            "residuals are large",
+            tolerance=TOLERANCE,
+            data="boards",
+            advice="move {name}",
         )
         assert found == expected
 

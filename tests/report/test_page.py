@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from calgraph.config import Rig
+from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.report import write_report
 from calgraph.report.page import render_report
@@ -113,6 +113,14 @@ def test_every_figure_has_its_place(page: Page) -> None:
 
 def test_the_headline_summarizes_the_grades(page: Page) -> None:
     assert "Of 4 sensors besides the root: 3 calibrated well, 1 weak." in page.words
+
+
+def test_the_page_states_the_tolerance(calibration: Calibration, rig: Rig, page: Page) -> None:
+    assert "within the tolerance of 10 mm and 0.3°" in page.words
+    coarse = rig.model_copy(update={"tolerance": Tolerance(translation=0.05, rotation=2)})
+    assert "95 %, the error of the pose along and about each axis is within the tolerance of 50 mm and 2°" in (
+        render_report(calibration, coarse)
+    )
 
 
 def test_the_headline_of_a_good_result(calibration: Calibration, rig: Rig) -> None:

@@ -186,6 +186,7 @@ def solve_problem(problem: Problem) -> Calibration:
         rig.board_size,
         problem.solver.folds,
         np.random.default_rng(0),
+        rig.tolerance,
         rig.settings.diagnostics,
     )
 

@@ -11,7 +11,6 @@ from calgraph.config import Rig
 from calgraph.diagnostics import (
     BootstrapScatter,
     ExtrinsicsComparison,
-    Tolerance,
     assemble_rig,
     bootstrap_poses,
     compare_network_poses,
@@ -44,10 +43,8 @@ def bootstrap_covariances(
     return assemble_rig(problem, tree, joint), scatter
 
 
-def compare_extrinsics(
-    problem: Problem, given: ExtrinsicsFile, tolerance: Tolerance | None = None
-) -> tuple[Calibration, ExtrinsicsComparison]:
-    """Comparison of given extrinsics with a calibration that does not use them as priors.
+def compare_extrinsics(problem: Problem, given: ExtrinsicsFile) -> tuple[Calibration, ExtrinsicsComparison]:
+    """Comparison of given extrinsics with a calibration without them as priors, by the rig's tolerance.
 
     Raises:
         InputError: the extrinsics lack the root, or nothing fixed connects the sensors there.
@@ -57,7 +54,7 @@ def compare_extrinsics(
     joint, tree = solve_jointly(problem)
     calibration = assemble_rig(problem, tree, joint)
     return calibration, compare_rig_poses(
-        calibration, joint.solved_bundle, given, tolerance, problem.rig.settings.diagnostics.verdict
+        calibration, joint.solved_bundle, given, problem.rig.tolerance, problem.rig.settings.diagnostics.verdict
     )
 
 
@@ -66,9 +63,8 @@ def compare_network_extrinsics(
     recording: Recording,
     given: ExtrinsicsFile,
     options: NetworkOptions,
-    tolerance: Tolerance | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Calibration, ExtrinsicsComparison]:
     """Comparison of the given poses of a network with its calibration, as :func:`compare_extrinsics` for a rig."""
     calibration = calibrate_network(rig, recording, options, progress)
-    return calibration, compare_network_poses(calibration, given, tolerance, settings=rig.settings.diagnostics)
+    return calibration, compare_network_poses(calibration, given, rig.tolerance, settings=rig.settings.diagnostics)

@@ -16,14 +16,14 @@ from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
-from calgraph.config import Rig
+from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.diagnostics import ExtrinsicsComparison, ResidualComparison, Tolerance
+    from calgraph.diagnostics import ExtrinsicsComparison, ResidualComparison
     from calgraph.estimation import Problem
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
@@ -42,8 +42,12 @@ def check(
         typer.Option(metavar="FILE", help="The extrinsics: calibration.yaml, URDF, or transforms of tf (YAML)."),
     ],
     tolerance: Annotated[
-        tuple[float, float], typer.Option(metavar="M DEG", help="What may be off without harm, m and degrees.")
-    ] = (0.01, 0.3),
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="M DEG",
+            help="What may be off without harm, m and degrees. [default: that of RIG.yaml, or 0.01 0.3]",
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the calibration found."),
@@ -61,17 +65,10 @@ def check(
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
     """
-    from calgraph.diagnostics import Tolerance
-
-    if not (min(tolerance) > 0 and np.isfinite(tolerance).all()):
-        raise InputError(
-            f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
-        )
-    allowed = Tolerance(tolerance[0], float(np.radians(tolerance[1])))
-    rig, given = load_rig_with(rig_file, overrides), read_extrinsics(against)
+    rig, given = _set_tolerance(load_rig_with(rig_file, overrides), tolerance), read_extrinsics(against)
     with replace_folder_atomically(out) if out else nullcontext() as folder:
-        calibration, audit, rig = _compare(rig, recordings, given, allowed, seed)
-        content = _content(audit, against, allowed)
+        calibration, audit, rig = _compare(rig, recordings, given, seed)
+        content = _content(audit, against, rig.tolerance)
         if folder:
             write_results(calibration, rig, folder)
             write_text(folder / "check.json", content + "\n")
@@ -84,8 +81,19 @@ def check(
         raise typer.Exit(1)
 
 
+def _set_tolerance(rig: Rig, tolerance: tuple[float, float] | None) -> Rig:
+    """The rig with the tolerance of the option (m, degrees), where that is given."""
+    if tolerance is None:
+        return rig
+    if not (min(tolerance) > 0 and np.isfinite(tolerance).all()):
+        raise InputError(
+            f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
+        )
+    return rig.model_copy(update={"tolerance": Tolerance(translation=tolerance[0], rotation=tolerance[1])})
+
+
 def _compare(
-    rig: Rig, recordings: list[Path], given: ExtrinsicsFile, allowed: "Tolerance", seed: int
+    rig: Rig, recordings: list[Path], given: ExtrinsicsFile, seed: int
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
     from calgraph import calibrate as story
@@ -93,9 +101,9 @@ def _compare(
     if rig.is_network:
         options = story.NetworkOptions(seed=seed, jobs=available_cores())
         with open_recordings(recordings) as recording, progress_bars() as progress:
-            return *story.compare_network_extrinsics(rig, recording, given, options, allowed, progress), rig
+            return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
     problem = _problem(rig, recordings, seed)
-    return *story.compare_extrinsics(problem, given, allowed), problem.rig
+    return *story.compare_extrinsics(problem, given), problem.rig
 
 
 def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
@@ -115,13 +123,13 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         )
 
 
-def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: "Tolerance") -> str:
+def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:
     """check.json: the audit with its settings; what is not finite is null."""
     content: dict[str, Any] = {
         "format": _FORMAT,
         "against": str(against),
         "outcome": audit.outcome,
-        "tolerance": asdict(tolerance),
+        "tolerance": {"position": tolerance.translation, "rotation": float(np.radians(tolerance.rotation))},
         **asdict(audit),
     }
     return format_json(content, indent=1)

@@ -5,7 +5,6 @@ from calgraph.diagnostics.comparison import (
     ExtrinsicsComparison,
     ResidualComparison,
     SensorComparison,
-    Tolerance,
 )
 from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
 from calgraph.diagnostics.network.extension import (
@@ -23,7 +22,7 @@ from calgraph.diagnostics.verdict import axis_names
 
 __all__ = [
     "AxisComparison", "BootstrapScatter", "ExtrinsicsComparison", "NetworkPairs", "ResidualComparison",
-    "SensorComparison", "Tolerance", "add_assessment", "assemble_network", "assemble_rig", "axis_names",
+    "SensorComparison", "add_assessment", "assemble_network", "assemble_rig", "axis_names",
     "bootstrap_poses", "build_consistent_prior", "compare_network_poses", "compare_rig_poses",
     "extract_earlier_poses", "merge_calibrations", "remove_scanners",
 ]  # fmt: skip

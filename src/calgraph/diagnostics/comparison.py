@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.special import chdtri, ndtri
 
+from calgraph.config import Tolerance
 from calgraph.diagnostics.verdict import axis_names
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile
@@ -17,16 +18,6 @@ _SEVERITY: Sequence[Outcome] = ("pass", "warn", "fail")
 
 # Standard deviation of the rounding of given poses, m and rad; makes covariances regular.
 _ROUNDING = 1e-6
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Largest acceptable error."""
-
-    position: float = 0.01
-    """m."""
-    rotation: float = float(np.radians(0.3))
-    """rad."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +144,7 @@ class MatchedPoses:
         offset = to_sensor @ se3.difference(T_given, T_estimated)
         both = estimated.covariance(reference, name) + self.given.covariance(*frames)
         covariance = to_sensor @ both @ to_sensor.T + _ROUNDING**2 * np.eye(6)
-        allowed = np.repeat([self.tolerance.position, self.tolerance.rotation], 3)
+        allowed = self.tolerance.limits
         outcomes = _grade_axes(offset, covariance, allowed, self.test)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
         distance = float(np.linalg.norm(whiten @ offset))
@@ -168,7 +159,7 @@ class MatchedPoses:
 
 
 def match_poses(
-    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None, false_alarm_probability: float
+    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance, false_alarm_probability: float
 ) -> MatchedPoses:
     """Matches the sensors of a calibration with the frames of given extrinsics.
 
@@ -181,7 +172,7 @@ def match_poses(
         estimated,
         given,
         given.frames_of_sensors(frame_ids),
-        tolerance or Tolerance(),
+        tolerance,
         SignificanceTest.of(false_alarm_probability),
     )
 

@@ -3,7 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.special import ndtri
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
@@ -33,11 +35,15 @@ def grade_pose(
     inconsistency: str = "",
     ambiguity: float = 0.0,
     *,
+    tolerance: Tolerance,
     settings: VerdictSettings = VerdictSettings(),
     data: str = "captures",
     advice: str = "tilt and turn the board more, in different places, where {name} and other sensors detect it",
 ) -> Verdict:
     """Grades a pose by its standard deviations along the axes of the sensor.
+
+    A pose is good if nothing contradicts it, and if the error along and about every axis is within the tolerance
+    with the probability of the settings.
 
     Args:
         name: the sensor.
@@ -47,7 +53,8 @@ def grade_pose(
         inconsistency: why the pose cannot be good whatever its covariance (:func:`find_inconsistent_sensors`), or
             empty.
         ambiguity: angle to another pose that fits equally well, rad; 0 without one.
-        settings: limits of the grades.
+        tolerance: the largest acceptable error.
+        settings: that probability, and the limits of an unobservable axis.
         data: what the pose was estimated from, in the plural.
         advice: what reduces the standard deviations, with ``{name}`` for the sensor.
 
@@ -61,28 +68,29 @@ def grade_pose(
     unobservable = [
         axis for axis, s, limit in zip(axes, stddev, np.repeat(unobservable_stddev, 3), strict=True) if s > limit
     ]
-    weak = [
-        f"{axis} ±{_format_stddev(s, i)}"
-        for i, (axis, s, limit) in enumerate(zip(axes, stddev, weak_stddev(settings), strict=True))
-        if s > limit and axis not in unobservable
-    ]
+    limits = max_good_stddev(tolerance, settings)
+    weak = [i for i in range(6) if stddev[i] > limits[i] and axes[i] not in unobservable]
+    errors = ", ".join(f"{axes[i]} ±{_format_error(tolerance.limits[i] * stddev[i] / limits[i], i)}" for i in weak)
+    confidence = f"({100 * settings.tolerance_confidence:g} %)"
+    allowed = " and ".join(dict.fromkeys(_format_error(tolerance.limits[i], i) for i in weak))
     advice = advice.format(name=name)
     if unobservable or ambiguity:
         reasons = [f"{_join_axes(unobservable, name)} not observable from these {data}"] if unobservable else []
         if ambiguity:
             reasons.append(f"a pose rotated by {np.degrees(ambiguity):.0f}° fits equally well")
         if weak:
-            reasons.append(f"weakly observable: {', '.join(weak)}")
+            reasons.append(f"beyond the tolerance of {allowed}: {errors} {confidence}")
         return Verdict("unobservable", "; ".join([*reasons, *([inconsistency] if inconsistency else []), advice]))
     reasons = [inconsistency] if inconsistency else []
     if weak:
-        reasons.append(f"{', '.join(weak)} of {name}: {advice}")
+        exceed = "exceeds" if len(weak) == 1 else "exceed"
+        reasons.append(f"{errors} {confidence} of {name} {exceed} the tolerance of {allowed}: {advice}")
     return Verdict("weak", "; ".join(reasons)) if reasons else Verdict("good")
 
 
-def weak_stddev(settings: VerdictSettings) -> Array:
-    """(6,) standard deviations (m, rad) beyond which an axis is weak."""
-    return np.repeat([settings.weak_translation_stddev, settings.weak_rotation_stddev], 3)
+def max_good_stddev(tolerance: Tolerance, settings: VerdictSettings) -> Array:
+    """(6,) standard deviations (m, rad) up to which errors of normal distribution are within the tolerance."""
+    return np.asarray(tolerance.limits / ndtri((1 + settings.tolerance_confidence) / 2))
 
 
 def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
@@ -133,8 +141,8 @@ def find_inconsistent_sensors(
     return reasons
 
 
-def _format_stddev(stddev: float, axis: int) -> str:
-    return f"{stddev * 1000:.0f} mm" if axis < 3 else f"{np.degrees(stddev):.1f}°"
+def _format_error(error: float, axis: int) -> str:
+    return f"{error * 1000:.3g} mm" if axis < 3 else f"{np.degrees(error):.3g}°"
 
 
 def _join_axes(axes: list[str], name: str) -> str:

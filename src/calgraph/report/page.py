@@ -20,7 +20,7 @@ from calgraph.report.image_view import render_camera_images
 from calgraph.report.pose_table import render_estimated_parameters, render_pose_table
 from calgraph.report.residual_view import render_distances, render_histograms
 from calgraph.report.rig_view import render_rig_view
-from calgraph.report.verdict_cards import render_cards, render_remarks, summarize_verdicts
+from calgraph.report.verdict_cards import describe_good, render_cards, render_remarks, summarize_verdicts
 from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration
 
@@ -52,6 +52,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         title=escape_html(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
         headline=escape_html(summarize_verdicts(calibration)),
         facts=_render_facts(calibration, words),
+        about_verdict=describe_good(rig.tolerance, rig.settings.diagnostics.verdict.tolerance_confidence),
         cards=render_cards(calibration, words) + render_remarks(calibration) + render_suggestions(calibration),
         about_graph=words.graph_caption,
         graph=render_graph(calibration, words),

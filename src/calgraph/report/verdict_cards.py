@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calgraph.config import Tolerance
 from calgraph.geometry import Array
 from calgraph.report.formatting import describe_kind, escape_html, format_angle, format_count, format_length
 from calgraph.report.vocabulary import Vocabulary
@@ -34,6 +35,15 @@ def summarize_verdicts(calibration: Calibration) -> str:
     ]
     outcomes = ", ".join(f"{count} {words}" for count, words in parts if count)
     return f"Of {format_count(total, 'sensor')} besides the root: {outcomes}."
+
+
+def describe_good(tolerance: Tolerance, confidence: float) -> str:
+    """What the verdict good means."""
+    return (
+        f"Good: with a probability of {100 * confidence:g} %, the error of the pose along and about each axis is "
+        f"within the tolerance of {1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°, and nothing "
+        "contradicts."
+    )
 
 
 def render_cards(calibration: Calibration, words: Vocabulary) -> str:

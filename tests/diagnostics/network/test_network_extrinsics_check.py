@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics import Tolerance
 from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.estimation.network.planar_poses import PlanarPoses
@@ -18,7 +18,7 @@ from known_networks import calibration
 
 NAMES = ("a", "b", "c", "d", "e", "f")
 SIGMA = np.array([0.001, 0.001, 0.0001])
-TOLERANCE = Tolerance(0.01, float(np.radians(0.3)))
+TOLERANCE = Tolerance(translation=0.01, rotation=0.3)
 
 
 def estimated(scale: float = 1.0) -> PlanarPoses:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bundle_scenes import HEIGHT, WIDTH, scene
+from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assessment import add_assessment
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -32,7 +33,7 @@ def assess(grade: Literal["good", "weak"], folds: int = 0) -> Calibration:
     calibration = Calibration("lidar", sensors, joint_covariance=joint)
     rng = np.random.default_rng(0)
     return add_assessment(
-        calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), folds, rng
+        calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), folds, rng, Tolerance()
     )
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bundle_scenes import Scene, scene
-from calgraph.diagnostics.comparison import ExtrinsicsComparison, Tolerance
+from calgraph.config import Tolerance
+from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
@@ -19,6 +20,7 @@ from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
 
+TOLERANCE = Tolerance()
 SEEDS = 20
 
 
@@ -63,7 +65,7 @@ def true_poses(moved: str = "", by: Array | None = None) -> ExtrinsicsFile:
     return ExtrinsicsFile(Path("robot.urdf"), FrameTree("robot.urdf", above))
 
 
-def audited(given: ExtrinsicsFile, seed: int = 0, tolerance: Tolerance | None = None) -> ExtrinsicsComparison:
+def audited(given: ExtrinsicsFile, seed: int = 0, tolerance: Tolerance = TOLERANCE) -> ExtrinsicsComparison:
     return compare_rig_poses(calibrated(seed)[0], None, given, tolerance)
 
 
@@ -109,7 +111,7 @@ def test_what_moved_within_the_tolerance_is_a_warning() -> None:
 def test_a_larger_tolerance_lets_more_pass() -> None:
     moved = true_poses("camera", step(0, 0.03))
     assert audited(moved).outcome == "fail"
-    assert audited(moved, tolerance=Tolerance(position=0.05)).outcome == "warn"
+    assert audited(moved, tolerance=Tolerance(translation=0.05)).outcome == "warn"
 
 
 def test_what_the_captures_cannot_tell_is_said() -> None:
@@ -119,7 +121,7 @@ def test_what_the_captures_cannot_tell_is_said() -> None:
     to_root = EXACT.truth.T_root_sensor[3][:3, :3]
     joint[18:21, 18:21] += to_root @ np.diag([0, 0, 0.12**2]) @ to_root.T
     weak = replace(found, sensors=(*found.sensors[:3], loose), joint_covariance=joint)
-    result = compare_rig_poses(weak, None, true_poses("laser_2", step(2, 0.1)))
+    result = compare_rig_poses(weak, None, true_poses("laser_2", step(2, 0.1)), TOLERANCE)
     assert result.outcome == "warn"
     assert result.sensors[2].reason == "height (z) is too uncertain: ±120.0 mm"
 
@@ -132,13 +134,16 @@ def test_axes_that_are_sure_only_together_fail_together() -> None:
     along = own @ np.array([1, 1, 0]) / np.sqrt(2)
     joint[18:21, 18:21] += 0.1**2 * np.outer(along, along)
     result = compare_rig_poses(
-        replace(found, joint_covariance=joint), None, true_poses("laser_2", np.array([0.03, -0.03, 0, 0, 0, 0]))
+        replace(found, joint_covariance=joint),
+        None,
+        true_poses("laser_2", np.array([0.03, -0.03, 0, 0, 0, 0])),
+        TOLERANCE,
     )
     assert [axis.outcome for axis in result.sensors[2].axes] == ["fail", "fail", "pass", "pass", "pass", "pass"]
 
 
 def test_measurements_fit_the_given_pose_worse_where_it_is_wrong() -> None:
-    result = compare_rig_poses(*calibrated(0), true_poses("laser", step(0, 0.05)))
+    result = compare_rig_poses(*calibrated(0), true_poses("laser", step(0, 0.05)), TOLERANCE)
     misfits = {sensor.sensor: sensor.misfit for sensor in result.sensors}
     camera, laser = misfits["camera"], misfits["laser"]
     assert camera is not None
@@ -155,7 +160,7 @@ def test_covariances_of_a_given_calibration_count() -> None:
         found, before = calibrated(seed)[0], calibrated((seed + 1) % SEEDS)[0]
         above = {s.name: FrameLink("lidar", s.T_root_sensor) for s in before.sensors[1:]}
         given = ExtrinsicsFile(Path("calibration.yaml"), FrameTree("calibration.yaml", above), calibration=before)
-        distances += [sensor.distance**2 for sensor in compare_rig_poses(found, None, given).sensors]
+        distances += [sensor.distance**2 for sensor in compare_rig_poses(found, None, given, TOLERANCE).sensors]
     # 60 squared distances with six degrees of freedom each, those of one run, and of neighbours, correlated.
     assert 4.5 < np.mean(distances) < 7.5
 
@@ -178,7 +183,10 @@ def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
     found, adjusted = calibrated()
     doubted = replace(found.sensors[1], verdict=Verdict("weak", "check the focal length"))
     result = compare_rig_poses(
-        replace(found, sensors=(found.sensors[0], doubted, *found.sensors[2:])), adjusted, true_poses()
+        replace(found, sensors=(found.sensors[0], doubted, *found.sensors[2:])),
+        adjusted,
+        true_poses(),
+        TOLERANCE,
     )
     assert (result.sensors[0].outcome, result.sensors[0].reason) == ("warn", "check the focal length")
 
@@ -187,7 +195,7 @@ def test_a_moved_sensor_fails_although_its_calibration_is_weak() -> None:
     found, adjusted = calibrated()
     weak = replace(found.sensors[1], verdict=Verdict("weak", "check the focal length"))
     calibration = replace(found, sensors=(found.sensors[0], weak, *found.sensors[2:]))
-    result = compare_rig_poses(calibration, adjusted, true_poses("camera", step(2, 0.05)))
+    result = compare_rig_poses(calibration, adjusted, true_poses("camera", step(2, 0.05)), TOLERANCE)
     assert result.failed == ("camera",)
     assert "check the focal length" not in result.sensors[0].reason
 
@@ -198,12 +206,13 @@ def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
         replace(found, evidence=replace(found.evidence, unconnected={"sonar": "saw nothing"})),
         adjusted,
         true_poses(),
+        TOLERANCE,
     )
     assert (result.sensors[-1].sensor, result.sensors[-1].outcome) == ("sonar", "warn")
 
 
 def test_residuals_are_infinite_where_given_poses_put_boards_behind_a_camera() -> None:
-    result = compare_rig_poses(*calibrated(0), true_poses("camera", step(4, np.pi)))
+    result = compare_rig_poses(*calibrated(0), true_poses("camera", step(4, np.pi)), TOLERANCE)
     residuals = [result.misfit, *(sensor.misfit for sensor in result.sensors)]
     assert [one and one.given for one in residuals] == [np.inf] * 4
     assert all(one and one.found < 0.1 for one in residuals)
@@ -212,5 +221,5 @@ def test_residuals_are_infinite_where_given_poses_put_boards_behind_a_camera() -
 def test_the_uncertainty_of_exact_poses_is_their_rounding() -> None:
     """1e-6 m and rad."""
     found, _ = calibrated()
-    result = compare_rig_poses(replace(found, joint_covariance=np.zeros((24, 24))), None, true_poses())
+    result = compare_rig_poses(replace(found, joint_covariance=np.zeros((24, 24))), None, true_poses(), TOLERANCE)
     np.testing.assert_allclose([axis.stddev for axis in result.sensors[0].axes], 1e-6)

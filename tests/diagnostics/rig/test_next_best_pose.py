@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
-from calgraph.config.settings import RigDiagnosticsSettings, VerdictSettings
+from calgraph.config import Tolerance
+from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
-from calgraph.diagnostics.verdict import axis_names, grade_pose, weak_stddev
+from calgraph.diagnostics.verdict import axis_names, grade_pose
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
@@ -44,7 +45,7 @@ def adjusted(boards: Array) -> SolvedBundle:
 
 
 def suggested(boards: Array) -> tuple[Suggestion, ...]:
-    return suggest_board_poses(adjusted(boards), KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
+    return suggest_board_poses(adjusted(boards), KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())
 
 
 def laser_deviations(boards: Array) -> Array:
@@ -73,7 +74,7 @@ def test_boards_held_upright_are_to_be_tilted_before_the_scanner_that_they_leave
 def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
     at = adjusted(upright(20))
     spread = pose_covariance(at.bundle, at.minimized.state, at.minimized.equations)[12:, 12:]
-    found = grade_pose("laser", "lidar2d", T_ROBOT_SENSOR[2], spread)
+    found = grade_pose("laser", "lidar2d", T_ROBOT_SENSOR[2], spread, tolerance=Tolerance())
     assert found.grade == "unobservable"
     assert found.reason.startswith(
         "height (z), roll (about x) and pitch (about y) of laser are not observable from these captures"
@@ -100,7 +101,7 @@ def test_deviations_shrink_by_as_much_as_promised() -> None:
 def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:
     exact = scene(boards=12)
     known = SolvedBundle(exact.bundle, minimize_bundle(exact.bundle, exact.truth), np.arange(12))
-    suggestions = suggest_board_poses(known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))
+    suggestions = suggest_board_poses(known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())
     assert suggestions
     # Three more boards among twelve like them shrink deviations by a tenth.
     assert suggestions[0].expected / suggestions[0].stddev < 0.9
@@ -167,17 +168,17 @@ def test_without_an_estimated_pose_no_board_is_suggested() -> None:
     exact = scene(boards=4)
     bundle = replace(exact.bundle, body=np.zeros(3, dtype=np.intp))
     solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(4))
-    assert suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0)) == ()
+    assert suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance()) == ()
 
 
 def test_the_sensor_and_axis_of_a_suggestion_are_those_of_the_largest_standard_deviation() -> None:
-    """Relative to the limits of weak."""
+    """Relative to the tolerance."""
     exact = scene(("lidar", "camera"), boards=2)
     solved = SolvedBundle(exact.bundle, minimize_bundle(exact.bundle, exact.truth), np.arange(2))
     covariance = pose_covariance(exact.bundle, solved.minimized.state, solved.minimized.equations)[6:, 6:]
     to_camera = np.kron(np.eye(2), exact.truth.T_root_sensor[1, :3, :3].T)
     deviations = np.sqrt(np.diag(to_camera @ covariance @ to_camera.T))
-    worst = int(np.argmax(deviations / weak_stddev(VerdictSettings())))
-    first = suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0))[0]
+    worst = int(np.argmax(deviations / Tolerance().limits))
+    first = suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())[0]
     assert (first.sensor, first.axis) == ("camera", axis_names("camera")[worst])
     assert first.stddev == pytest.approx(deviations[worst])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.captures import CaptureSet
+from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
 from calgraph.estimation import Problem, RigSolution, SolverOptions
@@ -204,7 +205,8 @@ def test_a_contradicted_prior_is_in_the_verdict_after_inconsistent_residuals(
         if isinstance(pair, PairwiseEstimate)
     }
     tree = SpanningTree("lidar", CONNECTED, detected.T_root_sensor)
-    problem = Problem(detected.rig, detected.captures, pairs, tree, SolverOptions())
+    rig = detected.rig.model_copy(update={"tolerance": Tolerance(translation=0.1, rotation=5)})
+    problem = Problem(rig, detected.captures, pairs, tree, SolverOptions())
     found = assemble_rig(problem, tree, solve_with_wrong_prior(detected))
     reasons = found["laser_front"].verdict.reason.split("; ")
     assert reasons[-1].startswith("the prior of laser_front disagrees with the captures by ")

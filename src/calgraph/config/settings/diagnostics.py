@@ -9,14 +9,11 @@ from calgraph.config.strict_model import StrictModel
 class VerdictSettings(StrictModel):
     """The grade of a sensor's pose by its standard deviations."""
 
-    weak_translation_stddev: float = Field(default=0.02, gt=0)
-    """m; a pose with a larger standard deviation along an axis is weak: the range noise of a usual scanner, below
-    which an error of the pose is hidden in each measurement."""
-    weak_rotation_stddev: float = Field(default=float(np.radians(0.5)), gt=0)
-    """rad (0.5°); the same about an axis: 0.5° move a point by 0.02 m, the limit in translation, at 2.3 m."""
+    tolerance_confidence: float = Field(default=0.95, gt=0, lt=1)
+    """Probability with which the error along or about an axis of a good pose is within the tolerance of rig.yaml;
+    the usual level of data sheets and of error bars: 1.96 standard deviations."""
     unobservable_translation_stddev: float = Field(default=0.2, gt=0)
-    """m; beyond it an axis is called unobservable. Ten times the limit of a weak axis: no application tolerates
-    it, and a tape measure is better."""
+    """m; beyond it an axis is called unobservable: no application tolerates it, and a tape measure is better."""
     unobservable_rotation_stddev: float = Field(default=float(np.radians(10)), gt=0)
     """rad (10°); the same about an axis. At this size first-order covariances cease to be valid."""
     max_normalized_rms: float = Field(default=3.0, gt=1)

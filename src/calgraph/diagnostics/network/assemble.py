@@ -80,6 +80,7 @@ def assemble_network(
                     "lidar2d",
                     T_root_sensor[k],
                     blocks[k],
+                    tolerance=rig.tolerance,
                     settings=rig.settings.diagnostics.verdict,
                     data="tracks",
                     advice=_ADVICE,

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.comparison import ExtrinsicsComparison, SensorComparison, Tolerance, match_poses
+from calgraph.diagnostics.comparison import ExtrinsicsComparison, SensorComparison, match_poses
 from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.errors import InputError
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses, project_to_plane
@@ -13,7 +14,11 @@ from calgraph.result import Calibration, ExtrinsicsFile
 
 
 def compare_network_poses(
-    found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance | None = None, *, settings: DiagnosticsSettings
+    found: Calibration,
+    given: ExtrinsicsFile,
+    tolerance: Tolerance,
+    *,
+    settings: DiagnosticsSettings,
 ) -> ExtrinsicsComparison:
     """Compares given poses of a network with estimated ones, and finds the fewest scanners that have moved.
 
@@ -59,7 +64,7 @@ def _assess_scanner(
     """The result of a scanner's comparison, overruled by the joint test for moved scanners."""
     if moved is None:
         return replace(sensor, outcome="warn") if sensor.outcome == "fail" else sensor
-    far = moved.distance > tolerance.position or abs(moved.rotation) > tolerance.rotation
+    far = moved.distance > tolerance.translation or abs(np.degrees(moved.rotation)) > tolerance.rotation
     displacement = f"has moved by {moved}{'' if far else ', which is within the tolerance'}"
     reason = f"{displacement}; {sensor.reason}" if sensor.reason else displacement
     return replace(sensor, outcome="fail" if far else "warn", reason=reason)

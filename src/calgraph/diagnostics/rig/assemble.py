@@ -92,7 +92,14 @@ def _assemble_sensor(
         kind=spec.kind,
         T_root_sensor=T,
         verdict=grade_pose(
-            name, spec.kind, T, covariance, inconsistency, ambiguity, settings=rig.settings.diagnostics.verdict
+            name,
+            spec.kind,
+            T,
+            covariance,
+            inconsistency,
+            ambiguity,
+            tolerance=rig.tolerance,
+            settings=rig.settings.diagnostics.verdict,
         ),
     )
 

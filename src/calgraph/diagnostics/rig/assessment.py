@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.rig.cross_validation import cross_validate
 from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
@@ -18,6 +19,7 @@ def add_assessment(
     size: tuple[float, float],
     folds: int,
     rng: np.random.Generator,
+    tolerance: Tolerance,
     settings: DiagnosticsSettings = DiagnosticsSettings(),
 ) -> Calibration:
     """The calibration with its cross-validation and the suggested board poses.
@@ -28,13 +30,14 @@ def add_assessment(
         size: width and height of the board, m.
         folds: of the cross-validation; 0 for none.
         rng: draws candidate board poses.
+        tolerance: the largest acceptable error of poses.
         settings: of the diagnostics.
 
     Raises:
         InputError: there is one fold.
     """
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
-    suggestions = suggest_board_poses(solved, kinds, size, rng, settings)
+    suggestions = suggest_board_poses(solved, kinds, size, rng, tolerance, settings)
     return replace(
         calibration,
         sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
-from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison, Tolerance, match_poses
+from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
@@ -19,7 +20,7 @@ def compare_rig_poses(
     estimated: Calibration,
     solved: SolvedBundle | None,
     given: ExtrinsicsFile,
-    tolerance: Tolerance | None = None,
+    tolerance: Tolerance,
     settings: VerdictSettings = VerdictSettings(),
 ) -> ExtrinsicsComparison:
     """Compares given extrinsics with estimated ones.

@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.rig.predicted_observations import predict_observations
-from calgraph.diagnostics.verdict import axis_names, weak_stddev
+from calgraph.diagnostics.verdict import axis_names, max_good_stddev
 from calgraph.estimation.rig.board_information import information_by_board
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
 from calgraph.estimation.rig.covariances import parameter_covariance
@@ -29,16 +30,18 @@ def suggest_board_poses(
     kinds: Mapping[str, str],
     size: tuple[float, float],
     rng: np.random.Generator,
+    tolerance: Tolerance,
     settings: DiagnosticsSettings = DiagnosticsSettings(),
 ) -> tuple[Suggestion, ...]:
-    """Board poses that reduce the uncertainty of the least certain sensor most, relative to the limits of weak.
+    """Board poses that reduce the uncertainty of the least certain sensor most, relative to the tolerance.
 
     Args:
         solved: the current solution.
         kinds: camera, lidar2d or lidar3d, by sensor.
         size: width and height of the board, m.
         rng: draws the candidates.
-        settings: of the candidates, of predicted detections, and the limits of weak.
+        tolerance: the largest acceptable error of poses.
+        settings: of the candidates, of predicted detections, and of verdicts.
 
     Returns:
         Poses in the order of selection, each in addition to those before; none where no pose has a relevant gain.
@@ -65,7 +68,7 @@ def suggest_board_poses(
     )
     V, limits = (
         parameter_covariance(solved.minimized.equations),
-        np.tile(weak_stddev(settings.verdict), len(to_sensor)),
+        np.tile(max_good_stddev(tolerance, settings.verdict), len(to_sensor)),
     )
     suggestions: list[Suggestion] = []
     for _ in range(settings.rig.suggestions):
