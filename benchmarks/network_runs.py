@@ -188,7 +188,9 @@ def track_scanners(
     tracked: dict[str, ScannerTracks] = {}
     for name, spec in rig.sensors.items():
         assert isinstance(spec, Lidar2dSpec)
-        found = track_scanner(scans[name], rig.target, spec.noise, centers=select_center_estimator(feature))
+        found = track_scanner(
+            scans[name], rig.target, spec.noise, centers=select_center_estimator(feature, rig.settings.baselines)
+        )
         if isinstance(found, ScannerTracks):
             tracked[name] = found
     return tracked

@@ -7,6 +7,8 @@ import pytest
 from calgraph.geometry import Array
 from calgraph.ransac import Indices, Score, find_consensus, select_best_of_groups
 
+CONFIDENCE = 0.9999
+
 
 def _line_problem(points: Array) -> tuple[Callable[[Indices], Array], Callable[[Array], Array]]:
     """Lines y = a x + b through pairs of points."""
@@ -29,7 +31,9 @@ def test_finds_line_among_sixty_percent_outliers(score: Score, seed: int) -> Non
     x = rng.uniform(-1, 1, 100)
     y = np.where(np.arange(100) < 40, 0.5 * x + 0.2 + rng.normal(0, 0.005, 100), rng.uniform(-2, 2, 100))
     solve, residuals = _line_problem(np.stack([x, y], axis=1))
-    found = find_consensus(np.arange(100), 2, solve, residuals, 0.02**2, rng=rng, score=score)
+    found = find_consensus(
+        np.arange(100), 2, solve, residuals, 0.02**2, rng=rng, score=score, confidence=CONFIDENCE, max_samples=2000
+    )
     assert found is not None
     np.testing.assert_allclose(found.model, [0.5, 0.2], atol=0.02)
     assert found.inliers[:40].sum() >= 38
@@ -41,7 +45,7 @@ def test_selects_the_correct_alternative_in_each_group(rng: np.random.Generator)
     wrong = np.stack([x, rng.uniform(-3, 3, 30)], axis=1)
     solve, residuals = _line_problem(np.concatenate([wrong, right]))
     groups = np.tile(np.arange(30), 2)
-    found = find_consensus(groups, 2, solve, residuals, 0.01**2, rng=rng)
+    found = find_consensus(groups, 2, solve, residuals, 0.01**2, rng=rng, confidence=CONFIDENCE, max_samples=2000)
     assert found is not None
     assert found.inliers[30:].all()
     assert not found.inliers[:30].any()
@@ -49,7 +53,12 @@ def test_selects_the_correct_alternative_in_each_group(rng: np.random.Generator)
 
 def test_too_few_groups_have_no_model(rng: np.random.Generator) -> None:
     solve, residuals = _line_problem(rng.normal(size=(4, 2)))
-    assert find_consensus(np.zeros(4, dtype=int), 2, solve, residuals, 1.0, rng=rng) is None
+    assert (
+        find_consensus(
+            np.zeros(4, dtype=int), 2, solve, residuals, 1.0, rng=rng, confidence=CONFIDENCE, max_samples=2000
+        )
+        is None
+    )
 
 
 def test_samples_without_solution_have_no_model(rng: np.random.Generator) -> None:
@@ -57,14 +66,27 @@ def test_samples_without_solution_have_no_model(rng: np.random.Generator) -> Non
         return np.full((len(samples), 2), np.nan)
 
     _, residuals = _line_problem(rng.normal(size=(9, 2)))
-    assert find_consensus(np.arange(9), 2, never, residuals, 1.0, rng=rng) is None
+    assert (
+        find_consensus(np.arange(9), 2, never, residuals, 1.0, rng=rng, confidence=CONFIDENCE, max_samples=2000)
+        is None
+    )
 
 
 def test_same_generator_state_gives_same_result() -> None:
     points = np.random.default_rng(1).normal(size=(50, 2))
     solve, residuals = _line_problem(points)
     first, second = (
-        find_consensus(np.arange(50), 2, solve, residuals, 0.1**2, rng=np.random.default_rng(5)) for _ in range(2)
+        find_consensus(
+            np.arange(50),
+            2,
+            solve,
+            residuals,
+            0.1**2,
+            rng=np.random.default_rng(5),
+            confidence=CONFIDENCE,
+            max_samples=2000,
+        )
+        for _ in range(2)
     )
     assert first is not None
     assert second is not None
@@ -74,7 +96,9 @@ def test_same_generator_state_gives_same_result() -> None:
 def test_stops_early_on_clean_data(rng: np.random.Generator) -> None:
     x = np.linspace(-1, 1, 60)
     solve, residuals = _line_problem(np.stack([x, x], axis=1))
-    found = find_consensus(np.arange(60), 2, solve, residuals, 1e-6, rng=rng, max_samples=100_000)
+    found = find_consensus(
+        np.arange(60), 2, solve, residuals, 1e-6, rng=rng, max_samples=100_000, confidence=CONFIDENCE
+    )
     assert found is not None
     assert found.samples <= 100
 
@@ -111,7 +135,9 @@ def test_alternatives_lower_the_probability_of_a_good_sample() -> None:
     solve, residuals = _half_outliers(1000)
     rng = np.random.default_rng(1)
     groups = np.tile(np.arange(500), 2)
-    found = find_consensus(groups, 3, solve, residuals, 1.0, rng=rng, batch=1, max_samples=10_000)
+    found = find_consensus(
+        groups, 3, solve, residuals, 1.0, rng=rng, batch=1, max_samples=10_000, confidence=CONFIDENCE
+    )
     assert found is not None
     assert found.samples == math.ceil(math.log(1e-4) / math.log(1 - 0.5**3))
     assert found.inlier_count == 500
@@ -119,7 +145,9 @@ def test_alternatives_lower_the_probability_of_a_good_sample() -> None:
 
 def test_gives_up_after_the_largest_number_of_samples(rng: np.random.Generator) -> None:
     solve, residuals = _half_outliers(1000)
-    found = find_consensus(np.arange(1000), 12, solve, residuals, 1.0, rng=rng, batch=32, max_samples=200)
+    found = find_consensus(
+        np.arange(1000), 12, solve, residuals, 1.0, rng=rng, batch=32, max_samples=200, confidence=CONFIDENCE
+    )
     assert found is not None
     assert found.samples == 200
 
@@ -133,7 +161,17 @@ def test_cost_counts_outliers_or_sums_truncated_residuals(
     def solve(samples: Indices) -> Array:
         return np.zeros((len(samples), 1))
 
-    found = find_consensus(np.arange(8), 2, solve, lambda m: 4 * r2 + 0 * m, 4.0, rng=rng, score=score)
+    found = find_consensus(
+        np.arange(8),
+        2,
+        solve,
+        lambda m: 4 * r2 + 0 * m,
+        4.0,
+        rng=rng,
+        score=score,
+        confidence=CONFIDENCE,
+        max_samples=2000,
+    )
     assert found is not None
     assert found.cost == cost
     assert found.inliers.tolist() == [True] * 5 + [False] * 3
@@ -148,7 +186,16 @@ def test_a_sample_takes_each_group_once(n: int, rng: np.random.Generator) -> Non
         drawn.append(samples)
         return np.full((len(samples), 1), np.nan)
 
-    find_consensus(np.arange(n), 4, solve, lambda m: np.zeros((len(m), n)), 1.0, rng=rng, max_samples=3000)
+    find_consensus(
+        np.arange(n),
+        4,
+        solve,
+        lambda m: np.zeros((len(m), n)),
+        1.0,
+        rng=rng,
+        max_samples=3000,
+        confidence=CONFIDENCE,
+    )
     samples = np.concatenate(drawn)
     assert samples.shape == (3000, 4)
     assert all(len(set(sample)) == 4 for sample in samples.tolist())

@@ -17,6 +17,11 @@ from calgraph.geometry import Array
 Indices = NDArray[np.intp]
 Score = Literal["ransac", "msac"]
 
+# Samples solved in one call: enough that the time of a call does not matter.
+_BATCH = 100
+# Up to this number of data for each of a sample, samples are drawn by shuffling: it is faster then.
+_MAX_SHUFFLED = 20
+
 
 @dataclass(frozen=True, eq=False)
 class RansacResult:
@@ -46,9 +51,9 @@ def find_consensus(
     *,
     rng: np.random.Generator,
     score: Score = "msac",
-    confidence: float = 0.9999,
-    max_samples: int = 2000,
-    batch: int = 100,
+    confidence: float,
+    max_samples: int,
+    batch: int = _BATCH,
 ) -> RansacResult | None:
     """Finds the model with the lowest robust cost by random sampling.
 
@@ -66,7 +71,7 @@ def find_consensus(
         score: ``msac`` sums truncated squared residuals, ``ransac`` counts outliers.
         confidence: stop once an all-inlier sample has been drawn with this probability.
         max_samples: stop after this many samples.
-        batch: samples solved and scored in one call.
+        batch: samples solved and scored in one call, after which the confidence is tested.
 
     Returns:
         The best model, or None if there are fewer groups than ``sample_size`` or no sample has a solution.
@@ -117,7 +122,7 @@ def _required_samples(inlier_probability: float, confidence: float) -> float:
 
 def _draw_samples(n: int, size: int, count: int, rng: np.random.Generator) -> Indices:
     """Draws ``count`` samples of ``size`` distinct numbers below ``n``: (count, size)."""
-    if n <= 20 * size:
+    if n <= _MAX_SHUFFLED * size:
         return np.argsort(rng.random((count, n)), axis=1)[:, :size]
     # With many data a repeated number is rare: redrawing the few rows that have one is faster than shuffling all.
     rows = rng.integers(n, size=(count, size))

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from calgraph.calibrate.options import CenterFeature
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import People, RangeNoise
-from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
+from calgraph.config.settings import BaselineSettings, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs, scanner_pair
@@ -299,7 +299,10 @@ def test_a_real_pair_is_within_ten_centimetres_of_the_measured_pose(
     tracked = []
     for of_one in scans.values():
         tracks = track_scanner(
-            of_one, People(kind="people"), RangeNoise(), centers=select_center_estimator(feature)
+            of_one,
+            People(kind="people"),
+            RangeNoise(),
+            centers=select_center_estimator(feature, BaselineSettings()),
         )
         assert isinstance(tracks, ScannerTracks)
         tracked.append(tracks)

@@ -12,7 +12,7 @@ import pytest
 from calgraph.calibrate.options import CenterFeature
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import Cylinder, People, RangeNoise
-from calgraph.config.settings import EllipseSettings
+from calgraph.config.settings import BaselineSettings, EllipseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
@@ -34,7 +34,9 @@ def track_world(
     target: People | Cylinder = PEOPLE,
 ) -> ScannerTracks:
     scans = world.simulate_scans(seconds, seed)
-    result = track_scanner(scans, target, RangeNoise(), centers=select_center_estimator(feature))
+    result = track_scanner(
+        scans, target, RangeNoise(), centers=select_center_estimator(feature, BaselineSettings())
+    )
     assert isinstance(result, ScannerTracks)
     return result
 
@@ -246,7 +248,9 @@ def test_the_person_of_the_real_recording_is_tracked(
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag") as recording:
         messages = [record.decode() for record in recording.records([topic])]
     scans = [message for message in messages if isinstance(message, LaserScan)]
-    result = track_scanner(scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature))
+    result = track_scanner(
+        scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature, BaselineSettings())
+    )
     assert isinstance(result, ScannerTracks)
     # The README counts foreground in 301 rear and 104 front scans, some of it a few stray beams.
     in_view = {"/rear_scan": 301, "/front_scan": 81}[topic]

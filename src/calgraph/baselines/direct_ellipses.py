@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.config import Cylinder, People
-from calgraph.config.settings import TrackingSettings
+from calgraph.config.settings import BaselineSettings, TrackingSettings
 from calgraph.geometry import ellipse
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.features import (
@@ -15,12 +15,13 @@ from calgraph.tracking.features import (
     target_radii,
 )
 
-# Radii of a free ellipse are plausible within these multiples of the target's.
-_RADIUS_BOUNDS = (0.3, 2.0)
-
 
 def measure_direct_ellipses(
-    objects: Clusters, target: People | Cylinder, sigma: float, settings: TrackingSettings
+    objects: Clusters,
+    target: People | Cylinder,
+    sigma: float,
+    settings: TrackingSettings,
+    limits: BaselineSettings = BaselineSettings(),
 ) -> MeasuredCenters:
     """Centres of Fitzgibbon's ellipses; where these are implausible, centroids moved back by the target's radius.
 
@@ -29,14 +30,14 @@ def measure_direct_ellipses(
         target: what they are.
         sigma: noise of a point, m.
         settings: of tracking.
+        limits: of plausible ellipses, and their standard deviations.
     """
     radii = target_radii(target)
     shapes = map_batches(objects, 5, lambda groups, _: ellipse.fit_direct(groups.points, groups.used))
     with np.errstate(invalid="ignore"):
-        plausible = (shapes[:, 4] > _RADIUS_BOUNDS[0] * min(radii)) & (
-            shapes[:, 3] < _RADIUS_BOUNDS[1] * max(radii)
-        )
-        plausible &= np.linalg.norm(shapes[:, :2] - objects.centroids, axis=-1) < _RADIUS_BOUNDS[1] * max(radii)
+        least, most = limits.min_ellipse_radius * min(radii), limits.max_ellipse_radius * max(radii)
+        plausible = (shapes[:, 4] > least) & (shapes[:, 3] < most)
+        plausible &= np.linalg.norm(shapes[:, :2] - objects.centroids, axis=-1) < most
     centroids = measure_centroids(objects, target, sigma, settings)
     radius = float(np.mean(radii))
     sight = objects.centroids / np.maximum(np.linalg.norm(objects.centroids, axis=-1, keepdims=True), 1e-9)
@@ -45,10 +46,12 @@ def measure_direct_ellipses(
     )
     # Free radii and the centre are correlated along the line of sight; residuals do not measure by how much.
     across = sigma**2 / objects.count + lateral_sigma(objects, radius, settings.centroid) ** 2
-    free = radial_covariances(objects.centroids, np.full(len(objects), (0.5 * radius) ** 2), across)
+    free = radial_covariances(
+        objects.centroids, np.full(len(objects), (limits.direct_ellipse_stddev * radius) ** 2), across
+    )
     moved_back = radial_covariances(
         objects.centroids,
-        np.full(len(objects), (0.25 * radius) ** 2),
+        np.full(len(objects), (limits.replaced_ellipse_stddev * radius) ** 2),
         lateral_sigma(objects, radius, settings.centroid) ** 2,
     )
     noise = np.where(plausible[:, None, None], free, centroids.noise)

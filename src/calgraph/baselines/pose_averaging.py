@@ -45,7 +45,7 @@ def average_poses_by_rotations(
     elif method == "irls":
         R = average_rotations_irls(graph, chain_rotations(graph), weights)
     else:
-        R = average_rotations_l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles")
+        R = average_rotations_l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles", settings)
     i, j = graph.edges.T
     angle = se_n.rotation_angle(R[i] @ graph.R_i_j @ se_n.transpose(R[j]))
     inliers = select_best_of_groups((angle / settings.max_inlier_angle) ** 2, graph.pair_of_edge)

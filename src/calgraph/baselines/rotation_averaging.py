@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from scipy.sparse import block_array, coo_array, csc_array, csr_array, eye_array
 from scipy.sparse.linalg import eigsh
 
+from calgraph.config.settings import BaselineSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se_n
 from calgraph.graph.cycles import Cycle, find_cycle_basis, incidence_matrix, list_incident_edges
@@ -23,15 +24,17 @@ from calgraph.graph.tree_cuts import find_minimum_tree
 _MAX_DENSE = 300
 # Residuals (rad) below this have the same weight in reweighted L1, which ends with steps of a tenth of it.
 _MIN_RESIDUAL = 1e-6
+# Limit on reweightings, which hardly ever binds.
 _MAX_ITERATIONS = 100
-# Linearizations of the constraints of rotations in space.
-_LINEARIZATIONS = 4
 # Relative residual of the linear systems.
 _TOLERANCE = 1e-10
 
 
 def average_rotations_l1mc(
-    graph: PoseGraph, weights: Array | None = None, transitivity: Literal["cycles", "triangles"] = "cycles"
+    graph: PoseGraph,
+    weights: Array | None = None,
+    transitivity: Literal["cycles", "triangles"] = "cycles",
+    settings: BaselineSettings = BaselineSettings(),
 ) -> Array:
     """Robust rotation averaging without start values (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
 
@@ -45,6 +48,7 @@ def average_rotations_l1mc(
         weights: (E,) of the edges; uniform if None.
         transitivity: ``triangles`` as published, as soft rows of weight 1; ``cycles`` uses a basis of all
             cycles, which covers rings, as exact constraints.
+        settings: number of linearizations.
 
     Returns:
         (N, n, n) rotations from each node to the root.
@@ -60,7 +64,7 @@ def average_rotations_l1mc(
         cycles, soft = find_triangles(graph.count, graph.edges), True
     d = 1 if graph.dimension == 2 else 3
     corrections, R_i_j = np.zeros((len(graph.edges), d)), graph.R_i_j
-    for _ in range(1 if d == 1 else _LINEARIZATIONS):
+    for _ in range(1 if d == 1 else settings.linearizations):
         A, errors = _linearize_cycles(R_i_j, cycles)
         b = A @ corrections.ravel() - errors
         corrections = _minimize_absolute_sum(A, b, np.repeat(weights, d), soft).reshape(-1, d)

@@ -36,7 +36,7 @@ def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
     return estimate_mean_plane
 
 
-def select_center_estimator(feature: CenterFeature) -> CenterEstimator | None:
+def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) -> CenterEstimator | None:
     """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
     match feature:
         case "nls":
@@ -46,7 +46,7 @@ def select_center_estimator(feature: CenterFeature) -> CenterEstimator | None:
         case "ellipse":
             from calgraph.baselines import measure_direct_ellipses
 
-            return measure_direct_ellipses
+            return partial(measure_direct_ellipses, limits=settings)
 
 
 def select_depth_stddev(feature: CenterFeature, settings: BaselineSettings) -> float | None:

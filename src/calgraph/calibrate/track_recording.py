@@ -33,7 +33,7 @@ def track_people(
             scans,
             target,
             noise,
-            centers=select_center_estimator(options.feature),
+            centers=select_center_estimator(options.feature, rig.settings.baselines),
             settings=rig.settings.tracking,
             jobs=options.jobs,
             progress=tracking,

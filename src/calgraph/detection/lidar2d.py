@@ -110,7 +110,7 @@ def _extract_lines(
         beams = pending.pop()
         if len(beams) < settings.lidar2d.min_beams:
             continue
-        consensus = _find_consensus_line(scan.points[beams], threshold, settings.lidar2d.ransac_samples, rng)
+        consensus = _find_consensus_line(scan.points[beams], threshold, rng, settings)
         if consensus is None:
             continue
         first, last = _find_longest_run(scan, beams, consensus[1], settings.lidar2d)
@@ -122,7 +122,7 @@ def _extract_lines(
 
 
 def _find_consensus_line(
-    points: Array, threshold: float, max_samples: int, rng: np.random.Generator
+    points: Array, threshold: float, rng: np.random.Generator, settings: DetectionSettings
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """The line (angle, distance) with the most inliers among points (N, 2), and the inliers."""
 
@@ -141,7 +141,10 @@ def _find_consensus_line(
         return np.asarray(((points @ n).T - lines[:, 1:]) ** 2)
 
     groups = np.arange(len(points))
-    consensus = find_consensus(groups, 2, solve, squared_residuals, threshold**2, rng=rng, max_samples=max_samples)
+    consensus = find_consensus(
+        groups, 2, solve, squared_residuals, threshold**2, rng=rng,
+        confidence=settings.scanner.ransac_confidence, max_samples=settings.lidar2d.ransac_samples,
+    )  # fmt: skip
     return None if consensus is None else (consensus.model, consensus.inliers)
 
 

@@ -130,7 +130,7 @@ def _fit_patch(
 ) -> PlanePatch | None:
     """The plane, points and score of one flat region."""
     chosen = points[np.isin(cells.cell_of_point, region)]
-    surface = _find_consensus_plane(chosen, thickness, rng, settings.lidar3d)
+    surface = _find_consensus_plane(chosen, thickness, rng, settings)
     if surface is None:
         return None
     members = _collect_plane_points(points, cells, region, surface, thickness)
@@ -150,11 +150,12 @@ def _fit_patch(
 
 
 def _find_consensus_plane(
-    points: Array, threshold: float, rng: np.random.Generator, settings: Lidar3dDetectionSettings
+    points: Array, threshold: float, rng: np.random.Generator, settings: DetectionSettings
 ) -> Array | None:
     """The plane (4,) with the most inliers among the points (N, 3)."""
-    if len(points) > settings.max_ransac_points:
-        points = points[rng.choice(len(points), settings.max_ransac_points, replace=False)]
+    most = settings.lidar3d.max_ransac_points
+    if len(points) > most:
+        points = points[rng.choice(len(points), most, replace=False)]
 
     def solve(samples: Indices) -> Array:
         chosen = points[samples]
@@ -169,8 +170,9 @@ def _find_consensus_plane(
 
     groups = np.arange(len(points))
     consensus = find_consensus(
-        groups, 3, solve, squared_residuals, threshold**2, rng=rng, max_samples=settings.ransac_samples
-    )
+        groups, 3, solve, squared_residuals, threshold**2, rng=rng,
+        confidence=settings.scanner.ransac_confidence, max_samples=settings.lidar3d.ransac_samples,
+    )  # fmt: skip
     return None if consensus is None else consensus.model
 
 

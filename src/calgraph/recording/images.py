@@ -13,6 +13,9 @@ _BAYER = {
     "gbrg": cv2.COLOR_BayerGR2BGR,
     "grbg": cv2.COLOR_BayerGB2BGR,
 }
+# Percentiles of deep images that become black and white, and the number of pixels that determine them. A rule of
+# reading, and not a setting: the map is linear, so that the positions of edges and corners do not depend on it.
+_STRETCH_PERCENTILES, _STRETCH_SAMPLE = (0.1, 99.9), 100_000
 # Encoding to channels, bytes a channel, and OpenCV's conversion to BGR, if one is needed.
 _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
     "mono8": (1, 1, None),
@@ -123,7 +126,7 @@ def to_8_bits(values: NDArray[np.generic]) -> Pixels:
     16-bit images often use 10 or 12 bits, so that shifting would darken them; hot pixels exclude the extremes.
     """
     numbers = values.astype(np.float32)
-    low, high = np.percentile(numbers.ravel()[:: max(1, numbers.size // 100_000)], [0.1, 99.9])
+    low, high = np.percentile(numbers.ravel()[:: max(1, numbers.size // _STRETCH_SAMPLE)], _STRETCH_PERCENTILES)
     if not high > low:
         return np.full(values.shape, np.clip(low / 256, 0, 255), dtype=np.uint8)
     return np.asarray(np.clip((numbers - low) * (255 / (high - low)) + 0.5, 0, 255), dtype=np.uint8)

@@ -22,7 +22,8 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 _FLOAT_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 _INTEGER_UNITS = (1e-9, 1e-6)
 # Plausible durations of a sweep, s, by which the unit of a time column is recognised: a spinning 2-D scanner takes
-# up to 20 s, the fastest LiDARs some milliseconds. Units differ by factors of 1000, so that no setting is needed.
+# up to 20 s, the fastest LiDARs some milliseconds. Units differ by factors of 1000: this is a rule of the format,
+# and other bounds between neighbouring units give the same times.
 _MAX_SWEEP_DURATION = 20.0
 _MIN_SWEEP_DURATION = 1e-3
 

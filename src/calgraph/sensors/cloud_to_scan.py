@@ -8,7 +8,8 @@ from calgraph.sensors.messages import LaserScan, PointCloud
 
 # Upper limit on beams per turn, which bounds the number of beams that fill a gap.
 _MAX_BEAMS_PER_TURN = 20_000
-# Maximum distance of points from the plane z = 0: m, plus a fraction of the range.
+# Maximum distance of points from the plane z = 0: m, plus a fraction of the range. Other clouds are refused: an
+# error of the input, and without influence on a result.
 _PLANE_TOLERANCE = (0.01, 0.01)
 
 

@@ -22,5 +22,20 @@ class BaselineSettings(StrictModel):
     centroid_depth_stddev: float = Field(default=0.2, gt=0)
     """m; prior standard deviation of the distance from centroids to true centres along the beam: that of a half
     circle lies 0.6 to 0.8 of the radius before the centre."""
+    linearizations: int = Field(default=4, ge=1)
+    """Linearizations of the cycle constraints of rotations in space: each error is of second order in the last
+    correction."""
+    min_ellipse_radius: float = Field(default=0.3, gt=0, lt=1)
+    """Least radius of a plausible direct ellipse, over the target's smaller one: bodies vary by less, but short
+    arcs give narrow ellipses."""
+    max_ellipse_radius: float = Field(default=2.0, gt=1)
+    """Largest radius, and distance from the centroid, of a plausible direct ellipse, over the target's larger
+    radius."""
+    direct_ellipse_stddev: float = Field(default=0.5, gt=0)
+    """Standard deviation of the centre of a direct ellipse along the beam, over the target's radius: its size is
+    unknown, and residuals do not measure by how much the centre follows it."""
+    replaced_ellipse_stddev: float = Field(default=0.25, gt=0)
+    """The same of the centroid that replaces an implausible ellipse: centroids of visible halves lie 0.6 to 0.8 of
+    the radius before the centre."""
     direct_ellipse_depth_stddev: float = Field(default=0.05, gt=0)
     """m; the same for direct ellipse fits, whose size is unknown."""

@@ -125,6 +125,9 @@ class ScannerDetectionSettings(StrictModel):
     surroundings: float = Field(default=0.15, gt=0)
     """Width around the board, m, that is searched for its edges, and in which it must stand free: wider, arms and
     body of the operator are inside."""
+    ransac_confidence: float = Field(default=0.9999, gt=0, lt=1)
+    """Probability of a sample without outliers at which RANSAC stops: a surface is missed by chance once in
+    10,000."""
     max_candidates: int = Field(default=8, gt=0)
     """Most candidates for the board in one capture: without a background, walls and doors resemble it; the pair
     stage tries all combinations of two sensors, 64."""

@@ -74,8 +74,11 @@ class NetworkDiagnosticsSettings(StrictModel):
     """Tests of a network's calibration."""
 
     min_shared_ticks: int = Field(default=5, ge=1)
-    """Ticks (0.1 s) at which another scanner has to track a walk for the report to call it shared: half a second,
-    one step."""
+    """Ticks (``tick_period`` of pairs) at which another scanner has to track a walk for the report to call it
+    shared: half a second, one step."""
+    max_sets: int = Field(default=3000, ge=1)
+    """Sets of one size of moved scanners that are all tested, in about a second; where there are more, the best
+    smaller set grows by one scanner."""
     position_rounding: float = Field(default=1e-4, gt=0)
     """m; error of poses by rounding in files, added before moved scanners are searched: URDF and tf files are
     often written by hand with four decimals."""

@@ -13,10 +13,6 @@ from calgraph.config.settings import DiagnosticsSettings
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
-# Sets of one size that are all tested, in about a second; where there are more, the best smaller set grows by one
-# node.
-_MAX_SETS = 3000
-
 
 @dataclass(frozen=True)
 class MovedScanner:
@@ -53,7 +49,7 @@ def find_moved_scanners(
     of_rounding = np.diag(np.tile(np.square(rounding), len(before.names)))
     covariance = before.covariance + after.covariance + of_rounding
     nodes = find_displaced_nodes(
-        before.T_root_scanner, difference, covariance, settings.verdict.false_alarm_probability
+        before.T_root_scanner, difference, covariance, settings.verdict.false_alarm_probability, network.max_sets
     )
     reference = next(name for k, name in enumerate(before.names) if k not in nodes)
     selected = [reference, *(before.names[k] for k in nodes)]
@@ -67,7 +63,7 @@ def find_moved_scanners(
 
 
 def find_displaced_nodes(
-    T_root_node: Array, difference: Array, covariance: Array, false_alarm_probability: float
+    T_root_node: Array, difference: Array, covariance: Array, false_alarm_probability: float, max_sets: int
 ) -> tuple[int, ...]:
     """The smallest set of nodes whose displacement explains a difference of poses; the likeliest of that size.
 
@@ -83,6 +79,7 @@ def find_displaced_nodes(
         difference: (N, 3) of two sets of poses in the root's fixed axes; zero for the root.
         covariance: (3N, 3N) of the difference; the root's rows are not used.
         false_alarm_probability: of naming a node although none has moved.
+        max_sets: sets of one size that are all tested; beyond, the best smaller set grows by one node.
 
     Returns:
         Nodes, ascending; all but the root if no smaller set explains the difference.
@@ -96,16 +93,17 @@ def find_displaced_nodes(
     best: tuple[int, ...] = ()
     for size in range(count - 1):
         distance, best = min(
-            (_compute_remainder(whitened, jacobian, nodes), nodes) for nodes in _list_sets(count, size, best)
+            (_compute_remainder(whitened, jacobian, nodes), nodes)
+            for nodes in _list_sets(count, size, best, max_sets)
         )
         if distance <= chdtri(3 * (count - 1 - size), false_alarm_probability):
             return best
     return tuple(range(1, count))
 
 
-def _list_sets(count: int, size: int, smaller: Sequence[int]) -> Iterator[tuple[int, ...]]:
+def _list_sets(count: int, size: int, smaller: Sequence[int], max_sets: int) -> Iterator[tuple[int, ...]]:
     """All sets of nodes of a size; where there are too many, those that contain a smaller set."""
-    if comb(count, size) <= _MAX_SETS:
+    if comb(count, size) <= max_sets:
         return combinations(range(count), size)
     return (tuple(sorted((*smaller, node))) for node in range(count) if node not in smaller)
 
