@@ -1,7 +1,7 @@
 """The detector of every sensor of a rig, and the background models of its scanners."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -35,15 +35,12 @@ _log = logging.getLogger(__name__)
 Background = CloudBackground | ScanBackground
 
 
-def learn_backgrounds(
-    records: Iterable[RecordedMessage], rig: Rig, *, progress: Callable[[float], None] | None = None
-) -> Mapping[str, Background]:
+def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[str, Background]:
     """Learns what the scanners measure without target and operator.
 
     Args:
         records: the scanners' records in the background window.
         rig: the rig.
-        progress: called with the arrival time of records.
 
     Returns:
         By scanner; no entry for one that measured nothing in the window.
@@ -51,8 +48,6 @@ def learn_backgrounds(
     by_topic = {spec.topic: name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)}
     messages_by_sensor: dict[str, list[Message]] = {}
     for record in records:
-        if progress:
-            progress(record.arrival)
         messages = messages_by_sensor.setdefault(by_topic[record.topic], [])
         if len(messages) < rig.settings.captures.max_background_messages:
             messages.append(record.decode())

@@ -6,8 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
@@ -16,8 +15,9 @@ from rich.markup import escape
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from calgraph.cli.setting_options import set_nested
 from calgraph.errors import InputError
-from calgraph.io.yaml_reading import validate_content
+from calgraph.io.yaml_reading import unwrap_annotation, validate_content
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -105,7 +105,7 @@ def apply_options(initial: Model, model_options: Mapping[str, ModelOption], give
     """
     content = initial.model_dump(mode="json", exclude_none=True)
     for parameter, value in given.items():
-        _set_value(content, model_options[parameter].path, _parse_value(model_options[parameter], value))
+        set_nested(content, model_options[parameter].path, _parse_value(model_options[parameter], value))
     here = Path("options")
     try:
         return validate_content(type(initial), content, here)
@@ -145,11 +145,11 @@ def _format_default(default: Any) -> str:
 
 
 def _metavar(annotation: Any) -> str:
-    kind = _plain_type(annotation)
+    kind = unwrap_annotation(annotation)
     if get_origin(kind) is Literal:
         return "|".join(get_args(kind))
     if get_origin(kind) is tuple:
-        return "N,N,..." if _plain_type(get_args(kind)[0]) in (int, float) else "YAML"
+        return "N,N,..." if unwrap_annotation(get_args(kind)[0]) in (int, float) else "YAML"
     return {int: "INT", float: "N", str: "TEXT"}.get(kind, "YAML")
 
 
@@ -177,13 +177,6 @@ def _parse_number(text: str) -> int | float | str:
     return text
 
 
-def _set_value(content: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
-    *above, key = path
-    for name in above:
-        content = content[name]
-    content[key] = value
-
-
 def _name_option(line: str, model_options: Mapping[str, ModelOption]) -> str:
     """An error about a key, ``camera.rate: ...``, as an error about the option that sets it."""
     groups = {one.path[0]: f"--{one.path[0]}-*" for one in model_options.values() if len(one.path) > 1}
@@ -192,13 +185,3 @@ def _name_option(line: str, model_options: Mapping[str, ModelOption]) -> str:
         if match := re.match(rf"(unknown key )?{re.escape(key)}(?=[:.\[])", line):
             return f"{match[1] or ''}{by_key[key]}{line[match.end() :]}"
     return line
-
-
-def _plain_type(annotation: Any) -> Any:
-    """A type without its constraints and without the None of an optional value."""
-    if get_origin(annotation) is Annotated:
-        return _plain_type(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, UnionType):
-        members = [member for member in get_args(annotation) if member is not type(None)]
-        return _plain_type(members[0]) if len(members) == 1 else annotation
-    return annotation

@@ -45,7 +45,7 @@ def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
             raise InputError(
                 f"--set: must be KEY=VALUE, such as detection.lidar3d.min_points=30, got {assignment!r}"
             )
-        _assign(content, key.strip().split("."), _parse(key, text))
+        set_nested(content, key.strip().split("."), _parse(key, text))
     return rig.model_copy(update={"settings": validate_content(Settings, content, Path("--set"))})
 
 
@@ -56,7 +56,7 @@ def _parse(key: str, text: str) -> Any:
         raise InputError(f"--set: the value of {key} is not valid YAML, got {text!r}") from error
 
 
-def _assign(content: dict[str, Any], path: Sequence[str], value: Any) -> None:
+def set_nested(content: dict[str, Any], path: Sequence[str], value: Any) -> None:
     """Sets a value in nested mappings; a key below a value that is none replaces it, which validation rejects."""
     *above, last = path
     for name in above:

@@ -215,7 +215,7 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
     path: list[Any] = []
     owner: type[BaseModel] | None = None
     for part in location:
-        annotation = _unwrap(annotation)
+        annotation = unwrap_annotation(annotation)
         if _union_members(annotation):
             annotation = next(
                 (member for member in _union_members(annotation) if _discriminator_tag(member) == part), None
@@ -233,15 +233,15 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
         else:
             break  # markers that pydantic adds, such as [key]
         path.append(part)
-    return _Location(path, owner, around, _unwrap(annotation))
+    return _Location(path, owner, around, unwrap_annotation(annotation))
 
 
-def _unwrap(annotation: Any) -> Any:
+def unwrap_annotation(annotation: Any) -> Any:
     """A type without its constraints and without the None of an optional value."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     members = _union_members(annotation)
-    return _unwrap(members[0]) if len(members) == 1 else annotation
+    return unwrap_annotation(members[0]) if len(members) == 1 else annotation
 
 
 def _union_members(annotation: Any) -> list[Any]:
@@ -260,7 +260,7 @@ def _discriminator_tag(member: Any) -> str | None:
 
 
 def _kind_of_model(member: Any) -> str | None:
-    model = _unwrap(member)
+    model = unwrap_annotation(member)
     is_model = isinstance(model, type) and issubclass(model, BaseModel)
     return str(get_args(model.model_fields["kind"].annotation)[0]) if is_model else None
 

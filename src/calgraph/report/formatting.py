@@ -3,8 +3,6 @@
 import math
 from html import escape
 
-from calgraph.result import SensorPose
-
 KIND_NAMES = {"camera": "camera", "lidar2d": "2-D scanner", "lidar3d": "3-D LiDAR"}
 """Name of each kind of sensor."""
 
@@ -55,8 +53,3 @@ def format_angle(radians: float) -> str:
 def format_count(number: int, noun: str) -> str:
     """``1 capture``, ``2 captures``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def describe_kind(sensor: SensorPose) -> str:
-    """Name of the sensor's kind."""
-    return KIND_NAMES[sensor.kind]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.report.formatting import (
-    describe_kind,
+    KIND_NAMES,
     escape_html,
     format_angle,
     format_fixed,
@@ -81,7 +81,8 @@ def _render_row(
     with np.errstate(invalid="ignore"):
         sigma = np.sqrt(np.diag(sensor.covariance))
     is_root = sensor.name == root
-    below = f"root · {describe_kind(sensor)}" if is_root else f"{describe_kind(sensor)} · parent: {sensor.parent}"
+    kind = KIND_NAMES[sensor.kind]
+    below = f"root · {kind}" if is_root else f"{kind} · parent: {sensor.parent}"
     positions = (
         f"<td>{format_fixed(T[i, 3], 4)}{'' if is_root else f'<small>± {format_length(sigma[i])}</small>'}</td>"
         for i in axes

@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.geometry import Array
-from calgraph.report.formatting import describe_kind, escape_html, format_angle, format_count, format_length
+from calgraph.report.formatting import KIND_NAMES, escape_html, format_angle, format_count, format_length
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
 
@@ -88,7 +88,9 @@ def max_std_deviation(covariance: Array) -> float:
 
 def _describe_uncertainty(sensor: SensorPose) -> str:
     sigma_t, sigma_r = max_std_deviation(sensor.covariance[:3, :3]), max_std_deviation(sensor.covariance[3:, 3:])
-    return f"{describe_kind(sensor)} · σ {format_length(sigma_t)}, {format_angle(sigma_r)} in the worst direction"
+    return (
+        f"{KIND_NAMES[sensor.kind]} · σ {format_length(sigma_t)}, {format_angle(sigma_r)} in the worst direction"
+    )
 
 
 def _render_card(grade: str, name: str, facts: str, reason: str) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from io import StringIO
-from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -62,9 +61,7 @@ class Viewer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.panel.close()
         with _suppress_output():
             self._server.stop()
