@@ -126,6 +126,18 @@ def test_a_displaced_print_and_a_displaced_tag(world: World) -> None:
     assert np.abs(board_errors(world, board, move)).max() < 0.001
 
 
+def test_a_turned_print_and_a_turned_tag(world: World) -> None:
+    def move(corners: Array) -> Array:
+        of_tag_2 = corners[:, 1] < 0
+        center = np.array([*BOARD.tags[2].center, 0.0])
+        turned = center + (corners - center) @ so3.exp(np.array([0.0, 0.0, 0.02])).T
+        corners = np.where(of_tag_2[:, None], turned, corners)
+        return np.asarray(corners @ so3.exp(np.array([0.0, 0.0, -0.01])).T)
+
+    board = BoardErrors(print_rotation=-0.01, tag_rotation={2: 0.02})
+    assert np.abs(board_errors(world, board, move)).max() < 0.001
+
+
 def test_larger_tags_keep_their_centres(world: World) -> None:
     def move(corners: Array) -> Array:
         centers = np.array([tag.center for tag in BOARD.tags])

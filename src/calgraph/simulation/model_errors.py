@@ -36,10 +36,14 @@ class BoardErrors:
     """Relative width over height of the print, half of it in either direction."""
     print_position: Pair = (0.0, 0.0)
     """Displacement of the whole print on the board (x, y), m."""
+    print_rotation: float = 0.0
+    """Rotation of the whole print about the board's centre, rad."""
     tag_size: float = 0.0
     """Relative size of each tag about its centre."""
     tag_position: Mapping[int, Pair] = field(default_factory=dict)
     """Displacement of tags on the print (x, y) by id, m."""
+    tag_rotation: Mapping[int, float] = field(default_factory=dict)
+    """Rotation of tags about their centres by id, rad."""
     bow: Vector = (0.0, 0.0, 0.0)
     """Height of the face above its plane: at the ends of the x axis and of the y axis, and at the upper right
     corner by torsion, m. ``(b, 0, 0)`` is a cylinder, ``(b, -b, 0)`` a saddle."""
@@ -61,11 +65,14 @@ class BoardErrors:
         """The printed corners where they are, in the frame of the board; not in its plane if it is bowed."""
         stated = compute_landmarks(board)
         centers = stated.corners.mean(axis=1, keepdims=True)
-        corners = centers + (1 + self.tag_size) * (stated.corners - centers)
-        for i, mark in enumerate(stated.ids):
-            corners[i, :, :2] += self.tag_position.get(int(mark), (0.0, 0.0))
+        turn = np.array([[0.0, 0.0, self.tag_rotation.get(int(mark), 0.0)] for mark in stated.ids]).reshape(-1, 3)
+        of_marks = (1 + self.tag_size) * (stated.corners - centers) @ np.swapaxes(so3.exp(turn), 1, 2)
+        shift = [self.tag_position.get(int(mark), (0.0, 0.0)) for mark in stated.ids]
+        corners = centers + of_marks
+        corners[..., :2] += np.reshape(shift, (-1, 1, 2))
         stretch = (1 + self.print_scale) * (1 + 0.5 * self.print_aspect * np.array([1.0, -1.0]))
-        corners[..., :2] = stretch * corners[..., :2] + self.print_position
+        R = so3.exp(np.array([0.0, 0.0, self.print_rotation]))[:2, :2]
+        corners[..., :2] = (stretch * corners[..., :2]) @ R.T + self.print_position
         corners[..., 2] = self.height(board, corners[..., :2])
         return Landmarks(stated.ids, corners)
 
