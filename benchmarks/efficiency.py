@@ -165,7 +165,7 @@ def detected_runs(
 ) -> Iterator[Recording]:
     """Runs that differ in their noise only, of one rig with its board poses after the other."""
     for world in range(scenarios):
-        stage = build_world(scenario, world)
+        stage = build_world(scenario, world, images=False)
         noise, _, _ = simulate_detections(stage, 0, replace(knobs, stated_noise_factor=1.0))
         for seed in range(runs):
             yield Recording(*simulate_detections(stage, seed, knobs), noise)

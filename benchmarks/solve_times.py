@@ -68,7 +68,7 @@ def main() -> None:
 
 def show(sensors: int, captures: int, repeat: int, oracle: bool) -> None:
     """Prints one line."""
-    rig, captured, _ = simulate_detections(build_world(scenario_of(sensors, captures), 0), 0)
+    rig, captured, _ = simulate_detections(build_world(scenario_of(sensors, captures), 0, images=False), 0)
     # Nothing is to be selected among clean detections, and the hypergraph's time is not this one's.
     before, problem = timed(
         lambda: build_problem_from_captures(rig, captured, RigOptions(keep="none"), np.random.default_rng(0)), 1

@@ -190,6 +190,15 @@ def test_a_slip_does_not_change_other_captures() -> None:
         assert all(np.array_equal(ends(clean[1], name)[i], ends(slipped[1], name)[i]) for i in resting)
 
 
+def test_detections_need_no_images(world: World) -> None:
+    without = build_world(SMALL, 0, images=False)
+    assert not without.renderers
+    for name in ("lidar", "laser_front"):
+        a, b = (ends(simulate_detections(one, 0)[1], name) for one in (world, without))
+        assert a.keys() == b.keys()
+        assert all(np.array_equal(a[i], b[i]) for i in a)
+
+
 def test_a_board_out_of_view_is_rejected() -> None:
     world = build_world(SMALL.model_copy(update={"bearings": (0, 180)}), 0)
     _, captured, _ = simulate_detections(world, 0)

@@ -31,7 +31,7 @@ from calgraph.simulation import (
 
 RINGS = 8
 SCENARIO = RigScenario(
-    camera=CameraOptions(width=640, height=480, texels_per_mm=0.2),
+    camera=CameraOptions(width=640, height=480),
     laser=LaserOptions(count=1, range_noise=0.0),
     spinning=SpinningOptions(count=0),
     multibeam=MultibeamOptions(count=1, rings=RINGS, lowest=-12.0, highest=8.0, range_noise=0.0),
@@ -47,7 +47,7 @@ EXACT = IdealDetectorOptions(pixel=1e-4, stated_noise_factor=1e4)
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(SCENARIO, 0)
+    return build_world(SCENARIO, 0, images=False)
 
 
 def poses(truth: GroundTruth, name: str) -> Array:

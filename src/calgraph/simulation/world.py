@@ -79,8 +79,13 @@ class SimulatedCapture:
     """By sensor, the measurements that lie fully in the hold."""
 
 
-def build_world(scenario: RigScenario, seed: int) -> World:
+def build_world(scenario: RigScenario, seed: int, images: bool = True) -> World:
     """Draws robot, room, board poses and disturbances.
+
+    Args:
+        scenario: robot, board and walk.
+        seed: of all that is drawn.
+        images: whether cameras can take images; ideal detections need none, and preparing them takes a second.
 
     Raises:
         InputError: the scenario names a root that the robot does not have, or a print that cannot be drawn.
@@ -98,7 +103,7 @@ def build_world(scenario: RigScenario, seed: int) -> World:
         return (*environment, *chain.from_iterable(carried))
 
     cameras = [sensor for sensor in robot if isinstance(sensor, MountedCamera)]
-    renderers = _build_renderers(scenario, cameras, environment, rng)
+    renderers = _build_renderers(scenario, cameras if images else (), environment, rng)
     return World(
         scenario, seed, root_name(scenario, robot), robot, trajectory, renderers, lru_cache(maxsize=2)(solids)
     )

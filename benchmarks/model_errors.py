@@ -1,0 +1,357 @@
+"""What a calibration says where the world differs from rig.yaml: one thing at a time is made wrong.
+
+python benchmarks/model_errors.py --jobs 3                       # all kinds, rigs and seeds; 102 right runs
+python benchmarks/model_errors.py --kinds print_scale tag_size   # some kinds, and right runs of the same seeds
+python benchmarks/model_errors.py --kinds range_bias --sizes 30  # in the units of the table
+python benchmarks/model_errors.py --csv runs.csv                 # a row for each run
+python benchmarks/model_errors.py --draw --runs 50               # all systematic errors drawn from their priors
+python benchmarks/model_errors.py --tremor --runs 20             # views rejected while the board trembles
+
+A pose is *confidently wrong* if its verdict is good and it is off by more than 5 of its standard deviations along
+or about an axis, by more than 20 mm, or by more than 1 degree. A run counts as confidently wrong if one of its
+sensors is, as good if all are, as remarked if the result has a remark, as failed if there is no result. NEES is
+per degree of freedom; ``/right`` is the worst position error over that of the right run with the same seed.
+Detections are ideal but for the errors, so that a run takes a fraction of a second; rigs and errors are those of
+wrong_worlds.py. After a bump the true pose is that at the end.
+"""
+
+import argparse
+import csv
+import logging
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from scipy.stats import chi2
+
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.captures import CaptureSet
+from calgraph.config import Rig
+from calgraph.errors import CalgraphError
+from calgraph.geometry import se3
+from calgraph.processes import parallel_map
+from calgraph.result import Calibration
+from calgraph.simulation import BoardErrors, GroundTruth, ModelErrors, World, simulate_detections
+from wrong_worlds import KINDS, SCENARIOS, Wrong, cases, draw_errors, rig_world, wrong_world
+
+Key = TypeVar("Key")
+RIGHT = "right"
+MAX_SIGMAS, MAX_METRES, MAX_DEGREES = 5.0, 0.020, 1.0
+"""A good pose that is off by more is confidently wrong."""
+DRAWN_CAPTURES = 8, 16, 40
+SMALL_TREMORS = 0.0005, 0.001
+"""Standard deviation of the board's position from message to message, m."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one run."""
+
+    rig: str
+    kind: str
+    """``right``, or of the error."""
+    size: float
+    seed: int
+    placed: int
+    """Sensors with a pose besides the root."""
+    good: bool
+    """Whether all sensors have a pose, and are good."""
+    remarks: int
+    confidently_wrong: bool
+    millimetres: float
+    """Worst error of a sensor; NaN if there is none."""
+    degrees: float
+    sigmas: float
+    """Worst along or about an axis."""
+    nees: float
+    """Mean over sensors, per degree of freedom."""
+    outside: float
+    """Share of sensors beyond the 99 % ellipsoid of their covariance."""
+    rejected: float
+    """Share of the views (detections of the board by one sensor) that were not used."""
+    rejected_images: float
+    """The same for cameras."""
+    seconds: float
+    text: str
+    """Remarks, verdicts that are not good, or why the run failed."""
+
+
+def main() -> None:
+    """Prints a table by rig, kind and size, and totals; or with drawn errors, or tremor."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kinds", nargs="+", choices=[*KINDS, RIGHT], default=[*KINDS, RIGHT])
+    parser.add_argument("--sizes", nargs="+", type=float, default=[], help="only these, in the units of the table")
+    parser.add_argument("--rigs", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="of the wrong runs")
+    parser.add_argument(
+        "--right", type=int, default=34, help="right runs of each rig, if `right` is among the kinds"
+    )
+    parser.add_argument("--draw", action="store_true", help="all systematic errors drawn from their priors")
+    parser.add_argument("--captures", nargs="+", type=int, default=list(DRAWN_CAPTURES), help="of drawn errors")
+    parser.add_argument("--tremor", action="store_true", help="a board that trembles in every capture")
+    parser.add_argument("--runs", type=int, default=20, help="of each rig with drawn errors or tremor")
+    parser.add_argument("--jobs", type=int, default=3)
+    parser.add_argument("--csv", type=Path, help="file to write all runs to")
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)
+    if arguments.draw or arguments.tremor:
+        sizes = arguments.captures if arguments.draw else SMALL_TREMORS
+        function = run_drawn if arguments.draw else run_trembling
+        work = [(rig, size, seed) for rig in arguments.rigs for seed in range(arguments.runs) for size in sizes]
+        outcomes = run_all(function, work, arguments.jobs)
+        show_drawn(outcomes) if arguments.draw else show_trembling(outcomes)
+    else:
+        outcomes = run_all(run, wrong_and_right(arguments), arguments.jobs)
+        show(outcomes)
+    if arguments.csv:
+        save_csv(arguments.csv, outcomes)
+
+
+def wrong_and_right(arguments: argparse.Namespace) -> list[tuple[str, str, float, int]]:
+    """Rig, kind, size and seed of all runs. Runs in one world are neighbours: it is built once."""
+    kinds = tuple(kind for kind in arguments.kinds if kind != RIGHT)
+    right = range(arguments.right) if RIGHT in arguments.kinds else ()
+    work = []
+    for rig in arguments.rigs:
+        for seed in sorted({*arguments.seeds, *right}):
+            work.append((rig, RIGHT, 0.0, seed))
+            if seed in arguments.seeds:
+                work += [(rig, kind, size, seed) for kind, size in cases(kinds, tuple(arguments.sizes))]
+    return work
+
+
+def run_all(
+    function: Callable[..., Outcome | None], work: Sequence[tuple[object, ...]], jobs: int
+) -> list[Outcome]:
+    """The outcomes of all runs that exist."""
+
+    def progress(done: float) -> None:
+        print(f"\r{done:.0%} of {len(work)} runs", end="", file=sys.stderr, flush=True)
+
+    found = [one for one in parallel_map(function, work, jobs, progress) if one is not None]
+    print(file=sys.stderr)
+    return found
+
+
+def run(rig: str, kind: str, size: float, seed: int) -> Outcome | None:
+    """One wrong or right run; None where the rig has no sensor that could be wrong so."""
+    wrong = Wrong() if kind == RIGHT else wrong_world(kind, size, rig, seed)
+    if wrong is None:
+        return None
+    world = rig_world(rig, seed, wrong.scenario)
+    return judge((rig, kind, size, seed), *simulate_detections(world, seed, wrong.options, wrong.errors))
+
+
+def run_drawn(rig: str, captures: int, seed: int) -> Outcome:
+    """One run with all systematic errors drawn, from some of the captures of the rig."""
+    rng = np.random.default_rng((seed, 15))
+    world = with_captures(rig_world(rig, seed), captures, rng)
+    return judge((rig, "drawn", captures, seed), *simulate_detections(world, seed, None, draw_errors(world, rng)))
+
+
+def run_trembling(rig: str, tremor: float, seed: int) -> Outcome:
+    """One run with a board that trembles."""
+    errors = ModelErrors(BoardErrors(tremor=tremor))
+    return judge((rig, "tremor", tremor, seed), *simulate_detections(rig_world(rig, seed), seed, None, errors))
+
+
+def with_captures(world: World, count: int, rng: np.random.Generator) -> World:
+    """The same world with some of its holds, drawn at random."""
+    holds = world.trajectory.holds
+    chosen = np.sort(rng.permutation(len(holds))[:count])
+    return replace(world, trajectory=replace(world.trajectory, holds=tuple(holds[i] for i in chosen)))
+
+
+def judge(case: tuple[str, str, float, int], rig: Rig, captured: CaptureSet, truth: GroundTruth) -> Outcome:
+    """Calibrates, and compares with the truth."""
+    began = time.perf_counter()
+    try:
+        problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(case[3]))
+        found = solve_problem(problem)
+    except CalgraphError as error:
+        nan = float("nan")
+        return Outcome(
+            *case, 0, False, 0, False, nan, nan, nan, nan, nan, nan, nan, time.perf_counter() - began, str(error)
+        )
+    seconds = time.perf_counter() - began
+    sensors = [sensor for sensor in found.sensors if sensor.parent is not None]
+    metres, degrees, sigmas, nees = [], [], [], []
+    for sensor in sensors:
+        off = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])
+        metres.append(float(np.linalg.norm(off[:3])))
+        degrees.append(float(np.degrees(np.linalg.norm(off[3:]))))
+        sigmas.append(float(np.max(np.abs(off) / np.sqrt(np.diag(sensor.covariance)))))
+        nees.append(float(off @ np.linalg.solve(sensor.covariance, off) / 6))
+    confident = [
+        sensor.verdict.grade == "good" and (s > MAX_SIGMAS or m > MAX_METRES or d > MAX_DEGREES)
+        for sensor, m, d, s in zip(sensors, metres, degrees, sigmas, strict=True)
+    ]
+    verdicts = [f"{s.name} {s.verdict.grade}: {s.verdict.reason}" for s in sensors if s.verdict.grade != "good"]
+    return Outcome(
+        *case,
+        placed=len(sensors),
+        good=len(found.sensors) == len(rig.sensors) and not verdicts,
+        remarks=len(found.evidence.remarks),
+        confidently_wrong=any(confident),
+        millimetres=1000 * max(metres, default=np.nan),
+        degrees=max(degrees, default=np.nan),
+        sigmas=max(sigmas, default=np.nan),
+        nees=mean(nees),
+        outside=mean([6 * one > chi2.ppf(0.99, 6) for one in nees]),
+        rejected=rejected_share(found, captured, tuple(rig.sensors)),
+        rejected_images=rejected_share(found, captured, tuple(rig.cameras())),
+        seconds=seconds,
+        text=" | ".join([*found.evidence.remarks, *verdicts]),
+    )
+
+
+def rejected_share(found: Calibration, captured: CaptureSet, sensors: Sequence[str]) -> float:
+    """Share of the views of these sensors that were not used, of those that others share."""
+    shared = [row for row in found.evidence.captures if row.sensor in sensors and is_shared(captured, row.capture)]
+    detected = [row for row in shared if row.capture in captured.detections[row.sensor]]
+    return mean([not row.used for row in detected])
+
+
+def is_shared(captured: CaptureSet, capture: int) -> bool:
+    """Whether two sensors detected the board."""
+    return sum(capture in found for found in captured.detections.values()) > 1
+
+
+def show(outcomes: Sequence[Outcome]) -> None:
+    """Prints a line for each rig, kind and size, and totals."""
+    reference = {(o.rig, o.seed): o for o in outcomes if o.kind == RIGHT}
+    print(
+        f"{'rig':6} {'error':18} {'size':>10} {'runs':>4} {'good':>4} {'weak':>4} {'rem.':>4} {'fail':>4} "
+        f"{'conf':>4} {'mm':>7} {'max':>7} {'deg':>7} {'max':>7} {'sigmas':>7} {'NEES':>8} {'/right':>7}"
+    )
+    for (rig, kind, size), group in grouped(outcomes, lambda o: (o.rig, o.kind, o.size)):
+        ratios = [o.millimetres / reference[o.rig, o.seed].millimetres for o in group]
+        label = "" if kind == RIGHT else KINDS[kind].label(size)
+        millimetres, degrees = [o.millimetres for o in group], [o.degrees for o in group]
+        print(
+            f"{rig:6} {kind:18} {label:>10} {len(group):4d} {count(group, 'good'):4d} {weak(group):4d} "
+            f"{remarked(group):4d} {failed(group):4d} {count(group, 'confidently_wrong'):4d} "
+            f"{median(millimetres):7.2f} {worst(millimetres):7.1f} {median(degrees):7.3f} {worst(degrees):7.2f} "
+            f"{worst([o.sigmas for o in group]):7.1f} {mean([o.nees for o in group]):8.2f} {median(ratios):7.2f}"
+        )
+    right, wrong = [o for o in outcomes if o.kind == RIGHT], [o for o in outcomes if o.kind != RIGHT]
+    show_totals("wrong", wrong)
+    for kind, group in grouped(wrong, lambda o: o.kind):
+        if count(group, "confidently_wrong"):
+            print(f"    {kind:18} {count(group, 'confidently_wrong'):3d} of {len(group)}")
+    show_totals("right", right)
+    flagged = [o for o in right if not o.good or o.remarks]
+    print(f"right runs weak, failed or remarked: {len(flagged)} of {len(right)} ({share(flagged, right)})")
+    for text, group in grouped(flagged, lambda o: o.text):
+        print(f"    {len(group)} x {text[:200]}")
+
+
+def show_totals(name: str, outcomes: Sequence[Outcome]) -> None:
+    """Prints how many runs have which verdict."""
+    confident = [o for o in outcomes if o.confidently_wrong]
+    print(
+        f"{name}: {len(outcomes)} runs, {count(outcomes, 'good')} good, {weak(outcomes)} weak, "
+        f"{failed(outcomes)} failed, {remarked(outcomes)} remarked; {len(confident)} confidently wrong "
+        f"({share(confident, outcomes)}), {sum(not o.remarks for o in confident)} of them without a remark; NEES "
+        f"median {median([o.nees for o in outcomes]):.2f}; {mean([o.seconds for o in outcomes]):.2f} s a run"
+    )
+
+
+def show_drawn(outcomes: Sequence[Outcome]) -> None:
+    """Prints the NEES by number of captures."""
+    print(
+        f"{'rig':6} {'captures':>8} {'runs':>4} {'placed':>6} {'NEES':>6} {'median':>6} {'> 99 %':>7} {'mm':>7} "
+        f"{'max':>7} {'good':>4} {'rem.':>4} {'conf':>4}"
+    )
+    pooled = [replace(o, rig="all") for o in outcomes]
+    for (rig, _, captures), group in grouped([*outcomes, *pooled], lambda o: (o.rig, o.kind, o.size)):
+        nees, millimetres = [o.nees for o in group], [o.millimetres for o in group]
+        print(
+            f"{rig:6} {captures:8g} {len(group):4d} {sum(o.placed for o in group):6d} {mean(nees):6.2f} "
+            f"{median(nees):6.2f} {mean([o.outside for o in group]):7.1%} {median(millimetres):7.2f} "
+            f"{worst(millimetres):7.1f} {count(group, 'good'):4d} {remarked(group):4d} "
+            f"{count(group, 'confidently_wrong'):4d}"
+        )
+
+
+def show_trembling(outcomes: Sequence[Outcome]) -> None:
+    """Prints the share of rejected views, and the NEES."""
+    print(
+        f"{'rig':6} {'tremor':>7} {'runs':>4} {'views rejected':>14} {'images':>7} {'most':>7} {'NEES':>6} "
+        f"{'mm':>7} {'good':>4} {'rem.':>4} {'conf':>4}"
+    )
+    for (rig, _, size), group in grouped(outcomes, lambda o: (o.rig, o.kind, o.size)):
+        print(
+            f"{rig:6} {1000 * size:4g} mm {len(group):4d} {mean([o.rejected for o in group]):14.1%} "
+            f"{mean([o.rejected_images for o in group]):7.1%} {worst([o.rejected_images for o in group]):7.1%} "
+            f"{mean([o.nees for o in group]):6.2f} {median([o.millimetres for o in group]):7.2f} "
+            f"{count(group, 'good'):4d} {remarked(group):4d} {count(group, 'confidently_wrong'):4d}"
+        )
+
+
+def save_csv(path: Path, outcomes: Iterable[Outcome]) -> None:
+    """Writes a row for each run."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [one.name for one in fields(Outcome)])
+        writer.writeheader()
+        writer.writerows(map(asdict, outcomes))
+
+
+def grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], Key]) -> list[tuple[Key, list[Outcome]]]:
+    """Outcomes by a key, in the order in which keys come first."""
+    groups: dict[Key, list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(key(outcome), []).append(outcome)
+    return list(groups.items())
+
+
+def count(outcomes: Iterable[Outcome], attribute: str) -> int:
+    """How many outcomes have a flag."""
+    return sum(getattr(o, attribute) for o in outcomes)
+
+
+def failed(outcomes: Iterable[Outcome]) -> int:
+    """How many runs placed no sensor."""
+    return sum(not o.placed for o in outcomes)
+
+
+def weak(outcomes: Iterable[Outcome]) -> int:
+    """How many runs have a sensor that is not good."""
+    return sum(o.placed > 0 and not o.good for o in outcomes)
+
+
+def remarked(outcomes: Iterable[Outcome]) -> int:
+    """How many runs have a remark."""
+    return sum(o.remarks > 0 for o in outcomes)
+
+
+def share(part: Sequence[Outcome], whole: Sequence[Outcome]) -> str:
+    """As a percentage."""
+    return f"{len(part) / len(whole):.1%}" if whole else "-"
+
+
+def mean(values: Sequence[float]) -> float:
+    """Of the finite values."""
+    finite = np.array(values, dtype=float)[np.isfinite(values)] if len(values) else np.zeros(0)
+    return float(finite.mean()) if len(finite) else float("nan")
+
+
+def median(values: Sequence[float]) -> float:
+    """Of the finite values."""
+    finite = np.array(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return float(np.median(finite)) if len(finite) else float("nan")
+
+
+def worst(values: Sequence[float]) -> float:
+    """The largest finite value."""
+    finite = np.array(values, dtype=float)
+    return float(np.max(finite[np.isfinite(finite)], initial=0.0))
+
+
+if __name__ == "__main__":
+    main()

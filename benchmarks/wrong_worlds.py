@@ -1,0 +1,440 @@
+"""Rigs, and everything in which a world may differ from rig.yaml: what model_errors.py runs."""
+
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
+from calgraph.geometry import Array, se3, so3
+from calgraph.sensors import CameraModel
+from calgraph.simulation import (
+    BoardErrors,
+    Bump,
+    CameraErrors,
+    CameraOptions,
+    IdealDetectorOptions,
+    LaserOptions,
+    ModelErrors,
+    MultibeamOptions,
+    RigScenario,
+    ScannerErrors,
+    SpinningOptions,
+    World,
+    build_world,
+    world_rig,
+)
+from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
+from calgraph.simulation.scanners import BeamPattern
+
+_CAMERA = CameraOptions(distortion=(-0.1, 0.03, 0.0005, -0.0005, 0.0))
+_CHAIN_FACING = {"laser_front": 100.0, "camera": 40.0, "lidar": -20.0, "camera_2": -80.0}
+"""Directions in which the sensors of the chain face, degrees to the left of ahead."""
+_CHAIN_FIELD = 100.0
+"""Their fields of view, degrees: neighbours share 40 degrees, others nothing."""
+
+SCENARIOS: Mapping[str, RigScenario] = {
+    "five": RigScenario(camera=_CAMERA),
+    "chain": RigScenario(
+        camera=_CAMERA.model_copy(update={"count": 2, "field_of_view": _CHAIN_FIELD}),
+        laser=LaserOptions(count=1, field_of_view=_CHAIN_FIELD),
+        spinning=SpinningOptions(count=0),
+        multibeam=MultibeamOptions(count=1),
+        # More for the 2-D scanner at the end of the chain, which needs them.
+        bearings=(58, 64, 70, 76, 82, 0, 10, 20, -60, -50, -40),
+        radii=(2.0, 2.8),
+        samples=3,
+        max_rotation=45.0,
+    ),
+    "pair": RigScenario(
+        camera=_CAMERA,
+        laser=LaserOptions(count=0),
+        spinning=SpinningOptions(count=0),
+        multibeam=MultibeamOptions(count=1),
+        bearings=(-30, -20, -10, 0, 10, 20, 30),
+    ),
+}
+"""Five sensors; four in a chain, each of which detects the board together with its neighbours only; and a camera
+with a 16-beam LiDAR."""
+
+
+@lru_cache(maxsize=4)
+def rig_world(rig: str, seed: int, changes: tuple[tuple[str, Any], ...] = ()) -> World:
+    """The world of a rig, with changes to its scenario."""
+    world = build_world(SCENARIOS[rig].model_copy(update=dict(changes)), seed, images=False)
+    if rig != "chain":
+        return world
+    nominal = {"camera": 30.0, "camera_2": -30.0, "laser_front": 0.0, "lidar": 0.0}
+    robot = [
+        _turned(sensor, np.radians(_CHAIN_FACING[sensor.name] - nominal[sensor.name])) for sensor in world.robot
+    ]
+    return replace(world, robot=tuple(robot))
+
+
+def _turned(sensor: RobotSensor, yaw: float) -> RobotSensor:
+    """The sensor carried around the robot's axis; a LiDAR with its field of view limited to a sector."""
+    T_world_sensor = se3.pose(so3.exp(np.array([0.0, 0.0, yaw])), np.zeros(3)) @ sensor.T_world_sensor
+    if isinstance(sensor, MountedScanner) and sensor.kind == "lidar3d":
+        return replace(sensor, T_world_sensor=T_world_sensor, pattern=_sector(sensor.pattern))
+    return replace(sensor, T_world_sensor=T_world_sensor)
+
+
+def _sector(pattern: BeamPattern) -> BeamPattern:
+    """The beams within half a field of view of the x axis."""
+    kept = np.abs(np.angle(np.exp(1j * pattern.angles))) <= np.radians(_CHAIN_FIELD / 2)
+    after = np.cumsum(kept) - 1
+    # The last beams of the sector have themselves as neighbours: their fields of view end, not the board.
+    neighbours = np.where(kept[pattern.neighbours], after[pattern.neighbours], after)[kept]
+    assert pattern.rings is not None
+    return BeamPattern(
+        pattern.origins,
+        pattern.directions[kept],
+        pattern.sideways[kept],
+        pattern.times[kept],
+        neighbours,
+        pattern.angles[kept],
+        pattern.rings[kept],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Wrong:
+    """A world in which one thing is wrong."""
+
+    errors: ModelErrors = field(default_factory=ModelErrors)
+    scenario: tuple[tuple[str, Any], ...] = ()
+    """Changes to the scenario."""
+    options: IdealDetectorOptions = field(default_factory=IdealDetectorOptions)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of error in several sizes."""
+
+    sizes: tuple[float, ...]
+    """SI units, rad, pixels, or ratios."""
+    unit: str
+    """For display."""
+    factor: float
+    """Of sizes, to this unit."""
+    make: Callable[[float, World, np.random.Generator], Wrong | None]
+    """None where the rig has no such sensor."""
+
+    def label(self, size: float) -> str:
+        """A size with its unit."""
+        return f"{self.factor * size:g} {self.unit}"
+
+
+def wrong_world(kind: str, size: float, rig: str, seed: int) -> Wrong | None:
+    """The errors of one run; sensor, sign and direction are drawn, the same for all sizes of a kind."""
+    rng = np.random.default_rng((seed, zlib.crc32(f"{kind} {rig}".encode())))
+    return KINDS[kind].make(size, rig_world(rig, seed), rng)
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def _direction(rng: np.random.Generator, dimension: int) -> Any:
+    """A random unit vector as a tuple."""
+    v = rng.standard_normal(dimension)
+    return tuple((v / np.linalg.norm(v)).tolist())
+
+
+def _scaled(size: float, vector: tuple[float, ...]) -> Any:
+    return tuple(size * x for x in vector)
+
+
+def _cameras(world: World) -> list[MountedCamera]:
+    return [sensor for sensor in world.robot if isinstance(sensor, MountedCamera)]
+
+
+def _scanners(world: World, fits: Callable[[MountedScanner], bool]) -> list[MountedScanner]:
+    return [sensor for sensor in world.robot if isinstance(sensor, MountedScanner) and fits(sensor)]
+
+
+def _of_board(make: Callable[[float, World, np.random.Generator], BoardErrors]) -> Any:
+    return lambda size, world, rng: Wrong(ModelErrors(make(size, world, rng)))
+
+
+def _of_camera(make: Callable[[float, MountedCamera, np.random.Generator], CameraErrors]) -> Any:
+    """One camera is wrong."""
+
+    def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
+        camera = _cameras(world)[rng.integers(len(_cameras(world)))]
+        return Wrong(ModelErrors(cameras={camera.name: make(size, camera, rng)}))
+
+    return of_world
+
+
+def _of_scanner(
+    make: Callable[[float, MountedScanner, np.random.Generator], ScannerErrors],
+    fits: Callable[[MountedScanner], bool] = lambda _scanner: True,
+) -> Any:
+    """One scanner of those that fit is wrong."""
+
+    def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
+        candidates = _scanners(world, fits)
+        if not candidates:
+            return None
+        scanner = candidates[rng.integers(len(candidates))]
+        return Wrong(ModelErrors(scanners={scanner.name: make(size, scanner, rng)}))
+
+    return of_world
+
+
+def _of_any(make: Callable[[float, np.random.Generator], Bump], size_factor: float = 1.0) -> Any:
+    """One sensor is bumped, the root as likely as any other."""
+
+    def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
+        sensor = world.robot[rng.integers(len(world.robot))]
+        bump = make(size_factor * size, rng)
+        if isinstance(sensor, MountedCamera):
+            return Wrong(ModelErrors(cameras={sensor.name: CameraErrors(bump=bump)}))
+        return Wrong(ModelErrors(scanners={sensor.name: ScannerErrors(bump=bump)}))
+
+    return of_world
+
+
+def _is_2d(scanner: MountedScanner) -> bool:
+    return scanner.kind == "lidar2d"
+
+
+def _has_rings(scanner: MountedScanner) -> bool:
+    return scanner.pattern.rings is not None
+
+
+def _ring_count(scanner: MountedScanner) -> int:
+    return 0 if scanner.pattern.rings is None else int(scanner.pattern.rings.max()) + 1
+
+
+def _displaced_tag(size: float, world: World, rng: np.random.Generator) -> BoardErrors:
+    tag = world.scenario.board.tags[rng.integers(len(world.scenario.board.tags))]
+    return BoardErrors(tag_position={tag.id: _scaled(size, _direction(rng, 2))})
+
+
+def _undistorted(size: float, camera: MountedCamera, rng: np.random.Generator) -> CameraErrors:  # noqa: ARG001
+    """The lens has radial distortion that camera_info leaves out."""
+    lens = replace(camera.camera, distortion=camera.camera.distortion + np.array([-size, 0.3 * size, 0, 0, 0]))
+    return CameraErrors(lens=lens)
+
+
+def _rational(size: float, camera: MountedCamera, rng: np.random.Generator) -> CameraErrors:  # noqa: ARG001
+    """A rational polynomial, of which camera_info states the numerator as plumb_bob."""
+    stated = camera.camera.distortion
+    return CameraErrors(lens=replace(camera.camera, distortion=np.concatenate([stated, [size, 0.2 * size, 0.0]])))
+
+
+def _fisheye(size: float, camera: MountedCamera, rng: np.random.Generator) -> CameraErrors:  # noqa: ARG001
+    """An equidistant lens that looks like the stated one at the axis; ``size`` is its k1."""
+    stated = camera.camera
+    return CameraErrors(
+        lens=CameraModel("fisheye", stated.width, stated.height, stated.K, np.array([size, 0, 0, 0]))
+    )
+
+
+def _late(size: float, world: World, rng: np.random.Generator) -> Wrong:
+    """One clock is 50 ms late while the board moves at ``size`` m/s in every capture."""
+    sensor, board = world.robot[rng.integers(len(world.robot))], BoardErrors(speed=size)
+    if isinstance(sensor, MountedCamera):
+        return Wrong(ModelErrors(board, cameras={sensor.name: CameraErrors(delay=0.05)}))
+    return Wrong(ModelErrors(board, scanners={sensor.name: ScannerErrors(delay=0.05)}))
+
+
+def _footprints(size: float, world: World, rng: np.random.Generator) -> Wrong:  # noqa: ARG001
+    scanners = {scanner.name: ScannerErrors(divergence=size) for scanner in _scanners(world, lambda _: True)}
+    return Wrong(ModelErrors(scanners=scanners))
+
+
+_DEGREE = float(np.degrees(1.0))
+KINDS: Mapping[str, Kind] = {
+    "print_scale": Kind(
+        (0.01, 0.02), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_scale=_sign(rng) * s))
+    ),
+    "print_aspect": Kind(
+        (0.005, 0.01), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_aspect=_sign(rng) * s))
+    ),
+    "tag_size": Kind(
+        (0.01, 0.05, 0.2), "%", 100, _of_board(lambda s, _, rng: BoardErrors(tag_size=_sign(rng) * s))
+    ),
+    "tag_position": Kind((0.003, 0.01), "mm", 1e3, _of_board(_displaced_tag)),
+    "focal_length": Kind(
+        (0.01, 0.03, 0.1),
+        "%",
+        100,
+        _of_camera(lambda s, _, rng: CameraErrors(focal_length=_scaled(_sign(rng) * s, (1.0, 1.0)))),
+    ),
+    "focal_length_x": Kind(
+        (0.01, 0.03, 0.1), "%", 100, _of_camera(lambda s, _, rng: CameraErrors(focal_length=(_sign(rng) * s, 0.0)))
+    ),
+    "principal_point": Kind(
+        (10, 15, 20, 30),
+        "px",
+        1,
+        _of_camera(lambda s, _, rng: CameraErrors(principal_point=_scaled(s, _direction(rng, 2)))),
+    ),
+    "distortion_dropped": Kind((0.05, 0.2), "k1", -1, _of_camera(_undistorted)),
+    "rational_lens": Kind((0.02, 0.1), "k4", 1, _of_camera(_rational)),
+    "fisheye_lens": Kind((0.0, 0.05), "k1", 1, _of_camera(_fisheye)),
+    "range_bias": Kind(
+        (0.01, 0.03, 0.1), "mm", 1e3, _of_scanner(lambda s, _, rng: ScannerErrors(range_bias=_sign(rng) * s))
+    ),
+    "range_scale": Kind(
+        (0.003, 0.01), "%", 100, _of_scanner(lambda s, _, rng: ScannerErrors(range_scale=_sign(rng) * s))
+    ),
+    "angle_scale": Kind(
+        (0.002, 0.005, 0.01),
+        "%",
+        100,
+        _of_scanner(lambda s, _, rng: ScannerErrors(angle_scale=_sign(rng) * s), _is_2d),
+    ),
+    "ring_bias": Kind(
+        (0.01, 0.02),
+        "mm",
+        1e3,
+        _of_scanner(
+            lambda s, lidar, rng: ScannerErrors(ring_bias=tuple(rng.normal(0, s, _ring_count(lidar)).tolist())),
+            _has_rings,
+        ),
+    ),
+    "ring_elevation": Kind(
+        (np.radians(0.1), np.radians(0.2)),
+        "deg",
+        _DEGREE,
+        _of_scanner(
+            lambda s, lidar, rng: ScannerErrors(
+                ring_elevation=tuple(rng.normal(0, s, _ring_count(lidar)).tolist())
+            ),
+            _has_rings,
+        ),
+    ),
+    "bump_rotation": Kind(
+        (np.radians(0.3), np.radians(1.0), np.radians(3.0)),
+        "deg",
+        _DEGREE,
+        _of_any(lambda s, rng: Bump(0.5, rotation=_scaled(s, _direction(rng, 3)))),
+    ),
+    "bump_translation": Kind(
+        (0.005, 0.02), "mm", 1e3, _of_any(lambda s, rng: Bump(0.5, translation=_scaled(s, _direction(rng, 3))))
+    ),
+    "bump_at_a_third": Kind(
+        (np.radians(1.0),),
+        "deg",
+        _DEGREE,
+        _of_any(lambda s, rng: Bump(1 / 3, rotation=_scaled(s, _direction(rng, 3)))),
+    ),
+    "image_shift": Kind(
+        (5, 15, 20),
+        "px",
+        1,
+        _of_camera(
+            lambda s, _, rng: CameraErrors(image_shift=_scaled(s, _direction(rng, 2)), image_shift_after=0.5)
+        ),
+    ),
+    "bent": Kind(
+        (0.002, 0.005, 0.01), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(bow=(_sign(rng) * s, 0.0, 0.0)))
+    ),
+    "saddle": Kind(
+        (0.002, 0.005, 0.01),
+        "mm",
+        1e3,
+        _of_board(lambda s, _, rng: BoardErrors(bow=_scaled(_sign(rng) * s, (1.0, -1.0, 0.0)))),
+    ),
+    "twisted": Kind((0.005,), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(bow=(0.0, 0.0, _sign(rng) * s)))),
+    "board_size": Kind(
+        (0.01, 0.03), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(size=_scaled(_sign(rng) * s, (1.0, 1.0))))
+    ),
+    "print_position": Kind(
+        (0.003, 0.01),
+        "mm",
+        1e3,
+        _of_board(lambda s, _, rng: BoardErrors(print_position=_scaled(s, _direction(rng, 2)))),
+    ),
+    "noise": Kind(
+        (3.0,), "times", 1, lambda s, _world, _rng: Wrong(options=IdealDetectorOptions(stated_noise_factor=1 / s))
+    ),
+    "footprint": Kind((0.003,), "mrad", 1e3, _footprints),
+    "tremor": Kind((0.0005, 0.001), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(tremor=s))),  # noqa: ARG005
+    "slip": Kind((0.2, 0.5), "%", 100, lambda s, _world, _rng: Wrong(scenario=(("disturbed", s),))),
+    "late_clock": Kind((0.05, 0.2), "m/s", 1, _late),
+}
+
+
+def draw_errors(world: World, rng: np.random.Generator) -> ModelErrors:
+    """Every systematic error from its prior in rig.yaml, with the default standard deviations."""
+    rig = world_rig(world)
+    return ModelErrors(
+        _draw_board_errors(rig.boards[0], rng),
+        cameras={camera.name: _draw_camera_errors(camera, rig, rng) for camera in _cameras(world)},
+        scanners={
+            scanner.name: _draw_scanner_errors(scanner, rig, rng) for scanner in _scanners(world, lambda _: True)
+        },
+    )
+
+
+def _draw_board_errors(board: Board, rng: np.random.Generator) -> BoardErrors:
+    prior = board.uncertainty
+    return BoardErrors(
+        print_scale=rng.normal(0, prior.print_scale),
+        print_aspect=rng.normal(0, prior.print_aspect),
+        print_position=(rng.normal(0, prior.print_position), rng.normal(0, prior.print_position)),
+        print_rotation=rng.normal(0, 2 * prior.print_position / max(board.size)),
+        tag_size=rng.normal(0, prior.tag_size),
+        tag_position={
+            tag.id: (rng.normal(0, prior.tag_position), rng.normal(0, prior.tag_position)) for tag in board.tags
+        },
+        tag_rotation={tag.id: rng.normal(0, 2 * prior.tag_position / tag.size) for tag in board.tags},
+        bow=(rng.normal(0, prior.bow), rng.normal(0, prior.bow), 0.0),
+        size=(rng.normal(0, prior.size), rng.normal(0, prior.size)),
+    )
+
+
+def _draw_camera_errors(camera: MountedCamera, rig: Rig, rng: np.random.Generator) -> CameraErrors:
+    spec, model = rig.sensors[camera.name], camera.camera
+    assert isinstance(spec, CameraSpec)
+    prior = spec.uncertainty
+    scale, aspect = 1 + rng.normal(0, prior.focal_length), rng.normal(0, prior.pixel_aspect)
+    effect = _displacement_at_corner(model)
+    return CameraErrors(
+        focal_length=(scale * (1 + aspect / 2) - 1, scale * (1 - aspect / 2) - 1),
+        principal_point=(rng.normal(0, prior.principal_point), rng.normal(0, prior.principal_point)),
+        distortion=tuple((rng.normal(0, prior.distortion, len(effect)) / effect).tolist()),
+    )
+
+
+def _displacement_at_corner(camera: CameraModel) -> Array:
+    """(n,) displacement of the corner of the image by each distortion coefficient, pixels per unit."""
+    ray = camera.rays(np.zeros((1, 2)))
+    step = 1e-6
+    moved = [
+        replace(camera, distortion=camera.distortion + step * unit).project(ray)[0]
+        for unit in np.eye(len(camera.distortion))
+    ]
+    return np.asarray(np.linalg.norm(moved, axis=1) / step)
+
+
+def _draw_scanner_errors(scanner: MountedScanner, rig: Rig, rng: np.random.Generator) -> ScannerErrors:
+    spec = rig.sensors[scanner.name]
+    assert isinstance(spec, Lidar2dSpec | Lidar3dSpec)
+    prior = spec.uncertainty
+    angle_scale = rng.normal(0, spec.uncertainty.angle_scale) if isinstance(spec, Lidar2dSpec) else 0.0
+    rings = ()
+    if isinstance(spec, Lidar3dSpec):
+        rings = tuple(rng.normal(0, spec.uncertainty.ring_bias, _ring_count(scanner)).tolist())
+    return ScannerErrors(
+        range_bias=rng.normal(0, prior.range_bias),
+        range_scale=rng.normal(0, prior.range_scale),
+        angle_scale=angle_scale,
+        ring_bias=rings,
+    )
+
+
+def cases(kinds: Iterator[str] | tuple[str, ...], sizes: tuple[float, ...] = ()) -> Iterator[tuple[str, float]]:
+    """All kinds and sizes; only these sizes, in the units of the table, where any are given."""
+    for kind in kinds:
+        for size in KINDS[kind].sizes:
+            if not sizes or any(np.isclose(abs(KINDS[kind].factor * size), one) for one in sizes):
+                yield kind, size
