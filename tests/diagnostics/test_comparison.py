@@ -49,3 +49,9 @@ def test_uncertain_axes_fail_if_no_pose_within_the_tolerance_is_likely(squared: 
     # The nearest pose within the tolerance leaves 0.18 m of the difference.
     covariance[0, 1] = covariance[1, 0] = 1 - 0.18**2 / squared / 2
     assert _grade_axes(offset, covariance, ALLOWED, SignificanceTest.of(1e-3))[:2] == [outcome, outcome]
+
+
+@pytest.mark.parametrize(("offset", "outcome"), [(0.01, "warn"), (0.0101, "fail")])
+def test_a_displacement_as_large_as_the_tolerance_does_not_fail(offset: float, outcome: str) -> None:
+    found = _grade_axes(offset * np.eye(6)[0], 1e-6 * np.eye(6), ALLOWED, SignificanceTest.of(1e-3))
+    assert found == [outcome, *["pass"] * 5]

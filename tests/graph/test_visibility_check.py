@@ -1,6 +1,7 @@
 """Places in a network that are refuted by people who would have passed unnoticed, and what is done about them."""
 
 import numpy as np
+import pytest
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
@@ -133,3 +134,12 @@ def test_the_missed_share_is_that_of_the_expected_detections() -> None:
         found.part
     )
     assert found.missed_share == missed / expected
+
+
+@pytest.mark.parametrize(("seconds", "step"), [(100.0, 1), (300.0, 2)])
+def test_long_recordings_are_subsampled(seconds: float, step: int) -> None:
+    """Beyond 2000 ticks of 0.1 s to every second one, and so on."""
+    observations = [ScannerObservations.from_tracks(followed(name, seconds)) for name in NAMES]
+    detections = _compare_detections(observations, np.array([T[name] for name in NAMES]))
+    assert detections.step == step
+    assert detections.count == sum(len(one.samples.tick[one.samples.tick % step == 0]) for one in observations)

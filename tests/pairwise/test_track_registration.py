@@ -472,3 +472,13 @@ def test_matches_along_the_larger_variance_are_within_the_gate() -> None:
 def test_the_prior_is_of_clock_and_depths_and_not_of_the_pose() -> None:
     prior = _build_prior(0.1, RegistrationSettings(clock_stddev=0.02))
     np.testing.assert_allclose(prior, [0, 0, 0, 2500, 100, 100])
+
+
+def test_a_track_of_one_position_adds_no_samples_to_those_of_others() -> None:
+    t = np.arange(0.0, 3.0, 0.07)
+    walk = Track(t, position(t), velocity(t), np.linspace(0.01, 0.02, len(t))[:, None, None] * np.eye(2), 0)
+    one = Track(np.array([-50.0]), np.ones((1, 2)), np.zeros((1, 2)), np.eye(2)[None], 1)
+    alone = resample_tracks(ScannerTracks((walk,), np.zeros((0, 2)), 0.01))
+    both = resample_tracks(ScannerTracks((walk, one), np.zeros((0, 2)), 0.01))
+    for name in ("tick", "positions", "velocities", "covariances"):
+        np.testing.assert_array_equal(getattr(both, name), getattr(alone, name))

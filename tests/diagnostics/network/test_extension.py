@@ -7,6 +7,7 @@ import pytest
 
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.network.extension import (
+    _mark_kept,
     build_consistent_prior,
     extract_earlier_poses,
     merge_calibrations,
@@ -17,10 +18,11 @@ from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, Edge
+from calgraph.result import Calibration, Edge, Verdict
 from known_networks import calibration, four_scanners
 
 SETTINGS = DiagnosticsSettings()
+REMARK = "its pose is that of the earlier calibration: this recording does not determine it"
 
 
 def test_the_gradient_of_the_prior_equals_finite_differences() -> None:
@@ -160,3 +162,13 @@ def test_a_calibration_that_is_not_of_a_network_cannot_be_extended() -> None:
     with_camera = replace(found, sensors=(*found.sensors[:3], replace(found.sensors[3], kind="camera")))
     with pytest.raises(InputError, match=r"^`extend`: "):
         extract_earlier_poses(with_camera, "a")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("", REMARK), ("height of east: move", f"height of east: move; {REMARK}"), (REMARK, REMARK)],
+)
+def test_the_remark_of_a_kept_scanner_follows_the_reason_of_its_grade_once(before: str, after: str) -> None:
+    sensor = calibration(four_scanners(np.random.default_rng(0))).sensors[1]
+    kept = _mark_kept(replace(sensor, verdict=Verdict("weak", before)))
+    assert kept.verdict == Verdict("weak", after)

@@ -38,3 +38,12 @@ def test_the_sum_of_weights_is_the_information(rng: np.random.Generator) -> None
         mean = np.sum(weight * beams, axis=1, keepdims=True) / np.sum(weight, axis=1, keepdims=True)
     # The standard deviation of the variance of 4000 means is 2.2 %.
     assert np.mean(mean**2) * np.mean(np.sum(weight, axis=1)) == pytest.approx(1, abs=0.08)
+
+
+@pytest.mark.parametrize("limit", [1.0, 2.5, 5.0])
+def test_moments_are_those_of_the_truncated_normal_distribution(limit: float) -> None:
+    """Expectation of 1 - 2 (r / c)^2 + 3 (r / c)^4 within the limit, by the trapezoidal rule."""
+    r = np.linspace(-limit, limit, 20_001)
+    values = (1 - 2 * (r / limit) ** 2 + 3 * (r / limit) ** 4) * np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi)
+    expected = np.sum((values[1:] + values[:-1]) / 2 * np.diff(r))
+    assert TukeyLoss(limit)._expect([1, 0, -2, 0, 3]) == pytest.approx(expected, rel=1e-6)

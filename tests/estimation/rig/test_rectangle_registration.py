@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import BoardRegistrationSettings
-from calgraph.estimation.rig.rectangle_registration import _limited_mean, register_rectangles
+from calgraph.estimation.rig.rectangle_registration import _limited_mean, _offsets_from_sides, register_rectangles
 from calgraph.geometry import Array, se3, so3
 
 SETTINGS = BoardRegistrationSettings()
@@ -95,3 +95,13 @@ def test_rectangles_are_registered_independently(rng: np.random.Generator) -> No
 ])  # fmt: skip
 def test_means_are_of_valid_values_truncated_at_the_limit(valid: list[bool], mean: float) -> None:
     assert _limited_mean(np.array([0.02, -0.3, 7.0]), np.array(valid), 0.05) == pytest.approx(mean)
+
+
+@pytest.mark.parametrize(
+    ("point", "axis"), [((0.9, 0.5), 0), ((0.5, 0.9), 1), ((1.3, 0.9), 0), ((0.9, 1.3), 1), ((-1.3, -0.9), 0)]
+)
+def test_the_nearest_side_is_that_of_the_nearest_outline_point(point: tuple[float, float], axis: int) -> None:
+    """Also of points outside, in front of a side near its end."""
+    off, nearest = _offsets_from_sides(HALF * np.array([point]), HALF)
+    assert nearest.tolist() == [axis]
+    np.testing.assert_allclose(off, HALF * (np.array([point]) - np.sign([point])))
