@@ -74,3 +74,43 @@ def test_every_call_hands_settings_on() -> None:
         and not any("settings" in ast.dump(argument) for argument in [*node.args, *node.keywords])
     ]
     assert forgetful == []
+
+
+DRAWING = {"cli", "fleet", "live", "printing", "report", "simulation", "viewer"}
+
+
+def numeric_constants(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and name of each constant of a module that is computed from numbers; no names, tables or indices."""
+    for node in tree.body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or isinstance(node.value, ast.Dict):
+            continue
+        (target,) = node.targets if isinstance(node, ast.Assign) else (node.target,)
+        names = [name.id for name in ast.walk(target) if isinstance(name, ast.Name)]
+        numbers = [one.value for one in ast.walk(node.value or node) if isinstance(one, ast.Constant)]
+        decimals = any(isinstance(number, float) or (type(number) is int and number > 9) for number in numbers)
+        scalar = isinstance(node.value, ast.Constant | ast.Tuple) and any(
+            type(number) is int for number in numbers
+        )
+        words = any(isinstance(number, str) for number in numbers)
+        if all(name.isupper() for name in names) and (decimals or scalar) and not words:
+            yield node.lineno, ", ".join(names)
+
+
+def states_reason(lines: list[str], number: int) -> bool:
+    """Whether a comment precedes the group of constants of a line, or a docstring follows it."""
+    before = number - 2
+    while lines[before] and lines[before][0] in "_ABCDEFGHIJKLMNOPQRSTUVWXYZ":
+        before -= 1
+    return lines[before].startswith("#") or lines[number].startswith('"""')
+
+
+def test_a_constant_that_is_not_a_setting_states_its_reason() -> None:
+    # What influences a result is a setting; what stays is a numerical tolerance, a buffer, or a fact.
+    unexplained = [
+        f"{path.relative_to(SOURCE)}:{number} {name}"
+        for path, tree in TREES.items()
+        if path.relative_to(SOURCE).parts[0] not in DRAWING
+        for number, name in numeric_constants(tree)
+        if not states_reason(path.read_text().splitlines(), number)
+    ]
+    assert unexplained == []

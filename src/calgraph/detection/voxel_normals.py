@@ -16,9 +16,6 @@ from calgraph.geometry import Array
 
 Indices = NDArray[np.intp]
 
-# Percentage of the steps between rings that are no larger than their spacing: LiDARs have denser rings near the
-# horizon.
-_SPACING_PERCENTILE = 75
 # Least cosine of an elevation by which the width of a cell is divided: keeps it finite at the poles.
 _MIN_POLE_COSINE = 0.02
 
@@ -46,7 +43,9 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
     regions = settings.lidar3d.regions
     levels = _find_ring_elevations(points, rings, settings.lidar3d.regions)
     across = (
-        float(np.percentile(np.diff(levels), _SPACING_PERCENTILE)) if levels is not None else regions.cell_angle
+        float(np.percentile(np.diff(levels), regions.ring_spacing_percentile))
+        if levels is not None
+        else regions.cell_angle
     )
     along = (
         max(regions.min_ring_cell_angle, across / regions.ring_cells) if levels is not None else regions.cell_angle
@@ -88,7 +87,8 @@ def _find_ring_elevations(
     levels = levels[np.append(True, np.diff(levels) > settings.min_ring_step)] if len(levels) else levels
     if len(levels) < 2:
         return None
-    if np.percentile(np.diff(levels), _SPACING_PERCENTILE) < settings.sparse_ring_ratio * settings.cell_angle:
+    spacing = np.percentile(np.diff(levels), settings.ring_spacing_percentile)
+    if spacing < settings.sparse_ring_ratio * settings.cell_angle:
         return None
     return np.asarray(levels)
 

@@ -15,12 +15,16 @@ from calgraph.geometry import Array
 
 _MAX_PINHOLE_ANGLE = np.deg2rad(89.9)
 """Largest angle from the axis of a pinhole model, rad: its coordinates are tan(angle), which diverges at 90°."""
+# Largest angle from the axis of a fisheye model, rad: at half a turn the direction around the axis is undefined.
 _MAX_FISHEYE_ANGLE = np.pi - 1e-6
 _MAX_ITERATIONS = 25
 """Limit on Newton steps: 3 to 5 suffice except near the limit, where the derivative vanishes."""
 _CONVERGENCE_STEP = 1e-14
+"""Newton's steps end below this, in tangents of angles: rounding of numbers near 1."""
 _TABLE_SIZE = 256
+"""Angles of the table of start values: its error is within the convergence of Newton's method."""
 _SMALLEST_SQUARE = 1e-300
+"""Least squared radius, by whose root is divided: keeps the quotient finite on the axis."""
 
 
 class Lens(Protocol):

@@ -83,6 +83,7 @@ def add_unmodeled_noise(
     V = measured.noise[here] + share * measured.noise[before] + (1 - w[..., None]) ** 2 * measured.noise[after]
     # The second difference of twice integrated white noise (Särkkä, section 6.2).
     V = V + (settings.acceleration_density * (dt_before * dt_after) ** 1.5 / 6)[:, None, None] * np.eye(2)
+    # Three equal variances add to 1 + 1/4 + 1/4 of one in a second difference in the middle of two times.
     low, high = 0.0, float((off**2).sum(axis=1).max())
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2

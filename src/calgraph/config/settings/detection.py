@@ -191,9 +191,11 @@ class RegionSettings(StrictModel):
     less."""
     min_ring_step: float = Field(default=math.radians(0.05), gt=0)
     """Least elevation between two rings, rad (0.05°): half of that of the densest LiDARs; closer ones are one."""
+    ring_spacing_percentile: float = Field(default=75.0, ge=0, le=100)
+    """Percentile of the steps between rings that is their spacing: LiDARs have denser rings near the horizon."""
     sparse_ring_ratio: float = Field(default=1.5, gt=0)
-    """Rings are sparse if their spacing (75 % quantile) is at least this many cells: below, square cells hold
-    points of several rings."""
+    """Rings are sparse if their spacing is at least this many cells: below, square cells hold points of several
+    rings."""
     ring_cells: float = Field(default=3.0, ge=1)
     """Cells along a sparse ring for its spacing: normals need several along a ring where there are few rings."""
     refit_growth: float = Field(default=1.2, gt=1)
