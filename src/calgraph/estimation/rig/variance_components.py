@@ -20,9 +20,9 @@ def update_variance_components(
 ) -> Bundle:
     """The bundle after one step of Fisher scoring for the variances of noise and view bias (REML).
 
-    Within a view, measurements scatter about its best fit. That says little where views have few measurements,
-    such as the two end points of a line on the board; but views scatter among each other with the noise as well
-    as with the bias, so both are estimated jointly.
+    Within a view, measurements scatter about its best fit. That determines the noise poorly where views have
+    few measurements, such as the two end points of a line on the board; but views scatter among each other with
+    the noise as well as with the bias, so both are estimated jointly.
 
     The gradients of views have the covariance ``W = A - A P A`` if noise and bias are right. Views of one board
     are correlated, so sensors are scored jointly; the correlation between boards, through the sensors' poses, is
