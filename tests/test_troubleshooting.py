@@ -22,10 +22,10 @@ ELSEWHERE = {
     "result/snapshots.py": "Files that calgraph wrote",
     "io/archive.py": "Files that calgraph wrote",
     "io/columns.py": "Files that calgraph wrote",
-    "captures/from_detections.py": "In your own program",
-    "detection/from_measurements.py": "In your own program",
-    "recording/in_memory.py": "In your own program",
-    "recording/writer.py": "In your own program",
+    "captures/from_detections.py": "In a program",
+    "detection/from_measurements.py": "In a program",
+    "recording/in_memory.py": "In a program",
+    "recording/writer.py": "In a program",
 }
 """Modules whose messages the page explains together, below a heading."""
 NOT_MET = ("simulation", "viewer")
