@@ -92,7 +92,7 @@ def test_no_message_is_missing(path: Path) -> None:
     if heading:
         assert f"## {heading}" in PAGE
         return
-    prose = re.findall(r"`([^`]+)`", PAGE[PAGE.index("## In your own program") :])
+    prose = re.findall(r"`([^`]+)`", PAGE[PAGE.index("## In a program") :])
     known = re.compile("|".join(map(pattern, [*listed(), *(words for words in prose if " " in words)])))
     missing = [
         message
