@@ -6,7 +6,7 @@ with a Gaussian prior, eliminated from the normal equations (Schur complement).
 
 import numpy as np
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se_n
 
 
 def marginalize_bias(information: Array, gradient: Array, cost: Array, prior: Array) -> tuple[Array, Array, Array]:
@@ -42,7 +42,7 @@ def compute_bias_covariance(information: Array, prior: Array) -> Array:
     matrix = np.eye(prior.shape[-1]) + prior @ information
     inverse = _invert_3x3(matrix) if matrix.shape[-1] == 3 else np.linalg.inv(matrix)
     P = inverse @ prior
-    return np.asarray((P + np.swapaxes(P, -1, -2)) / 2)
+    return np.asarray((P + se_n.transpose(P)) / 2)
 
 
 def _invert_3x3(A: Array) -> Array:

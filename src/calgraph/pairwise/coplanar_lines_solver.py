@@ -7,7 +7,7 @@ intersection in either scan plane and the shift along it, but not the dihedral a
 
 import numpy as np
 
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se3, se_n
 
 # Sine or length below which two lines count as parallel, and a line as at infinity: keeps quotients finite.
 _SMALL = 1e-6
@@ -32,7 +32,7 @@ def solve_coplanar_lines(a: Array, b: Array, dihedral_angle: float) -> Array:
     lines_a, lines_b = _lines(a, scale), _lines(b, scale)
     products = (lines_a[..., :, None] * lines_b[..., None, :]).reshape(*lines_a.shape[:2], 9)[..., :8]
     # An eigendecomposition of 8 x 8 is faster than the SVD; its lower accuracy does not matter before refinement.
-    _, vectors = np.linalg.eigh(np.swapaxes(products, -1, -2) @ products)
+    _, vectors = np.linalg.eigh(se_n.transpose(products) @ products)
     E = np.concatenate([vectors[..., 0], np.zeros((len(a), 1))], axis=1).reshape(-1, 3, 3)
     U, _, Vt = np.linalg.svd(E)
     axis_a, axis_b = _normalize_line(U[..., 2]), _normalize_line(Vt[:, 2])
@@ -47,7 +47,7 @@ def solve_coplanar_lines(a: Array, b: Array, dihedral_angle: float) -> Array:
     # The dihedral angle is such that both scanners observe the boards on the same side of the intersection.
     sides = np.sum(_signed_distances(a, axis_a, scale) * _signed_distances(b, axis_b, scale), axis=1)
     dihedral = np.where(sides < 0, np.pi - dihedral_angle, dihedral_angle)
-    R = frame_a @ _rotation_about_x(dihedral) @ np.swapaxes(frame_b, -1, -2)
+    R = frame_a @ _rotation_about_x(dihedral) @ se_n.transpose(frame_b)
     origin_a = _closest_point(axis_a) + np.where(reversed_, shift[1], shift[0])[:, None] * frame_a[..., 0]
     return se3.pose(R, scale * (origin_a - (R @ _closest_point(axis_b)[..., None])[..., 0]))
 

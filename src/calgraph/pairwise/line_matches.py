@@ -64,7 +64,7 @@ class PlaneLineMatches:
         R = starts.reshape(-1, 3, 3)
         T, cost = self._minimize(R, n, d, x, self.settings.sample_steps)
         # Of solutions with similar residuals, the one with the smallest rotation from its start.
-        angle = np.linalg.norm(so3.log(T[:, :3, :3] @ np.swapaxes(R, -1, -2)), axis=-1)
+        angle = np.linalg.norm(so3.log(T[:, :3, :3] @ se_n.transpose(R)), axis=-1)
         best = np.argmin((cost + (self.settings.rotation_penalty * angle) ** 2).reshape(-1, count), axis=1)
         return np.asarray(T.reshape(-1, count, 4, 4)[np.arange(len(samples)), best])
 
@@ -93,7 +93,7 @@ class PlaneLineMatches:
 
         Start translations are zero in directions that the normals do not determine.
         """
-        r = np.sum(n * (x @ np.swapaxes(R, -1, -2)), axis=-1) + d
+        r = np.sum(n * (x @ se_n.transpose(R)), axis=-1) + d
         inverse = np.linalg.pinv(n, rcond=self.settings.min_translation_spread)
         start = se3.pose(R, -(inverse @ r[..., None])[..., 0])
         residuals = partial(_evaluate_plane_distances, n=n, d=d, x=x)
@@ -115,7 +115,7 @@ class PlaneLineMatches:
         n_a = np.broadcast_to(n, x_a.shape)
         jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
         by_a = plane.distance_jacobian(self.planes, x_a)
-        covariance = by_a @ self.covariances_a @ np.swapaxes(by_a, -1, -2)
+        covariance = by_a @ self.covariances_a @ se_n.transpose(by_a)
         n_b = np.einsum("kji,mj->kmi", T_a_b[:, :3, :3], self.planes[:, :3])
         blocks = self.covariances_b.reshape(-1, 2, 3, 2, 3)
         covariance = covariance + np.einsum("kmi,mpiqj,kmj->kmpq", n_b, blocks, n_b)
@@ -202,11 +202,11 @@ def evaluate_coplanarity(
     r = np.sum(normal * gap, axis=-1)
     d_u, d_Rv = np.cross(Rv, gap), np.cross(gap, u)
     jacobian = np.concatenate([normal, np.cross(Rm, normal) + np.cross(Rv, d_Rv)], axis=-1)
-    turn_a = (np.swapaxes(by_u, -1, -2) @ d_u[..., None])[..., 0]
+    turn_a = (se_n.transpose(by_u) @ d_u[..., None])[..., 0]
     by_a = np.concatenate([-turn_a - normal / 2, turn_a - normal / 2], axis=-1)
-    back = np.swapaxes(R, -1, -2)
+    back = se_n.transpose(R)
     normal_b = (back @ normal[..., None])[..., 0]
-    turn_b = (np.swapaxes(by_v, -1, -2) @ (back @ d_Rv[..., None]))[..., 0]
+    turn_b = (se_n.transpose(by_v) @ (back @ d_Rv[..., None]))[..., 0]
     by_b = np.concatenate([-turn_b + normal_b / 2, turn_b + normal_b / 2], axis=-1)
     z_b = R[..., :, 2]
     s = np.hypot(z_b[..., 0], z_b[..., 1])
@@ -226,7 +226,7 @@ def _direction_with_jacobian(segment: Array) -> tuple[Array, Array]:
 
 def _evaluate_plane_distances(T: Array, n: Array, d: Array, x: Array) -> tuple[Array, Array]:
     """Computes distances (K, P) of transformed points x (K, P, 3) from planes (n, d), and their Jacobian by T."""
-    Rx = x @ np.swapaxes(T[:, :3, :3], -1, -2)
+    Rx = x @ se_n.transpose(T[:, :3, :3])
     r = np.sum(n * (Rx + T[:, None, :3, 3]), axis=-1) + d
     return r, np.concatenate([n, np.cross(Rx, n)], axis=-1)
 

@@ -50,21 +50,21 @@ class PlanePlaneMatches:
         angles = 2 * np.pi * np.arange(3) / 3
         circle = self.comparison_radius * np.stack([np.cos(angles), np.sin(angles)])
         basis_b = plane.tangent_basis(self.planes_b[:, :3])
-        x_b = self.centers_b[:, None] + np.swapaxes(basis_b @ circle, -1, -2)
+        x_b = self.centers_b[:, None] + se_n.transpose(basis_b @ circle)
         x_a = se3.apply(T_a_b[:, None], x_b)
         n_a = np.broadcast_to(self.planes_a[:, None, :3], x_a.shape)
         arm = x_a - T_a_b[:, None, None, :3, 3]
         jacobian = np.concatenate([n_a, np.cross(arm, n_a)], axis=-1)
         by_a = plane.distance_jacobian(self.planes_a, x_a)
         by_b = plane.distance_jacobian(self.planes_b, x_b)
-        covariance = by_a @ self.covariances_a @ np.swapaxes(by_a, -1, -2)
-        covariance = covariance + by_b @ self.covariances_b @ np.swapaxes(by_b, -1, -2)
+        covariance = by_a @ self.covariances_a @ se_n.transpose(by_a)
+        covariance = covariance + by_b @ self.covariances_b @ se_n.transpose(by_b)
         return Linearization(plane.distance(self.planes_a, x_a), jacobian, covariance)
 
     def feasible(self, T_a_b: Array) -> NDArray[np.bool_]:
         """Tests whether the angle between the normals and the distance between the centres are small enough."""
         x_a = se3.apply(T_a_b, self.centers_b)
-        n_a = self.planes_b[:, :3] @ np.swapaxes(T_a_b[:, :3, :3], -1, -2)
+        n_a = self.planes_b[:, :3] @ se_n.transpose(T_a_b[:, :3, :3])
         close = np.linalg.norm(x_a - self.centers_a, axis=-1) <= self.max_center_distance
         return np.asarray(
             close & (np.sum(n_a * self.planes_a[:, :3], axis=-1) > np.cos(self.settings.max_normal_angle))

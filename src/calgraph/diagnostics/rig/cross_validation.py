@@ -32,7 +32,7 @@ from calgraph.estimation.rig.normal_equations import accumulate
 from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se3, se_n
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 
@@ -156,7 +156,7 @@ def _compare_with_prediction(
     follow = loose @ loose
     x = x * meters - _multiply(follow, _multiply(A, x * meters) + b)
     stay = np.eye(len(meters)) - follow @ A
-    X = stay @ X @ np.swapaxes(stay, -1, -2) - follow
+    X = stay @ X @ se_n.transpose(stay) - follow
     root, inverse = _symmetric_roots(A, least)
     # Along directions that the sensor does not measure, a first-order step may be arbitrarily long: it is zero.
     x = _multiply(root @ inverse, x)
@@ -176,22 +176,22 @@ def _predict_boards(
     """Change of each board pose before a sensor by the other sensors (V, p), and its covariance (V, p, p)."""
     omitted, board = equations.views[sensor], bundle.views[sensor].board
     of_sensor, B = view_jacobians(bundle, state, sensor)
-    Jt = np.swapaxes(omitted.J_board, -1, -2)
+    Jt = se_n.transpose(omitted.J_board)
     L = _invert_information(equations.H_board[board] - Jt @ omitted.information @ omitted.J_board)
     step = -_multiply(L, equations.g_board[board] - _multiply(Jt, omitted.gradient))
     coupling = equations.H_board_sensor[board]
     coupling[..., bundle.columns(sensor)] -= Jt @ omitted.information @ omitted.J_sensor
     by_sensors = -B @ L @ coupling
     by_sensors[..., bundle.columns(sensor)] += of_sensor
-    by_covariance = by_sensors @ covariance @ np.swapaxes(by_sensors, -1, -2)
-    return _multiply(B, step), B @ L @ np.swapaxes(B, -1, -2) + by_covariance
+    by_covariance = by_sensors @ covariance @ se_n.transpose(by_sensors)
+    return _multiply(B, step), B @ L @ se_n.transpose(B) + by_covariance
 
 
 def _split_predicted(X: Array, max_stddev: float) -> tuple[Array, Array]:
     """A covariance (V, p, p) without the directions of larger standard deviation, and the projectors on those."""
     values, vectors = np.linalg.eigh(X)
     predicted = values < max_stddev**2
-    transposed = np.swapaxes(vectors, -1, -2)
+    transposed = se_n.transpose(vectors)
     return (vectors * (values * predicted)[..., None, :]) @ transposed, (
         vectors * ~predicted[..., None, :]
     ) @ transposed
@@ -202,7 +202,7 @@ def _symmetric_roots(A: Array, least: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(A)
     observed = values > least[..., None]
     size = np.sqrt(np.where(observed, values, 1.0))
-    transposed = np.swapaxes(vectors, -1, -2)
+    transposed = se_n.transpose(vectors)
     return (vectors * (size * observed)[..., None, :]) @ transposed, (
         vectors * (observed / size)[..., None, :]
     ) @ transposed
@@ -213,9 +213,9 @@ def _squared_distances(error: Array, covariance: Array) -> tuple[Array, NDArray[
 
     In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
     """
-    values, vectors = np.linalg.eigh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
+    values, vectors = np.linalg.eigh((covariance + se_n.transpose(covariance)) / 2)
     predicted = values > 0.5
-    along = _multiply(np.swapaxes(vectors, -1, -2), error)
+    along = _multiply(se_n.transpose(vectors), error)
     squared = np.sum(predicted * along**2 / np.where(predicted, values, 1.0), axis=-1)
     return squared, np.asarray(predicted.sum(axis=-1), dtype=np.intp)
 
@@ -225,7 +225,7 @@ def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: fl
     across = np.zeros((len(A), A.shape[-1], 2))
     across[:, 3:6] = T_sensor_board[:, :3, :2]
     regularized = A + np.eye(A.shape[-1]) / lever**2
-    covariance = np.swapaxes(across, -1, -2) @ np.linalg.inv(regularized) @ across
+    covariance = se_n.transpose(across) @ np.linalg.inv(regularized) @ across
     return np.asarray(np.linalg.eigvalsh(covariance)[:, -1] < (max_stddev * lever) ** 2, dtype=np.bool_)
 
 
@@ -267,5 +267,5 @@ def _invert_information(H_board: Array) -> Array:
     """Covariances of boards (V, 6, 6), large along unobserved directions (a general inverse loses precision)."""
     values, vectors = np.linalg.eigh(H_board)
     return np.asarray(
-        (vectors / np.maximum(values, BOARD_PRIOR_INFORMATION)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        (vectors / np.maximum(values, BOARD_PRIOR_INFORMATION)[..., None, :]) @ se_n.transpose(vectors)
     )

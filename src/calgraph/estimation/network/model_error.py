@@ -16,7 +16,7 @@ from calgraph.estimation.network.problem import BodyObservations, BodyPath, Netw
 from calgraph.estimation.network.scan_equations import ScanEquations
 from calgraph.estimation.network.solver import build_scan_equations, evaluate_at
 from calgraph.estimation.network.tukey_loss import TukeyLoss
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se_n
 
 # Tolerance of the logarithm of a variance: 1 % of a standard deviation.
 _LOG_TOLERANCE = 0.02
@@ -128,7 +128,7 @@ def _compare_scanners(body: tuple[_ScannerEquations, ...], variances: Array, com
     axes, others = component.axes, np.setdiff1d(np.arange(3), component.axes)
     mixed = A[..., axes[:, None], others]
     gain = mixed @ np.linalg.inv(A[..., others[:, None], others] + _RIDGE * np.eye(len(others)))
-    A = A[..., axes[:, None], axes] - gain @ np.swapaxes(mixed, -1, -2)
+    A = A[..., axes[:, None], axes] - gain @ se_n.transpose(mixed)
     b = b[..., axes] - (gain @ b[..., others, None])[..., 0]
     several = np.sum(np.trace(A, axis1=-2, axis2=-1) > 0, axis=1) > 1
     A, b = A[several], b[several]

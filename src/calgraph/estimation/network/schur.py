@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se_n
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def compute_path_covariance(band: Array) -> Array:
         for b in range(3):
             if a <= b:
                 diagonal[:, a, :, b] = padded[a::3, b - a]
-                diagonal[:, b, :, a] = np.swapaxes(padded[a::3, b - a], -1, -2)
+                diagonal[:, b, :, a] = se_n.transpose(padded[a::3, b - a])
             if b <= a:
                 off_diagonal[:, a, :, b] = padded[a::3, 3 + b - a]
     diagonal, off_diagonal = diagonal.reshape(groups, 9, 9), off_diagonal.reshape(groups, 9, 9)

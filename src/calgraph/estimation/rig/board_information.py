@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.estimation.rig.bundle_solver import BOARD_PRIOR_INFORMATION, Bundle, BundleEquations
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se_n
 
 
 def information_by_board(bundle: Bundle, equations: BundleEquations) -> Array:
@@ -14,6 +14,6 @@ def information_by_board(bundle: Bundle, equations: BundleEquations) -> Array:
     H = np.zeros((len(equations.H_board), bundle.parameter_count, bundle.parameter_count))
     for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
         columns, J = bundle.columns(k), at.J_sensor
-        H[np.ix_(views.board, columns, columns)] += np.swapaxes(J, -1, -2) @ at.information @ J
+        H[np.ix_(views.board, columns, columns)] += se_n.transpose(J) @ at.information @ J
     K = np.linalg.solve(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.H_board_sensor)
-    return np.asarray(H - np.swapaxes(equations.H_board_sensor, -1, -2) @ K)
+    return np.asarray(H - se_n.transpose(equations.H_board_sensor) @ K)

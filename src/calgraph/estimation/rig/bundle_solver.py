@@ -15,7 +15,7 @@ from calgraph.config.settings import RigEstimationSettings
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
-from calgraph.geometry import Array, Index, se3, so3
+from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.levenberg_marquardt import minimize
 
 # Prior information on a board's pose (m⁻², rad⁻²): makes directions that no view measures invertible. A single
@@ -245,7 +245,7 @@ def linearize_bundle(
         cost += float(costs.sum())
         columns, n = bundle.columns(k), J_sensor.shape[-1]
         J = np.concatenate([J_sensor, J_board], axis=-1)
-        Jt = np.swapaxes(J, -1, -2)
+        Jt = se_n.transpose(J)
         both, gradient = Jt @ A @ J, (Jt @ b[..., None])[..., 0]
         H[np.ix_(columns, columns)] += both[:, :n, :n].sum(axis=0)
         g[columns] += gradient[:, :n].sum(axis=0)

@@ -9,7 +9,7 @@ from scipy.special import chdtr, chdtrc, gammaln
 
 from calgraph.estimation.marginalization import compute_bias_covariance, marginalize_bias
 from calgraph.estimation.rig.observations import LinearizedResiduals
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se_n
 
 # Limit on the robust weights' iterations, which hardly ever binds.
 _MAX_REWEIGHTINGS = 3
@@ -40,12 +40,12 @@ class ViewNormalEquations:
     @property
     def information(self) -> Array:
         """(V, p, p)."""
-        return np.asarray(np.swapaxes(self.local_jacobian, -1, -2) @ self.JtJ @ self.local_jacobian)
+        return np.asarray(se_n.transpose(self.local_jacobian) @ self.JtJ @ self.local_jacobian)
 
     @property
     def gradient(self) -> Array:
         """(V, p)."""
-        return np.asarray((np.swapaxes(self.local_jacobian, -1, -2) @ self.Jtr[..., None])[..., 0])
+        return np.asarray((se_n.transpose(self.local_jacobian) @ self.Jtr[..., None])[..., 0])
 
     def within_view_scatter(self) -> tuple[Array, NDArray[np.intp]]:
         """Squared residuals (V,) about the best fit of each view alone, and their degrees of freedom (V,).
@@ -59,7 +59,7 @@ class ViewNormalEquations:
     def fit(self) -> Array:
         """(V, q) change of the local parameters to the best fit of each view alone."""
         whiten, _ = whitening(self.JtJ)
-        return -_matvec(np.swapaxes(whiten, -1, -2), _matvec(whiten, self.Jtr))
+        return -_matvec(se_n.transpose(whiten), _matvec(whiten, self.Jtr))
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "ViewNormalEquations":
         """Those of some of the views: a mask (V,), or indices, which may repeat."""
@@ -218,7 +218,7 @@ def _residual_norms(residual: Array) -> Array:
 
 def _bias_prior(local_jacobian: Array, variance: Array) -> Array:
     """(V, q, q) covariance of the local parameters for a displacement of the board with variances (p,)."""
-    return np.asarray((local_jacobian * variance) @ np.swapaxes(local_jacobian, -1, -2))
+    return np.asarray((local_jacobian * variance) @ se_n.transpose(local_jacobian))
 
 
 def _matvec(A: Array, x: Array) -> Array:
@@ -234,7 +234,7 @@ def whitening(information: Array) -> tuple[Array, NDArray[np.bool_]]:
     values, vectors = np.linalg.eigh(information / size[..., :, None] / size[..., None, :])
     measured = values > _RANK_TOLERANCE * values[..., -1:]
     root = np.where(measured, values, 1.0) ** -0.5 * measured
-    return root[..., :, None] * np.swapaxes(vectors, -1, -2) / size[..., None, :], measured
+    return root[..., :, None] * se_n.transpose(vectors) / size[..., None, :], measured
 
 
 def consistency_statistic(
@@ -256,12 +256,10 @@ def consistency_statistic(
     """
     whiten, measured = whitening(information)
     forced = whiten @ information
-    redundancy = measured[..., :, None] * np.eye(measured.shape[-1]) - forced @ covariance @ np.swapaxes(
-        forced, -1, -2
-    )
-    values, axes = np.linalg.eigh((redundancy + np.swapaxes(redundancy, -1, -2)) / 2)
+    redundancy = measured[..., :, None] * np.eye(measured.shape[-1]) - forced @ covariance @ se_n.transpose(forced)
+    values, axes = np.linalg.eigh((redundancy + se_n.transpose(redundancy)) / 2)
     checked = values > min_redundancy
-    along = (np.swapaxes(axes, -1, -2) @ whiten @ gradient[..., None])[..., 0]
+    along = (se_n.transpose(axes) @ whiten @ gradient[..., None])[..., 0]
     squared = np.sum(checked * along**2 / np.where(checked, values, 1.0), axis=-1)
     return squared, np.asarray(checked.sum(axis=-1), dtype=np.intp)
 

@@ -20,7 +20,7 @@ from calgraph.estimation.rig.observations import (
     start_indices,
     view_indices,
 )
-from calgraph.geometry import Array, Index, se3
+from calgraph.geometry import Array, Index, se3, se_n
 
 # Cosine of incidence at which smaller ones are truncated: keeps intersections finite. Such edges are not used.
 _MIN_COSINE = 1e-3
@@ -109,7 +109,7 @@ class OutlineObservations:
         """See :class:`BoardViews`: the local parameters are the pose's along the board's axes."""
         size = 6 + self.extra_count
         basis = np.zeros((len(self.board), size, size))
-        basis[:, :3, :3] = basis[:, 3:6, 3:6] = np.swapaxes(T_sensor_board[:, :3, :3], -1, -2)
+        basis[:, :3, :3] = basis[:, 3:6, 3:6] = se_n.transpose(T_sensor_board[:, :3, :3])
         basis[:, 6:, 6:] = np.eye(self.extra_count)
         return basis
 
