@@ -103,14 +103,14 @@ def numbers(captured: CaptureSet) -> int:
 def joint_solution(problem: Problem) -> RigSolution:
     """The bundle, from pairs to covariances."""
     estimates, start = select_successful(problem.pairs), problem.tree.T_root_sensor
-    return solve_bundle(problem.rig, problem.captured, estimates, start, keep=problem.solver.keep)
+    return solve_bundle(problem.rig, problem.captures, estimates, start, keep=problem.solver.keep)
 
 
 def compared(problem: Problem, repeat: int) -> str:
     """One solution of the bundle beside scipy's of the same problem: seconds, their ratio, difference in cost."""
     keep = problem.solver.keep
     boards = group_detections([(pair, select_matches(pair, keep)) for pair in select_successful(problem.pairs)])
-    bundle, start = build_bundle(problem.rig, problem.captured, boards, problem.tree.T_root_sensor)
+    bundle, start = build_bundle(problem.rig, problem.captures, boards, problem.tree.T_root_sensor)
     bundle = replace(bundle, bias_variance=np.zeros(len(bundle.sensors)))
     ours, solved = timed(lambda: minimize_bundle(bundle, start), repeat)
     scipys, cost = timed(lambda: scipy_cost(SparseProblem(bundle, start), solved.equations.cost), 1)

@@ -197,7 +197,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     Raises:
         InputError: the estimator cannot use the priors, or cannot estimate the requested parameters.
     """
-    rig, captures, pairs, solver = problem.rig, problem.captured, problem.pairs, problem.solver
+    rig, captures, pairs, solver = problem.rig, problem.captures, problem.pairs, problem.solver
     check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
     tree = attach_by_priors(
         problem.tree,

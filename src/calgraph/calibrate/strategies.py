@@ -67,7 +67,7 @@ def solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
     solution = solve_hypergraph(
         tree,
         select_successful(problem.pairs),
-        problem.captured.detections,
+        problem.captures.detections,
         keep=problem.solver.keep,
         settings=problem.rig.settings,
     )

@@ -145,7 +145,7 @@ def test_the_same_problem_gives_the_same_file(saved: Path, tmp_path: Path) -> No
 
 def test_what_is_solved_lies_in_memory_as_what_comes_from_a_file(problem: Problem) -> None:
     """Sums over an array in another order differ in their last bit."""
-    found = [d for by in round_trip(problem).captured.detections.values() for found in by.values() for d in found]
+    found = [d for by in round_trip(problem).captures.detections.values() for found in by.values() for d in found]
     arrays = [array for d in found for array in vars(d).values() if isinstance(array, np.ndarray)]
     assert len(arrays) > 100
     assert all(array.flags.c_contiguous and array.flags.owndata for array in arrays)
@@ -167,8 +167,8 @@ def test_beams_of_files_of_version_0_1_are_those_of_their_points(problem: Proble
         for name in [n for n in members if "/ranges" in n or "/directions" in n]:
             del members[name]
 
-    again = load_problem(rewritten(saved, drop_beams)).captured.detections["lidar"]
-    for capture, (patch, _) in problem.captured.detections["lidar"].items():
+    again = load_problem(rewritten(saved, drop_beams)).captures.detections["lidar"]
+    for capture, (patch, _) in problem.captures.detections["lidar"].items():
         older = again[capture][0]
         assert isinstance(patch, PlanePatch)
         assert isinstance(older, PlanePatch)
@@ -177,7 +177,7 @@ def test_beams_of_files_of_version_0_1_are_those_of_their_points(problem: Proble
 
 
 def test_beams_must_be_as_many_as_their_ranges(problem: Problem, saved: Path) -> None:
-    found = [d for by in problem.captured.detections["lidar"].values() for d in by if isinstance(d, PlanePatch)]
+    found = [d for by in problem.captures.detections["lidar"].values() for d in by if isinstance(d, PlanePatch)]
     ranges = [patch.ranges[:-1] for patch in found]
     path = with_array(saved, "planes/ranges", np.concatenate(ranges))
     path = with_array(path, "planes/ranges.rows", np.array([len(r) for r in ranges]))
@@ -215,7 +215,7 @@ def test_the_recipe_of_the_page_reads_it(saved: Path, monkeypatch: pytest.Monkey
 
 def test_a_problem_without_anything_found_comes_back(problem: Problem, tmp_path: Path) -> None:
     nothing: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in RIG.sensors}
-    captured = dataclasses.replace(problem.captured, holds=(), detections=nothing, rejections={})
+    captured = dataclasses.replace(problem.captures, holds=(), detections=nothing, rejections={})
     empty = Problem(RIG, captured, {}, SpanningTree("lidar", {}, {"lidar": np.eye(4)}), SolverOptions())
     save_problem(empty, tmp_path / "empty.npz")
     assert bits(load_problem(tmp_path / "empty.npz")) == bits(empty)

@@ -27,7 +27,7 @@ def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) ->
         tree: the spanning tree that the joint solution started from.
         solution: the joint solution of the connected sensors.
     """
-    rig, captures, pairs = problem.rig, problem.captured, problem.pairs
+    rig, captures, pairs = problem.rig, problem.captures, problem.pairs
     settings = rig.settings.diagnostics.verdict
     connected = tree.T_root_sensor
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]

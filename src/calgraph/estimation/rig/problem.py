@@ -44,7 +44,7 @@ class Problem:
     """
 
     rig: Rig
-    captured: CaptureSet
+    captures: CaptureSet
     """All detections, and the reasons for missing ones."""
     pairs: PairwiseEstimates
     """By pair of sensors, the estimate or why it was rejected."""
@@ -61,7 +61,7 @@ def with_prior_poses(problem: Problem, prior: PriorFile | None, rigid: Sequence[
     """
     if prior is None and not rigid:
         return problem
-    priors, groups = resolve_prior_poses(problem.rig, problem.captured, prior, rigid)
+    priors, groups = resolve_prior_poses(problem.rig, problem.captures, prior, rigid)
     return replace(problem, solver=problem.solver.model_copy(update={"priors": priors, "groups": groups}))
 
 
@@ -71,22 +71,22 @@ def check_problem(problem: Problem) -> None:
     Raises:
         InputError: naming the inconsistent part.
     """
-    captured, tree, sensors = problem.captured, problem.tree, problem.rig.sensors
-    if set(captured.detections) != set(sensors) or set(captured.frames) != set(sensors):
+    captures, tree, sensors = problem.captures, problem.tree, problem.rig.sensors
+    if set(captures.detections) != set(sensors) or set(captures.frames) != set(sensors):
         raise InputError(f"sensors and frames: must be those of the rig, {', '.join(sensors)}")
-    if set(captured.cameras) != set(problem.rig.cameras()):
+    if set(captures.cameras) != set(problem.rig.cameras()):
         raise InputError(f"cameras: must be those of the rig, {', '.join(problem.rig.cameras())}")
-    _check_names("misses", (name for _, name in captured.rejections), sensors)
+    _check_names("misses", (name for _, name in captures.rejections), sensors)
     _check_names("pairs", chain.from_iterable(problem.pairs), sensors)
     _check_names("parents", tree.parents.values(), tree.T_root_sensor)
     if {tree.root, *tree.parents} != set(tree.T_root_sensor) or tree.root in tree.parents:
         raise InputError(f"parents: must be given for all sensors in the tree but its root {tree.root}")
-    for hold in captured.holds:
-        for name, by_capture in captured.detections.items():
-            if hold.index not in by_capture and (hold.index, name) not in captured.rejections:
+    for hold in captures.holds:
+        for name, by_capture in captures.detections.items():
+            if hold.index not in by_capture and (hold.index, name) not in captures.rejections:
                 raise InputError(f"misses: must state why {name} has no detection in capture {hold.index}")
     for estimate in select_successful(problem.pairs):
-        _check_matches(estimate, captured.detections)
+        _check_matches(estimate, captures.detections)
 
 
 def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> None:

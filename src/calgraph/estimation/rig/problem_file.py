@@ -124,11 +124,11 @@ def round_trip(problem: Problem) -> Problem:
     """
     content, arrays = _encode(problem)
     again = _decode(_Structure.model_validate(content), arrays)
-    return replace(again, captured=replace(again.captured, snapshots=problem.captured.snapshots))
+    return replace(again, captures=replace(again.captures, snapshots=problem.captures.snapshots))
 
 
 def _encode(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    captured, tree = problem.captured, problem.tree
+    captured, tree = problem.captures, problem.tree
     number = {name: i for i, name in enumerate(captured.detections)}
     content = {
         "format": FORMAT,
