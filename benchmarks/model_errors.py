@@ -12,7 +12,7 @@ or about an axis, by more than 20 mm, or by more than 1 degree. A run counts as 
 sensors is, as good if all are, as remarked if the result has a remark, as failed if there is no result. NEES is
 per degree of freedom; ``/right`` is the worst position error over that of the right run with the same seed.
 Detections are ideal but for the errors, so that a run takes a fraction of a second; rigs and errors are those of
-wrong_worlds.py. After a bump the true pose is that at the end.
+model_error_rigs.py and model_error_kinds.py. After a bump the true pose is that at the end.
 """
 
 import argparse
@@ -26,23 +26,36 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
 from calgraph.captures import CaptureSet
-from calgraph.config import Rig
+from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.processes import parallel_map
 from calgraph.result import Calibration
-from calgraph.simulation import BoardErrors, GroundTruth, ModelErrors, World, simulate_detections
-from wrong_worlds import KINDS, SCENARIOS, Wrong, cases, draw_errors, rig_world, wrong_world
+from calgraph.simulation import (
+    BoardErrors,
+    GroundTruth,
+    IdealDetectorOptions,
+    ModelErrors,
+    World,
+    simulate_detections,
+)
+from model_error_draws import draw_errors
+from model_error_kinds import KINDS, Wrong, cases, wrong_world
+from model_error_rigs import SCENARIOS, rig_world
 
 Key = TypeVar("Key")
-RIGHT = "right"
+RIGHT, NAN = "right", float("nan")
 MAX_SIGMAS, MAX_METRES, MAX_DEGREES = 5.0, 0.020, 1.0
 """A good pose that is off by more is confidently wrong."""
+RIGS, TREMBLING_RIGS = ("five", "chain", "pair"), ("five", "pair", "cameras")
 DRAWN_CAPTURES = 8, 16, 40
+SHARP = 0.05
+"""Standard deviation of corners while the board trembles, pixels: that of good detectors in sharp images."""
 SMALL_TREMORS = 0.0005, 0.001
 """Standard deviation of the board's position from message to message, m."""
 
@@ -56,27 +69,29 @@ class Outcome:
     """``right``, or of the error."""
     size: float
     seed: int
-    placed: int
+    placed: int = 0
     """Sensors with a pose besides the root."""
-    good: bool
+    good: bool = False
     """Whether all sensors have a pose, and are good."""
-    remarks: int
-    confidently_wrong: bool
-    millimetres: float
+    remarks: int = 0
+    confidently_wrong: bool = False
+    crashed: bool = False
+    """Whether another error than one of calgraph's ended the run."""
+    millimetres: float = NAN
     """Worst error of a sensor; NaN if there is none."""
-    degrees: float
-    sigmas: float
+    degrees: float = NAN
+    sigmas: float = NAN
     """Worst along or about an axis."""
-    nees: float
+    nees: float = NAN
     """Mean over sensors, per degree of freedom."""
-    outside: float
+    outside: float = NAN
     """Share of sensors beyond the 99 % ellipsoid of their covariance."""
-    rejected: float
+    rejected: float = NAN
     """Share of the views (detections of the board by one sensor) that were not used."""
-    rejected_images: float
+    rejected_images: float = NAN
     """The same for cameras."""
-    seconds: float
-    text: str
+    seconds: float = NAN
+    text: str = ""
     """Remarks, verdicts that are not good, or why the run failed."""
 
 
@@ -85,7 +100,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", nargs="+", choices=[*KINDS, RIGHT], default=[*KINDS, RIGHT])
     parser.add_argument("--sizes", nargs="+", type=float, default=[], help="only these, in the units of the table")
-    parser.add_argument("--rigs", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS))
+    parser.add_argument("--rigs", nargs="+", choices=list(SCENARIOS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="of the wrong runs")
     parser.add_argument(
         "--right", type=int, default=34, help="right runs of each rig, if `right` is among the kinds"
@@ -98,6 +113,7 @@ def main() -> None:
     parser.add_argument("--csv", type=Path, help="file to write all runs to")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
+    arguments.rigs = arguments.rigs or (TREMBLING_RIGS if arguments.tremor else RIGS)
     if arguments.draw or arguments.tremor:
         sizes = arguments.captures if arguments.draw else SMALL_TREMORS
         function = run_drawn if arguments.draw else run_trembling
@@ -155,8 +171,14 @@ def run_drawn(rig: str, captures: int, seed: int) -> Outcome:
 
 def run_trembling(rig: str, tremor: float, seed: int) -> Outcome:
     """One run with a board that trembles."""
-    errors = ModelErrors(BoardErrors(tremor=tremor))
-    return judge((rig, "tremor", tremor, seed), *simulate_detections(rig_world(rig, seed), seed, None, errors))
+    errors, options = ModelErrors(BoardErrors(tremor=tremor)), IdealDetectorOptions(pixel=SHARP)
+    stated, captured, truth = simulate_detections(rig_world(rig, seed), seed, options, errors)
+    # Who writes a rig.yaml does not know how sharp the images are.
+    sensors = {
+        name: spec.model_copy(update={"noise": PixelNoise()}) if isinstance(spec, CameraSpec) else spec
+        for name, spec in stated.sensors.items()
+    }
+    return judge((rig, "tremor", tremor, seed), stated.model_copy(update={"sensors": sensors}), captured, truth)
 
 
 def with_captures(world: World, count: int, rng: np.random.Generator) -> World:
@@ -172,11 +194,9 @@ def judge(case: tuple[str, str, float, int], rig: Rig, captured: CaptureSet, tru
     try:
         problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(case[3]))
         found = solve_problem(problem)
-    except CalgraphError as error:
-        nan = float("nan")
-        return Outcome(
-            *case, 0, False, 0, False, nan, nan, nan, nan, nan, nan, nan, time.perf_counter() - began, str(error)
-        )
+    except (CalgraphError, ArithmeticError, LinAlgError, LookupError, ValueError) as error:
+        crashed, text = not isinstance(error, CalgraphError), f"{type(error).__name__}: {error}"
+        return Outcome(*case, crashed=crashed, seconds=time.perf_counter() - began, text=text)
     seconds = time.perf_counter() - began
     sensors = [sensor for sensor in found.sensors if sensor.parent is not None]
     metres, degrees, sigmas, nees = [], [], [], []
@@ -243,6 +263,9 @@ def show(outcomes: Sequence[Outcome]) -> None:
     for kind, group in grouped(wrong, lambda o: o.kind):
         if count(group, "confidently_wrong"):
             print(f"    {kind:18} {count(group, 'confidently_wrong'):3d} of {len(group)}")
+    for o in outcomes:
+        if o.crashed:
+            print(f"crashed: {o.rig} {o.kind} {o.size:g} seed {o.seed}: {o.text}")
     show_totals("right", right)
     flagged = [o for o in right if not o.good or o.remarks]
     print(f"right runs weak, failed or remarked: {len(flagged)} of {len(right)} ({share(flagged, right)})")
@@ -337,14 +360,14 @@ def share(part: Sequence[Outcome], whole: Sequence[Outcome]) -> str:
 def mean(values: Sequence[float]) -> float:
     """Of the finite values."""
     finite = np.array(values, dtype=float)[np.isfinite(values)] if len(values) else np.zeros(0)
-    return float(finite.mean()) if len(finite) else float("nan")
+    return float(finite.mean()) if len(finite) else NAN
 
 
 def median(values: Sequence[float]) -> float:
     """Of the finite values."""
     finite = np.array(values, dtype=float)
     finite = finite[np.isfinite(finite)]
-    return float(np.median(finite)) if len(finite) else float("nan")
+    return float(np.median(finite)) if len(finite) else NAN
 
 
 def worst(values: Sequence[float]) -> float:

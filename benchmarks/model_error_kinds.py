@@ -1,103 +1,24 @@
-"""Rigs, and everything in which a world may differ from rig.yaml: what model_errors.py runs."""
+"""Everything in which a world may differ from rig.yaml, one thing at a time, for model_errors.py."""
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (
     BoardErrors,
     Bump,
     CameraErrors,
-    CameraOptions,
     IdealDetectorOptions,
-    LaserOptions,
     ModelErrors,
-    MultibeamOptions,
-    RigScenario,
     ScannerErrors,
-    SpinningOptions,
     World,
-    build_world,
-    world_rig,
 )
-from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
-from calgraph.simulation.scanners import BeamPattern
-
-_CAMERA = CameraOptions(distortion=(-0.1, 0.03, 0.0005, -0.0005, 0.0))
-_CHAIN_FACING = {"laser_front": 100.0, "camera": 40.0, "lidar": -20.0, "camera_2": -80.0}
-"""Directions in which the sensors of the chain face, degrees to the left of ahead."""
-_CHAIN_FIELD = 100.0
-"""Their fields of view, degrees: neighbours share 40 degrees, others nothing."""
-
-SCENARIOS: Mapping[str, RigScenario] = {
-    "five": RigScenario(camera=_CAMERA),
-    "chain": RigScenario(
-        camera=_CAMERA.model_copy(update={"count": 2, "field_of_view": _CHAIN_FIELD}),
-        laser=LaserOptions(count=1, field_of_view=_CHAIN_FIELD),
-        spinning=SpinningOptions(count=0),
-        multibeam=MultibeamOptions(count=1),
-        # More for the 2-D scanner at the end of the chain, which needs them.
-        bearings=(58, 64, 70, 76, 82, 0, 10, 20, -60, -50, -40),
-        radii=(2.0, 2.8),
-        samples=3,
-        max_rotation=45.0,
-    ),
-    "pair": RigScenario(
-        camera=_CAMERA,
-        laser=LaserOptions(count=0),
-        spinning=SpinningOptions(count=0),
-        multibeam=MultibeamOptions(count=1),
-        bearings=(-30, -20, -10, 0, 10, 20, 30),
-    ),
-}
-"""Five sensors; four in a chain, each of which detects the board together with its neighbours only; and a camera
-with a 16-beam LiDAR."""
-
-
-@lru_cache(maxsize=4)
-def rig_world(rig: str, seed: int, changes: tuple[tuple[str, Any], ...] = ()) -> World:
-    """The world of a rig, with changes to its scenario."""
-    world = build_world(SCENARIOS[rig].model_copy(update=dict(changes)), seed, images=False)
-    if rig != "chain":
-        return world
-    nominal = {"camera": 30.0, "camera_2": -30.0, "laser_front": 0.0, "lidar": 0.0}
-    robot = [
-        _turned(sensor, np.radians(_CHAIN_FACING[sensor.name] - nominal[sensor.name])) for sensor in world.robot
-    ]
-    return replace(world, robot=tuple(robot))
-
-
-def _turned(sensor: RobotSensor, yaw: float) -> RobotSensor:
-    """The sensor carried around the robot's axis; a LiDAR with its field of view limited to a sector."""
-    T_world_sensor = se3.pose(so3.exp(np.array([0.0, 0.0, yaw])), np.zeros(3)) @ sensor.T_world_sensor
-    if isinstance(sensor, MountedScanner) and sensor.kind == "lidar3d":
-        return replace(sensor, T_world_sensor=T_world_sensor, pattern=_sector(sensor.pattern))
-    return replace(sensor, T_world_sensor=T_world_sensor)
-
-
-def _sector(pattern: BeamPattern) -> BeamPattern:
-    """The beams within half a field of view of the x axis."""
-    kept = np.abs(np.angle(np.exp(1j * pattern.angles))) <= np.radians(_CHAIN_FIELD / 2)
-    after = np.cumsum(kept) - 1
-    # The last beams of the sector have themselves as neighbours: their fields of view end, not the board.
-    neighbours = np.where(kept[pattern.neighbours], after[pattern.neighbours], after)[kept]
-    assert pattern.rings is not None
-    return BeamPattern(
-        pattern.origins,
-        pattern.directions[kept],
-        pattern.sideways[kept],
-        pattern.times[kept],
-        neighbours,
-        pattern.angles[kept],
-        pattern.rings[kept],
-    )
+from calgraph.simulation.robot import MountedCamera, MountedScanner
+from model_error_rigs import cameras_of, rig_world, ring_count, scanners_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,14 +69,6 @@ def _scaled(size: float, vector: tuple[float, ...]) -> Any:
     return tuple(size * x for x in vector)
 
 
-def _cameras(world: World) -> list[MountedCamera]:
-    return [sensor for sensor in world.robot if isinstance(sensor, MountedCamera)]
-
-
-def _scanners(world: World, fits: Callable[[MountedScanner], bool]) -> list[MountedScanner]:
-    return [sensor for sensor in world.robot if isinstance(sensor, MountedScanner) and fits(sensor)]
-
-
 def _of_board(make: Callable[[float, World, np.random.Generator], BoardErrors]) -> Any:
     return lambda size, world, rng: Wrong(ModelErrors(make(size, world, rng)))
 
@@ -164,7 +77,7 @@ def _of_camera(make: Callable[[float, MountedCamera, np.random.Generator], Camer
     """One camera is wrong."""
 
     def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
-        camera = _cameras(world)[rng.integers(len(_cameras(world)))]
+        camera = cameras_of(world)[rng.integers(len(cameras_of(world)))]
         return Wrong(ModelErrors(cameras={camera.name: make(size, camera, rng)}))
 
     return of_world
@@ -177,7 +90,7 @@ def _of_scanner(
     """One scanner of those that fit is wrong."""
 
     def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
-        candidates = _scanners(world, fits)
+        candidates = [s for s in scanners_of(world) if fits(s)]
         if not candidates:
             return None
         scanner = candidates[rng.integers(len(candidates))]
@@ -205,10 +118,6 @@ def _is_2d(scanner: MountedScanner) -> bool:
 
 def _has_rings(scanner: MountedScanner) -> bool:
     return scanner.pattern.rings is not None
-
-
-def _ring_count(scanner: MountedScanner) -> int:
-    return 0 if scanner.pattern.rings is None else int(scanner.pattern.rings.max()) + 1
 
 
 def _displaced_tag(size: float, world: World, rng: np.random.Generator) -> BoardErrors:
@@ -245,7 +154,7 @@ def _late(size: float, world: World, rng: np.random.Generator) -> Wrong:
 
 
 def _footprints(size: float, world: World, rng: np.random.Generator) -> Wrong:  # noqa: ARG001
-    scanners = {scanner.name: ScannerErrors(divergence=size) for scanner in _scanners(world, lambda _: True)}
+    scanners = {scanner.name: ScannerErrors(divergence=size) for scanner in scanners_of(world)}
     return Wrong(ModelErrors(scanners=scanners))
 
 
@@ -296,7 +205,7 @@ KINDS: Mapping[str, Kind] = {
         "mm",
         1e3,
         _of_scanner(
-            lambda s, lidar, rng: ScannerErrors(ring_bias=tuple(rng.normal(0, s, _ring_count(lidar)).tolist())),
+            lambda s, lidar, rng: ScannerErrors(ring_bias=tuple(rng.normal(0, s, ring_count(lidar)).tolist())),
             _has_rings,
         ),
     ),
@@ -306,7 +215,7 @@ KINDS: Mapping[str, Kind] = {
         _DEGREE,
         _of_scanner(
             lambda s, lidar, rng: ScannerErrors(
-                ring_elevation=tuple(rng.normal(0, s, _ring_count(lidar)).tolist())
+                ring_elevation=tuple(rng.normal(0, s, ring_count(lidar)).tolist())
             ),
             _has_rings,
         ),
@@ -361,75 +270,6 @@ KINDS: Mapping[str, Kind] = {
     "slip": Kind((0.2, 0.5), "%", 100, lambda s, _world, _rng: Wrong(scenario=(("disturbed", s),))),
     "late_clock": Kind((0.05, 0.2), "m/s", 1, _late),
 }
-
-
-def draw_errors(world: World, rng: np.random.Generator) -> ModelErrors:
-    """Every systematic error from its prior in rig.yaml, with the default standard deviations."""
-    rig = world_rig(world)
-    return ModelErrors(
-        _draw_board_errors(rig.boards[0], rng),
-        cameras={camera.name: _draw_camera_errors(camera, rig, rng) for camera in _cameras(world)},
-        scanners={
-            scanner.name: _draw_scanner_errors(scanner, rig, rng) for scanner in _scanners(world, lambda _: True)
-        },
-    )
-
-
-def _draw_board_errors(board: Board, rng: np.random.Generator) -> BoardErrors:
-    prior = board.uncertainty
-    return BoardErrors(
-        print_scale=rng.normal(0, prior.print_scale),
-        print_aspect=rng.normal(0, prior.print_aspect),
-        print_position=(rng.normal(0, prior.print_position), rng.normal(0, prior.print_position)),
-        print_rotation=rng.normal(0, 2 * prior.print_position / max(board.size)),
-        tag_size=rng.normal(0, prior.tag_size),
-        tag_position={
-            tag.id: (rng.normal(0, prior.tag_position), rng.normal(0, prior.tag_position)) for tag in board.tags
-        },
-        tag_rotation={tag.id: rng.normal(0, 2 * prior.tag_position / tag.size) for tag in board.tags},
-        bow=(rng.normal(0, prior.bow), rng.normal(0, prior.bow), 0.0),
-        size=(rng.normal(0, prior.size), rng.normal(0, prior.size)),
-    )
-
-
-def _draw_camera_errors(camera: MountedCamera, rig: Rig, rng: np.random.Generator) -> CameraErrors:
-    spec, model = rig.sensors[camera.name], camera.camera
-    assert isinstance(spec, CameraSpec)
-    prior = spec.uncertainty
-    scale, aspect = 1 + rng.normal(0, prior.focal_length), rng.normal(0, prior.pixel_aspect)
-    effect = _displacement_at_corner(model)
-    return CameraErrors(
-        focal_length=(scale * (1 + aspect / 2) - 1, scale * (1 - aspect / 2) - 1),
-        principal_point=(rng.normal(0, prior.principal_point), rng.normal(0, prior.principal_point)),
-        distortion=tuple((rng.normal(0, prior.distortion, len(effect)) / effect).tolist()),
-    )
-
-
-def _displacement_at_corner(camera: CameraModel) -> Array:
-    """(n,) displacement of the corner of the image by each distortion coefficient, pixels per unit."""
-    ray = camera.rays(np.zeros((1, 2)))
-    step = 1e-6
-    moved = [
-        replace(camera, distortion=camera.distortion + step * unit).project(ray)[0]
-        for unit in np.eye(len(camera.distortion))
-    ]
-    return np.asarray(np.linalg.norm(moved, axis=1) / step)
-
-
-def _draw_scanner_errors(scanner: MountedScanner, rig: Rig, rng: np.random.Generator) -> ScannerErrors:
-    spec = rig.sensors[scanner.name]
-    assert isinstance(spec, Lidar2dSpec | Lidar3dSpec)
-    prior = spec.uncertainty
-    angle_scale = rng.normal(0, spec.uncertainty.angle_scale) if isinstance(spec, Lidar2dSpec) else 0.0
-    rings = ()
-    if isinstance(spec, Lidar3dSpec):
-        rings = tuple(rng.normal(0, spec.uncertainty.ring_bias, _ring_count(scanner)).tolist())
-    return ScannerErrors(
-        range_bias=rng.normal(0, prior.range_bias),
-        range_scale=rng.normal(0, prior.range_scale),
-        angle_scale=angle_scale,
-        ring_bias=rings,
-    )
 
 
 def cases(kinds: Iterator[str] | tuple[str, ...], sizes: tuple[float, ...] = ()) -> Iterator[tuple[str, float]]:
