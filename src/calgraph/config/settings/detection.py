@@ -1,6 +1,7 @@
 """Settings of the detection of the board. Ranges and distances in m, angles in rad, corners in pixels."""
 
 import math
+from typing import Annotated
 
 from pydantic import Field
 
@@ -40,7 +41,7 @@ class TagSettings(StrictModel):
     half_resolution_blur: float = Field(default=0.8, ge=0)
     """Standard deviation of the blur of images that are searched at half their resolution, pixels of these: the
     value that the authors of the AprilTag library recommend for noisy images."""
-    saddle_windows: tuple[float, ...] = (0.14, 0.07)
+    saddle_windows: tuple[Annotated[float, Field(gt=0)], ...] = (0.14, 0.07)
     """Half widths of the windows in which corners of Kalibr's tags are moved to saddle points, in edges of a tag:
     the first one contains the error of OpenCV's quadrilateral, an eighth, and not the next saddle at 0.2."""
     search_margin: float = Field(default=0.5, ge=0)
@@ -67,7 +68,7 @@ class CameraDetectionSettings(StrictModel):
     min_motion_noise: float = Field(default=0.2, gt=0)
     """Least noise of a corner, pixels, in the test whether the board moved between images (by
     ``pose.outlier_sigmas`` of it): 1 px of motion is accepted, as averaging halves its effect."""
-    checkerboard_sides: tuple[int, ...] = (480, 960)
+    checkerboard_sides: tuple[Annotated[int, Field(gt=0)], ...] = (480, 960)
     """Longer sides, pixels, to which an image is reduced for the search of a checkerboard, one after the other: it
     takes 0.05 s and 0.15 s then, the full image up to 0.6 s, and corners are refined in the full image."""
     max_checkerboard_window: int = Field(default=12, ge=2)
@@ -160,8 +161,8 @@ class Lidar2dDetectionSettings(StrictModel):
     ransac_samples: int = Field(default=300, ge=1)
     """Samples of RANSAC: a line with a fifth of the beams is drawn with 99.9 % by 169 pairs."""
     end_parts: int = Field(default=5, ge=3)
-    """One part of so many at either end of a line may be bent, if it has that many blocks of beams: the others
-    determine the line."""
+    """Parts of a line, in whole blocks of beams: the first and the last one may be bent, the others determine the
+    line. Lines of fewer blocks are not trimmed."""
     end_block: int = Field(default=5, gt=1)
     """Beams whose median offset decides whether an end of the line is bent: it has 0.56 of the noise of a beam."""
     mixed_beams: int = Field(default=2, ge=0)
