@@ -7,7 +7,7 @@ import pytest
 
 import track_pairs
 from calgraph.config.settings import HypothesisSettings, ProposalSettings, RegistrationSettings, ResamplingSettings
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.pairwise.pose_hypotheses import propose_poses
 from calgraph.pairwise.scanner_pair import PoseHypothesis
 from calgraph.pairwise.synchronized_tracks import (
@@ -20,7 +20,6 @@ from calgraph.pairwise.track_registration import (
     TrackRegistration,
     _associate,
     _build_prior,
-    _invert_symmetric,
     _mahalanobis2,
     compute_pose_costs,
     compute_registration_information,
@@ -124,7 +123,7 @@ def test_information_of_independent_errors_is_that_of_least_squares(rng: np.rand
 def test_squared_mahalanobis_distances(rng: np.random.Generator) -> None:
     A, r = rng.normal(size=(7, 2, 2)), rng.normal(size=(7, 2))
     S = A @ np.swapaxes(A, 1, 2)
-    W = _invert_symmetric(S)
+    W = invert_2x2(S)
     np.testing.assert_allclose(W, np.linalg.inv(S))
     np.testing.assert_allclose(_mahalanobis2(r, W), np.einsum("pi,pij,pj->p", r, W, r))
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import RegistrationSettings
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
 
 # Largest lag of the autocorrelation, steps: later residuals are independent.
@@ -59,7 +59,7 @@ def register_tracks(
         if len(matches) < settings.min_matches:
             return None
         r, J, S = _linearize(T_a_b, nuisance, pairs, matches)
-        W = _invert_symmetric(S + model_error**2 * np.eye(2)) / (1 + d2 / settings.cauchy_scale2)[:, None, None]
+        W = invert_2x2(S + model_error**2 * np.eye(2)) / (1 + d2 / settings.cauchy_scale2)[:, None, None]
         H, g = _build_normal_equations(r, J, W, nuisance, prior)
         step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         T_a_b = se2.retract(T_a_b, step[:3])
@@ -101,7 +101,7 @@ def _associate(
         return near, np.zeros(0)
     near = near[pairs.are_mutual_nearest(near, rough[near])]
     r, _, S = _linearize(T_a_b, nuisance, pairs, near)
-    d2 = _mahalanobis2(r, _invert_symmetric(S + model_error**2 * np.eye(2)))
+    d2 = _mahalanobis2(r, invert_2x2(S + model_error**2 * np.eye(2)))
     return near[d2 < gate], d2[d2 < gate]
 
 
@@ -159,7 +159,7 @@ def compute_registration_information(
     """
     rows = fit.matches
     r, J, S = _linearize(fit.T_a_b, fit.nuisance, pairs, rows)
-    W = _invert_symmetric(S + fit.model_error**2 * np.eye(2))
+    W = invert_2x2(S + fit.model_error**2 * np.eye(2))
     d2 = _mahalanobis2(r, W)
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
     ticks = pairs.a.tick[pairs.row_a[rows]]
@@ -223,11 +223,3 @@ def estimate_correlation_time(
 def _mahalanobis2(r: Array, W: Array) -> Array:
     x, y = r.T
     return np.asarray(W[:, 0, 0] * x * x + 2 * W[:, 0, 1] * x * y + W[:, 1, 1] * y * y)
-
-
-def _invert_symmetric(S: Array) -> Array:
-    """Inverses of symmetric (P, 2, 2), five times as fast as a general decomposition."""
-    W = np.empty_like(S)
-    W[:, 0, 0], W[:, 1, 1] = S[:, 1, 1], S[:, 0, 0]
-    W[:, 0, 1] = W[:, 1, 0] = -S[:, 0, 1]
-    return np.asarray(W / (S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)[:, None, None])

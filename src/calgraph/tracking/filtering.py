@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, invert_2x2
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def predict(state: Gaussian, step: Transition) -> Gaussian:
 def update(state: Gaussian, z: Array, R: Array) -> Gaussian:
     """The state after measuring the centre ``z`` (..., 2) with covariance ``R`` (..., 2, 2)."""
     P = state.covariance
-    gain = P[..., :2] @ _inverse2(P[..., :2, :2] + R)
+    gain = P[..., :2] @ invert_2x2(P[..., :2, :2] + R)
     mean = state.mean + (gain @ (z - state.mean[..., :2])[..., None])[..., 0]
     return Gaussian(mean, P - gain @ P[..., :2, :])
 
@@ -82,7 +82,7 @@ def mahalanobis_distance(state: Gaussian, z: Array, R: Array) -> tuple[Array, Ar
     """Squared Mahalanobis distances (...,) of centres from predictions, and determinants (...,) of their S."""
     S = state.covariance[..., :2, :2] + R
     off = z - state.mean[..., :2]
-    squared = np.einsum("...i,...ij,...j->...", off, _inverse2(S), off)
+    squared = np.einsum("...i,...ij,...j->...", off, invert_2x2(S), off)
     return squared, np.asarray(S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0])
 
 
@@ -135,12 +135,3 @@ def _smooth_step(here: Gaussian, ahead: Gaussian, later: Gaussian, F: Array) -> 
 def _select(which: NDArray[np.bool_], a: Gaussian, b: Gaussian) -> Gaussian:
     mean = np.where(which[..., None], a.mean, b.mean)
     return Gaussian(mean, np.where(which[..., None, None], a.covariance, b.covariance))
-
-
-def _inverse2(S: Array) -> Array:
-    """Inverses of (..., 2, 2); several times faster than ``numpy.linalg.inv``."""
-    inverse = np.empty_like(S)
-    inverse[..., 0, 0], inverse[..., 1, 1] = S[..., 1, 1], S[..., 0, 0]
-    inverse[..., 0, 1], inverse[..., 1, 0] = -S[..., 0, 1], -S[..., 1, 0]
-    determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] * S[..., 1, 0]
-    return inverse / determinant[..., None, None]
