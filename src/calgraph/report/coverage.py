@@ -153,10 +153,11 @@ def _scanner_coverage(
     """Coverage by azimuth and a second quantity ``y`` of the points of each view."""
     azimuth = np.linspace(180, -180, _AZIMUTH_BINS + 1)
     cells = [np.column_stack([_azimuths(view), values]) for view, values in zip(views, y, strict=True)]
+    visible = np.histogram(-_azimuths(np.concatenate(field)), -azimuth)[0] > 0
+    distances = _format_interval(_distances_from_origin(np.concatenate(views)), 1)
     return Coverage(
-        azimuth, y_edges, _count_views(cells, azimuth, y_edges), _visible_columns(field, azimuth),
-        ("azimuth, °", y_axis),
-        (*_describe_sectors(views, field, subject), *remarks, _describe_ranges(views, subject)),
+        azimuth, y_edges, _count_views(cells, azimuth, y_edges), visible, ("azimuth, °", y_axis),
+        (*_describe_sectors(views, field, subject), *remarks, f"{subject} {distances} m away."),
     )  # fmt: skip
 
 
@@ -166,11 +167,6 @@ def _count_views(views: Sequence[Array], x_edges: Array, y_edges: Array) -> Arra
     edges = y_sign * y_edges, x_sign * x_edges
     hit = [np.histogram2d(y_sign * view[:, 1], x_sign * view[:, 0], edges)[0] > 0 for view in views]
     return np.asarray(np.sum(hit, axis=0, dtype=np.float64))
-
-
-def _visible_columns(field: Sequence[Array], azimuth: Array) -> NDArray[np.bool_]:
-    """(C,) columns of the azimuth in which a scanner measures anything."""
-    return np.asarray(np.histogram(-_azimuths(np.concatenate(field)), -azimuth)[0] > 0)
 
 
 def _azimuths(points: Array) -> Array:
@@ -207,10 +203,6 @@ def _format_sector(start: int, count: int) -> str:
     middle = ((start + _SECTOR_WIDTH * count / 2 + 180) % 360) - 180
     names = ("ahead", "to the left", "behind", "to the right")
     return f"{format_fixed(low, 0)}° to {format_fixed(high, 0)}° ({names[round(middle / 90) % 4]})"
-
-
-def _describe_ranges(views: Sequence[Array], subject: str) -> str:
-    return f"{subject} {_format_interval(_distances_from_origin(np.concatenate(views)), 1)} m away."
 
 
 def _format_interval(values: Array, decimals: int) -> str:

@@ -53,7 +53,7 @@ def build_layout(scenario: NetworkScenario, rng: np.random.Generator) -> Layout:
 
 def _ring(scenario: NetworkScenario) -> Layout:
     radius = scenario.ring_diameter / 2
-    outline = _circle(radius - 1, 48)
+    outline = (radius - 1) * _unit_vectors(2 * np.pi * np.arange(48) / 48)
     # Radii alternate, so that tracks are not one circle; halfway between two scanners both detect the person.
     turns = np.arange(4 * scenario.scanner.count) / (4 * scenario.scanner.count)
     wobble = np.tile([0.0, 1.0, 0.0, -1.0], scenario.scanner.count) * 0.1 * radius
@@ -156,10 +156,6 @@ def _fully_furnished(floor: Floor, mounts: Array) -> Layout:
 
 def _unit_vectors(angles: Array) -> Array:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-
-def _circle(radius: float, corners: int) -> Array:
-    return radius * _unit_vectors(2 * np.pi * np.arange(corners) / corners)
 
 
 def _mounts_on_arc(radius: float, angles: Array) -> Array:
