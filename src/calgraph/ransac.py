@@ -1,10 +1,12 @@
 """The sample-and-score loop, with the scores of RANSAC and MSAC.
 
 Sources: Fischler and Bolles, "Random sample consensus", CACM 1981 (sampling, count of inliers, stopping rule);
-Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there). There is no local
-optimization (Chum, Matas, Kittler, DAGM 2003): callers refine the model on its inliers with their covariances.
+Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there); Chum, Matas, Kittler,
+"Locally optimized RANSAC", DAGM 2003 (the fit to the inliers of each best model); Chum and Matas, "Matching with
+PROSAC", CVPR 2005 (samples of the data with the best scores first, here half of them).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -21,6 +23,8 @@ Score = Literal["ransac", "msac"]
 _BATCH = 100
 # Up to this number of data for each of a sample, samples are drawn by shuffling: it is faster then.
 _MAX_SHUFFLED = 20
+# Limit on fits of one model to its inliers; they stay the same after two to four.
+_MAX_LOCAL_FITS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +58,16 @@ def find_consensus(
     confidence: float,
     max_samples: int,
     batch: int = _BATCH,
+    fit: Callable[[Array, NDArray[np.bool_]], Array] | None = None,
 ) -> RansacResult | None:
     """Finds the model with the lowest robust cost by random sampling.
 
     Data come in groups of mutually exclusive alternatives (candidate detections of one capture, say): a sample
-    takes at most one of a group, and a group's residual is that of its best member. Data without alternatives
-    are groups of one, ``groups = arange(N)``.
+    takes at most one of a group, and a group's residual is that of its best member. Every second sample takes the
+    first of each group, the others any. Data without alternatives are groups of one, ``groups = arange(N)``.
 
     Args:
-        groups: (N,) group of each datum, any non-negative integers.
+        groups: (N,) group of each datum, any non-negative integers; the most probable datum of a group first.
         sample_size: number of data in a minimal sample.
         solve: indices (K, sample_size) of K samples to K models (K, ...). A sample without solution gets NaN.
         squared_residuals: models (K, ...) to (K, N) squared residuals; NaN counts as infinite.
@@ -72,6 +77,8 @@ def find_consensus(
         confidence: stop once an all-inlier sample has been drawn with this probability.
         max_samples: stop after this many samples.
         batch: samples solved and scored in one call, after which the confidence is tested.
+        fit: local optimization: one model and its inliers (N,) to the model that fits these best. Samples without
+            outliers may still give poor models, because the data have noise.
 
     Returns:
         The best model, or None if there are fewer groups than ``sample_size`` or no sample has a solution.
@@ -82,39 +89,64 @@ def find_consensus(
     if len(starts) < sample_size:
         return None
 
-    def score_models(models: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def best_of_groups(models: Array) -> tuple[Array, Array]:
         r2 = squared_residuals(models)[:, order] / threshold2
-        best_in_group = np.minimum.reduceat(np.where(np.isnan(r2), np.inf, r2), starts, axis=1)
-        truncated = np.minimum(best_in_group, 1.0) if score == "msac" else 1.0 * (best_in_group > 1.0)
-        return truncated.sum(axis=1), best_in_group <= 1.0
+        r2 = np.where(np.isnan(r2), np.inf, r2)
+        return np.minimum.reduceat(r2, starts, axis=1), r2[:, starts]
+
+    def cost_of(best: Array) -> Array:
+        truncated = np.minimum(best, 1.0) if score == "msac" else (best > 1.0).astype(np.float64)
+        return np.asarray(truncated.sum(axis=1))
+
+    def select_inliers(model: Array) -> NDArray[np.bool_]:
+        return select_best_of_groups(squared_residuals(model[None])[0] / threshold2, groups)
+
+    def optimize_locally(model: Array, cost: float) -> tuple[Array, float]:
+        for _ in range(_MAX_LOCAL_FITS):
+            fitted = fit(model, select_inliers(model)) if fit else model
+            fitted_cost = float(cost_of(best_of_groups(fitted[None])[0])[0])
+            if not fitted_cost < cost:
+                break
+            model, cost = fitted, fitted_cost
+        return model, cost
 
     best: Array | None = None
-    best_cost, sample_count, required = np.inf, 0, float(max_samples)
+    best_cost, sample_count = np.inf, 0
+    # Of few data, all samples have been drawn before long.
+    distinct = math.comb(len(starts), sample_size) * float(sizes.max()) ** sample_size
+    required = _required_samples(0.5 / distinct, confidence)
     while sample_count < min(required, max_samples):
         chosen = _draw_samples(len(starts), sample_size, min(batch, max_samples - sample_count), rng)
-        members = starts[chosen] + (rng.random(chosen.shape) * sizes[chosen]).astype(np.intp)
-        models = solve(order[members])
+        members = (rng.random(chosen.shape) * sizes[chosen]).astype(np.intp)
+        members[sample_count % 2 :: 2] = 0
+        models = solve(order[starts[chosen] + members])
         sample_count += len(chosen)
         models = models[np.isfinite(models.reshape(len(models), -1)).all(axis=1)]
         if not len(models):
             continue
-        costs, is_inlier = score_models(models)
+        costs = cost_of(best_of_groups(models)[0])
         winner = int(np.argmin(costs))
         if costs[winner] < best_cost:
-            best, best_cost = models[winner], float(costs[winner])
-            inlier_probability = float(np.mean(is_inlier[winner] / sizes)) ** sample_size
-            required = _required_samples(inlier_probability, confidence)
+            best, best_cost = optimize_locally(models[winner], float(costs[winner]))
+            (of_group,), (of_first,) = best_of_groups(best[None])
+            inlier_share, first_share = np.mean((of_group <= 1.0) / sizes), np.mean(of_first <= 1.0)
+            # If most of the first data are outliers, the same few samples of the others are drawn again and again.
+            first_probability = first_share**sample_size if first_share > 0.5 else 0.0
+            if sizes.max() == 1:
+                first_probability = inlier_share**sample_size
+            probability = float(inlier_share**sample_size + first_probability) / 2
+            required = min(required, _required_samples(probability, confidence))
     if best is None:
         return None
-    inliers = select_best_of_groups(squared_residuals(best[None])[0] / threshold2, groups)
-    return RansacResult(best, inliers, best_cost, sample_count)
+    return RansacResult(best, select_inliers(best), best_cost, sample_count)
 
 
 def _required_samples(inlier_probability: float, confidence: float) -> float:
     """Number of samples after which one without outliers has been drawn with the given probability.
 
     Args:
-        inlier_probability: of a sample without outliers: the share of inliers to the power of the sample size.
+        inlier_probability: of a sample without outliers: the share of inliers to the power of the sample size, in
+            the mean of both ways to sample.
         confidence: required probability.
     """
     return float(np.log1p(-confidence) / np.log1p(-np.clip(inlier_probability, 1e-300, 1 - 1e-12)))

@@ -91,6 +91,28 @@ def test_the_correct_one_of_several_candidates_is_selected(rng: np.random.Genera
     assert (chosen[:, 2] == 1).mean() > 0.95
 
 
+@pytest.mark.parametrize("board_first", [True, False])
+@pytest.mark.parametrize("captures", [8, 11, 12])
+def test_every_seed_finds_all_boards_among_eight_candidates_of_a_lidar(captures: int, board_first: bool) -> None:
+    """Without a background, seven surfaces of the room are candidates in every capture.
+
+    One in 512 samples consists of boards: with 2000 samples, one seed in 50 drew none, for all rigs with the same
+    number of captures.
+    """
+    rng = np.random.default_rng(2)
+    scene, T_a_b = make_boards(rng, captures), random_pose(rng)
+    room = tuple(make_patch(se3.inverse(T_a_b) @ T, rng) for T in make_boards(rng, 7))
+    a = detect_boards("plane", np.eye(4), scene, rng)
+    boards = detect_boards("plane", se3.inverse(T_a_b), scene, rng)
+    b = {i: (*found, *room) if board_first else (*room, *found) for i, found in boards.items()}
+    for seed in range(2):
+        found = estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(seed))
+        assert not isinstance(found, Rejected), found
+        chosen = found.matches[found.inliers]
+        assert chosen[:, 0].tolist() == list(range(captures))
+        assert (chosen[:, 2] == (0 if board_first else 7)).all()
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_shared_captures_are_rejected(count: int, rng: np.random.Generator) -> None:
     scene = make_boards(rng, count)

@@ -63,14 +63,14 @@ def test_refinement_weights_inliers_by_their_covariances() -> None:
     values = np.array([0.1, 0.2, 9.0, 0, 0, 0, 0, 0])
     matches = DirectionMatches(directions, values, np.array([1, 4, 1, 1, 1, 1, 1, 1]) * 1e-4)
     inliers = np.array([True, True, False, True, True, True, True, True])
-    T = refine_pose(np.eye(4), matches, inliers, BoardPairSettings(flatness=1e-9))
+    T = refine_pose(np.eye(4), matches, inliers, 1e-9, BoardPairSettings())
     np.testing.assert_allclose(se3.difference(T, np.eye(4)), [0.12, 0, 0, 0, 0, 0], atol=1e-7)
 
 
 @pytest.mark.parametrize(("stddev", "moved"), [(0.09, 0.05), (0.11, 0.0)])
 def test_refinement_does_not_move_uncertain_directions(stddev: float, moved: float) -> None:
     matches = DirectionMatches(DIRECTIONS, np.array([0.05, 0, 0, 0, 0, 0]), np.array([stddev, *[0.01] * 5]) ** 2)
-    T = refine_pose(np.eye(4), matches, np.ones(6, dtype=bool), BoardPairSettings())
+    T = refine_pose(np.eye(4), matches, np.ones(6, dtype=bool), 0.001, BoardPairSettings())
     assert T[0, 3] == pytest.approx(moved, abs=1e-4)
 
 

@@ -48,8 +48,8 @@ def estimate_pair(
         candidates_b: detections by b.
         board_size: width and height of the (largest) board, m.
         rng: random generator for the samples.
-        refine: fit the inliers once more, weighted by their covariances; the paper keeps the solution of its
-            solver, which has equal weights.
+        refine: fit the inliers, weighted by their covariances, during and after RANSAC; the paper keeps the
+            solution of its solver, which has equal weights.
         settings: gates, errors and limits.
 
     Returns:
@@ -69,9 +69,14 @@ def estimate_pair(
     if len(common) < matches.sample_size:
         return Rejected(f"both detected the board in {len(common)} captures, {matches.sample_size} are needed")
     groups = _group_alternatives(table, candidates_a, candidates_b)
+
+    def fit(T: Array, inliers: NDArray[np.bool_]) -> Array:
+        return refine_pose(T, matches, inliers, settings.model_error, settings)
+
     found = find_consensus(
         groups, matches.sample_size, matches.solve, squared_residual_function(matches, settings), 1.0, rng=rng,
         confidence=settings.ransac_confidence, max_samples=settings.ransac_max_samples,
+        fit=fit if refine else None,
     )  # fmt: skip
     min_inliers = max(matches.sample_size, _min_match_count(matches, len(table)))
     if found is None or found.inlier_count < min_inliers:
@@ -84,7 +89,7 @@ def estimate_pair(
         minima = matches.find_local_minima(found.inliers)
         T_a_b, angle = resolve_ambiguity(T_a_b, minima, matches, found.inliers, settings)
     if refine:
-        T_a_b = refine_pose(T_a_b, matches, found.inliers, settings)
+        T_a_b = refine_pose(T_a_b, matches, found.inliers, settings.flatness, settings)
     return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle, settings)
 
 

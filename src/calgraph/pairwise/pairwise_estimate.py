@@ -102,11 +102,21 @@ def squared_residual_function(matches: Matches, settings: BoardPairSettings) -> 
     return evaluate
 
 
-def refine_pose(T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_], settings: BoardPairSettings) -> Array:
-    """Refines a pose (4, 4) on all inliers by Gauss-Newton; unobservable directions keep their start value."""
+def refine_pose(
+    T_a_b: Array, matches: Matches, inliers: NDArray[np.bool_], stddev: float, settings: BoardPairSettings
+) -> Array:
+    """Refines a pose on all inliers by Gauss-Newton; unobservable directions keep their start value.
+
+    Args:
+        T_a_b: (4, 4) start value.
+        matches: of the pair.
+        inliers: (M,) of the start value.
+        stddev: standard deviation of residuals besides the noise of the detections, m.
+        settings: limit of the standard deviations of observable directions.
+    """
 
     def evaluate(T: Array) -> tuple[Array, Array, float]:
-        return _build_normal_equations(linearize_at(T, matches), inliers, settings.flatness)
+        return _build_normal_equations(linearize_at(T, matches), inliers, stddev)
 
     min_information = settings.max_stddev**-2
     H, g, cost = evaluate(T_a_b)

@@ -26,9 +26,10 @@ class BoardPairSettings(StrictModel):
     the usual limit of modified z-scores (Iglewicz and Hoaglin, 1993)."""
     ransac_confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
     """Probability of a sample without outliers at which RANSAC stops: a pair fails by chance once in 10,000."""
-    ransac_max_samples: Count = 2000
-    """Limit on samples of RANSAC: enough for that confidence with up to 49 % outliers in samples of 8 line
-    matches, and with up to 83 % in samples of 3 plane matches."""
+    ransac_max_samples: Count = 20_000
+    """Limit on samples of RANSAC: enough for that confidence with one board among 8 candidates in every capture
+    (9400 samples of 3 plane matches, half of which take the first candidates), and with up to 61 % outliers in
+    samples of 8 line matches."""
     flatness: Positive = 0.001
     """Standard deviation of a board's surface from its plane, m: a rigid panel of 1 m bends by 1 to 2 mm."""
     max_stddev: Positive = 0.1
