@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
-from calgraph.diagnostics.network.moved_scanners import find_displaced_nodes, find_moved_scanners
+from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_displaced_nodes, find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
@@ -120,3 +120,13 @@ def test_poses_that_agree_exactly_have_not_moved() -> None:
     """Without covariances, the rounding of the poses remains."""
     exact = replace(random_network(np.random.default_rng(0)), covariance=np.zeros((18, 18)))
     assert find_moved_scanners(exact, exact, SETTINGS) == ("a", ())
+
+
+@pytest.mark.parametrize(("degrees", "words"), [
+    (-0.004, "12.3 mm and +0.00°"), (-0.006, "12.3 mm and -0.01°"), (1.5, "12.3 mm and +1.50°"),
+])  # fmt: skip
+def test_displacements_are_in_tenths_of_a_millimetre_and_hundredths_of_a_degree(
+    degrees: float, words: str
+) -> None:
+    """Without the sign of what is rounded to zero."""
+    assert str(MovedScanner("east", 0.01234, float(np.radians(degrees)))) == words

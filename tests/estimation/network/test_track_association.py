@@ -5,6 +5,7 @@ import pytest
 
 from calgraph.config.settings import TrackGroupingSettings
 from calgraph.estimation.network.track_association import (
+    _link_successive,
     _overlap_in_scanner,
     _SampledTrack,
     group_tracks_by_body,
@@ -169,3 +170,15 @@ def test_groups_overlap_from_the_first_to_the_last_time_of_their_tracks(
     ]
     groups = [[_SampledTrack(0, track, np.zeros(0), np.zeros((0, 2)))] for track in tracks]
     assert _overlap_in_scanner(groups[earlier], groups[1 - earlier], 0.5) == overlapping
+
+
+def test_the_strength_of_a_continuation_decreases_with_gap_and_jump() -> None:
+    """A quarter of the largest gap and of the largest jump: 0.75² of the ticks of the largest gap, ten."""
+    settings = TrackGroupingSettings(max_gap=1.0, max_jump=0.4)
+    still = np.zeros((2, 2))
+    earlier = Track(np.array([0.0, 1.0]), still, still, np.zeros((2, 2, 2)), 0)
+    later = Track(np.array([1.25, 2.0]), still + np.array([0.1, 0.0]), still, np.zeros((2, 2, 2)), 0)
+    sampled = [_SampledTrack(0, track, np.zeros(0), np.zeros((0, 2))) for track in (later, earlier)]
+    ((strength, first, second),) = _link_successive(sampled, 0.1, settings)
+    assert (first, second) == (1, 0)
+    assert strength == pytest.approx(0.75**2 * 10)

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from bundle_scenes import scene
 from calgraph.estimation import RigSolution, cramer_rao, solve_bundle
-from calgraph.estimation.rig.estimate import _has_converged
+from calgraph.estimation.rig.estimate import _has_converged, _remove_outlier_views
 from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
@@ -163,3 +163,17 @@ def test_view_bias_has_converged_within_twice_the_tolerance_of_its_deviation(
         after = replace(bundle, bias_variance=np.array([1e-4, 1e-4 + change, 1e-4]))
         pair = (before, after)[::sign]
         assert _has_converged(*pair) == converged
+
+
+@pytest.mark.parametrize(("outliers", "initial", "removed"), [(7, 25, True), (8, 25, False), (7, 26, False)])
+def test_a_sensor_that_would_lose_more_than_the_largest_share_of_views_keeps_all(
+    outliers: int, initial: int, removed: bool
+) -> None:
+    """20 views are left, of which more than half of the initial ones have to stay."""
+    bundle = scene(("lidar", "camera"), boards=20).bundle
+    variances = bundle.settings.variances.model_copy(update={"max_outlier_share": 0.5})
+    bundle = replace(bundle, settings=bundle.settings.model_copy(update={"variances": variances}))
+    masks = [np.zeros(20, dtype=np.bool_), np.arange(20) < outliers]
+    found, rejected = _remove_outlier_views(bundle, masks, np.full(2, initial))
+    assert [len(views.board) for views in found.views] == [20, 20 - outliers * removed]
+    assert rejected == ({(k, "camera") for k in range(outliers)} if removed else set())

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, Checkerboard
+from calgraph.config.settings import ExtraParameterSettings
 from calgraph.detection import BoardCorners, Detection
 from calgraph.errors import InputError
 from calgraph.estimation import Estimable, RigSolution
+from calgraph.estimation.rig.extra_parameters import _intrinsic_parameters
 from calgraph.result import EstimatedParameter
+from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
 
@@ -145,3 +148,19 @@ def test_boards_without_tags_have_none_to_estimate() -> None:
     chess = detect_rig(QUICK.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)}))
     with pytest.raises(InputError, match="two tags"):
         chess.solve("tags")
+
+
+def test_focal_lengths_and_principal_points_are_in_pixels_and_distortion_has_no_unit() -> None:
+    """600 by 400 pixels, and standard deviations of 1 % of the focal lengths and 2 % of the size of the image."""
+    K = np.array([[500.0, 0, 300], [0, 510, 200], [0, 0, 1]])
+    camera = CameraModel("pinhole", 600, 400, K, np.array([0.1, 0.2, 0.3, 0.4]))
+    settings = ExtraParameterSettings(focal_length=0.01, principal_point=0.02, distortion=0.05)
+    found = [
+        (one.quantity, one.unit, one.prior_value, one.prior_stddev)
+        for one in _intrinsic_parameters("camera", 1, camera, settings)
+    ]
+    assert found == [
+        ("fx", "px", 500.0, 5.0), ("fy", "px", 510.0, pytest.approx(5.1)), ("cx", "px", 300.0, 12.0),
+        ("cy", "px", 200.0, 8.0), ("k1", "", 0.1, 0.05), ("k2", "", 0.2, 0.05), ("p1", "", 0.3, 0.05),
+        ("p2", "", 0.4, 0.05),
+    ]  # fmt: skip
