@@ -11,6 +11,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise import (
     PairwiseEstimate,
     estimate_pair,
+    estimate_pairs,
     evaluate_coplanarity,
     reselect_all_inliers,
     reselect_inliers,
@@ -260,3 +261,10 @@ def test_upright_boards_leave_the_side_ambiguous_to_which_a_scanner_is_tilted(
     found = estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine)
     assert isinstance(found, PairwiseEstimate)
     assert np.degrees(found.alternative_pose_angle) == pytest.approx(degrees, abs=1.0)
+
+
+def test_progress_is_the_share_of_pairs_that_are_done(rng: np.random.Generator) -> None:
+    detections = {name: detect_boards("plane", np.eye(4), make_boards(rng, 3), rng) for name in "abc"}
+    shares: list[float] = []
+    assert len(estimate_pairs(detections, SIZE, rng, shares.append)) == 3
+    assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])
