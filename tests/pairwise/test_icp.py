@@ -271,3 +271,23 @@ def test_the_match_distance_is_reduced_by_a_factor_at_each_step(
     monkeypatch.setattr(icp, "_match_points", record_distance)
     align_backgrounds(T_A_B, np.diag([0.2, 0.2, 0.0]) ** 2, scan(ROOM, A, rng), scan(ROOM, B, rng), SIGMA)
     np.testing.assert_allclose(distances[:8], np.maximum(0.6 * 0.7 ** np.arange(8), 0.06))
+
+
+@pytest.mark.parametrize(("before", "after", "ratio"), [
+    ((1e-3, 1e-6, 4.0), (2e-3, 1e-6, 4.0), 4.0),
+    ((1e-6, 1e-3, 1000.0), (1e-6, 2e-3, 1000.0), 4.0),
+    ((1e-3, 1e-6, 4.0), (1e-3, 1e-6, 8.0), 2.0),
+])  # fmt: skip
+def test_the_variance_of_points_is_that_of_noise_and_walls_for_all_correlated_points(
+    before: tuple[float, float, float], after: tuple[float, float, float], ratio: float
+) -> None:
+    """Of noise and of walls, m, and the number of correlated points: one is doubled."""
+    traces = []
+    for sigma, wall_error, points in (before, after):
+        rng = np.random.default_rng(0)
+        settings = ScannerPairSettings(icp=IcpSettings(wall_error=wall_error, correlated_points=points))
+        a, b = (StaticBackground(scan(ROOM, T, rng).points, settings) for T in (A, B))
+        found = align_backgrounds(T_A_B, LOOSE, a, b, sigma)
+        assert isinstance(found, IcpResult)
+        traces.append(np.trace(found.information))
+    assert traces[0] / traces[1] == pytest.approx(ratio, rel=1e-3)
