@@ -216,7 +216,9 @@ def test_the_covariance_equals_the_dense_inverse(rng: np.random.Generator) -> No
     J = least_squares(residuals, pack(truth), args=(net, truth), max_nfev=1).jac
     inverse = np.linalg.inv(J.T @ J)[:8, :8]
     order = [0, 1, 2, 6, 3, 4, 5, 7]
-    found = compute_network_covariance(net, linearize_network(net, truth))[4:, 4:]
+    covariance = compute_network_covariance(net, linearize_network(net, truth))
+    assert covariance.shape == (4 * net.count, 4 * net.count)
+    found = covariance[4:, 4:]
     np.testing.assert_allclose(np.sqrt(np.diagonal(found)), np.sqrt(np.diagonal(inverse)[order]), rtol=0.02)
 
 
