@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from calgraph.calibrate import NetworkOptions, track_people, track_recording
+from calgraph.captures import InputMonitor
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, RecordedMessage
@@ -52,3 +53,12 @@ def test_a_long_recording_is_read_in_portions_that_the_memory_holds(
     assert recording.read == [["/east", "/west"], ["/south"]]
     assert tuple(followed) == NAMES
     assert [done for step, done in told if step == "tracking"] == pytest.approx([1 / 3, 2 / 3, 1])
+
+
+def test_scanners_with_the_same_messages_are_found_across_portions(
+    recording: Counted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(track_recording, "_MAX_SCANS_IN_MEMORY", 200)
+    monitor = InputMonitor(RIG, recording.start)
+    track_people(RIG, recording, NetworkOptions(), monitor=monitor)
+    assert [finding.sensors for finding in monitor.findings()] == [("west",), ("south",), ("west", "south")]

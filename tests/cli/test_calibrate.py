@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -15,7 +16,10 @@ from typer.testing import Result
 from calgraph.calibrate.options import AveragingMethod
 from calgraph.cli.calibrate import StartChoice
 from calgraph.config import load_rig
+from calgraph.io import save_yaml
+from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import load_calibration
+from calgraph.sensors import CameraInfo, LaserScan
 from calgraph.simulation import load_truth
 
 Run = Callable[..., Result]
@@ -66,6 +70,44 @@ def test_the_resolved_rig_states_the_intrinsics_of_the_recording(calibrated: tup
     camera = load_rig(calibrated[0] / "rig.resolved.yaml").cameras()["camera"]
     assert camera.intrinsics is not None
     np.testing.assert_allclose(camera.intrinsics.K, (240, 240, 239.5, 179.5))
+
+
+def test_what_is_wrong_with_the_messages_is_remarked_and_makes_sensors_weak(
+    simulated: Path, tmp_path: Path, run: Run
+) -> None:
+    """A relay of the laser, a camera that zooms, and a slip in a frame_id."""
+    rig = load_rig(simulated / "rig.yaml").to_plain()
+    laser, info = rig["sensors"]["laser_front"]["topic"], rig["sensors"]["camera"]["camera_info"]
+    rig["sensors"]["relay"] = {"kind": "lidar2d", "topic": "/relay", "frame_id": "relay"}
+    rig["sensors"]["lidar"]["frame_id"] = "lidra"
+    save_yaml(tmp_path / "rig.yaml", rig)
+    with open_recording(simulated / "recording") as before, RecordingWriter(tmp_path / "recording") as writer:
+        for record in before.records():
+            message = record.decode()
+            writer.write(record.topic, message, record.arrival)
+            if record.topic == laser:
+                assert isinstance(message, LaserScan)
+                writer.write("/relay", replace(message, frame_id="relay"), record.arrival)
+            if isinstance(message, CameraInfo):
+                zoomed = replace(message.camera, K=message.camera.K * [[1.05], [1.05], [1]])
+                later = replace(message, stamp=message.stamp + 2, camera=zoomed)
+                writer.write(info, later, record.arrival + 2)
+    result = run("calibrate", tmp_path / "rig.yaml", tmp_path / "recording", "-o", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    found = load_calibration(tmp_path / "out/calibration.yaml")
+    frame, copy, zoom = found.evidence.remarks[:3]
+    assert "rig.yaml states lidra" in frame
+    assert "laser_front and relay have the same data, 100 % of their messages" in copy
+    assert "the intrinsics of camera on /camera/camera_info change at 2." in zoom
+    assert "(fx 240 to 252 pixels)" in zoom
+    for name, reason in (("laser_front", copy), ("relay", copy), ("camera", zoom)):
+        assert found[name].verdict.grade == "weak"
+        assert found[name].verdict.reason.startswith(reason)
+
+
+def test_a_right_recording_has_no_remarks_on_its_messages(calibrated: tuple[Path, Result]) -> None:
+    remarks = load_calibration(calibrated[0] / "calibration.yaml").evidence.remarks
+    assert not [remark for remark in remarks if "messages" in remark or "intrinsics" in remark]
 
 
 def test_an_unconnected_sensor_is_named_and_the_others_are_written(

@@ -284,3 +284,38 @@ def test_topic_of_only_one_of_several_recordings_is_found(make_bag: MakeBag, ros
     paths = [make_bag((topic, ros.scan(), 5.0), name=topic[1:]) for topic in ("/a", "/b")]
     with open_recordings(paths) as recording:
         assert [record.topic for record in recording.records(["/b"])] == ["/b"]
+
+
+def test_a_digest_has_the_frame_and_depends_on_the_content_alone(
+    make_bag: MakeBag, ros: SimpleNamespace, read_all: ReadAll
+) -> None:
+    other = np.array([1, 2, 3, 4, 6], np.float32)
+    path = make_bag(
+        ("/scan", ros.scan(), 1.0),
+        ("/scan", ros.scan(header=ros.header(9.0, "another_laser")), 2.0),
+        ("/scan", ros.scan(ranges=other), 3.0),
+    )
+    first, moved, changed = (record.digest() for record in read_all(path) if record.digest)
+    assert (first.frame_id, moved.frame_id) == ("sensor", "another_laser")
+    assert first.content == moved.content
+    assert first.content != changed.content
+
+
+def test_a_digest_of_ros1_has_the_frame_and_depends_on_the_content_alone(
+    make_ros1_bag: MakeBag, read_all: ReadAll
+) -> None:
+    types = get_typestore(Stores.ROS1_NOETIC).types
+
+    def image(frame_id: str, value: int) -> object:
+        stamp = types["builtin_interfaces/msg/Time"](100, value)
+        return types["sensor_msgs/msg/CompressedImage"](
+            types["std_msgs/msg/Header"](value, stamp, frame_id), "jpeg", np.full(5000, value, np.uint8)
+        )
+
+    bag = make_ros1_bag(
+        ("/a", image("left", 1), 1.0), ("/b", image("right_eye", 1), 2.0), ("/c", image("", 2), 3.0)
+    )
+    left, right, changed = (record.digest() for record in read_all(bag) if record.digest)
+    assert (left.frame_id, right.frame_id, changed.frame_id) == ("left", "right_eye", "")
+    assert left.content == right.content
+    assert left.content != changed.content

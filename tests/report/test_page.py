@@ -157,9 +157,9 @@ def test_remarks_follow_the_verdicts(calibration: Calibration, rig: Rig) -> None
     )
     words = Page(render_report(remarked, rig)).words
     assert (
-        "Not used board edges in scans of lidar are <40 mm inside" in words[: words.index("Sensor graph An edge")]
+        "Remarks board edges in scans of lidar are <40 mm inside" in words[: words.index("Sensor graph An edge")]
     )
-    assert "Not used" not in Page(render_report(calibration, rig)).words
+    assert "Remarks" not in Page(render_report(calibration, rig)).words
 
 
 def test_a_verdict_without_reason_has_advice(calibration: Calibration, rig: Rig) -> None:

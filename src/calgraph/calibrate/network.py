@@ -1,6 +1,6 @@
 """Networks: from one recording of people walking through a building to the poses of its scanners."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.strategies import select_averaging, select_depth_stddev
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
+from calgraph.captures import InputFinding, InputMonitor
 from calgraph.config import Rig
 from calgraph.diagnostics import (
     assemble_network,
@@ -33,8 +34,11 @@ def calibrate_network(
     Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
     """
     _calibration_to_extend(rig, options)  # checked before minutes are spent on tracking
-    tracks, frames = track_people(rig, recording, options, progress)
-    return calibrate_tracks(rig, tracks, options, progress, frames=frames, start=recording.start)
+    monitor = InputMonitor(rig, recording.start)
+    tracks, frames = track_people(rig, recording, options, progress, monitor)
+    return calibrate_tracks(
+        rig, tracks, options, progress, frames=frames, start=recording.start, findings=monitor.findings()
+    )
 
 
 def calibrate_tracks(
@@ -45,6 +49,7 @@ def calibrate_tracks(
     *,
     frames: Mapping[str, str] | None = None,
     start: float | None = None,
+    findings: Sequence[InputFinding] = (),
 ) -> Calibration:
     """Calibrates stationary 2-D scanners from the tracks of each, however these were obtained.
 
@@ -56,6 +61,7 @@ def calibrate_tracks(
         progress: called with the step and the fraction done.
         frames: frame_id by scanner, where the rig does not say.
         start: of the recording, s; the time of the first track if left out.
+        findings: what does not fit the rig in the messages of the recording.
 
     Raises:
         InputError: the rig is none of 2-D scanners, or has not all that were followed.
@@ -111,7 +117,7 @@ def calibrate_tracks(
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first_time(tracked) if start is None else start
     calibration = assemble_network(
-        rig, stated_frames, tracks, initialization.pairs, graph, names, averaged, start, joint
+        rig, stated_frames, tracks, initialization.pairs, graph, names, averaged, start, joint, findings
     )
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
 

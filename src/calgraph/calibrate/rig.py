@@ -10,6 +10,7 @@ from calgraph.captures import (
     ActivityMeter,
     CaptureSet,
     GivenDetections,
+    InputMonitor,
     RecordingTimeline,
     build_timeline,
     captures_from_detections,
@@ -39,7 +40,7 @@ from calgraph.estimation import (
 )
 from calgraph.graph import SpanningTree, initialize_rig
 from calgraph.pairwise import estimate_pairs, reselect_all_inliers, select_successful
-from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, RecordedMessage
 
@@ -109,7 +110,7 @@ def build_problem(
     _check_board(rig)
     rng = np.random.default_rng(options.seed)
     captures = collect_captures(rig, recording, options, rng, progress)
-    return build_problem_from_captures(rig, captures, options, rng, progress)
+    return build_problem_from_captures(resolve_intrinsics(rig, recording), captures, options, rng, progress)
 
 
 def _check_board(rig: Rig) -> None:
@@ -126,7 +127,8 @@ def collect_captures(
             f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
         )
     cameras = resolve_intrinsics(rig, recording).camera_models()
-    timeline = _read_timeline(rig, recording, progress)
+    monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
+    timeline = _read_timeline(rig, recording, monitor, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
@@ -139,7 +141,7 @@ def collect_captures(
         recording.records(rig.topics.values()), holds, rig.topics, detect,
         preview_sizes=plan_previews(holds, rig), progress=detecting,
     )  # fmt: skip
-    return collect_detections(rig, timeline, holds, observations, cameras)
+    return collect_detections(rig, timeline, holds, observations, cameras, monitor.findings())
 
 
 def build_problem_from_captures(
@@ -216,7 +218,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     return joint, tree
 
 
-def _read_timeline(rig: Rig, recording: Recording, progress: Progress) -> RecordingTimeline:
+def _read_timeline(rig: Rig, recording: Recording, monitor: InputMonitor, progress: Progress) -> RecordingTimeline:
     """The stamps of every sensor's messages and, without a trigger, how much its view changed at each."""
     trigger = rig.capture.trigger
     topics = [*rig.topics.values(), *([trigger] if trigger else [])]
@@ -224,7 +226,8 @@ def _read_timeline(rig: Rig, recording: Recording, progress: Progress) -> Record
     def reading(arrival: float) -> None:
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
-    timeline = build_timeline(recording.records(topics), recording.start, rig.topics, trigger, progress=reading)
+    records = monitor.observe(recording.records([*topics, *monitor.camera_info_topics]))
+    timeline = build_timeline(records, recording.start, rig.topics, trigger, progress=reading)
     if trigger or is_snapshot_recording(timeline, rig.settings.captures.max_snapshot_gap):
         return timeline
     meters = {name: ActivityMeter(rig.settings.captures.motion) for name in rig.sensors}

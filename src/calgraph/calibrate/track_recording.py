@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.strategies import select_center_estimator
-from calgraph.captures import to_scans
+from calgraph.captures import InputMonitor, to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
@@ -15,9 +15,13 @@ _MAX_SCANS_IN_MEMORY = 100_000
 
 
 def track_people(
-    rig: Rig, recording: Recording, options: NetworkOptions, progress: Progress = no_progress
+    rig: Rig,
+    recording: Recording,
+    options: NetworkOptions,
+    progress: Progress = no_progress,
+    monitor: InputMonitor | None = None,
 ) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str]]:
-    """The tracks of each scanner, and the frames that their messages state."""
+    """The tracks of each scanner, and the frames that their messages state; a monitor observes the messages."""
     target = moving_target(rig)
     noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
     tracks: dict[str, ScannerTracks | Rejected] = {}
@@ -27,7 +31,7 @@ def track_people(
         def tracking(share: float, before: int = len(tracks), count: int = len(names)) -> None:
             progress("tracking", (before + share * count) / len(rig.sensors))
 
-        scans, stated = _read_scans(recording, {rig.topics[name]: name for name in names}, progress)
+        scans, stated = _read_scans(recording, {rig.topics[name]: name for name in names}, monitor, progress)
         frames |= stated
         tracks |= track_scanners(
             scans,
@@ -70,13 +74,14 @@ def _memory_batches(rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:
 
 
 def _read_scans(
-    recording: Recording, names: Mapping[str, str], progress: Progress
+    recording: Recording, names: Mapping[str, str], monitor: InputMonitor | None, progress: Progress
 ) -> tuple[dict[str, tuple[ScanRun, ...]], dict[str, str]]:
     """The scans of some scanners, given by topic, and the frames they state."""
     gathered = {name: ScanStackBuilder() for name in names.values()}
     frames: dict[str, str] = {}
     length = max(recording.end - recording.start, 1e-9)
-    for record in recording.records(list(names)):
+    records = recording.records(list(names))
+    for record in monitor.observe(records) if monitor else records:
         name = names[record.topic]
         for scan in to_scans([record.decode()]):
             frames.setdefault(name, scan.frame_id)

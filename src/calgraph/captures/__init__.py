@@ -11,14 +11,15 @@ from calgraph.captures.detect import (
 from calgraph.captures.detectors import learn_backgrounds, make_detectors, to_scans
 from calgraph.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.captures.holds import Hold, find_holds, is_snapshot_recording
+from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.captures.validate_recording import check_timeline
 
 __all__ = [
-    "ActivityMeter", "CaptureSet", "Detector", "GivenDetections", "Hold", "PreviewSize", "RecordingTimeline",
-    "SensorCapture", "SensorTimes", "build_timeline", "captures_from_detections", "check_timeline",
-    "collect_detections", "detect_in_holds", "find_holds", "is_snapshot_recording", "learn_backgrounds",
-    "limit_messages", "make_detectors", "plan_previews", "to_scans",
+    "ActivityMeter", "CaptureSet", "Detector", "GivenDetections", "Hold", "InputFinding", "InputMonitor",
+    "PreviewSize", "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline",
+    "captures_from_detections", "check_timeline", "collect_detections", "detect_in_holds", "find_holds",
+    "is_snapshot_recording", "learn_backgrounds", "limit_messages", "make_detectors", "plan_previews", "to_scans",
 ]  # fmt: skip

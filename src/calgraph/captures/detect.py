@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.captures.holds import Hold
+from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Rig
@@ -49,6 +50,8 @@ class CaptureSet:
     """Intrinsics by camera."""
     snapshots: tuple[Snapshot, ...] = ()
     """Previews of the captures for report and viewer; not part of a saved problem."""
+    findings: tuple[InputFinding, ...] = ()
+    """What does not fit the rig in the messages of the recording."""
 
 
 def collect_detections(
@@ -57,6 +60,7 @@ def collect_detections(
     holds: Sequence[Hold],
     sensor_captures: Iterable[SensorCapture],
     cameras: Mapping[str, CameraModel],
+    findings: Sequence[InputFinding] = (),
 ) -> CaptureSet:
     """Sorts by detections and rejections; scales covariances of cameras by the noise of all their corners."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}
@@ -74,7 +78,9 @@ def collect_detections(
             detections[name], spec.noise.pixel, rig.settings.captures.camera_noise
         )
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
-    return CaptureSet(timeline.start, frames, tuple(holds), detections, rejections, cameras, tuple(snapshots))
+    return CaptureSet(
+        timeline.start, frames, tuple(holds), detections, rejections, cameras, tuple(snapshots), tuple(findings)
+    )
 
 
 def detect_in_holds(

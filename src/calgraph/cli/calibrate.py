@@ -143,8 +143,8 @@ def calibrate(
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
             )
         with open_recordings(recordings) as recording, progress_bars() as progress:
-            rig = resolve_intrinsics(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
+            rig = resolve_intrinsics(rig, recording)
         write_results(calibration, rig, folder)
     show_results(calibration, out, json=json)
 

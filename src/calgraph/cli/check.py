@@ -19,7 +19,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
-from calgraph.recording import open_recordings, resolve_intrinsics
+from calgraph.recording import open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
@@ -118,9 +118,7 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         check_problem(problem)
         return problem
     with open_recordings(recordings) as recording, progress_bars() as progress:
-        return story.build_problem(
-            resolve_intrinsics(rig, recording), recording, story.RigOptions(seed=seed), progress
-        )
+        return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
 
 
 def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:

@@ -35,8 +35,8 @@ def demo(
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
-                rig = resolve_intrinsics(rig, recording)
                 calibration = calibrate_rig(rig, recording, RigOptions(), progress)
+                rig = resolve_intrinsics(rig, recording)
         (folder / "result").mkdir()
         write_results(calibration, rig, folder / "result")
     print_calibration(calibration)

@@ -17,7 +17,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
-from calgraph.recording import open_recordings, resolve_intrinsics
+from calgraph.recording import open_recordings
 
 if TYPE_CHECKING:
     from calgraph.calibrate import Progress
@@ -76,7 +76,6 @@ def _problem(files: list[Path], overrides: list[str] | None, seed: int, progress
         return replace(problem, rig=override_settings(problem.rig, overrides))
     rig = load_rig_with(files[0], overrides)
     with open_recordings(files[1:]) as recording:
-        rig = resolve_intrinsics(rig, recording)
         return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import ndtri
 
+from calgraph.captures import InputFinding
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
@@ -139,6 +140,20 @@ def find_inconsistent_sensors(
     if root in reasons:
         return {name: reasons.get(name, reasons[root]) for name in kinds if name != root}
     return reasons
+
+
+def join_reasons(*reasons_by_sensor: Mapping[str, str]) -> dict[str, str]:
+    """The reasons of each sensor, in order, as one text."""
+    joined: dict[str, str] = {}
+    for reasons in reasons_by_sensor:
+        for name, reason in reasons.items():
+            joined[name] = f"{joined[name]}; {reason}" if name in joined else reason
+    return joined
+
+
+def collect_findings(findings: Sequence[InputFinding]) -> dict[str, str]:
+    """By sensor that findings in the recording make weak, what they are."""
+    return join_reasons(*(dict.fromkeys(finding.sensors, finding.text) for finding in findings))
 
 
 def _format_error(error: float, axis: int) -> str:

@@ -1,6 +1,6 @@
 """Recordings in and out, as streams of messages: ROS bags and plain folders."""
 
-from calgraph.recording.camera_intrinsics import resolve_intrinsics
+from calgraph.recording.camera_intrinsics import find_camera_infos, resolve_intrinsics
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
 from calgraph.recording.opening import open_recording, open_recordings
@@ -9,5 +9,6 @@ from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
     "SENSORS", "Encoding", "Inspection", "MessageRecording", "Recording", "RecordingWriter", "Timing", "TopicInfo",
-    "TopicReport", "find_topics", "inspect_recording", "open_recording", "open_recordings", "resolve_intrinsics",
+    "TopicReport", "find_camera_infos", "find_topics", "inspect_recording", "open_recording", "open_recordings",
+    "resolve_intrinsics",
 ]  # fmt: skip

@@ -111,7 +111,13 @@ class BagRecording(ClosedOnExit):
             header_stamp = kind.header_stamp(raw)
         stamp = arrival if header_stamp is None else header_stamp / 1e9
         where = f"{self.path}: topic {connection.topic}, stamp {stamp:.6f}"
-        return RecordedMessage(connection.topic, stamp, arrival, partial(decode, kind, raw, stamp, where))
+        return RecordedMessage(
+            connection.topic,
+            stamp,
+            arrival,
+            partial(decode, kind, raw, stamp, where),
+            partial(kind.digest, raw),
+        )
 
     def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
         key = (connection.msgtype, connection.msgdef.data)

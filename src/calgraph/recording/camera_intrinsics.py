@@ -25,11 +25,23 @@ def resolve_intrinsics(rig: Rig, recording: Recording) -> Rig:
     return rig.model_copy(update={"sensors": {**rig.sensors, **resolved}})
 
 
-def _read_camera(name: str, spec: CameraSpec, recording: Recording) -> CameraModel:
+def find_camera_infos(rig: Rig, recording: Recording) -> dict[str, str]:
+    """The topic with its intrinsics, by camera whose intrinsics the rig does not state and that has one."""
+    topics = {
+        name: _find_camera_info(spec, recording) for name, spec in rig.cameras().items() if not spec.intrinsics
+    }
+    return {name: topic for name, topic in topics.items() if topic}
+
+
+def _find_camera_info(spec: CameraSpec, recording: Recording) -> str | None:
     images = spec.topic.removesuffix("/compressed")
     beside = (f"{images}/camera_info", f"{images.rpartition('/')[0]}/camera_info")
     available = {topic.name for topic in recording.topics}
-    topic = spec.camera_info or next((t for t in beside if t in available), None)
+    return spec.camera_info or next((t for t in beside if t in available), None)
+
+
+def _read_camera(name: str, spec: CameraSpec, recording: Recording) -> CameraModel:
+    topic = _find_camera_info(spec, recording)
     if topic is None:
         raise InputError(
             f"sensors.{name}: has no intrinsics; give camera_info (a topic of the recording) or intrinsics "

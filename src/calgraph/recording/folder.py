@@ -15,13 +15,14 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.recording.decoding import mask_out_of_range
+from calgraph.recording.digest import hash_file
 from calgraph.recording.images import decode_image
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.recording.recording import wrap_errors
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage
+from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 
 CAMERA_INFO = "camera_info.yaml"
 _SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
@@ -53,7 +54,9 @@ class FolderRecording(IndexedRecording):
         first = {file.topic: file for file in sorted(files, key=lambda file: file.stamp, reverse=True)}
         types = {topic: _kind(file.path) for topic, file in first.items()}
         super().__init__(
-            path, [RecordedMessage(f.topic, f.stamp, f.stamp, partial(_decode, f)) for f in files], types
+            path,
+            [RecordedMessage(f.topic, f.stamp, f.stamp, partial(_decode, f), partial(_digest, f)) for f in files],
+            types,
         )
 
 
@@ -101,6 +104,10 @@ def _decode(file: _File) -> Message:
         if file.path.name == CAMERA_INFO:
             return _camera_info(file.path, file.stamp)
         return _READERS[_suffix(file.path) or ""](file.path, file.stamp)
+
+
+def _digest(file: _File) -> MessageDigest:
+    return MessageDigest("", hash_file(file.path))
 
 
 def _camera_info(path: Path, stamp: float) -> CameraInfo:

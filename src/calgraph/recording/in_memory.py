@@ -1,11 +1,24 @@
 """Messages in memory, read like a recording."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from calgraph.errors import InputError
+from calgraph.recording.digest import hash_array
 from calgraph.recording.record_list import IndexedRecording
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage, Trigger
+from calgraph.sensors import (
+    CameraInfo,
+    Image,
+    LaserScan,
+    Message,
+    MessageDigest,
+    PointCloud,
+    RecordedMessage,
+    Trigger,
+)
 
 _TYPES = {Image: "image", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info", Trigger: "trigger"}
 
@@ -29,4 +42,17 @@ class MessageRecording(IndexedRecording):
 
 
 def _record(topic: str, message: Message) -> RecordedMessage:
-    return RecordedMessage(topic, message.stamp, message.stamp, lambda: message)
+    return RecordedMessage(topic, message.stamp, message.stamp, lambda: message, partial(_digest, message))
+
+
+def _digest(message: Message) -> MessageDigest:
+    if isinstance(message, CameraInfo):
+        camera = message.camera
+        content = hash(
+            (camera.model, camera.width, camera.height, hash_array(camera.K), hash_array(camera.distortion))
+        )
+        return MessageDigest(message.frame_id, content)
+    if isinstance(message, Trigger):
+        return MessageDigest("", hash_array(np.zeros(0)))
+    array = {Image: "pixels", LaserScan: "ranges", PointCloud: "points"}[type(message)]
+    return MessageDigest(message.frame_id, hash_array(getattr(message, array)))

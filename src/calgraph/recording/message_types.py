@@ -10,9 +10,14 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from calgraph.recording.digest import hash_content
+from calgraph.sensors import MessageDigest
+
 _log = logging.getLogger(__name__)
 
 _HEADER = "std_msgs/msg/Header"
+# Where the characters of a leading header's frame_id begin, both in CDR and as ROS 1 serialises.
+_FRAME = 16
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
@@ -59,6 +64,17 @@ class MessageType:
             time = getattr(self.deserialize(raw), self.header).stamp
             stamp = time.sec * 10**9 + time.nanosec
         return stamp or None
+
+    def digest(self, raw: bytes) -> MessageDigest:
+        """The frame and a hash of the content of a message; without a leading header, of all of it."""
+        if not self.header_is_first or len(raw) < _FRAME:
+            return MessageDigest("", hash_content(raw))
+        big_endian = not self.ros1 and not raw[1] & 1
+        (length,) = struct.unpack_from(">I" if big_endian else "<I", raw, _FRAME - 4)
+        end = _FRAME + length
+        frame_id = raw[_FRAME:end].rstrip(b"\0").decode(errors="replace")
+        # CDR aligns what follows to 4 bytes.
+        return MessageDigest(frame_id, hash_content(raw, end if self.ros1 else end + -end % 4))
 
 
 def message_type(connection: Connection, *, ros1: bool) -> MessageType:

@@ -70,7 +70,7 @@ def render_remarks(calibration: Calibration) -> str:
     if not calibration.evidence.remarks:
         return ""
     items = "".join(f"<li>{escape_html(remark)}</li>" for remark in calibration.evidence.remarks)
-    return f'<div class="next"><h3>Not used</h3><ul>{items}</ul></div>'
+    return f'<div class="next"><h3>Remarks</h3><ul>{items}</ul></div>'
 
 
 def render_badge(grade: str) -> str:

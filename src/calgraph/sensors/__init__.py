@@ -2,11 +2,20 @@
 
 from calgraph.sensors.camera_model import CameraModel
 from calgraph.sensors.cloud_to_scan import convert_cloud_to_scan
-from calgraph.sensors.messages import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage, Trigger
+from calgraph.sensors.messages import (
+    CameraInfo,
+    Image,
+    LaserScan,
+    Message,
+    MessageDigest,
+    PointCloud,
+    RecordedMessage,
+    Trigger,
+)
 from calgraph.sensors.point_colors import colorize_points
 from calgraph.sensors.scan_background import ScanBackground, align_ranges
 
 __all__ = [
-    "CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "PointCloud", "RecordedMessage",
-    "ScanBackground", "Trigger", "align_ranges", "colorize_points", "convert_cloud_to_scan",
+    "CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "MessageDigest", "PointCloud",
+    "RecordedMessage", "ScanBackground", "Trigger", "align_ranges", "colorize_points", "convert_cloud_to_scan",
 ]  # fmt: skip

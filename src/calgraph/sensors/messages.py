@@ -116,6 +116,16 @@ class Trigger:
 Message = Image | LaserScan | PointCloud | CameraInfo | Trigger
 
 
+@dataclass(frozen=True)
+class MessageDigest:
+    """What is read of a message without decoding it."""
+
+    frame_id: str
+    """Frame of its header; empty if it states none."""
+    content: int
+    """Hash of samples of its content without the header: equal for equal content."""
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedMessage:
     """A message of a recording, decoded on demand."""
@@ -128,3 +138,5 @@ class RecordedMessage:
     """Time at which the recorder wrote it, s."""
     decode: Callable[[], Message] = field(repr=False)
     """Decodes the message; raises RecordingError naming topic and stamp if its content is unusable."""
+    digest: Callable[[], MessageDigest] | None = field(default=None, repr=False)
+    """Reads its frame, and hashes its content; None where the source does not support it."""

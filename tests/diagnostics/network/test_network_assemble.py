@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.captures import InputFinding
 from calgraph.config import Rig
 from calgraph.diagnostics.network.assemble import NetworkPairs, _build_edge, assemble_network
 from calgraph.errors import Rejected
@@ -12,7 +13,7 @@ from calgraph.estimation import NetworkSolution
 from calgraph.geometry import se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
-from calgraph.result import Calibration
+from calgraph.result import Calibration, Verdict
 from calgraph.tracking import ScannerTracks, Track
 
 NAMES = ("west", "east", "north")
@@ -44,7 +45,9 @@ def build_pair(k: int, error: float = 0.0) -> ScannerPairEstimate:
     return ScannerPairEstimate(NAMES[i], NAMES[j], (hypothesis,))
 
 
-def assemble(joint: bool = True, inliers: tuple[bool, ...] = (True, True, True)) -> Calibration:
+def assemble(
+    joint: bool = True, inliers: tuple[bool, ...] = (True, True, True), findings: tuple[InputFinding, ...] = ()
+) -> Calibration:
     rig = Rig.model_validate(
         {
             "root": "west",
@@ -69,7 +72,19 @@ def assemble(joint: bool = True, inliers: tuple[bool, ...] = (True, True, True))
         PoseGraphSolution(T_ROOT, np.array(inliers)),
         1000.0,
         NetworkSolution(T_ROOT, OFFSET, covariance, True, 0.005) if joint else None,
+        findings,
     )
+
+
+def test_findings_in_the_recording_are_remarks_and_make_their_scanners_weak() -> None:
+    found = assemble(findings=(InputFinding("a slip"), InputFinding("the same data", (NAMES[1], "cellar"))))
+    assert found.evidence.remarks == ("a slip", "the same data")
+    verdicts = {sensor.name: sensor.verdict for sensor in found.sensors}
+    assert verdicts == {
+        NAMES[0]: Verdict("good"),
+        NAMES[1]: Verdict("weak", "the same data"),
+        NAMES[2]: Verdict("good"),
+    }
 
 
 def test_tracks_are_matched_by_the_clock_of_the_root() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures import CaptureSet
+from calgraph.captures import CaptureSet, InputFinding
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
@@ -15,7 +15,7 @@ from calgraph.estimation.rig.bundle_solver import SensorPrior
 from calgraph.geometry import se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate
-from calgraph.result import Calibration, CaptureRow
+from calgraph.result import Calibration, CaptureRow, Verdict
 from detected_rigs import DetectedRig, detect_rig
 
 CAPTURES = 5
@@ -214,3 +214,12 @@ def test_a_contradicted_prior_is_in_the_verdict_after_inconsistent_residuals(
         normalized_rms > 3
     )
     assert found["camera"].verdict.grade == "good"
+
+
+def test_findings_in_the_recording_are_remarks_and_make_their_sensors_weak(detected: DetectedRig) -> None:
+    findings = (InputFinding("a slip"), InputFinding("it zooms", ("camera",)), InputFinding("a copy", ("camera",)))
+    found = replace(detected, captures=replace(detected.captures, findings=findings))
+    calibration = assemble(found, all_pairs(detected, {}), CONNECTED)
+    assert calibration.evidence.remarks == ("a slip", "it zooms", "a copy")
+    assert calibration["camera"].verdict == Verdict("weak", "it zooms; a copy")
+    assert calibration["laser_front"].verdict == Verdict("good")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from board_scenes import detect_boards, make_boards, random_pose
-from calgraph.captures import CaptureSet, Hold
+from calgraph.captures import CaptureSet, Hold, InputFinding
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
@@ -74,6 +74,7 @@ def problem() -> Problem:
         detections=detections,
         rejections={(i, n): f"it's “{n}”\n" for n, by in detections.items() for i in range(12) if i not in by},
         cameras={"camera": CameraModel("fisheye", 640, 480, np.diag([500.1, 499.9, 1]), np.array([0.1, 0, 0, 0]))},
+        findings=(InputFinding("laser ä/1 is “odd”", ("laser ä/1", "camera")), InputFinding("no sensor's")),
     )
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
     assert select_successful(pairs)
@@ -318,6 +319,7 @@ def test_a_missing_column_is_named(saved: Path) -> None:
         ({"misses": []}, r"misses: must state why .* has no detection in capture 0"),
         ({"pairs": []}, r"estimates: must have a row for each of the 0 pairs that are not rejected, has 1"),
         ({"pairs": [{"sensors": ["lidar", "blind"]}]}, r"estimates/matches: .* of blind in capture .* not exist"),
+        ({"findings": [{"text": "", "sensors": ["moon"]}]}, r"findings: must be among lidar, .*, got moon"),
         ({"parents": {"laser ä/1": "moon"}}, r"parents: must be among lidar, laser ä/1, got moon"),
     ],
 )

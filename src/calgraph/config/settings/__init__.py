@@ -4,6 +4,7 @@ from calgraph.config.settings.baselines import BaselineSettings
 from calgraph.config.settings.captures import (
     CameraNoiseSettings,
     CaptureSettings,
+    InputCheckSettings,
     MaxMessageSettings,
     MotionDetectionSettings,
 )
@@ -74,11 +75,12 @@ __all__ = [
     "CaptureSettings", "CentroidSettings", "CloudBackgroundSettings", "ClusterSettings", "DetectionSettings",
     "DiagnosticsSettings", "EllipseSettings", "EstimationSettings", "ExtraParameterSettings",
     "ExtrapolationSettings", "GraphSettings", "HeadingSearchSettings", "HypothesisSettings", "IcpSettings",
-    "Lidar2dDetectionSettings", "Lidar3dDetectionSettings", "MaxMessageSettings", "ModelErrorSettings",
-    "MotionDetectionSettings", "MotionSettings", "NetworkDiagnosticsSettings", "NetworkEstimationSettings",
-    "OutlineSettings", "PairwiseSettings", "ProposalSettings", "RangeNoiseSettings", "RegionSettings",
-    "RegistrationSettings", "ResamplingSettings", "RigDiagnosticsSettings", "RigEstimationSettings",
-    "ScanBackgroundSettings", "ScannerDetectionSettings", "ScannerPairSettings", "Settings", "SmoothingSettings",
-    "StaticSceneSettings", "SurfaceFitSettings", "TagSettings", "TrackGroupingSettings", "TrackingSettings",
-    "VarianceComponentSettings", "VerdictSettings", "VisibilitySettings",
+    "InputCheckSettings", "Lidar2dDetectionSettings", "Lidar3dDetectionSettings", "MaxMessageSettings",
+    "ModelErrorSettings", "MotionDetectionSettings", "MotionSettings", "NetworkDiagnosticsSettings",
+    "NetworkEstimationSettings", "OutlineSettings", "PairwiseSettings", "ProposalSettings",
+    "RangeNoiseSettings", "RegionSettings", "RegistrationSettings", "ResamplingSettings",
+    "RigDiagnosticsSettings", "RigEstimationSettings", "ScanBackgroundSettings", "ScannerDetectionSettings",
+    "ScannerPairSettings", "Settings", "SmoothingSettings", "StaticSceneSettings", "SurfaceFitSettings",
+    "TagSettings", "TrackGroupingSettings", "TrackingSettings", "VarianceComponentSettings",
+    "VerdictSettings", "VisibilitySettings",
 ]  # fmt: skip

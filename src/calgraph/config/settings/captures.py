@@ -51,12 +51,27 @@ class MaxMessageSettings(StrictModel):
         return int(getattr(self, kind))
 
 
+class InputCheckSettings(StrictModel):
+    """The checks of all messages of a recording."""
+
+    max_identical_share: float = Field(default=0.5, gt=0, lt=1)
+    """Share of identical messages beyond which two topics carry the data of one sensor; of two sensors hardly any
+    message is identical, as noise differs, and a relay that drops messages passes most."""
+    min_identical_messages: int = Field(default=3, ge=1)
+    """Least number of different messages that both topics have: a covered scanner, or a dark image, repeats
+    one."""
+    max_intrinsics_change: float = Field(default=1e-5, gt=0)
+    """Largest change of K over the focal length, and of a distortion coefficient, that is rounding: values with
+    six digits, or single precision; it moves a pixel by 0.01 px."""
+
+
 class CaptureSettings(StrictModel):
     """When the board rests, and which messages of a capture are used."""
 
     motion: MotionDetectionSettings = MotionDetectionSettings()
     camera_noise: CameraNoiseSettings = CameraNoiseSettings()
     max_messages: MaxMessageSettings = MaxMessageSettings()
+    input_checks: InputCheckSettings = InputCheckSettings()
     min_hold: float = Field(default=0.5, gt=0)
     """Least duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
     max_motion_period: float = Field(default=0.5, gt=0)

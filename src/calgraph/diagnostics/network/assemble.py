@@ -1,13 +1,14 @@
 """Assembles the Calibration of a network: poses lifted to SE(3), with the evidence of every pair."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from calgraph.captures import InputFinding
 from calgraph.config import Rig
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
-from calgraph.diagnostics.verdict import grade_pose
+from calgraph.diagnostics.verdict import collect_findings, grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.planar_poses import lift_covariance
@@ -33,6 +34,7 @@ def assemble_network(
     averaged: PoseGraphSolution,
     start: float,
     joint: NetworkSolution | None = None,
+    findings: Sequence[InputFinding] = (),
 ) -> Calibration:
     """Assembles the calibration of a network.
 
@@ -46,6 +48,7 @@ def assemble_network(
         averaged: their averaged poses, and the hypotheses that are inliers.
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses replace the averaged ones.
+        findings: what does not fit the rig in the messages of the recording.
     """
     tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
     clock_offsets = {} if joint is None else dict(zip(names, joint.clock_offset.tolist(), strict=True))
@@ -64,6 +67,7 @@ def assemble_network(
     blocks = diagonal_blocks(covariance, 6)
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _find_parents(inliers, names)
+    reasons = collect_findings(findings)
     T_root_sensor = se2.to_se3(T_root_scanner)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
@@ -80,6 +84,7 @@ def assemble_network(
                     "lidar2d",
                     T_root_sensor[k],
                     blocks[k],
+                    reasons.get(name, ""),
                     tolerance=rig.tolerance,
                     settings=rig.settings.diagnostics.verdict,
                     data="tracks",
@@ -98,6 +103,7 @@ def assemble_network(
             unconnected={
                 name: _explain_unconnected(name, followed, pairs) for name in rig.sensors if name not in names
             },
+            remarks=tuple(finding.text for finding in findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
             initial_poses={} if joint is None else dict(zip(names, se2.to_se3(averaged.T_root_node), strict=True)),
         ),

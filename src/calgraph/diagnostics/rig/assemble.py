@@ -8,7 +8,13 @@ from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
-from calgraph.diagnostics.verdict import find_ambiguous_poses, find_inconsistent_sensors, grade_pose
+from calgraph.diagnostics.verdict import (
+    collect_findings,
+    find_ambiguous_poses,
+    find_inconsistent_sensors,
+    grade_pose,
+    join_reasons,
+)
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
@@ -39,10 +45,10 @@ def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) ->
         contradicted = find_contradicted_priors(
             solved.bundle, solved.minimized, problem.solver.groups, settings.false_alarm_probability
         )
-        for name, reason in contradicted.items():
-            inconsistent[name] = f"{inconsistent[name]}; {reason}" if name in inconsistent else reason
+        inconsistent = join_reasons(inconsistent, contradicted)
     if not solution.converged:
         inconsistent = dict.fromkeys(connected, "the joint solution has not converged") | inconsistent
+    inconsistent = join_reasons(inconsistent, collect_findings(captures.findings))
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
@@ -63,7 +69,7 @@ def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) ->
                 for name in rig.sensors
             ),
             unconnected=_explain_unconnected(rig, captures, pairs, connected),
-            remarks=solution.remarks,
+            remarks=(*(finding.text for finding in captures.findings), *solution.remarks),
             residuals=solution.residuals,
         ),
         pictures=Pictures(

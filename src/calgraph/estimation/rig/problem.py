@@ -77,6 +77,7 @@ def check_problem(problem: Problem) -> None:
     if set(captures.cameras) != set(problem.rig.cameras()):
         raise InputError(f"cameras: must be those of the rig, {', '.join(problem.rig.cameras())}")
     _check_names("misses", (name for _, name in captures.rejections), sensors)
+    _check_names("findings", chain.from_iterable(finding.sensors for finding in captures.findings), sensors)
     _check_names("pairs", chain.from_iterable(problem.pairs), sensors)
     _check_names("parents", tree.parents.values(), tree.T_root_sensor)
     if {tree.root, *tree.parents} != set(tree.T_root_sensor) or tree.root in tree.parents:

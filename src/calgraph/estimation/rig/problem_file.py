@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures import CaptureSet, Hold
+from calgraph.captures import CaptureSet, Hold, InputFinding
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, to_beams
@@ -66,6 +66,11 @@ class _Miss(StrictModel):
     reason: str
 
 
+class _Finding(StrictModel):
+    text: str
+    sensors: tuple[str, ...]
+
+
 class _Pair(StrictModel):
     sensors: tuple[str, str]
     rejected: str | None = None
@@ -88,6 +93,8 @@ class _Structure(StrictModel):
     pairs: tuple[_Pair, ...]
     parents: dict[str, str]
     """Parent by sensor in the spanning tree."""
+    findings: tuple[_Finding, ...] = ()
+    """What does not fit the rig in the recording; files of version 0.1 have none."""
 
 
 def save_problem(problem: Problem, path: Path) -> None:
@@ -146,6 +153,7 @@ def _encode(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             for names, pair in problem.pairs.items()
         ],
         "parents": dict(tree.parents),
+        "findings": [{"text": finding.text, "sensors": finding.sensors} for finding in captured.findings],
     }
     arrays = (
         _HOLDS.pack([vars(hold) for hold in captured.holds])
@@ -180,6 +188,7 @@ def _decode(structure: _Structure, arrays: Arrays) -> Problem:
         detections=_detections(sensors, arrays),
         rejections={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
         cameras=_cameras(structure, arrays),
+        findings=tuple(InputFinding(finding.text, finding.sensors) for finding in structure.findings),
     )
     poses = {row["sensor"]: row["T_root_sensor"] for row in _TREE.unpack_named(arrays, sensors)}
     tree = SpanningTree(structure.rig.root, structure.parents, poses)

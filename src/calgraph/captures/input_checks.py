@@ -1,0 +1,169 @@
+"""Checks of all messages of a recording, in passing: frames, topics with the same data, changing intrinsics."""
+
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import Rig
+from calgraph.errors import RecordingError
+from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
+
+
+@dataclass(frozen=True)
+class InputFinding:
+    """Something in the messages of a recording that does not fit a rig."""
+
+    text: str
+    """What it is and what to do, in one sentence."""
+    sensors: tuple[str, ...] = ()
+    """Sensors whose poses it makes weak."""
+
+
+@dataclass
+class _CameraInfoHistory:
+    """The intrinsics that one topic states."""
+
+    contents: set[int] = field(default_factory=set)
+    """Hashes of the messages that were decoded."""
+    first: CameraModel | None = None
+    change: str = ""
+    """What differs from the first message; empty if nothing does."""
+    changed_at: float = 0.0
+    """Stamp of the first message that differs, s."""
+
+
+class InputMonitor:
+    """Collects what the checks need while a recording is read, and reports what does not fit the rig.
+
+    Args:
+        rig: the rig; its settings have the limits of the checks.
+        start: of the recording, s; the times in findings count from here.
+        camera_infos: topic with its intrinsics, by camera whose intrinsics are taken from the recording.
+    """
+
+    def __init__(self, rig: Rig, start: float, camera_infos: Mapping[str, str] | None = None) -> None:
+        self._rig, self._start = rig, start
+        self._settings = rig.settings.captures.input_checks
+        self._names = {topic: name for name, topic in rig.topics.items()}
+        self._contents = {name: array("q") for name in rig.sensors}
+        self._frames: dict[str, dict[str, float]] = {name: {} for name in rig.sensors}
+        """By sensor, the frames that its messages state, with the stamp of the first that does."""
+        self._camera_infos = dict(camera_infos or {})
+        self._histories = {topic: _CameraInfoHistory() for topic in self._camera_infos.values()}
+
+    @property
+    def camera_info_topics(self) -> tuple[str, ...]:
+        """The topics with intrinsics that are to be observed, too."""
+        return tuple(self._histories)
+
+    def observe(self, records: Iterable[RecordedMessage]) -> Iterator[RecordedMessage]:
+        """Passes records on after noting what the checks need."""
+        for record in records:
+            if record.digest is not None:
+                if record.topic in self._names:
+                    digest, name = record.digest(), self._names[record.topic]
+                    self._contents[name].append(digest.content)
+                    if digest.frame_id:
+                        self._frames[name].setdefault(digest.frame_id, record.stamp)
+                elif record.topic in self._histories:
+                    self._add_camera_info(self._histories[record.topic], record, record.digest().content)
+            yield record
+
+    def findings(self) -> tuple[InputFinding, ...]:
+        """What does not fit the rig, in the messages observed so far."""
+        return (*self._check_frames(), *self._check_duplicates(), *self._check_camera_infos())
+
+    def _check_frames(self) -> Iterator[InputFinding]:
+        for name, spec in self._rig.sensors.items():
+            frames = list(self._frames[name])
+            if len(frames) > 1:
+                at = self._frames[name][frames[1]] - self._start
+                yield InputFinding(
+                    f"messages of {name} state the frame {frames[0]}, and {frames[1]} from {at:.1f} s on: "
+                    "give each sensor its own topic, and do not reconfigure drivers while recording"
+                )
+            # ROS 1 drivers may write a leading slash, which tf removes.
+            elif frames and spec.frame_id and frames[0].lstrip("/") != spec.frame_id.lstrip("/"):
+                yield InputFinding(
+                    f"messages of {name} state the frame {frames[0]}, rig.yaml states {spec.frame_id}: correct "
+                    "frame_id if it is a slip, as exports name the frame of rig.yaml"
+                )
+
+    def _check_duplicates(self) -> Iterator[InputFinding]:
+        distinct = {name: np.unique(np.asarray(contents)) for name, contents in self._contents.items()}
+        for (a, b), shared in _count_shared(distinct).items():
+            share = shared / min(len(distinct[a]), len(distinct[b]))
+            if shared >= self._settings.min_identical_messages and share > self._settings.max_identical_share:
+                yield InputFinding(
+                    f"{a} and {b} have the same data, {100 * share:.0f} % of their messages are identical: state "
+                    "the topic of each sensor, or remove one of them",
+                    tuple(name for name in (a, b) if name != self._rig.root),
+                )
+
+    def _check_camera_infos(self) -> Iterator[InputFinding]:
+        for name, topic in self._camera_infos.items():
+            history = self._histories[topic]
+            if not history.change:
+                continue
+            others = tuple(other for other in self._rig.sensors if other != self._rig.root)
+            yield InputFinding(
+                f"the intrinsics of {name} on {topic} change at {history.changed_at - self._start:.1f} s "
+                f"({history.change}), those before are used: switch autofocus and zoom off, and record again",
+                others if name == self._rig.root else (name,),
+            )
+
+    def _add_camera_info(self, history: _CameraInfoHistory, record: RecordedMessage, content: int) -> None:
+        if history.change or content in history.contents:
+            return
+        history.contents.add(content)
+        try:
+            message = record.decode()
+        except RecordingError:
+            message = None
+        if history.first is None:
+            history.first = message.camera if isinstance(message, CameraInfo) else None
+        elif not isinstance(message, CameraInfo):
+            history.change, history.changed_at = "to values that cannot be used", record.stamp
+        else:
+            limit = self._settings.max_intrinsics_change
+            history.change, history.changed_at = (
+                _describe_change(history.first, message.camera, limit),
+                record.stamp,
+            )
+
+
+def _count_shared(contents: Mapping[str, NDArray[np.int64]]) -> dict[tuple[str, str], int]:
+    """By pair of sensors with any, the number of contents that both have."""
+    names = list(contents)
+    values = np.concatenate([contents[name] for name in names])
+    owners = np.repeat(np.arange(len(names)), [len(contents[name]) for name in names])
+    order = np.argsort(values, kind="stable")
+    values, owners = values[order], owners[order]
+    groups = np.split(owners, np.flatnonzero(np.diff(values)) + 1) if (values[1:] == values[:-1]).any() else []
+    counts = Counter(pair for group in groups if len(group) > 1 for pair in combinations(group.tolist(), 2))
+    return {(names[i], names[j]): count for (i, j), count in sorted(counts.items())}
+
+
+def _describe_change(before: CameraModel, after: CameraModel, limit: float) -> str:
+    """What differs between two camera models by more than ``limit`` times the focal length; empty if nothing."""
+    if (before.model, before.width, before.height) != (after.model, after.width, after.height):
+        return (
+            f"{before.model}, {before.width} x {before.height} pixels to {after.model}, "
+            f"{after.width} x {after.height} pixels"
+        )
+    change = np.abs(after.K - before.K)
+    i, j = np.unravel_index(np.argmax(change), change.shape)
+    if change[i, j] > limit * before.K[0, 0]:
+        name = {(0, 0): "fx", (1, 1): "fy", (0, 2): "cx", (1, 2): "cy"}.get((int(i), int(j)), "K")
+        return f"{name} {before.K[i, j]:.6g} to {after.K[i, j]:.6g} pixels"
+    if (
+        before.distortion.shape != after.distortion.shape
+        or (np.abs(after.distortion - before.distortion) > limit).any()
+    ):
+        return f"distortion {before.distortion.tolist()} to {after.distortion.tolist()}"
+    return ""
