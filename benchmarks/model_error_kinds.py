@@ -99,12 +99,12 @@ def _of_scanner(
     return of_world
 
 
-def _of_any(make: Callable[[float, np.random.Generator], Bump], size_factor: float = 1.0) -> Any:
+def _of_any(make: Callable[[float, np.random.Generator], Bump]) -> Any:
     """One sensor is bumped, the root as likely as any other."""
 
     def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
         sensor = world.robot[rng.integers(len(world.robot))]
-        bump = make(size_factor * size, rng)
+        bump = make(size, rng)
         if isinstance(sensor, MountedCamera):
             return Wrong(ModelErrors(cameras={sensor.name: CameraErrors(bump=bump)}))
         return Wrong(ModelErrors(scanners={sensor.name: ScannerErrors(bump=bump)}))
@@ -235,6 +235,12 @@ KINDS: Mapping[str, Kind] = {
         _DEGREE,
         _of_any(lambda s, rng: Bump(1 / 3, rotation=_scaled(s, _direction(rng, 3)))),
     ),
+    "drift": Kind(
+        (np.radians(0.3), np.radians(1.0)),
+        "deg",
+        _DEGREE,
+        _of_any(lambda s, rng: Bump(0.0, 1.0, rotation=_scaled(s, _direction(rng, 3)))),
+    ),
     "image_shift": Kind(
         (5, 15, 20),
         "px",
@@ -261,6 +267,9 @@ KINDS: Mapping[str, Kind] = {
         "mm",
         1e3,
         _of_board(lambda s, _, rng: BoardErrors(print_position=_scaled(s, _direction(rng, 2)))),
+    ),
+    "dark_tags": Kind(
+        (0.005, 0.02), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(tag_range_bias=_sign(rng) * s))
     ),
     "noise": Kind(
         (3.0,), "times", 1, lambda s, _world, _rng: Wrong(options=IdealDetectorOptions(stated_noise_factor=1 / s))

@@ -282,6 +282,27 @@ def test_a_bumped_sensor_has_another_pose_afterwards(world: World) -> None:
         assert np.abs(range_errors(detection, T_at_time)[0]).max() < 1e-9
 
 
+def test_a_drifting_sensor_turns_steadily(world: World) -> None:
+    drift = Bump(after=0.0, duration=1.0, rotation=(0.0, 0.0, 0.05))
+    errors = ModelErrors(scanners={"laser_front": ScannerErrors(bump=drift)})
+    count = len(simulate(world, errors)[1].boards)
+    for capture, detection, T_at_end in beams(world, errors, "laser_front"):
+        rest = np.array([0.0, 0.0, 0.05 * (1 - capture / count)])
+        T = se3.pose(so3.exp(rest), np.zeros(3)) @ T_at_end
+        assert np.abs(range_errors(detection, T)[0]).max() < 1e-9
+
+
+def test_beams_on_dark_tags_are_longer(world: World) -> None:
+    for _, detection, T in beams(world, ModelErrors(BoardErrors(tag_range_bias=0.01)), "lidar"):
+        error, true = range_errors(detection, T)
+        at = on_face(true[:, None] * detection.directions, T)[:, :2]
+        on_tag = np.zeros(len(at), dtype=bool)
+        for tag in BOARD.tags:
+            on_tag |= (np.abs(at - tag.center) < tag.size / 2).all(axis=1)
+        assert 0.1 < on_tag.mean() < 0.9
+        assert error == pytest.approx(0.01 * on_tag, abs=1e-9)
+
+
 def test_a_trembling_board_differs_from_message_to_message(world: World) -> None:
     board = BoardErrors(tremor=0.001)
     offsets = []

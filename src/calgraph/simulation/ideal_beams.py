@@ -68,10 +68,12 @@ class IdealBeams:
         T_board_sensor = se3.inverse(T_sensor_board)
         starts = se3.apply(T_board_sensor, origins.reshape(sweeps, -1, 3))
         rays = directions.reshape(sweeps, -1, 3) @ np.swapaxes(T_board_sensor[:, :3, :3], 1, 2)
-        true = self.board_errors.distance(self.board, starts.reshape(-1, 3), rays.reshape(-1, 3))
+        starts, rays = starts.reshape(-1, 3), rays.reshape(-1, 3)
+        true = self.board_errors.distance(self.board, starts, rays)
+        of_print = self.board_errors.range_bias(self.board, (starts + true[:, None] * rays)[:, :2])
         rings = None if self.stated.rings is None else self.stated.rings[beams]
         noise = rng.normal(0.0, self.scanner.noise.range, len(beams))
-        ranges = self.errors.measured_ranges(true, rings) + noise
+        ranges = self.errors.measured_ranges(true, rings) + of_print + noise
         return ranges, origins + ranges[:, None] * self.stated.directions[beams]
 
     def edge_directions(self, T_sensor_board: Array, rng: np.random.Generator) -> Array:

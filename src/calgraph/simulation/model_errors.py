@@ -49,6 +49,8 @@ class BoardErrors:
     corner by torsion, m. ``(b, 0, 0)`` is a cylinder, ``(b, -b, 0)`` a saddle."""
     size: Pair = (0.0, 0.0)
     """Added to width and height of the board, m."""
+    tag_range_bias: float = 0.0
+    """Added to the ranges of beams that end on a tag, m: dark ink returns less light, and later."""
     tremor: float = 0.0
     """Standard deviation of the board's position from message to message, along each axis, m."""
     tremor_rotation: float = 0.0
@@ -81,6 +83,13 @@ class BoardErrors:
         x, y = np.moveaxis(2 * at / np.array(self.true_size(board)), -1, 0)
         return np.asarray(self.bow[0] * x**2 + self.bow[1] * y**2 + self.bow[2] * x * y)
 
+    def range_bias(self, board: Board, at: Array) -> Array:
+        """(N,) added to the ranges of beams that end at points (N, 2) of the board, m."""
+        centers = np.array([tag.center for tag in board.tags]).reshape(-1, 2)
+        half = 0.5 * np.array([tag.size for tag in board.tags])
+        on_tag = np.abs(at[:, None] - centers).max(axis=-1) <= half
+        return np.asarray(self.tag_range_bias * on_tag.any(axis=-1))
+
     def distance(self, board: Board, origins: Array, directions: Array) -> Array:
         """Distance (N,) along rays (N, 3), in the frame of the board, to its face, m.
 
@@ -101,10 +110,12 @@ class BoardErrors:
 
 @dataclass(frozen=True)
 class Bump:
-    """A step in the pose of a sensor during the recording."""
+    """A change of the pose of a sensor during the recording: a step, or a slow drift."""
 
     after: float
     """Share of the captures before it."""
+    duration: float = 0.0
+    """Share of the captures during which the pose changes steadily; 0 for a step."""
     translation: Vector = (0.0, 0.0, 0.0)
     """In the frame of the sensor before it, m."""
     rotation: Vector = (0.0, 0.0, 0.0)
@@ -124,7 +135,8 @@ class SensorErrors:
         """``T_world_sensor`` (4, 4) after a share of the captures, from the pose at the start."""
         if self.bump is None or done < self.bump.after:
             return T_world_sensor
-        step = se3.pose(so3.exp(np.array(self.bump.rotation)), np.array(self.bump.translation))
+        share = min((done - self.bump.after) / self.bump.duration, 1.0) if self.bump.duration else 1.0
+        step = se3.pose(so3.exp(share * np.array(self.bump.rotation)), share * np.array(self.bump.translation))
         return np.asarray(T_world_sensor @ step)
 
 
