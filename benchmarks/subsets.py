@@ -1,0 +1,248 @@
+"""Subsets of the real VLP-16 recording against each other: are stated standard deviations right?
+
+python benchmarks/subsets.py                        # k = 8, 11, 12, 16, 20, 24 captures, 40 random draws each
+python benchmarks/subsets.py --k 8 16 --draws 20 --jobs 4
+python benchmarks/subsets.py --ransac-seeds 100     # one verdict and one pose for all seeds of RANSAC
+
+Data: acfr-vlp16-checkerboard in ../shared/data, or where CALGRAPH_DATA says; all 40 captures. The board is
+detected in whole sweeps, with up to eight candidates a sweep, as no background was recorded.
+
+Poses from k captures are compared with those from all other captures: M is the squared Mahalanobis distance, of
+six degrees of freedom, without the covariance that both share through the priors of systematic parameters. Held
+out: the camera of the k captures locates the board in each of the others; RMS over views of the mean distance of
+the LiDAR's points from its plane.
+"""
+
+import argparse
+import functools
+import logging
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from calgraph.calibrate import RigOptions, build_problem_from_captures, calibrate_detections, solve_problem
+from calgraph.calibrate.rig import solve_jointly
+from calgraph.captures import captures_from_detections, make_detectors
+from calgraph.config import Rig
+from calgraph.detection import BoardCorners, Detection, DetectionResult, board_corners_from_pixels
+from calgraph.detection.landmarks import compute_landmarks
+from calgraph.errors import Rejected
+from calgraph.estimation import Problem, RigSolution, SolvedBundle
+from calgraph.estimation.rig.bundle_solver import linearize_bundle, retract_state
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.geometry import Array, se3
+from calgraph.processes import parallel_map
+from calgraph.recording import open_recording
+from calgraph.sensors import PointCloud
+from real_recordings import VLP16, linked
+from systematic_errors import apply_systematic, cross_covariance
+
+CAPTURES = range(1, 41)
+BEYOND = float(chi2.ppf(0.99, 6))
+BOARD_STEPS = 3
+"""Gauss-Newton steps that locate a board from one camera; they start from the pose by both sensors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Calibration from some captures."""
+
+    problem: Problem
+    joint: RigSolution
+    solved: SolvedBundle
+
+    @property
+    def grade(self) -> str:
+        """The camera's verdict."""
+        return solve_problem(self.problem)["camera"].verdict.grade
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One random set of captures against the others."""
+
+    found: bool
+    grade: str = ""
+    squared: float = np.nan
+    """Squared Mahalanobis distance."""
+    distance: float = np.nan
+    """Between the two translations, m."""
+    stddev: float = np.nan
+    """Largest stated standard deviation of the k captures' translation, m."""
+    held_out: float = np.nan
+    """RMS of views' mean distances from the predicted plane, m."""
+
+
+def data_folder() -> Path:
+    """Where the recording is."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("CALGRAPH_DATA", beside)) / "acfr-vlp16-checkerboard"
+
+
+@functools.cache
+def load() -> tuple[Rig, Mapping[str, Mapping[int, DetectionResult | Detection]]]:
+    """The rig, and all detections by sensor and capture."""
+    rig = Rig.model_validate(VLP16)
+    with TemporaryDirectory() as folder:
+        sweeps = {f"{pose}.pcd.gz": data_folder() / f"pcd_full/pose{pose}_full.pcd.gz" for pose in CAPTURES}
+        linked(Path(folder) / "lidar", sweeps)
+        detect = make_detectors(rig, rig.camera_models(), {}, None, np.random.default_rng(0))["lidar"]
+        with open_recording(Path(folder)) as recording:
+            records = sorted(recording.records(["lidar"]), key=lambda record: record.stamp)
+            clouds = [message for record in records if isinstance(message := record.decode(), PointCloud)]
+            patches = {pose: detect([cloud]) for pose, cloud in zip(CAPTURES, clouds, strict=True)}
+    return rig, {"camera": read_corners(rig), "lidar": patches}
+
+
+def read_corners(rig: Rig) -> dict[int, BoardCorners]:
+    """The printed corners in all images, from the recording's table."""
+    printed = compute_landmarks(rig.boards[0]).corners[:, 0]
+    camera = rig.camera_models()["camera"]
+    rows = np.genfromtxt(data_folder() / "corners_all40.csv", delimiter=",", skip_header=1)
+    found = {}
+    for pose in CAPTURES:
+        # Rows of five corners, along the shorter side of the board.
+        lattice = rows[rows[:, 0] == pose, 2:].reshape(7, 5, 2).swapaxes(0, 1)
+        right, down = (lattice[:, -1] - lattice[:, 0]).mean(axis=0), (lattice[-1] - lattice[0]).mean(axis=0)
+        if right[0] * down[1] < right[1] * down[0]:
+            lattice, down = lattice[::-1], -down
+        # The print equals itself turned by 180 degrees.
+        lattice = lattice if down[1] > 0 else lattice[::-1, ::-1]
+        corners = board_corners_from_pixels(printed, lattice.reshape(-1, 2), camera)
+        assert not isinstance(corners, Rejected)
+        found[pose] = corners
+    return found
+
+
+def select_captures(chosen: Sequence[int]) -> dict[str, dict[int, DetectionResult | Detection]]:
+    """The detections of some captures."""
+    return {name: {capture: found[capture] for capture in chosen} for name, found in load()[1].items()}
+
+
+def fit_captures(chosen: Sequence[int]) -> Fit | None:
+    """Calibrates from some captures; None if the camera is lost."""
+    rig, _ = load()
+    captures = captures_from_detections(rig, select_captures(chosen))
+    problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
+    joint, _ = solve_jointly(problem)
+    return None if joint.solved_bundle is None else Fit(problem, joint, joint.solved_bundle)
+
+
+def compare(chosen: Sequence[int]) -> Draw:
+    """Some captures against all others."""
+    fit, other = fit_captures(chosen), fit_captures(sorted(set(CAPTURES) - set(chosen)))
+    if fit is None or other is None:
+        return Draw(found=False)
+    error = se3.difference(fit.joint.T_root_sensor["camera"], other.joint.T_root_sensor["camera"])
+    P_a, P_b = fit.joint.covariance["camera"], other.joint.covariance["camera"]
+    cross = cross_covariance(fit.joint, other.joint, "camera")
+    return Draw(
+        True,
+        fit.grade,
+        float(error @ np.linalg.solve(P_a + P_b - cross - cross.T, error)),
+        float(np.linalg.norm(error[:3])),
+        float(np.sqrt(np.diag(P_a)[:3].max())),
+        predict_planes(fit, other),
+    )
+
+
+def predict_planes(fit: Fit, held_out: Fit) -> float:
+    """RMS over held-out views of the mean distance of the LiDAR's points from the plane by the camera, m."""
+    bundle = held_out.solved.bundle
+    state = apply_systematic(fit.solved, bundle, held_out.solved.minimized.state)
+    state = replace(state, T_root_sensor=np.array([fit.joint.T_root_sensor[name] for name in bundle.sensors]))
+    bundle = bundle.without_outlines()
+    camera, lidar = bundle.sensors.index("camera"), bundle.sensors.index("lidar")
+    beams: Any = bundle.views[lidar]
+    none = np.zeros(0, dtype=np.intp)
+    by_camera = bundle.with_views([v if s == camera else v.select(none) for s, v in enumerate(bundle.views)])
+    fixed = np.zeros(bundle.parameter_count)
+    for _ in range(BOARD_STEPS):
+        at = linearize_bundle(by_camera, state)
+        located = np.isin(np.arange(len(at.H_board)), bundle.views[camera].board)
+        step = np.zeros_like(at.g_board)
+        step[located] = np.linalg.solve(at.H_board[located], -at.g_board[located][..., None])[..., 0]
+        state = retract_state(by_camera, state, fixed, step)
+    T_lidar_board = relative_poses(state.T_root_sensor[lidar], state.T_root_board[beams.board])
+    residual = beams.linearize(T_lidar_board, state.extra[bundle.extra_indices(lidar)]).residual[:, 0]
+    count = np.diff(beams.start, append=len(residual))
+    normal = np.repeat(T_lidar_board[:, :3, 2], count, axis=0)
+    distance = residual * beams.sigma * np.sum(normal * beams.directions, axis=1)
+    means = np.add.reduceat(distance, beams.start) / count
+    return float(np.sqrt(np.mean(means**2)))
+
+
+def compare_draw(k: int, draw: int) -> Draw:
+    """One random draw; the same for the same arguments."""
+    rng = np.random.default_rng([k, draw])
+    return compare(sorted(rng.choice(CAPTURES, k, replace=False).tolist()))
+
+
+def show_subsets(sizes: Sequence[int], draws: int, jobs: int) -> None:
+    """Prints a line for each number of captures."""
+    print("   k  lost  good  median M/6: all, good  mean M/6: all, good  beyond 99 % of good  ", end="")
+    print("held out, mm  apart, mm  stated, mm")
+    found = parallel_map(compare_draw, [(k, draw) for k in sizes for draw in range(draws)], jobs)
+    for i, k in enumerate(sizes):
+        kept = [one for one in found[i * draws : (i + 1) * draws] if one.found]
+        squared = np.array([one.squared for one in kept])
+        good = np.array([one.grade == "good" for one in kept], dtype=np.bool_)
+        of_good = squared[good] if good.any() else np.array([np.nan])
+        print(
+            f"{k:4d} {draws - len(kept):5d} {good.sum():5d} {np.median(squared) / 6:12.2f} "
+            f"{np.median(of_good) / 6:9.2f} {squared.mean() / 6:13.2f} {of_good.mean() / 6:9.2f} "
+            f"{np.mean(of_good > BEYOND):14.0%} {'':5} "
+            f"{1000 * np.sqrt(np.mean([one.held_out**2 for one in kept])):12.2f} "
+            f"{1000 * np.median([one.distance for one in kept]):10.1f} "
+            f"{1000 * np.median([one.stddev for one in kept]):11.1f}",
+            flush=True,
+        )
+
+
+def calibrate_with_seed(chosen: tuple[int, ...], seed: int) -> tuple[str, Array, Array]:
+    """The camera's grade, pose (4, 4) and standard deviations (6,), of one seed; NaN if it is lost."""
+    calibration = calibrate_detections(load()[0], select_captures(chosen), RigOptions(seed=seed))
+    if "camera" in calibration.evidence.unconnected:
+        return "lost", np.full((4, 4), np.nan), np.full(6, np.nan)
+    camera = calibration["camera"]
+    return camera.verdict.grade, camera.T_root_sensor, np.sqrt(np.diag(camera.covariance))
+
+
+def show_seeds(seeds: int, jobs: int) -> None:
+    """Prints verdicts and deviations from the pose of the first seed."""
+    rng = np.random.default_rng(0)
+    print("captures  largest deviation over stated standard deviation  grades")
+    for k in (40, 16, 12, 11, 8):
+        chosen = tuple(sorted(rng.choice(CAPTURES, k, replace=False).tolist()))
+        found = parallel_map(calibrate_with_seed, [(chosen, seed) for seed in range(seeds)], jobs)
+        _, first, stddev = found[0]
+        deviation = max(float(np.max(np.abs(se3.difference(T, first)) / stddev)) for _, T, _ in found)
+        grades = ", ".join(f"{grade} {n}" for grade, n in Counter(grade for grade, _, _ in found).items())
+        print(f"{k:8d}  {deviation:51.3f}  {grades}", flush=True)
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--k", type=int, nargs="+", default=[8, 11, 12, 16, 20, 24])
+    parser.add_argument("--draws", type=int, default=40)
+    parser.add_argument("--ransac-seeds", type=int, default=0, help="compare this number of seeds instead")
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)
+    load()  # before processes are forked
+    if arguments.ransac_seeds:
+        show_seeds(arguments.ransac_seeds, arguments.jobs)
+    else:
+        show_subsets(arguments.k, arguments.draws, arguments.jobs)
+
+
+if __name__ == "__main__":
+    main()

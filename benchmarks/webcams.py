@@ -1,0 +1,318 @@
+"""Four webcams around a board moved by hand: calgraph against least squares, the published answer, and halves.
+
+python benchmarks/webcams.py
+
+Data: four-webcams-charuco-corners in ../shared/data, or where CALGRAPH_DATA says: corners in 48 synchronized
+frames of a board that never rests; camera 1 faces the mirrored print on its back. Each frame is one capture. Plain
+least squares has the same corners, fixed intrinsics and equal weights.
+
+Deviations are in the standard deviations that calgraph states: of the largest of six axes, and of the Mahalanobis
+distance (the root of M/6). Halves are compared with each other, without the covariance that both share through the
+priors of systematic parameters. Held out: cameras of one half, boards of the other half located by all of its
+corners; RMS of their reprojection errors.
+"""
+
+import argparse
+import logging
+import os
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.sparse import lil_matrix
+
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.calibrate.rig import solve_jointly
+from calgraph.captures import CaptureSet, captures_from_detections
+from calgraph.config import Rig
+from calgraph.detection import BoardCorners, Detection, board_corners_from_pixels
+from calgraph.estimation import RigSolution
+from calgraph.estimation.rig.board_observations import BoardObservation
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
+from calgraph.estimation.rig.estimate import build_bundle
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.geometry import Array, plane, se3
+from calgraph.result import Calibration
+from calgraph.sensors import CameraModel
+from systematic_errors import apply_systematic, cross_covariance
+
+ROOT = "camera_1"
+BEHIND = "camera_1"
+"""It faces the back of the board."""
+SQUARE = 0.054
+BOARD_STEPS = 4
+"""Gauss-Newton steps that locate a board from cameras with fixed poses; they start from one camera's PnP."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Calibration from some frames."""
+
+    captures: CaptureSet
+    joint: RigSolution
+    calibration: Calibration
+
+
+def data_folder() -> Path:
+    """Where the corners are."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("CALGRAPH_DATA", beside)) / "four-webcams-charuco-corners"
+
+
+def read_cameras() -> Mapping[str, Mapping[str, Any]]:
+    """Intrinsics and published extrinsics by camera."""
+    with (data_folder() / "camera_array.toml").open("rb") as file:
+        cameras = tomllib.load(file)["cameras"]
+    return {f"camera_{number}": camera for number, camera in cameras.items()}
+
+
+def read_rig() -> Rig:
+    """The cameras with their published intrinsics; the first one is the camera nearest to the published origin."""
+    sensors = {
+        name: {
+            "kind": "camera",
+            "topic": name,
+            "intrinsics": {
+                "model": "pinhole",
+                "width": camera["size"][0],
+                "height": camera["size"][1],
+                "K": [
+                    camera["matrix"][0][0],
+                    camera["matrix"][1][1],
+                    camera["matrix"][0][2],
+                    camera["matrix"][1][2],
+                ],
+                "distortion": camera["distortions"],
+            },
+        }
+        for name, camera in read_cameras().items()
+    }
+    pattern = {"kind": "charuco", "columns": 4, "rows": 5, "square": SQUARE, "marker": 0.75 * SQUARE}
+    target = {"kind": "board", "size": [0.216, 0.279], "pattern": {**pattern, "dictionary": "DICT_4X4_1000"}}
+    return Rig.model_validate({"root": ROOT, "target": target, "sensors": sensors})
+
+
+def read_detections(rig: Rig) -> dict[str, dict[int, Detection]]:
+    """The board by camera and frame."""
+    cameras = rig.camera_models()
+    rows = np.genfromtxt(data_folder() / "xy.csv", delimiter=",", skip_header=1)
+    found: dict[str, dict[int, Detection]] = {name: {} for name in rig.sensors}
+    for frame, number in np.unique(rows[:, :2].astype(int), axis=0).tolist():
+        view = rows[(rows[:, 0] == frame) & (rows[:, 1] == number)]
+        # From the top left of the print, y down, to its centre, y up.
+        printed = (view[:, 8:10] - [2 * SQUARE, 2.5 * SQUARE]) * [1, -1]
+        name = f"camera_{number}"
+        of_back = name == BEHIND
+        if len(view) < 4:
+            continue
+        corners = board_corners_from_pixels(printed * [-1 if of_back else 1, 1], view[:, 6:8], cameras[name])
+        if isinstance(corners, BoardCorners):
+            found[name][frame] = turn_over(corners) if of_back else corners
+    return found
+
+
+def turn_over(corners: BoardCorners) -> BoardCorners:
+    """The detection of a board's back, in the frame of its front: turned by 180 degrees about y."""
+    half_turn = np.diag([-1.0, 1.0, -1.0, 1.0])
+    turned = -corners.plane
+    basis, turned_basis = (plane.tangent_basis(one[:3]) for one in (corners.plane, turned))
+    J = -np.eye(3)
+    J[:2, :2] = -turned_basis.T @ basis
+    return replace(
+        corners,
+        corners_board=corners.corners_board * [-1, 1, 1],
+        T_camera_board=corners.T_camera_board @ half_turn,
+        plane=turned,
+        plane_covariance=J @ corners.plane_covariance @ J.T,
+    )
+
+
+def published_poses(rig: Rig) -> dict[str, Array]:
+    """``T_root_camera`` by camera."""
+    T_camera_world = {
+        name: se3.pose(np.array(camera["rotation"]), np.array(camera["translation"]))
+        for name, camera in read_cameras().items()
+    }
+    return {name: T_camera_world[rig.root] @ se3.inverse(T_camera_world[name]) for name in rig.sensors}
+
+
+def fit_frames(rig: Rig, detections: Mapping[str, Mapping[int, Detection]], frames: Sequence[int]) -> Fit:
+    """Calibrates from some frames through the library."""
+    chosen = {name: {f: found[f] for f in frames if f in found} for name, found in detections.items()}
+    captures = captures_from_detections(rig, chosen)
+    problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
+    return Fit(captures, solve_jointly(problem)[0], solve_problem(problem))
+
+
+def fit_by_least_squares(rig: Rig, captures: CaptureSet, start: Mapping[str, Array]) -> dict[str, Array]:
+    """``T_root_camera`` by plain least squares over all corners, cameras and boards."""
+    names = [name for name in start if name != rig.root]
+    boards = locate_boards(*bundle_of_all(rig, captures, start))
+    column = {name: 6 * i for i, name in enumerate(names)}
+    views = [
+        (name, i, found)
+        for i, capture in enumerate(boards)
+        for name in start
+        for found in captures.detections[name].get(capture, ())[:1]
+        if isinstance(found, BoardCorners)
+    ]
+    T_boards = list(boards.values())
+
+    def residuals(x: Array) -> Array:
+        errors = []
+        for name, i, found in views:
+            T_root_camera = start[name]
+            if name in column:
+                T_root_camera = se3.retract(T_root_camera, x[column[name] : column[name] + 6])
+            at = 6 * (len(names) + i)
+            T_camera_board = se3.inverse(T_root_camera) @ se3.retract(T_boards[i], x[at : at + 6])
+            camera: CameraModel = captures.cameras[name]
+            errors.append(camera.project(se3.apply(T_camera_board, found.corners_board)) - found.pixels)
+        return np.concatenate(errors).ravel()
+
+    unknowns = 6 * (len(names) + len(boards))
+    pattern = lil_matrix((2 * sum(len(found.pixels) for _, _, found in views), unknowns), dtype=int)
+    row = 0
+    for name, i, found in views:
+        rows = slice(row, row + 2 * len(found.pixels))
+        row = rows.stop
+        pattern[rows, 6 * (len(names) + i) : 6 * (len(names) + i) + 6] = 1
+        if name in column:
+            pattern[rows, column[name] : column[name] + 6] = 1
+    found = least_squares(residuals, np.zeros(unknowns), jac_sparsity=pattern, x_scale="jac")
+    return {
+        name: se3.retract(T, found.x[column[name] : column[name] + 6]) if name in column else T
+        for name, T in start.items()
+    }
+
+
+def bundle_of_all(
+    rig: Rig, captures: CaptureSet, T_root_sensor: Mapping[str, Array]
+) -> tuple[Bundle, BundleState, list[int]]:
+    """All views of some frames, without rejections, with start values; and the frames."""
+    frames = sorted({frame for name in T_root_sensor for frame in captures.detections[name]})
+    observed = [
+        BoardObservation(frame, {name: 0 for name in T_root_sensor if frame in captures.detections[name]})
+        for frame in frames
+    ]
+    observed = [one for one in observed if len(one.detection_index) > 1]
+    return *build_bundle(rig, captures, observed, T_root_sensor), [one.capture for one in observed]
+
+
+def locate_boards(bundle: Bundle, state: BundleState, frames: Sequence[int]) -> dict[int, Array]:
+    """``T_root_board`` by frame, for fixed cameras."""
+    state = solve_boards(bundle, state)
+    return dict(zip(frames, state.T_root_board, strict=True))
+
+
+def solve_boards(bundle: Bundle, state: BundleState) -> BundleState:
+    """The state with the boards located by all cameras, whose poses are fixed."""
+    fixed = np.zeros(bundle.parameter_count)
+    for _ in range(BOARD_STEPS):
+        at = linearize_bundle(bundle, state)
+        step = np.linalg.solve(at.H_board, -at.g_board[..., None])[..., 0]
+        state = retract_state(bundle, state, fixed, np.asarray(step, dtype=np.float64))
+    return state
+
+
+def held_out_error(rig: Rig, captures: CaptureSet, T_root_sensor: Mapping[str, Array], fit: Fit | None) -> float:
+    """RMS reprojection error, px, of all corners of some frames with the cameras of others.
+
+    Args:
+        rig: the rig.
+        captures: the held-out frames.
+        T_root_sensor: poses from other frames.
+        fit: of the other frames, if its systematic parameters are to be applied.
+    """
+    bundle, state, _ = bundle_of_all(rig, captures, T_root_sensor)
+    if fit is not None and (solved := fit.joint.solved_bundle) is not None:
+        state = apply_systematic(solved, bundle, state)
+    state = solve_boards(bundle, state)
+    errors = []
+    for s, name in enumerate(bundle.sensors):
+        views: Any = bundle.views[s]
+        T = relative_poses(state.T_root_sensor[s], state.T_root_board[views.board])
+        residual = views.linearize(T, state.extra[bundle.extra_indices(s)]).residual
+        errors.append(residual * views.noise_scale * rig.cameras()[name].noise.pixel)
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
+
+
+def show_deviations(
+    title: str, poses: Mapping[str, Array], fit: Fit, covariance: Callable[[str], Array] | None = None
+) -> None:
+    """Prints how far poses lie from a fit, by camera."""
+    for name, T in fit.joint.T_root_sensor.items():
+        if name == ROOT:
+            continue
+        if name not in poses:
+            print(f"{title:22} {name:9} lost")
+            continue
+        d = se3.difference(poses[name], T)
+        P = covariance(name) if covariance else fit.joint.covariance[name]
+        worst, mahalanobis = np.max(np.abs(d) / np.sqrt(np.diag(P))), np.sqrt(d @ np.linalg.solve(P, d) / 6)
+        print(
+            f"{title:22} {name:9} {1000 * np.linalg.norm(d[:3]):7.1f} mm {np.degrees(np.linalg.norm(d[3:])):6.2f}°"
+            f" {worst:6.1f} {mahalanobis:6.1f}"
+        )
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.parse_args()
+    logging.disable(logging.WARNING)
+    rig = read_rig()
+    detections = read_detections(rig)
+    frames = sorted({frame for found in detections.values() for frame in found})
+    every = fit_frames(rig, detections, frames)
+    views = sum(len(found) for found in every.captures.detections.values())
+    print(f"{len(frames)} frames, {views} views, {len(every.joint.rejected)} rejected by the joint solution")
+    for sensor in every.calibration.sensors:
+        stddev = np.sqrt(np.diag(sensor.covariance))
+        print(
+            f"{sensor.name}: {sensor.verdict.grade}, ±{1000 * stddev[:3].max():.1f} mm, "
+            f"±{np.degrees(stddev[3:].max()):.2f}° {sensor.verdict.reason}"
+        )
+    for name, reason in every.calibration.evidence.unconnected.items():
+        print(f"{name}: no pose: {reason}")
+    print("".join(f"remark: {remark}\n" for remark in every.calibration.evidence.remarks), end="")
+    print(f"{'':32} {'':10} {'':7} sigmas: worst axis, Mahalanobis")
+    plain = fit_by_least_squares(rig, every.captures, every.joint.T_root_sensor)
+    show_deviations("plain least squares", plain, every)
+    show_deviations("published", published_poses(rig), every)
+    halves = {
+        "odd, even frames": (frames[::2], frames[1::2]),
+        "first, second half": (frames[: len(frames) // 2], frames[len(frames) // 2 :]),
+    }
+    held_out = []
+    for title, (one, two) in halves.items():
+        a, b = fit_frames(rig, detections, one), fit_frames(rig, detections, two)
+
+        def covariance(name: str, a: Fit = a, b: Fit = b) -> Array:
+            cross = cross_covariance(a.joint, b.joint, name)
+            return np.asarray(a.joint.covariance[name] + b.joint.covariance[name] - cross - cross.T)
+
+        show_deviations(title, a.joint.T_root_sensor, b, covariance)
+        for half in (a, b):
+            for name, reason in half.calibration.evidence.unconnected.items():
+                print(f"{title:22} {name}: no pose: {reason}")
+        for fitted, other in ((a, b), (b, a)):
+            ls = fit_by_least_squares(rig, fitted.captures, fitted.joint.T_root_sensor)
+            held_out.append(
+                (
+                    title,
+                    held_out_error(rig, other.captures, fitted.joint.T_root_sensor, fitted),
+                    held_out_error(rig, other.captures, ls, None),
+                )
+            )
+    print("Held-out reprojection error, px: calgraph, plain least squares")
+    for title, ours, theirs in held_out:
+        print(f"{title:22} {ours:6.2f} {theirs:6.2f}")
+
+
+if __name__ == "__main__":
+    main()
