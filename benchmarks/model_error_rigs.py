@@ -30,11 +30,11 @@ SCENARIOS: Mapping[str, RigScenario] = {
     "five": RigScenario(camera=_CAMERA),
     "chain": RigScenario(
         camera=_CAMERA.model_copy(update={"count": 2, "field_of_view": _CHAIN_FIELD}),
-        laser=LaserOptions(count=1, field_of_view=_CHAIN_FIELD),
+        laser=LaserOptions(count=1, field_of_view=_CHAIN_FIELD, range_noise=0.008),
         spinning=SpinningOptions(count=0),
         multibeam=MultibeamOptions(count=1),
-        # More for the 2-D scanner at the end of the chain, which needs them.
-        bearings=(58, 64, 70, 76, 82, 0, 10, 20, -60, -50, -40),
+        # Around and around, so that every sensor measures before and after a bump; mostly before the 2-D scanner.
+        bearings=(58, 0, -60, 70, 10, -50, 82, 20, -40, 64, 76),
         radii=(2.0, 2.8),
         samples=3,
         max_rotation=45.0,
