@@ -46,6 +46,8 @@ from systematic_errors import apply_systematic, cross_covariance
 
 CAPTURES = range(1, 41)
 BEYOND = float(chi2.ppf(0.99, 6))
+NO_WEIGHT = 1e6
+"""Times the stated noise: the LiDAR does not move the boards that the camera locates."""
 BOARD_STEPS = 3
 """Gauss-Newton steps that locate a board from one camera; they start from the pose by both sensors."""
 
@@ -161,8 +163,10 @@ def predict_planes(fit: Fit, held_out: Fit) -> float:
     bundle = bundle.without_outlines()
     camera, lidar = bundle.sensors.index("camera"), bundle.sensors.index("lidar")
     beams: Any = bundle.views[lidar]
-    none = np.zeros(0, dtype=np.intp)
-    by_camera = bundle.with_views([v if s == camera else v.select(none) for s, v in enumerate(bundle.views)])
+    T_lidar_board = relative_poses(state.T_root_sensor[lidar], state.T_root_board[beams.board])
+    by_camera = bundle.with_views(
+        [v if s == camera else v.update_noise(T_lidar_board, NO_WEIGHT) for s, v in enumerate(bundle.views)]
+    )
     fixed = np.zeros(bundle.parameter_count)
     for _ in range(BOARD_STEPS):
         at = linearize_bundle(by_camera, state)

@@ -194,6 +194,7 @@ def bundle_of_all(
     rig: Rig, captures: CaptureSet, T_root_sensor: Mapping[str, Array]
 ) -> tuple[Bundle, BundleState, list[int]]:
     """All views of some frames, without rejections, with start values; and the frames."""
+    T_root_sensor = {name: T for name, T in T_root_sensor.items() if name == ROOT or captures.detections[name]}
     frames = sorted({frame for name in T_root_sensor for frame in captures.detections[name]})
     observed = [
         BoardObservation(frame, {name: 0 for name in T_root_sensor if frame in captures.detections[name]})
