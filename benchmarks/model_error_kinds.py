@@ -281,6 +281,16 @@ KINDS: Mapping[str, Kind] = {
 }
 
 
+MODELLED = frozenset(
+    {
+        "print_scale", "print_aspect", "tag_size", "tag_position", "focal_length", "focal_length_x",
+        "principal_point", "distortion_dropped", "range_bias", "range_scale", "angle_scale", "ring_bias", "bent",
+        "saddle", "board_size", "print_position",
+    }
+)  # fmt: skip
+"""Errors for which a bundle has a parameter."""
+
+
 def cases(kinds: Iterator[str] | tuple[str, ...], sizes: tuple[float, ...] = ()) -> Iterator[tuple[str, float]]:
     """All kinds and sizes; only these sizes, in the units of the table, where any are given."""
     for kind in kinds:

@@ -20,7 +20,7 @@ import csv
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TypeVar
@@ -45,7 +45,7 @@ from calgraph.simulation import (
     simulate_detections,
 )
 from model_error_draws import draw_errors
-from model_error_kinds import KINDS, Wrong, cases, wrong_world
+from model_error_kinds import KINDS, MODELLED, Wrong, cases, wrong_world
 from model_error_rigs import SCENARIOS, rig_world
 
 Key = TypeVar("Key")
@@ -263,6 +263,7 @@ def show(outcomes: Sequence[Outcome]) -> None:
     for kind, group in grouped(wrong, lambda o: o.kind):
         if count(group, "confidently_wrong"):
             print(f"    {kind:18} {count(group, 'confidently_wrong'):3d} of {len(group)}")
+    show_modelled([o for o in wrong if o.kind in MODELLED], reference)
     for o in outcomes:
         if o.crashed:
             print(f"crashed: {o.rig} {o.kind} {o.size:g} seed {o.seed}: {o.text}")
@@ -271,6 +272,18 @@ def show(outcomes: Sequence[Outcome]) -> None:
     print(f"right runs weak, failed or remarked: {len(flagged)} of {len(right)} ({share(flagged, right)})")
     for text, group in grouped(flagged, lambda o: o.text):
         print(f"    {len(group)} x {text[:200]}")
+
+
+def show_modelled(outcomes: Sequence[Outcome], reference: Mapping[tuple[str, int], Outcome]) -> None:
+    """Prints RMS errors over those of the right runs, and NEES, of errors that are parameters of the model."""
+    print(f"errors that the model has parameters for: {'RMS/right':>9} {'NEES':>8}  (worst size)")
+    for kind, group in grouped(outcomes, lambda o: o.kind):
+        ratios, nees = [], []
+        for _, runs in grouped([o for o in group if o.placed], lambda o: o.size):
+            right = [reference[o.rig, o.seed] for o in runs]
+            ratios.append(rms([o.millimetres for o in runs]) / rms([o.millimetres for o in right]))
+            nees.append(mean([o.nees for o in runs]))
+        print(f"    {kind:36} {worst(ratios):10.2f} {worst(nees):8.2f}")
 
 
 def show_totals(name: str, outcomes: Sequence[Outcome]) -> None:
@@ -361,6 +374,11 @@ def mean(values: Sequence[float]) -> float:
     """Of the finite values."""
     finite = np.array(values, dtype=float)[np.isfinite(values)] if len(values) else np.zeros(0)
     return float(finite.mean()) if len(finite) else NAN
+
+
+def rms(values: Sequence[float]) -> float:
+    """Root mean square of the finite values."""
+    return float(np.sqrt(mean(np.square(values).tolist())))
 
 
 def median(values: Sequence[float]) -> float:
