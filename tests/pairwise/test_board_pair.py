@@ -217,10 +217,41 @@ def test_pairs_need_more_residuals_than_unknowns(
 ) -> None:
     a, b = (detect_boards(kind, np.eye(4), make_boards(rng, 40), rng) for _ in range(2))
     common = sorted(set(a) & set(b))[:count]
-    found = estimate_pair("a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng)
-    assert found == Rejected(
-        f"RANSAC found no relative pose with at least {inliers} inliers among {count} shared captures"
+    settings = BoardPairSettings(minority_inliers=0)
+    found = estimate_pair(
+        "a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng, settings=settings
     )
+    assert isinstance(found, Rejected)
+    assert found.reason.startswith(
+        f"RANSAC found no relative pose with at least {inliers} inliers among {count} shared captures: "
+    )
+
+
+@pytest.mark.parametrize(("consistent", "captures", "accepted"), [(4, 12, False), (5, 12, True), (4, 8, True)])
+def test_a_pose_of_a_minority_of_captures_needs_more_inliers(
+    consistent: int, captures: int, accepted: bool, rng: np.random.Generator
+) -> None:
+    scene, T_a_b = make_boards(rng, captures), random_pose(rng)
+    elsewhere = make_boards(rng, captures)
+    elsewhere[:consistent] = scene[:consistent]
+    a = detect_boards("plane", np.eye(4), scene, rng)
+    b = detect_boards("plane", se3.inverse(T_a_b), elsewhere, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    if accepted:
+        assert isinstance(found, PairwiseEstimate), found
+        assert found.matches[found.inliers, 0].tolist() == list(range(consistent))
+    else:
+        assert found == Rejected(
+            "RANSAC found no relative pose with at least 5 inliers among 12 shared captures: 4 agree at most"
+        )
+
+
+def test_a_rejected_pair_states_the_number_of_candidates(rng: np.random.Generator) -> None:
+    a, b = (detect_boards("plane", np.eye(4), make_boards(rng, 12), rng) for _ in range(2))
+    b = {i: (*found, make_patch(make_boards(rng, 1)[0], rng)) for i, found in b.items()}
+    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    assert isinstance(found, Rejected)
+    assert "among 12 shared captures, with up to 2 candidates for the board in one: " in found.reason
 
 
 def test_the_gate_of_reselection_is_in_standard_deviations(rng: np.random.Generator) -> None:

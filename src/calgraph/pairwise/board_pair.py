@@ -79,10 +79,15 @@ def estimate_pair(
         fit=fit if refine else None,
     )  # fmt: skip
     min_inliers = max(matches.sample_size, _min_match_count(matches, len(table)))
-    if found is None or found.inlier_count < min_inliers:
+    inlier_count = found.inlier_count if found else 0
+    if inlier_count < len(common) / 2:
+        min_inliers += settings.minority_inliers
+    if found is None or inlier_count < min_inliers:
+        candidates = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
+        advice = f", with up to {candidates} candidates for the board in one" if candidates > 1 else ""
         return Rejected(
             f"RANSAC found no relative pose with at least {min_inliers} inliers among "
-            f"{len(common)} shared captures"
+            f"{len(common)} shared captures{advice}: {inlier_count} agree at most"
         )
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):
