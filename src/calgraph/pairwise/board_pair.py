@@ -78,16 +78,15 @@ def estimate_pair(
         confidence=settings.ransac_confidence, max_samples=settings.ransac_max_samples,
         fit=fit if refine else None,
     )  # fmt: skip
-    min_inliers = max(matches.sample_size, _min_match_count(matches, len(table)))
-    inlier_count = found.inlier_count if found else 0
-    if inlier_count < len(common) / 2:
-        min_inliers += settings.minority_inliers
-    if found is None or inlier_count < min_inliers:
-        candidates = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
-        advice = f", with up to {candidates} candidates for the board in one" if candidates > 1 else ""
+    count = found.inlier_count if found else 0
+    minority = settings.minority_inliers if count < len(common) / 2 else 0
+    min_inliers = max(matches.sample_size, _min_match_count(matches, len(table))) + minority
+    if found is None or count < min_inliers:
+        most = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
         return Rejected(
-            f"RANSAC found no relative pose with at least {min_inliers} inliers among "
-            f"{len(common)} shared captures{advice}: {inlier_count} agree at most"
+            f"RANSAC found no relative pose with at least {min_inliers} inliers among {len(common)} shared "
+            f"captures{f', with up to {most} candidates for the board in one' if most > 1 else ''}: "
+            f"{count} agree at most"
         )
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):
