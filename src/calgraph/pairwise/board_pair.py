@@ -107,8 +107,7 @@ def reselect_inliers(
 ) -> PairwiseEstimate | Rejected:
     """Reselects a pair's inliers under a pose from the joint solution of all sensors.
 
-    The gate of RANSAC is wide, because a pose from few captures is uncertain. Here it is relative to the robust
-    standard deviation of the inliers' residuals.
+    The gate of RANSAC is wide; here it is relative to the robust standard deviation of the inliers' residuals.
 
     Args:
         estimate: as found by :func:`estimate_pair`.
