@@ -111,7 +111,7 @@ def compared(problem: Problem, repeat: int) -> str:
     keep = problem.solver.keep
     boards = group_detections([(pair, select_matches(pair, keep)) for pair in select_successful(problem.pairs)])
     bundle, start = build_bundle(problem.rig, problem.captures, boards, problem.tree.T_root_sensor)
-    bundle = replace(bundle, bias_variance=np.zeros(len(bundle.sensors)))
+    bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance))
     ours, solved = timed(lambda: minimize_bundle(bundle, start), repeat)
     scipys, cost = timed(lambda: scipy_cost(SparseProblem(bundle, start), solved.equations.cost), 1)
     return f"{ours:8.3f}{scipys:9.2f}{scipys / ours:7.1f}{cost / solved.equations.cost - 1:11.1e}"

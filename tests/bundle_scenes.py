@@ -8,13 +8,16 @@ import numpy as np
 from calgraph.config import PixelNoise, RangeNoise
 from calgraph.config.settings import RigEstimationSettings
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
-from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.corner_observations import CornerObservations, PrintedCorners
+from calgraph.estimation.rig.observations import BoardViews, no_extra, relative_poses
+from calgraph.estimation.rig.range_observations import SCANNER_PARAMETERS, RangeObservations
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[400, 0, 319.5], [0, 400, 239.5], [0, 0, 1]]), np.zeros(0))
 PIXEL, RANGE = PixelNoise(pixel=0.3), RangeNoise(range=0.012, angle=1e-5)
 WIDTH, HEIGHT = 1.2, 0.9
+LEVER = 0.5 * WIDTH
 # Four corners of each of three tags.
 _SQUARE = 0.16 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
 CORNERS = np.concatenate([_SQUARE + center for center in ([-0.38, 0.2, 0], [0.38, 0.2, 0], [0, -0.2, 0])])
@@ -31,7 +34,7 @@ class Scene:
 
     def measured(self, rng: np.random.Generator, noise: float = 1.0, view_bias: float = 0.0) -> Bundle:
         """The bundle with ``noise`` times the stated noise, and a bias of each view of ``view_bias`` (m)."""
-        with_bias = replace(self.bundle, bias_variance=np.full(len(self.bundle.sensors), view_bias**2))
+        with_bias = replace(self.bundle, bias_variance=bias_variances(len(self.bundle.sensors), view_bias))
         views = []
         for s, views_of_sensor in enumerate(self.bundle.views):
             T = relative_poses(self.truth.T_root_sensor[s], self.truth.T_root_board[views_of_sensor.board])
@@ -42,7 +45,15 @@ class Scene:
 
     def without_bias(self) -> "Scene":
         """The scene with zero view bias."""
-        return replace(self, bundle=replace(self.bundle, bias_variance=np.zeros(len(self.bundle.sensors))))
+        return replace(
+            self, bundle=replace(self.bundle, bias_variance=bias_variances(len(self.bundle.sensors), 0.0))
+        )
+
+
+def bias_variances(sensors: int, stddev: float) -> Array:
+    """(S, 3) variances of a view bias: of the displacement, of the rotation that moves the board's rim by as much,
+    and none of rings."""
+    return np.tile(np.array([1, 1 / LEVER, 0]) * stddev, (sensors, 1)) ** 2
 
 
 def remeasured(views: BoardViews, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> BoardViews:
@@ -67,7 +78,7 @@ def scene(sensors: Sequence[str] = ("lidar", "camera", "laser"), boards: int = 2
         views_of(name, relative_poses(T, T_root_board)) for name, T in zip(sensors, T_root_sensor, strict=True)
     ]
     bundle = Bundle(
-        tuple(sensors), tuple(views), np.arange(len(sensors)), np.full(len(sensors), 1e-6), lever=0.5 * WIDTH
+        tuple(sensors), tuple(views), np.arange(len(sensors)), bias_variances(len(sensors), 1e-3), lever=LEVER
     )
     return Scene(bundle, BundleState(T_root_sensor, T_root_board, np.zeros(0)))
 
@@ -93,7 +104,10 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
         points = se3.apply(T_sensor_board, CORNERS)
         pixels = CAMERA.project(points.reshape(-1, 3))
         start = np.arange(count) * len(CORNERS)
-        return CornerObservations(np.arange(count), start, np.tile(CORNERS, (count, 1)), pixels, CAMERA, PIXEL)
+        printed = PrintedCorners.from_nominal(np.tile(CORNERS, (count, 1)))
+        return CornerObservations(
+            np.arange(count), start, printed, pixels, CAMERA, PIXEL, extra_of_local=no_extra(count)
+        )
     points_of = _cut if name.startswith("laser") else _swept
     ends = [points_of(T) for T in T_sensor_board]
     ranges = np.linalg.norm(np.concatenate(ends), axis=1)
@@ -101,7 +115,15 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
     return RangeObservations(
         np.arange(count), start, np.concatenate(ends) / ranges[:, None], ranges, RANGE,
         np.full(len(ranges), RANGE.range), RigEstimationSettings().min_incidence_cosine,
+        extra_of_local=no_extra(count),
     )  # fmt: skip
+
+
+def with_range_bias(views: RangeObservations) -> RangeObservations:
+    """The views of a scanner with a range bias as its only systematic error."""
+    local = np.full((len(views.board), len(SCANNER_PARAMETERS)), -1, dtype=np.intp)
+    local[:, SCANNER_PARAMETERS.index("range bias")] = 0
+    return replace(views, extra_of_local=local, extra_count=1)
 
 
 def _swept(T_sensor_board: Array) -> Array:

@@ -7,15 +7,16 @@ from itertools import combinations
 import numpy as np
 
 from calgraph.captures import CaptureSet
-from calgraph.config import Rig
+from calgraph.config import Board, Rig, SensorSpec
 from calgraph.detection import Detection
-from calgraph.estimation import Estimable, RigSolution, solve_bundle
+from calgraph.estimation import RigSolution, solve_bundle
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
     LaserOptions,
+    ModelErrors,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
@@ -50,9 +51,13 @@ class DetectedRig:
         }
         return replace(self, captures=replace(self.captures, detections=detections))
 
-    def solve(self, *estimate: Estimable) -> RigSolution:
+    def without_systematic_errors(self) -> "DetectedRig":
+        """The same, with sensors and boards exactly as stated: nothing is estimated besides poses and noise."""
+        return replace(self, rig=exact_rig(self.rig))
+
+    def solve(self) -> RigSolution:
         """The joint solution from the true poses, with all matches as inliers."""
-        return solve_bundle(self.rig, self.captures, self.pairs(), self.T_root_sensor, estimate=estimate)
+        return solve_bundle(self.rig, self.captures, self.pairs(), self.T_root_sensor)
 
     def pairs(self) -> Sequence[PairwiseEstimate]:
         return [self._make_pair(a, b) for a, b in combinations(self.T_root_sensor, 2)]
@@ -74,12 +79,38 @@ class DetectedRig:
         return float(np.linalg.norm((joint.T_root_sensor[name] - self.T_root_sensor[name])[:3, 3]))
 
 
-def detect_rig(scenario: RigScenario = QUICK, seed: int = 0) -> DetectedRig:
-    return detect_rig_on(build_world(scenario, 1), seed)
+def exact_rig(rig: Rig) -> Rig:
+    """The rig with prior standard deviations of 0 for all systematic errors."""
+    sensors = {name: spec.model_copy(update=_exact(spec)) for name, spec in rig.sensors.items()}
+    boards = tuple(board.model_copy(update=_exact(board)) for board in rig.boards)
+    return rig.model_copy(update={"sensors": sensors, "target": boards if len(boards) > 1 else boards[0]})
 
 
-def detect_rig_on(stage: World, seed: int) -> DetectedRig:
+def with_uncertainty(rig: Rig, part: str, **stddev: float) -> Rig:
+    """The rig with prior standard deviations of a sensor, or of the ``board``."""
+
+    def change(spec: SensorSpec | Board) -> dict[str, object]:
+        return {"uncertainty": spec.uncertainty.model_copy(update=stddev)}
+
+    if part == "board":
+        (board,) = rig.boards
+        return rig.model_copy(update={"target": board.model_copy(update=change(board))})
+    spec = rig.sensors[part]
+    return rig.model_copy(update={"sensors": {**rig.sensors, part: spec.model_copy(update=change(spec))}})
+
+
+def _exact(part: SensorSpec | Board) -> dict[str, object]:
+    return {
+        "uncertainty": part.uncertainty.model_copy(update=dict.fromkeys(type(part.uncertainty).model_fields, 0.0))
+    }
+
+
+def detect_rig(scenario: RigScenario = QUICK, seed: int = 0, errors: ModelErrors | None = None) -> DetectedRig:
+    return detect_rig_on(build_world(scenario, 1), seed, errors)
+
+
+def detect_rig_on(stage: World, seed: int, errors: ModelErrors | None = None) -> DetectedRig:
     """One of many recordings of the same boards."""
-    rig, captured, truth = simulate_detections(stage, seed)
+    rig, captured, truth = simulate_detections(stage, seed, errors=errors)
     others = {name: T for name, T in truth.T_root_sensor.items() if name != rig.root}
     return DetectedRig(rig, captured, {rig.root: np.eye(4), **others}, truth)

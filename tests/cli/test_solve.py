@@ -139,21 +139,18 @@ def test_sensors_that_calibrate_could_not_connect_are_named_again(
     assert (tmp_path / "a/captures.csv").read_bytes() == (tmp_path / "b/captures.csv").read_bytes()
 
 
-def test_more_than_poses_is_estimated_on_request(dumped: Path, tmp_path: Path, run: Run) -> None:
+def test_systematic_errors_are_estimated_besides_poses(dumped: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "more"
-    result = run(
-        "solve", dumped / "problem.npz", "-o", out, "--estimate", "range_bias", "--estimate", "intrinsics"
-    )
+    result = run("solve", dumped / "problem.npz", "-o", out)
     assert result.exit_code == 0, result.output
-    estimated = load_calibration(out / "calibration.yaml").estimated_parameters
-    assert {"range bias", "fx", "cy"} <= {one.quantity for one in estimated}
-    assert "range bias" in result.stdout
+    estimated = load_calibration(out / "calibration.yaml").systematic
+    assert {"range bias", "range scale", "focal length", "cy", "print scale"} <= {
+        one.quantity for one in estimated
+    }
     assert "range bias" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_papers_estimator_estimates_poses_only(dumped: Path, tmp_path: Path, run: Run) -> None:
-    result = run(
-        "solve", dumped / "problem.npz", "-o", tmp_path / "more", "--estimate", "tags", "--estimator", "hypergraph"
-    )
-    assert result.exit_code == 2
-    assert "--estimate: goes with --estimator bundle" in result.stderr
+    out = tmp_path / "poses"
+    assert run("solve", dumped / "problem.npz", "-o", out, "--estimator", "hypergraph").exit_code == 0
+    assert load_calibration(out / "calibration.yaml").systematic == ()

@@ -1,4 +1,4 @@
-"""What is estimated besides poses: its file, and how it reads."""
+"""Systematic parameters: their file, what the data say of them, and their display."""
 
 import dataclasses
 import json
@@ -8,42 +8,64 @@ import pytest
 
 from calgraph.result import Calibration, EstimatedParameter, load_calibration, save_calibration, to_json
 
-BIAS = EstimatedParameter("laser", "range bias", "m", 0.0, 0.0301, 0.0004, measured=True)
-K3 = EstimatedParameter("camera", "k3", "", 0.0, 0.2, 0.25, measured=False)
-FX = EstimatedParameter("camera", "fx", "px", 800.0, 807.912, 12.3, measured=True)
-TAG_Y = EstimatedParameter("tag 3", "y", "m", 0.0, -0.00123, 0.0123, measured=True)
-TAG_ROTATION = EstimatedParameter("tag 3", "turn", "rad", 0.0, -0.0175, 0.00175, measured=True)
+BIAS = EstimatedParameter("laser", "range bias", "m", stated=0.0, prior=0.02, value=0.0301, stddev=0.0004)
+K3 = EstimatedParameter("camera", "k3", "", stated=0.0, prior=0.25, value=0.2, stddev=0.25)
+FOCAL = EstimatedParameter("camera", "focal length", "px", stated=800.0, prior=8.0, value=807.912, stddev=4.0)
+TAG_Y = EstimatedParameter("tag 3", "y", "m", stated=0.0, prior=0.001, value=-0.00123, stddev=0.0123)
+TAG_ROTATION = EstimatedParameter("tag 3", "rotation", "rad", 0.0, prior=0.01, value=-0.0175, stddev=0.00175)
 
 
-def test_estimated_values_come_back(calibration: Calibration, tmp_path: Path) -> None:
+def test_systematic_parameters_are_read_as_written(calibration: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
-    save_calibration(dataclasses.replace(calibration, estimated_parameters=(BIAS, K3)), path)
-    assert load_calibration(path).estimated_parameters == (BIAS, K3)
+    save_calibration(dataclasses.replace(calibration, systematic=(BIAS, K3)), path)
+    assert load_calibration(path).systematic == (BIAS, K3)
 
 
-def test_files_without_estimates_do_not_speak_of_them(calibration: Calibration, tmp_path: Path) -> None:
+def test_files_without_systematic_parameters_do_not_mention_them(calibration: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     save_calibration(calibration, path)
-    assert "estimated" not in path.read_text(encoding="utf-8")
-    assert load_calibration(path).estimated_parameters == ()
+    assert "systematic" not in path.read_text(encoding="utf-8")
+    assert load_calibration(path).systematic == ()
 
 
-def test_scripts_read_them_from_json(calibration: Calibration) -> None:
-    content = json.loads(to_json(dataclasses.replace(calibration, estimated_parameters=(BIAS,))))
-    assert content["estimated"] == [dataclasses.asdict(BIAS)]
+def test_parameters_that_version_0_1_estimated_on_request_are_not_read(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    save_calibration(calibration, path)
+    old = "estimated:\n- {of: laser, quantity: range bias, unit: m, stated: 0.0, value: 0.03, stddev: 0.0004}\n"
+    path.write_text(path.read_text(encoding="utf-8") + old, encoding="utf-8")
+    assert load_calibration(path).systematic == ()
+
+
+def test_json_has_all_members(calibration: Calibration) -> None:
+    content = json.loads(to_json(dataclasses.replace(calibration, systematic=(BIAS,))))
+    assert content["systematic"] == [dataclasses.asdict(BIAS)]
+
+
+def test_deviation_is_in_prior_standard_deviations() -> None:
+    assert FOCAL.deviation == pytest.approx(7.912 / 8)
+    assert TAG_ROTATION.deviation == pytest.approx(-1.75)
+
+
+@pytest.mark.parametrize(("one", "share"), [(BIAS, 1 - 0.02**2), (FOCAL, 0.75), (K3, 0.0), (TAG_Y, 0.0)])
+def test_learned_is_the_share_of_the_prior_variance_that_the_data_removed(
+    one: EstimatedParameter, share: float
+) -> None:
+    assert one.learned == pytest.approx(share)
 
 
 @pytest.mark.parametrize(
     ("one", "shown"),
     [
-        (BIAS, ("0.00", "30.10", "0.40", "mm")),
-        (K3, ("0.00", "0.20", "0.25", "")),
-        (FX, ("800", "808", "12", "px")),
-        (TAG_Y, ("0", "-1", "12", "mm")),
-        (TAG_ROTATION, ("0.00", "-1.00", "0.10", "°")),
+        (BIAS, ("0.00", "20", "30.10", "0.40", "mm")),
+        (K3, ("0.00", "0.25", "0.20", "0.25", "")),
+        (FOCAL, ("800.0", "8", "807.9", "4.0", "px")),
+        (TAG_Y, ("0", "1", "-1", "12", "mm")),
+        (TAG_ROTATION, ("0.00", "0.57", "-1.00", "0.10", "°")),
     ],
 )  # fmt: skip
-def test_values_are_formatted_with_two_digits_of_the_deviation(
+def test_values_are_formatted_with_two_digits_of_the_standard_deviation(
     one: EstimatedParameter, shown: tuple[str, ...]
 ) -> None:
     assert one.formatted == shown

@@ -364,8 +364,20 @@ def test_a_camchain_without_intrinsics_is_refused(calibration: Calibration) -> N
         camchain(calibration, cameras={"camera": PINHOLE})
 
 
+def test_a_camchain_has_the_nearest_radtan_of_a_lens_with_a_third_coefficient(calibration: Calibration) -> None:
+    with_k3 = CameraModel("pinhole", 640, 480, K, np.array([-0.2, 0.05, 0.001, -0.002, 0.02]))
+    chain = camchain(calibration, cameras={"camera": with_k3, "camera_2": PINHOLE})
+    assert chain["cam0"]["distortion_model"] == "radtan"
+    radtan = dataclasses.replace(with_k3, distortion=np.array(chain["cam0"]["distortion_coeffs"]))
+    x, y = np.meshgrid(np.linspace(0, 639, 33), np.linspace(0, 479, 25))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=-1)
+    without_k3 = dataclasses.replace(with_k3, distortion=with_k3.distortion[:4])
+    off, before = (np.abs(lens.project(with_k3.rays(pixels)) - pixels).max() for lens in (radtan, without_k3))
+    assert off < 0.5 < before
+
+
 def test_a_camchain_refuses_a_lens_that_kalibr_lacks(calibration: Calibration) -> None:
-    rational = CameraModel("pinhole", 640, 480, K, np.full(8, 0.1))
+    rational = CameraModel("pinhole", 640, 480, K, np.array([0, 0, 0, 0, 0, 2.0, 0, 0]))
     with pytest.raises(InputError, match=r"no distortion model for 'camera': .* this camera has 8 coefficients"):
         camchain(calibration, cameras={"camera": rational, "camera_2": PINHOLE})
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from calgraph.errors import InputError
-from calgraph.estimation import Estimable, Estimator, PriorFile, RigidFile, SolverOptions
+from calgraph.estimation import Estimator, PriorFile, RigidFile, SolverOptions
 from calgraph.pairwise import MatchFilter
 from calgraph.result import Calibration
 
@@ -34,8 +34,6 @@ class RigOptions:
 
     estimator: Estimator = "bundle"
     """The joint estimator: bundle, in the measured units, or the paper's hypergraph."""
-    estimate: tuple[Estimable, ...] = ()
-    """Parameters that the bundle estimates besides poses: range biases, intrinsics, positions of tags."""
     prior: PriorFile | None = None
     """Prior poses of sensors."""
     rigid: tuple[RigidFile, ...] = ()
@@ -54,7 +52,7 @@ class RigOptions:
     """File to write the joint problem to before it is solved."""
 
     def __post_init__(self) -> None:
-        check_estimator(self.estimator, bool(self.prior or self.rigid), self.estimate)
+        check_estimator(self.estimator, bool(self.prior or self.rigid))
 
 
 @dataclass(frozen=True)
@@ -92,11 +90,9 @@ class NetworkOptions:
             raise InputError(f"`extend`: goes with `estimator` joint, got {self.estimator}")
 
 
-def check_estimator(estimator: Estimator, has_priors: bool, estimate: Sequence[Estimable]) -> None:
-    """Raises InputError unless there is such an estimator, and it supports the priors and further unknowns."""
+def check_estimator(estimator: Estimator, has_priors: bool) -> None:
+    """Raises InputError unless there is such an estimator, and it supports the priors."""
     _check_choice(estimator, get_args(Estimator))
-    if estimate and estimator != "bundle":
-        raise InputError(f"`estimate`: goes with `estimator` bundle, got {estimator}")
     if has_priors and estimator != "bundle":
         raise InputError(f"`prior` and `rigid`: go with `estimator` bundle, got {estimator}")
 

@@ -169,9 +169,7 @@ def build_problem_from_captures(
             rig.settings.graph,
             rig.settings.pairwise.board.max_stddev,
         )
-    solver = SolverOptions(
-        estimator=options.estimator, keep=options.keep, folds=options.folds, estimate=options.estimate
-    )
+    solver = SolverOptions(estimator=options.estimator, keep=options.keep, folds=options.folds)
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
 
@@ -197,10 +195,10 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     """The joint solution, and the tree that it started from.
 
     Raises:
-        InputError: the estimator cannot use the priors, or cannot estimate the requested parameters.
+        InputError: the estimator cannot use the priors.
     """
     rig, captures, pairs, solver = problem.rig, problem.captures, problem.pairs, problem.solver
-    check_estimator(solver.estimator, bool(solver.priors or solver.groups), solver.estimate)
+    check_estimator(solver.estimator, bool(solver.priors or solver.groups))
     tree = attach_by_priors(
         problem.tree,
         select_successful(pairs),
@@ -211,7 +209,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
     if solver.estimator == "bundle":
         joint = solve_bundle(
             rig, captures, select_successful(pairs), tree.T_root_sensor,
-            keep=solver.keep, estimate=solver.estimate, priors=solver.priors, groups=solver.groups,
+            keep=solver.keep, priors=solver.priors, groups=solver.groups,
         )  # fmt: skip
     else:
         joint = solve_baseline(problem, tree)

@@ -1,7 +1,6 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
@@ -30,19 +29,6 @@ AverageChoice = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
 WeightsChoice = Literal["uniform", "weighted"]
 
 
-class EstimateChoice(StrEnum):
-    """Values of --estimate."""
-
-    range_bias = "range_bias"
-    intrinsics = "intrinsics"
-    tags = "tags"
-
-
-EstimateOption = Annotated[
-    list[EstimateChoice] | None, typer.Option("--estimate", help="Board: estimate this besides poses; repeatable.")
-]
-
-
 def calibrate(
     rig_file: RigFile,
     recordings: Annotated[
@@ -66,7 +52,6 @@ def calibrate(
         StartChoice,
         typer.Option(help="Board: start of the joint solution; all but tree and identity use every pair."),
     ] = "tree",
-    estimate: EstimateOption = None,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
@@ -111,7 +96,7 @@ def calibrate(
     rig = load_rig_with(rig_file, overrides)
     if dump and not _is_in(dump, out):
         check_output_path(dump)
-    rig_options = {"--estimate": estimate, "--prior": prior, "--rigid": rigid, "--dump": dump}
+    rig_options = {"--prior": prior, "--rigid": rigid, "--dump": dump}
     network_options = {"--extend": extend, "--moved": moved}
     _check_unused(*(("rigs with a board", rig_options) if rig.is_network else ("networks", network_options)))
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
@@ -132,7 +117,6 @@ def calibrate(
         else:
             options = story.RigOptions(
                 estimator=cast("Estimator", estimator or "bundle"),
-                estimate=tuple(choice.value for choice in estimate or ()),
                 prior=prior_poses,
                 rigid=groups,
                 keep=keep,

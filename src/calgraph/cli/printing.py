@@ -10,7 +10,7 @@ from rich.table import Table
 
 from calgraph.cli.console import console
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, SensorPose
+from calgraph.result import Calibration, EstimatedParameter, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
@@ -39,8 +39,8 @@ def print_calibration(calibration: Calibration) -> None:
             _GRADES[sensor.verdict.grade],
         )
     output.print(table)
-    if calibration.estimated_parameters:
-        _print_estimated(output, calibration)
+    if any(_is_notable(one) for one in calibration.systematic):
+        _print_systematic(output, calibration)
     if calibration.evidence.cross_validation:
         _print_cross_validation(output, calibration)
     for sensor in calibration.sensors:
@@ -72,18 +72,21 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
     output.print(table)
 
 
-def _print_estimated(output: Console, calibration: Calibration) -> None:
-    """Prints the estimated parameters other than poses."""
-    output.print("[bold]Estimated parameters[/]")
+def _is_notable(one: EstimatedParameter) -> bool:
+    """Whether a systematic parameter is more than one prior standard deviation off its stated value."""
+    return abs(one.deviation) > 1
+
+
+def _print_systematic(output: Console, calibration: Calibration) -> None:
+    """Prints the systematic parameters that are off their stated values."""
+    output.print("[bold]Systematic parameters more than one prior σ off their stated values[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("of", overflow="fold")
     table.add_column("")
-    for head in ("stated", "found", "±", ""):
+    for head in ("stated", "prior σ", "estimate", "±", "", "deviation"):
         table.add_column(head, justify="right", no_wrap=True)
-    table.add_column("")
-    for one in calibration.estimated_parameters:
-        warning = "" if one.measured else "[yellow]! not observable[/]"
-        table.add_row(escape(one.of), one.quantity, *one.formatted, warning)
+    for one in filter(_is_notable, calibration.systematic):
+        table.add_row(escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
     output.print(table)
 
 

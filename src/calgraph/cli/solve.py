@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.calibrate import EstimateOption, EstimatorChoice, FilterChoice, show_results, write_results
+from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.common_options import Results, WholeJson
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.setting_options import SetOption, override_settings
@@ -26,7 +26,6 @@ def solve(
         FilterChoice | None,
         typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
     ] = None,
-    estimate: EstimateOption = None,
     folds: Annotated[
         int | None,
         typer.Option(min=0, help="Parts in which captures are left out for cross-validation; as calibrate did."),
@@ -52,7 +51,6 @@ def solve(
     given = {"estimator": estimator, "keep": keep}
     chosen = {name: choice for name, choice in given.items() if choice is not None}
     besides: dict[str, object] = {} if folds is None else {"folds": folds}
-    besides |= {"estimate": tuple(choice.value for choice in estimate)} if estimate else {}
     rig = override_settings(problem.rig, overrides)
     problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))

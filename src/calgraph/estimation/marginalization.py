@@ -6,29 +6,32 @@ with a Gaussian prior, eliminated from the normal equations (Schur complement).
 
 import numpy as np
 
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import Array, Index, se_n
 
 
-def marginalize_bias(information: Array, gradient: Array, cost: Array, prior: Array) -> tuple[Array, Array, Array]:
+def marginalize_bias(
+    information: Array, gradient: Array, cost: Array, prior: Array, biased: Index | None = None
+) -> tuple[Array, Array, Array]:
     """Normal equations of V views with their biases marginalised: ``A - A P A = (I + A Q)⁻¹ A`` and ``b - A P b``.
 
     Args:
         information: (V, q, q) A.
         gradient: (V, q) b.
         cost: (V,).
-        prior: (n, n) or (V, n, n) covariance Q of the bias of the first n parameters, which may be singular.
+        prior: (n, n) or (V, n, n) covariance Q of the bias of n parameters, which may be singular.
+        biased: (n,) indices of these parameters; the first n if left out.
 
     Returns:
         (V, q, q), (V, q) and (V,).
     """
-    n = prior.shape[-1]
-    A, b = information, gradient
-    P = compute_bias_covariance(A[:, :n, :n], prior)
-    gain, shift = A[:, :, :n] @ P, (P @ b[:, :n, None])[..., 0]
+    A, b, index = information, gradient, np.arange(prior.shape[-1]) if biased is None else biased
+    to_bias, b_bias = A[:, :, index], b[:, index]
+    P = compute_bias_covariance(to_bias[:, index], prior)
+    shift = (P @ b_bias[..., None])[..., 0]
     return (
-        A - gain @ A[:, :n],
-        b - (A[:, :, :n] @ shift[..., None])[..., 0],
-        cost - 0.5 * np.sum(b[:, :n] * shift, axis=-1),
+        A - to_bias @ P @ se_n.transpose(to_bias),
+        b - (to_bias @ shift[..., None])[..., 0],
+        cost - 0.5 * np.sum(b_bias * shift, axis=-1),
     )
 
 

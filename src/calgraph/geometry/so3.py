@@ -88,3 +88,10 @@ def left_jacobian_inverse(phi: Array) -> Array:
     c = _series(angle, (1 - half / np.tan(half)) / safe**2, 1 / 12)[..., None, None]
     K = hat(phi)
     return np.asarray(np.eye(3) - 0.5 * K + c * (K @ K))
+
+
+def rotate_z(angle: Array, vectors: Array) -> Array:
+    """Vectors (N, 3) rotated by angles (N,) about the z axis, column-major."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = vectors.T
+    return np.asarray(np.stack([c * x - s * y, s * x + c * y, z]).T)

@@ -33,18 +33,21 @@ def render_pose_table(calibration: Calibration) -> str:
 
 
 def render_estimated_parameters(calibration: Calibration) -> str:
-    """Parameters that were estimated besides poses; empty if there are none."""
-    if not calibration.estimated_parameters:
+    """Systematic parameters with their priors and estimates; empty if there are none."""
+    if not calibration.systematic:
         return ""
-    head = "".join(f"<th>{name}</th>" for name in ("of", "quantity", "stated", "estimate", "σ", "unit", ""))
+    head = "".join(
+        f"<th>{name}</th>"
+        for name in ("of", "quantity", "stated", "prior σ", "estimate", "σ", "unit", "deviation")
+    )
     rows = "".join(
         f"<tr><th scope='row'>{escape_html(one.of)}</th><td>{escape_html(one.quantity)}</td>"
         f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted)}"
-        f"<td>{'' if one.measured else 'not observable'}</td></tr>"
-        for one in calibration.estimated_parameters
+        f"<td>{one.deviation:+.1f} prior σ</td></tr>"
+        for one in calibration.systematic
     )
     return (
-        "<p>Parameters estimated jointly with the poses:</p>"
+        "<p>Systematic parameters, estimated jointly with the poses from the data and their priors:</p>"
         f'<div class="wide"><table class="poses"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
     )
 

@@ -24,7 +24,7 @@ class Calibration:
     joint_covariance: Array
     """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes; zero for the root.
     NaN where the correlation of two sensors is unknown. All other covariances are views of it."""
-    estimated_parameters: tuple[EstimatedParameter, ...] = ()
+    systematic: tuple[EstimatedParameter, ...] = ()
     """Parameters that were estimated besides poses."""
     evidence: Evidence = field(default_factory=Evidence)
     pictures: Pictures = field(default_factory=Pictures)

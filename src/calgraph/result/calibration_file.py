@@ -42,8 +42,8 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         "quality": _quality(calibration),
     }
     text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
-    if calibration.estimated_parameters:
-        text += format_yaml({"estimated": [_estimated_parameter(one) for one in calibration.estimated_parameters]})
+    if calibration.systematic:
+        text += format_yaml({"systematic": [_estimated_parameter(one) for one in calibration.systematic]})
     if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
@@ -85,8 +85,8 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
 
 def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
     unit = {"unit": one.unit} if one.unit else {}
-    stated, value, stddev = _round_digits([one.stated, one.value, one.stddev], 9)
-    numbers = {"stated": stated, "value": value, "stddev": stddev, "measured": one.measured}
+    stated, prior, value, stddev = _round_digits([one.stated, one.prior, one.value, one.stddev], 9)
+    numbers = {"stated": stated, "prior": prior, "value": value, "stddev": stddev}
     return {"of": one.of, "quantity": one.quantity, **unit, **numbers}
 
 

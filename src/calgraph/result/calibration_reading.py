@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, Strict, model_validator
@@ -21,6 +21,7 @@ Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
 Number = Annotated[float, Strict()]
 NonNegative = Annotated[float, Strict(), Field(ge=0)]
+Positive = Annotated[float, Strict(), Field(gt=0)]
 Count = Annotated[int, Strict(), Field(ge=0)]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -148,13 +149,13 @@ class _JointCovariance(StrictModel):
 
 class _EstimatedParameter(StrictModel):
     of: str
-    """A sensor, or a tag."""
+    """A sensor, a board, or a tag."""
     quantity: str
     unit: str = ""
     stated: Finite
+    prior: Positive
     value: Finite
     stddev: NonNegative
-    measured: Flag
 
 
 class _File(StrictModel):
@@ -166,8 +167,10 @@ class _File(StrictModel):
     """The sensors with their poses."""
     quality: _Quality
     """The evidence for the poses."""
-    estimated: tuple[_EstimatedParameter, ...] = ()
-    """Estimated parameters other than poses."""
+    systematic: tuple[_EstimatedParameter, ...] = ()
+    """Systematic parameters of sensors and target."""
+    estimated: tuple[dict[str, Any], ...] = ()
+    """What version 0.1 estimated on request, without priors; not read."""
     joint_covariance: _JointCovariance | None = None
     """The covariance of the errors of all sensors."""
 
@@ -233,7 +236,7 @@ def load_calibration(path: Path) -> Calibration:
         root=file.root,
         sensors=tuple(_sensor(name, file.sensors[name], quality.verdicts[name]) for name in names),
         joint_covariance=_joint_covariance(file, names),
-        estimated_parameters=tuple(EstimatedParameter(**vars(one)) for one in file.estimated),
+        systematic=tuple(EstimatedParameter(**vars(one)) for one in file.systematic),
         evidence=Evidence(
             estimator=quality.estimator,
             edges=tuple(_edge(edge) for edge in quality.edges),

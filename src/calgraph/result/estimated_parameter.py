@@ -1,4 +1,4 @@
-"""Parameters that a calibration estimates besides poses."""
+"""Systematic parameters that a calibration estimates besides poses."""
 
 import math
 from dataclasses import dataclass
@@ -8,31 +8,41 @@ _DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """A parameter of a sensor or of the target, with its stated value and its estimate."""
+    """A systematic parameter of a sensor or of the target: what is stated of it, and what the data say."""
 
     of: str
-    """A sensor, or a tag: ``tag 3``."""
+    """A sensor, ``board``, or a tag: ``tag 3``."""
     quantity: str
-    """``range bias``; fx, fy, cx, cy, k1 and so on of a camera; x, y, rotation of a tag off its stated place."""
+    """``range bias``, ``focal length``, ``print scale`` and so on."""
     unit: str
-    """``m``, ``px``, ``rad``, or nothing."""
+    """``m``, ``px``, ``rad``, or nothing for ratios."""
     stated: float
+    prior: float
+    """Standard deviation of the stated value, from ``uncertainty`` in rig.yaml."""
     value: float
     stddev: float
-    measured: bool
-    """Whether the captures determine it; otherwise its prior dominates."""
+    """Of the value, given the data and all priors."""
 
     @property
-    def formatted(self) -> tuple[str, str, str, str]:
-        """Stated value, value, standard deviation and unit, for display: mm and degrees instead of m and rad.
+    def deviation(self) -> float:
+        """Value minus stated, in prior standard deviations."""
+        return (self.value - self.stated) / self.prior
+
+    @property
+    def learned(self) -> float:
+        """Share of the prior variance that the data removed: 0 where the prior decides, 1 where the data do."""
+        return 1 - min(self.stddev / self.prior, 1.0) ** 2
+
+    @property
+    def formatted(self) -> tuple[str, str, str, str, str]:
+        """Stated value, prior, value, standard deviation and unit, for display: mm and degrees, not m and rad.
 
         Values have as many decimals as leave two digits of the standard deviation.
         """
         factor, unit = _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
         stddev = factor * self.stddev
         decimals = max(1 - math.floor(math.log10(stddev)), 0) if 0 < stddev < math.inf else 3
-        texts = (
+        stated, value, deviation = (
             f"{round(factor * v, decimals) + 0.0:.{decimals}f}" for v in (self.stated, self.value, self.stddev)
         )
-        stated, value, deviation = texts
-        return stated, value, deviation, unit
+        return stated, f"{factor * self.prior:.2g}", value, deviation, unit

@@ -1,6 +1,6 @@
 """Models of cameras and scanners, and their messages."""
 
-from calgraph.sensors.camera_model import CameraModel
+from calgraph.sensors.camera_model import DISTORTION_NAMES, CameraModel
 from calgraph.sensors.cloud_to_scan import convert_cloud_to_scan
 from calgraph.sensors.messages import (
     CameraInfo,
@@ -16,6 +16,7 @@ from calgraph.sensors.point_colors import colorize_points
 from calgraph.sensors.scan_background import ScanBackground, align_ranges
 
 __all__ = [
-    "CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "MessageDigest", "PointCloud",
-    "RecordedMessage", "ScanBackground", "Trigger", "align_ranges", "colorize_points", "convert_cloud_to_scan",
+    "DISTORTION_NAMES", "CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "MessageDigest",
+    "PointCloud", "RecordedMessage", "ScanBackground", "Trigger", "align_ranges", "colorize_points",
+    "convert_cloud_to_scan",
 ]  # fmt: skip

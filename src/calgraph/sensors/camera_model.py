@@ -15,6 +15,10 @@ from calgraph.sensors import lens
 from calgraph.sensors.lens import Lens
 
 _COEFFICIENT_COUNTS = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
+DISTORTION_NAMES = {
+    "pinhole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
 _MAX_ROUND_TRIP_ERROR = 1e-8
 """A ray is valid if it projects back to its pixel within this distance, pixels."""
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.stats
 
-from bundle_scenes import scene
+from bundle_scenes import bias_variances, scene
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.bootstrap import (
     BootstrapScatter,
@@ -50,7 +50,7 @@ def test_errors_larger_than_assumed_make_covariances_optimistic() -> None:
 def test_measured_sway_keeps_covariances_of_correlated_errors_honest() -> None:
     exact = scene(boards=BOARDS)
     bundle = exact.measured(np.random.default_rng(0), view_bias=5 * SWAY)
-    found = scatter(replace(bundle, bias_variance=np.full(3, (5 * SWAY) ** 2)), 0)
+    found = scatter(replace(bundle, bias_variance=bias_variances(3, 5 * SWAY)), 0)
     assert all(s.verdict != "optimistic" for s in found.values())
 
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from bundle_scenes import Scene, remeasured, scene
+from bundle_scenes import LEVER, Scene, remeasured, scene
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.cross_validation import _observes_tilt, _solve_boards, cross_validate
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import Bundle, linearize_bundle, minimize_bundle
-from calgraph.estimation.rig.observations import CornerObservations, relative_poses
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import se3
 from calgraph.result import HeldOutError
@@ -135,11 +136,12 @@ def test_the_expected_error_of_a_view_contains_its_bias(first: int) -> None:
     With biases of 20 mm and 2°, everything else is negligible: half of the six degrees of freedom have an error.
     """
     exact = scene(boards=40)
-    bundle = replace(exact.bundle, bias_variance=np.square([1e-4, 0.02, 1e-4]))
+    stddevs = np.array([1e-4, 0.02, 1e-4])[:, None] * [1, 1 / LEVER, 0]
+    bundle = replace(exact.bundle, bias_variance=stddevs**2)
     signs = np.zeros((40, 6))
     signs[:, first : first + 3] = np.random.default_rng(0).choice([-1, 1], (40, 3))
     T = relative_poses(exact.truth.T_root_sensor[1], exact.truth.T_root_board)
-    off = se3.retract(T, signs * np.sqrt(bundle.bias_variances(1)))
+    off = se3.retract(T, signs * np.sqrt(bundle.bias_variances(1)[:6]))
     lidar, camera, laser = bundle.views
     camera = remeasured(camera, off, np.random.default_rng(0), noise=0.0)
     predicted = left_out(exact, replace(bundle, views=(lidar, camera, laser)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bundle_scenes import HEIGHT, WIDTH, board_poses, scene, views_of
+from bundle_scenes import HEIGHT, LEVER, WIDTH, bias_variances, board_poses, scene, views_of
 from calgraph.config import Tolerance
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
@@ -38,7 +38,7 @@ def upright(count: int) -> Array:
 def adjusted(boards: Array) -> SolvedBundle:
     """Level sensors that all saw these boards."""
     views = tuple(views_of(name, relative_poses(T, boards)) for name, T in zip(NAMES, T_ROBOT_SENSOR, strict=True))
-    bundle = Bundle(NAMES, views, np.arange(3), np.full(3, 1e-6), lever=0.5 * WIDTH)
+    bundle = Bundle(NAMES, views, np.arange(3), bias_variances(3, 1e-3), lever=LEVER)
     return SolvedBundle(
         bundle, minimize_bundle(bundle, BundleState(T_ROBOT_SENSOR, boards, np.zeros(0))), np.arange(len(boards))
     )

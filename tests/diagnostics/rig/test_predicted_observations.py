@@ -6,7 +6,9 @@ import pytest
 from bundle_scenes import CORNERS, HEIGHT, WIDTH, views_of
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.predicted_observations import predict_observations
-from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.observations import BoardViews
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.geometry import Array, se3, so3
 
 SETTINGS = RigDiagnosticsSettings()
@@ -138,12 +140,18 @@ def test_the_view_with_the_most_corners_is_predicted() -> None:
     both = views_of("camera", detected)
     assert isinstance(both, CornerObservations)
     fewer = CornerObservations(
-        both.board, np.array([0, 4]), both.corners_board[8:], both.pixels[8:], both.camera, both.noise
+        both.board,
+        np.array([0, 4]),
+        both.printed.select(np.arange(8, 24)),
+        both.pixels[8:],
+        both.camera,
+        both.noise,
+        extra_of_local=both.extra_of_local,
     )
     found = predict_observations(fewer, "camera", detected, detected, (WIDTH, HEIGHT), SETTINGS)
     assert isinstance(found, CornerObservations)
     assert found.start.tolist() == [0, 12]
-    np.testing.assert_allclose(found.corners_board[:12], CORNERS)
+    np.testing.assert_allclose(found.printed.nominal[:12], CORNERS)
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -5,16 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of
+from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of, with_range_bias
 from calgraph.config import RangeNoise
 from calgraph.config.settings import RigEstimationSettings
-from calgraph.estimation.rig.observations import (
-    BoardViews,
-    CornerObservations,
-    LinearizedResiduals,
-    RangeObservations,
-    relative_poses,
-)
+from calgraph.estimation.rig.corner_observations import CornerObservations, PrintedCorners
+from calgraph.estimation.rig.observations import BoardViews, LinearizedResiduals, no_extra, relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 
@@ -53,8 +49,9 @@ def numerical(views: BoardViews, T: Array, extra: Array) -> Array:
 
 def corners(camera: CameraModel) -> CornerObservations:
     return CornerObservations(
-        np.array([0]), np.array([0]), CORNERS, np.full((len(CORNERS), 2), 200.0), camera, PIXEL
-    )
+        np.array([0]), np.array([0]), PrintedCorners.from_nominal(CORNERS), np.full((len(CORNERS), 2), 200.0),
+        camera, PIXEL, extra_of_local=no_extra(1),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("pose", [ORDINARY, *UGLY.values()], ids=["ordinary", *UGLY])
@@ -67,33 +64,6 @@ def test_derivatives_of_corners_are_the_numerical_ones(camera: CameraModel, pose
     expected = numerical(views, T, np.zeros(0))
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max(), rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    "camera", [CAMERA, PLUMB_BOB, RATIONAL, FISHEYE], ids=["plain", "bob", "rational", "fisheye"]
-)
-def test_derivatives_of_corners_by_intrinsics_and_displacements_of_tags(camera: CameraModel) -> None:
-    tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
-    views, T = (
-        replace(corners(camera), estimate_intrinsics=True, tag_centers=centers, tag_index=tag),
-        ORDINARY[None],
-    )
-    extra = np.concatenate([camera.intrinsics, [0.01, -0.02, 0.1, -0.01, 0.02, -0.2]])
-    expected = numerical(views, T, extra)
-    assert np.abs(expected[:, 6:]).max(axis=0).min() > 0
-    found = jacobian(views.linearize(T, extra), views)
-    size = np.abs(expected).max(axis=0)
-    np.testing.assert_allclose(found / size, expected / size, atol=1e-6)
-
-
-def test_a_tag_rotates_about_its_centre() -> None:
-    tag, centers = np.repeat([-1, 0, 1], 4), np.array([[0.38, 0.2], [0.0, -0.2]])
-    views = replace(corners(CAMERA), tag_centers=centers, tag_index=tag)
-    T, quarter = ORDINARY[None], np.array([0, 0, np.pi / 2, 0, 0, 0])
-    still, turned = (views.linearize(T, extra).residual for extra in (np.zeros(6), quarter))
-    # A quarter turn brings each corner where the next one was, and leaves other tags alone.
-    np.testing.assert_allclose(turned[4:8], np.roll(still[4:8], 1, axis=0), atol=1e-8)
-    np.testing.assert_allclose(np.delete(turned, slice(4, 8), axis=0), np.delete(still, slice(4, 8), axis=0))
 
 
 @pytest.mark.parametrize("bias", [0, 1])
@@ -126,7 +96,7 @@ def test_residual_of_a_beam_is_how_much_farther_the_board_is_than_measured() -> 
 
 
 def test_a_range_bias_is_what_a_scanner_measures_too_much() -> None:
-    views = replace(one_beam(np.array([1.0, 0.0, 0.0]), 2.03), extra_count=1)
+    views = with_range_bias(one_beam(np.array([1.0, 0.0, 0.0]), 2.03))
     T = se3.pose(np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]), np.array([2.0, 0.3, 0.2]))[None]
     assert views.linearize(T, np.array([0.03])).residual[0, 0] == pytest.approx(0.0, abs=1e-12)
 
@@ -180,26 +150,11 @@ def test_no_views_have_no_residuals(kind: str) -> None:
 def one_beam(direction: Array, measured: float) -> RangeObservations:
     return RangeObservations(
         np.array([0]), np.array([0]), direction[None], np.array([measured]), RangeNoise(range=0.012, angle=1e-5),
-        np.array([0.012]), RigEstimationSettings().min_incidence_cosine,
+        np.array([0.012]), RigEstimationSettings().min_incidence_cosine, extra_of_local=no_extra(1),
     )  # fmt: skip
 
 
 def beams(kind: str, T_sensor_board: Array, bias: int) -> RangeObservations:
     views = views_of(kind, T_sensor_board)
     assert isinstance(views, RangeObservations)
-    return replace(views, extra_count=bias)
-
-
-def test_a_camera_without_views_has_no_derivatives_by_displacements_of_tags() -> None:
-    views = replace(corners(CAMERA), tag_centers=np.zeros((2, 2)), tag_index=np.zeros(12, dtype=np.intp))
-    rows = views.select(np.zeros(0, dtype=np.intp)).linearize(np.zeros((0, 4, 4)), np.zeros(6))
-    assert rows.jacobian.shape == (0, 2, 12)
-
-
-def test_corners_are_where_they_are_printed_if_no_tag_is_displaced() -> None:
-    """The tags of a board with a single tag are known, and none of them may be displaced."""
-    views, T = corners(CAMERA), ORDINARY[None]
-    with_tags = replace(views, tag_index=np.full(12, -1))
-    np.testing.assert_array_equal(
-        with_tags.linearize(T, np.zeros(0)).residual, views.linearize(T, np.zeros(0)).residual
-    )
+    return with_range_bias(views) if bias else views

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config.settings import OutlineSettings
 from calgraph.detection import PlanePatch
-from calgraph.estimation.rig.bundle_solver import ExtraParameter, linearize_bundle, minimize_bundle
+from calgraph.estimation.rig.bundle_solver import SystematicParameter, linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.outline_observations import OutlineObservations
+from calgraph.estimation.rig.outline_observations import OUTLINE_PARAMETERS, OutlineObservations
 from calgraph.geometry import Array, se3, so3
 
 HALF = np.array([WIDTH, HEIGHT]) / 2
@@ -45,11 +45,13 @@ def patch(edges: Array) -> PlanePatch:
 
 
 def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
-    """Of boards (V, 4, 4), weighed there."""
+    """Of boards (V, 4, 4), with one footprint between all beams."""
     views = OutlineObservations.from_edges(
         range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)), OutlineSettings()
     )
-    return views.update_noise(T_sensor_board, 1.0)
+    local = np.full((len(edges), len(OUTLINE_PARAMETERS)), -1, dtype=np.intp)
+    local[:, :2] = 0
+    return replace(views, extra_of_local=local, extra_count=1).update_noise(T_sensor_board, 1.0)
 
 
 def test_derivatives_of_outlines_are_the_numerical_ones() -> None:
@@ -76,7 +78,8 @@ def test_residual_of_an_outline_is_the_displacement_of_the_board() -> None:
     views = outline(BEFORE[None], [edges_of(BEFORE, places)])
     moved = BEFORE @ se3.pose(np.eye(3), np.array([0.005, 0.0, 0.0]))
     found = views.linearize(moved[None], np.zeros(1)).residual * views.sigma
-    np.testing.assert_allclose(found, -0.005, atol=1e-4)
+    # Predicted minus measured: the side is farther out than the beams are.
+    np.testing.assert_allclose(found, 0.005, atol=1e-4)
 
 
 def test_residuals_of_outlines_have_the_stated_variance_and_no_mean() -> None:
@@ -129,7 +132,7 @@ def test_errors_with_outlines_are_consistent_with_the_covariance() -> None:
     """Two LiDARs: outlines make every axis surer than their planes alone, and covariances hold."""
     exact = scene(("lidar", "lidar_2"), boards=8).without_bias()
     T_sensor_board = [relative_poses(T, exact.truth.T_root_board) for T in exact.truth.T_root_sensor]
-    growth = [ExtraParameter("", "outline", "m", 0.0, 0.01, (2 + s,)) for s in range(2)]
+    footprints = tuple(SystematicParameter("", "footprint", "m", 0.01, (2 + s,)) for s in range(2))
     state = replace(exact.truth, extra=np.zeros(2))
     nees, stated, plain = [], [], []
     for seed in range(24):
@@ -140,8 +143,8 @@ def test_errors_with_outlines_are_consistent_with_the_covariance() -> None:
             measured,
             outlines=outlines,
             outline_sensor=(0, 1),
-            extra_parameters=tuple(growth),
-            bias_variance=np.zeros(4),
+            extra_parameters=footprints,
+            bias_variance=np.zeros((4, 3)),
         )
         solution = minimize_bundle(bundle, state)
         spread = pose_covariance(bundle, solution.state, solution.equations)[6:, 6:]

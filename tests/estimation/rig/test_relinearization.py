@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bundle_scenes import Scene, scene
+from bundle_scenes import Scene, bias_variances, scene, with_range_bias
 from calgraph.config.settings import ExtrapolationSettings
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.normal_equations import ViewNormalEquations
-from calgraph.estimation.rig.observations import RangeObservations, relative_poses
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import linearize_views
 from calgraph.geometry import Array, se3, so3
 
-STILL, NO_BIAS = np.zeros(0), np.zeros(6)
+STILL, NO_BIAS = np.zeros(0), np.zeros(7)
 LIMITS = ExtrapolationSettings()
 
 
@@ -80,7 +81,7 @@ def test_extrapolation_is_limited(step: list[float], rng: np.random.Generator) -
 
 def test_a_range_bias_is_extrapolated(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
-    views, zero, biased = replace(views, extra_count=1), np.zeros(1), np.array([0.002])
+    views, zero, biased = with_range_bias(views), np.zeros(1), np.array([0.002])
     extrapolated = linearize_views(views, T, zero, np.zeros(7), 2.5).extrapolate(views, T, biased, LIMITS)
     exact_equations = linearize_views(views, T, biased, np.zeros(7), 2.5).equations
     assert extrapolated is not None
@@ -93,7 +94,7 @@ def test_extrapolation_changes_solutions_by_less_than_a_thousandth_of_their_erro
     for seed in range(6):
         rng = np.random.default_rng(seed)
         bundle = replace(
-            exact.measured(rng, noise=1.2, view_bias=view_bias), bias_variance=np.full(3, view_bias**2)
+            exact.measured(rng, noise=1.2, view_bias=view_bias), bias_variance=bias_variances(3, view_bias)
         )
         start = replace(
             exact.truth, T_root_board=se3.retract(exact.truth.T_root_board, 0.02 * rng.normal(size=(12, 6)))

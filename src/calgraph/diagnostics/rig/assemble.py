@@ -59,7 +59,7 @@ def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) ->
             for name in root_first
         ),
         joint_covariance=_reorder_covariance(solution, root_first),
-        estimated_parameters=solution.extra_parameters,
+        systematic=solution.systematic,
         evidence=Evidence(
             estimator=solution.estimator,
             edges=tuple(_assemble_edge(names, pair, tree, captures) for names, pair in pairs.items()),

@@ -7,7 +7,9 @@ import numpy as np
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch
-from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, BoardView

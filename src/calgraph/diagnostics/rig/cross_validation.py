@@ -27,9 +27,11 @@ from calgraph.estimation.rig.bundle_solver import (
     retract_state,
     view_jacobians,
 )
+from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.normal_equations import accumulate
-from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.observations import BoardViews, relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, se_n
@@ -38,6 +40,9 @@ from calgraph.result.evidence import rms
 
 # Gauss–Newton steps that locate boards with sensors fixed; they start from the solution of all captures.
 _BOARD_STEPS = 2
+# Prior standard deviation of systematic parameters over the limit of a predicted direction: small, so that the
+# split into predicted and free directions is that of the board's pose.
+_SHARE_OF_PREDICTED = 0.1
 # Relative eigenvalue below which a view has no information along a direction (numerical rank).
 _RANK_TOLERANCE = 1e-10
 
@@ -145,11 +150,14 @@ def _compare_with_prediction(
     views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
     T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
     observed = accumulate(views.linearize(T_board, extra), views.start, bundle.settings.huber_threshold)
-    meters = np.array([1, 1, 1, *[bundle.lever] * 3, *[1] * views.extra_count])
+    prior = [bundle.extra_parameters[i].prior_stddev for i in bundle.extra_indices(sensor)]
+    # Systematic parameters are predicted at least as well as by their priors.
+    small = _SHARE_OF_PREDICTED * settings.predicted_board_stddev / np.array(prior)
+    meters = np.array([1, 1, 1, *[bundle.lever] * 3, *small])
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
     x, X = _predict_boards(bundle, state, equations, covariance, sensor)
     X, free = _split_predicted(X * meters * meters[:, None], settings.predicted_board_stddev)
-    X += np.diag(bundle.bias_variances(sensor) * meters**2)
+    X += np.diag(_bias_variances(bundle, sensor) * meters**2)
     # Along directions that the others do not predict, the board follows the sensor itself.
     least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)
@@ -168,6 +176,15 @@ def _compare_with_prediction(
     error, along = _error_sizes(views.select(tested), T_predicted[tested], extra)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
     return _PredictionErrors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], dof[tested])
+
+
+def _bias_variances(bundle: Bundle, sensor: int) -> Array:
+    """(6 + e,) variances of the bias of a sensor's views, in its pose and in its extra parameters."""
+    views, variances = bundle.views[sensor], bundle.bias_variances(sensor)
+    rings = views.extra_of_local[:1, views.extra_of_local.shape[1] - views.ring_count :].ravel()
+    of_extra = np.zeros(views.extra_count)
+    of_extra[rings[rings >= 0]] = variances[6]
+    return np.concatenate([variances[:6], of_extra])
 
 
 def _predict_boards(

@@ -10,7 +10,9 @@ from calgraph.config.settings import VerdictSettings
 from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
-from calgraph.estimation.rig.observations import CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 from calgraph.result import Calibration, ExtrinsicsFile

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.observations import BoardViews
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.geometry import Array, Index, se3
 
 # Points along each side of a board that represent all beams on it; their weights add up to the number of beams.
@@ -59,7 +61,7 @@ def _predict_corners(views: CornerObservations, visible: Index, T_candidate: Arr
     if not len(counts):
         return views
     most = views.select(np.full(len(visible), np.argmax(counts)))
-    points = se3.apply(T_candidate[visible], most.corners_board.reshape(len(visible), counts.max(), 3))
+    points = se3.apply(T_candidate[visible], most.printed.nominal.reshape(len(visible), counts.max(), 3))
     pixels = views.camera.project(points.reshape(-1, 3))
     inside = np.all(views.camera.contains(pixels).reshape(points.shape[:2]), axis=1)
     return replace(most, board=visible, pixels=pixels).select(np.flatnonzero(inside))
@@ -137,12 +139,6 @@ def _predict_beams(
     points = se3.apply(T_candidate[visible], points_board).reshape(-1, 3)
     ranges = np.linalg.norm(points, axis=-1)
     each = points_board.shape[1]
-    beams = replace(
-        views,
-        board=visible,
-        start=np.arange(len(visible)) * each,
-        directions=points / ranges[:, None],
-        ranges=ranges,
-        sigma=np.ones(len(ranges)),
-    ).update_noise(T_candidate[visible], views.noise_scale)
+    beams = views.with_beams(visible, np.arange(len(visible)) * each, points / ranges[:, None], ranges)
+    beams = beams.update_noise(T_candidate[visible], views.noise_scale)
     return replace(beams, sigma=beams.sigma * np.sqrt(each / np.repeat(np.maximum(counts, 1e-6), each)))

@@ -53,7 +53,10 @@ def _contradicted_poses(
         s, A = prior.sensor, prior.information
         error = se3.difference(solved.state.T_root_sensor[s], prior.T_root_sensor)
         squared, dof = consistency_statistic(
-            A[None], covariance[s, :, s][None], (A @ error)[None], bundle.settings.variances.min_redundancy
+            A[None],
+            (A @ covariance[s, :, s] @ A)[None],
+            (A @ error)[None],
+            bundle.settings.variances.min_redundancy,
         )
         if dof[0] and squared[0] > chdtri(dof[0], false_alarm_probability):
             # The prior pulls the solution towards itself: without it the error would be larger.

@@ -1,20 +1,20 @@
-"""Adds observations of the boards' outlines to a bundle, and drops those that contradict the rest."""
+"""Adds observations of the boards' outlines to a bundle."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, ExtraParameter, MinimizedBundle
-from calgraph.estimation.rig.covariances import parameter_covariance, pose_covariance
-from calgraph.estimation.rig.observations import RangeObservations, relative_poses
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
+from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.outline_observations import OutlineObservations
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.rectangle_registration import register_rectangles
-from calgraph.geometry import Array, Index, se3
+from calgraph.estimation.rig.systematic_parameters import add_outline_parameters
+from calgraph.geometry import Array, Index
 from calgraph.pairwise import Candidates
 
 
@@ -60,70 +60,23 @@ def add_outlines(
             _edge_points(edges, state, unregistered), half_sizes[0], bundle.settings.registration
         )
         T_root_board[unregistered] = T_root_board[unregistered] @ T_plane_board
-    outlines: list[OutlineObservations] = []
-    offsets: list[ExtraParameter] = []
-    for s, observed in edges.items():
-        outline = observed.select(registered[observed.board])
-        view_set = len(bundle.sensors) + len(outlines)
-        offsets.append(ExtraParameter(bundle.sensors[s], "outline", "m", 0.0, settings.offset_stddev, (view_set,)))
-        T_sensor_board = relative_poses(state.T_root_sensor[s], T_root_board[outline.board])
-        outlines.append(outline.update_noise(T_sensor_board, 1.0))
+    outlines = [outline.select(registered[outline.board]) for outline in edges.values()]
+    outlines, parameters = add_outline_parameters(bundle, outlines, tuple(edges), rig, number)
+    outlines = [
+        outline.update_noise(relative_poses(state.T_root_sensor[s], T_root_board[outline.board]), 1.0)
+        for s, outline in zip(edges, outlines, strict=True)
+    ]
+    bias_variances = np.zeros((len(outlines), 3))
+    bias_variances[:, 0] = bias_variance
     with_outlines = replace(
         bundle,
         outlines=tuple(outlines),
         outline_sensor=tuple(edges),
-        bias_variance=np.append(bundle.bias_variance, np.full(len(outlines), bias_variance)),
-        extra_parameters=(*bundle.extra_parameters, *offsets),
+        bias_variance=np.concatenate([bundle.bias_variance, bias_variances]),
+        extra_parameters=parameters,
     )
-    extra = np.append(state.extra, np.zeros(len(offsets)))
+    extra = np.append(state.extra, np.zeros(len(parameters) - len(state.extra)))
     return with_outlines, replace(state, T_root_board=T_root_board, extra=extra)
-
-
-def drop_wrong_outlines(bundle: Bundle, solution: MinimizedBundle) -> tuple[Bundle, tuple[str, ...]]:
-    """The bundle without outlines that are not those of a board of the stated size; the reason for each."""
-    stddev = np.sqrt(np.diag(parameter_covariance(solution.equations)))[6 * bundle.body_count :]
-    settings = bundle.settings.outlines
-    outlines, remarks = [], []
-    for k, outline in enumerate(bundle.outlines, start=len(bundle.views)):
-        name, index = bundle.sensors[bundle.sensor_of(k)], bundle.extra_indices(k)
-        offset, sigma = float(solution.state.extra[index].sum()), float(stddev[index].sum())
-        why = ""
-        if abs(offset) > max(settings.max_offset, settings.max_offset_sigmas * sigma):
-            where = "outside" if offset > 0 else "inside"
-            why = f"{1000 * abs(offset):.0f} mm {where} the target's size on average"
-        elif outline.noise_scale > settings.max_noise_ratio:
-            why = f"{outline.noise_scale:.1f} times as far from its sides as expected from their noise"
-        if why:
-            remarks.append(f"board edges in scans of {name} are {why}: not used; is `size` the board's?")
-        outlines.append(outline.select(np.full(len(outline.board), not why)))
-    return bundle.with_views([*bundle.views, *outlines]), tuple(remarks)
-
-
-def outlines_contradict(
-    without: tuple[Bundle, MinimizedBundle], with_outlines: tuple[Bundle, MinimizedBundle]
-) -> bool:
-    """Whether outlines change the sensors' poses by more than noise explains.
-
-    Two solutions, one from a subset of the other's measurements, differ by ``d`` with covariance ``P - Q``; this
-    is tested in the directions in which outlines reduce the variance.
-
-    Source: Hausman, "Specification tests in econometrics", Econometrica 1978.
-
-    Args:
-        without: the bundle without outlines, and its solution.
-        with_outlines: the same with them.
-    """
-    (P, T), (Q, T_outlines) = (
-        (pose_covariance(b, s.state, s.equations), s.state.T_root_sensor) for b, s in (without, with_outlines)
-    )
-    settings = with_outlines[0].settings.outlines
-    d = se3.difference(T_outlines, T).ravel()
-    free = np.diag(P) > 0
-    whiten = np.linalg.inv(np.linalg.cholesky(P[np.ix_(free, free)]))
-    share, directions = np.linalg.eigh(whiten @ Q[np.ix_(free, free)] @ whiten.T)
-    tested = share < 1 - settings.min_variance_share
-    squares = (directions.T @ whiten @ d[free])[tested] ** 2 / (1 - share[tested])
-    return bool(np.sum(squares) > chdtri(max(np.sum(tested), 1), settings.contradiction_significance))
 
 
 def _surface_of(detections: Mapping[str, Candidates], board: BoardObservation, name: str) -> PlanePatch | Segment:

@@ -40,20 +40,25 @@ class SensorPrior:
 
 
 @dataclass(frozen=True)
-class ExtraParameter:
-    """A scalar parameter that is estimated besides the poses."""
+class SystematicParameter:
+    """An error of a sensor or of the target that all captures share, estimated besides the poses.
+
+    Its value is the stated one plus ``scale`` times the bundle's, whose prior mean and start value are 0.
+    """
 
     of: str
-    """The sensor or tag that it belongs to."""
+    """The sensor, board or tag that it belongs to."""
     quantity: str
     unit: str
     """``m``, ``px``, ``rad``, or nothing."""
-    prior_value: float
-    """Mean of its prior, and start value."""
     prior_stddev: float
-    """Standard deviation of its prior: wide, so that it matters only without measurements."""
+    """Of the bundle's value."""
     view_sets: tuple[int, ...]
     """Indices in :attr:`Bundle.all_views` of the views that depend on it."""
+    stated: float = 0.0
+    """In ``unit``."""
+    scale: float = 1.0
+    """``unit`` over that of the bundle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +72,12 @@ class Bundle:
     body: Index
     """(S,) index of each sensor's rigid body; 0 is the root's, which does not move."""
     bias_variance: Array
-    """(K,) variance of the view bias, a displacement of the board before the sensor in each view, m²: of all S
-    sensors' views, then of the outlines."""
+    """(K, 3) variances of the view bias: of the displacement (m²) and rotation (rad²) of the board before the
+    sensor along each axis, and of the bias of each ring (m²). Of all S sensors' views, then of the outlines."""
     lever: float
-    """Ratio of the translational to the rotational view bias, m: half the size of a board."""
+    """Half the size of a board, m: rotations times it compare with displacements."""
     priors: tuple[SensorPrior, ...] = ()
-    extra_parameters: tuple[ExtraParameter, ...] = ()
+    extra_parameters: tuple[SystematicParameter, ...] = ()
     """Besides poses. A sensor's views use theirs in this order."""
     outlines: tuple[BoardViews, ...] = ()
     """(O,) views of the boards' outlines, with separate noise, bias and extra parameters."""
@@ -127,10 +132,25 @@ class Bundle:
         pose = [self.settings.position_prior_stddev] * 3 + [self.settings.rotation_prior_stddev] * 3
         return np.array(pose * self.body_count + [one.prior_stddev for one in self.extra_parameters])
 
+    def bias_components(self, k: int) -> tuple[int, ...]:
+        """Columns of ``bias_variance`` that views k have: a displacement, for sensors a rotation, and rings."""
+        views = self.all_views[k]
+        return (0, 1, *([2] if views.ring_count else []))
+
+    @property
+    def usual_bias_variance(self) -> Array:
+        """(3,) prior variances of the view bias, in the columns of ``bias_variance``."""
+        usual = self.settings.variances.usual_view_bias
+        return np.array([usual, usual / self.lever, usual]) ** 2
+
+    def least_bias_variance(self, k: int) -> Array:
+        """(3,) least variances of the bias of views k, in the columns of ``bias_variance``."""
+        least = self.settings.outlines.min_view_bias if k >= len(self.views) else 0.0
+        return np.array([least, least / self.lever, least]) ** 2
+
     def bias_variances(self, k: int) -> Array:
-        """(6 + e,) variances of the bias of a view in k, along the sensor's axes."""
-        shape = np.array([1, 1, 1, *[self.lever**-2] * 3, *[0.0] * self.all_views[k].extra_count])
-        return np.asarray(self.bias_variance[k] * shape)
+        """(7,) variances of the bias of a view in k: of the board along the sensor's axes, and of each ring."""
+        return np.repeat(self.bias_variance[k], [3, 3, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,7 +384,7 @@ def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, 
     """Cost, matrix (G, G) and gradient (G,) of the priors of the reduced problem's parameters."""
     # Zero-gradient regularizer of poses, for unobserved directions.
     off = np.zeros(bundle.parameter_count)
-    off[6 * bundle.body_count :] = state.extra - [one.prior_value for one in bundle.extra_parameters]
+    off[6 * bundle.body_count :] = state.extra
     information = bundle.prior_stddev**-2
     return 0.5 * float(information @ off**2), np.diag(information), information * off
 

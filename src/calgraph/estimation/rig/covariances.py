@@ -1,5 +1,7 @@
 """Covariances of a bundle's solution: of poses and parameters, and of what each view measures."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calgraph.estimation.rig.bundle_solver import (
@@ -7,6 +9,7 @@ from calgraph.estimation.rig.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
+    MarginalizedViews,
     pose_jacobian,
 )
 from calgraph.geometry import Array
@@ -24,17 +27,25 @@ def parameter_covariance(equations: BundleEquations) -> Array:
     return np.asarray(np.linalg.inv(H))
 
 
-def view_covariance_factors(bundle: Bundle, equations: BundleEquations) -> list[Array]:
+def view_covariance_factors(
+    bundle: Bundle, equations: BundleEquations, linearized: Sequence[MarginalizedViews] | None = None
+) -> list[Array]:
     """By view set, factors ``F`` (V, q, G + 6) of the solution's covariance in the views' local parameters.
 
     For two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of their errors. The
     error of a board's pose is ``e - K x``, with x that of the parameters, and e of covariance ``inv(H_board)``.
+
+    Args:
+        bundle: the views, of which some may not be part of the solution.
+        equations: at the solution.
+        linearized: of the bundle's views; those of the solution if left out.
     """
     H, _, K = equations.eliminate_boards()
-    root = _inverse_root(H)
+    # H is regular by its priors.
+    root = np.linalg.inv(np.linalg.cholesky(H)).T
     board_root = _inverse_root(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
     factors = []
-    for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
+    for k, (views, at) in enumerate(zip(bundle.all_views, linearized or equations.views, strict=True)):
         by_parameters = -at.J_board @ K[views.board, :, :-1]
         by_parameters[..., bundle.columns(k)] += at.J_sensor
         factors.append(np.concatenate([by_parameters @ root, at.J_board @ board_root[views.board]], axis=-1))

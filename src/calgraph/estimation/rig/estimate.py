@@ -15,7 +15,7 @@ from calgraph.estimation.rig.board_observations import (
     group_detections,
     initial_board_pose,
 )
-from calgraph.estimation.rig.board_outlines import add_outlines, drop_wrong_outlines, outlines_contradict
+from calgraph.estimation.rig.board_outlines import add_outlines
 from calgraph.estimation.rig.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
@@ -25,17 +25,24 @@ from calgraph.estimation.rig.bundle_solver import (
     minimize_bundle,
     stack_poses,
 )
+from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
-from calgraph.estimation.rig.extra_parameters import Estimable, add_extra_parameters, summarize_extra_parameters
-from calgraph.estimation.rig.observations import BoardViews, CornerObservations, RangeObservations, relative_poses
+from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
-from calgraph.estimation.rig.variance_components import find_outlier_views, update_variance_components
+from calgraph.estimation.rig.systematic_parameters import (
+    add_systematic_parameters,
+    summarize_systematic_parameters,
+)
+from calgraph.estimation.rig.variance_components import (
+    measure_consistency,
+    select_consistent_views,
+    update_variance_components,
+)
 from calgraph.geometry import Array
 from calgraph.pairwise import MatchFilter, PairwiseEstimate, select_matches
 
-# Change of the variance of a view bias that counts as none, m²: (0.03 mm)².
-_BIAS_VARIANCE_TOLERANCE = 1e-9
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 
 
@@ -46,13 +53,13 @@ def solve_bundle(
     T_root_sensor: Mapping[str, Array],
     *,
     keep: MatchFilter = "ransac",
-    estimate: Sequence[Estimable] = (),
     priors: Sequence[PosePrior] = (),
     groups: Sequence[RigidGroup] = (),
 ) -> RigSolution:
     """Solves for the poses of all connected sensors and boards jointly.
 
-    The noise of measurements and the bias of views are estimated, and outlier views rejected.
+    Systematic errors of sensors and boards, the noise of measurements and the bias of views are estimated, and
+    outlier views rejected.
 
     Args:
         rig: the rig.
@@ -60,7 +67,6 @@ def solve_bundle(
         estimates: pairs with their inliers.
         T_root_sensor: start poses of the connected sensors, the root first.
         keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
-        estimate: parameters to estimate besides poses.
         priors: of sensors' poses.
         groups: sensors with exact relative poses.
     """
@@ -70,22 +76,10 @@ def solve_bundle(
         return RigSolution("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
     bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
     bundle = without_priors(bundle)
-    if estimate:
-        number = np.array([board_number(board, captured.detections) for board in boards], dtype=np.intp)
-        bundle, state = add_extra_parameters(bundle, state, rig, np.maximum(number, 0), estimate)
     solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
-    bundle, solution, rejected = _estimate_variance_components(
-        bundle, solution, rig.settings.estimation.rig.variances.max_rounds
-    )
-    outlined, outlined_solution, more = _solve_with_outlines(bundle, solution, rig, captured, boards)
-    if outlines_contradict((bundle, solution), (outlined, outlined_solution)):
-        remarks: tuple[str, ...] = (
-            "board edges in scans contradict the fitted planes and tags: edge observations are not used; is "
-            "`size` the board's, and is nothing attached beside it?",
-        )
-    else:
-        bundle, solution, rejected = outlined, outlined_solution, rejected | more
-        bundle, remarks = drop_wrong_outlines(bundle, solution)
+    bundle, solution, rejected = _settle_variances(bundle, solution, bundle.settings.variances.max_rounds)
+    bundle, solution, more = _solve_with_outlines(bundle, solution, rig, captured, boards)
+    rejected |= more
     # Priors enter last: an error of theirs must not increase the estimated noise.
     bundle = with_priors(bundle, priors, groups)
     start = apply_rigid_groups(solution.state, bundle.sensors, groups)
@@ -97,13 +91,12 @@ def solve_bundle(
         joint_covariance=pose_covariance(bundle, solution.state, solution.equations),
         residuals=dict(_residuals_by_sensor(bundle, solution)),
         converged=solution.converged,
-        remarks=remarks,
         rejected={(boards[i].capture, name): _OUTLIER_VIEW for i, name in sorted(rejected)},
         noise={
-            name: MeasuredNoise(views.noise_scale, float(np.sqrt(variance)))
-            for name, views, variance in zip(names, bundle.views, bundle.bias_variance[: len(names)], strict=True)
+            name: MeasuredNoise(views.noise_scale, *np.sqrt(variances).tolist())
+            for name, views, variances in zip(names, bundle.views, bundle.bias_variance[: len(names)], strict=True)
         },
-        extra_parameters=summarize_extra_parameters(bundle, solution.state, solution.equations),
+        systematic=summarize_systematic_parameters(bundle, solution.state, solution.equations),
         solved_bundle=SolvedBundle(bundle, solution, np.array([board.capture for board in boards])),
     )
 
@@ -164,15 +157,21 @@ def build_bundle(
         names,
         views,
         body=np.arange(len(names)),
-        bias_variance=np.full(len(names), rig.settings.estimation.rig.variances.initial_view_bias**2),
+        bias_variance=np.zeros((len(names), 3)),
         lever=0.5 * max(rig.board_size),
         settings=rig.settings.estimation.rig,
     )
+    initial = bundle.settings.variances.initial_view_bias
+    for k in range(len(names)):
+        components = list(bundle.bias_components(k))
+        bundle.bias_variance[k, components] = (initial * np.array([1, 1 / bundle.lever, 1])[components]) ** 2
     state = BundleState(
         stack_poses([T_root_sensor[name] for name in names]),
         stack_poses([initial_board_pose(board, captured.detections, T_root_sensor) for board in boards]),
         np.zeros(0),
     )
+    number = np.array([board_number(board, captured.detections) for board in boards], dtype=np.intp)
+    bundle, state = add_systematic_parameters(bundle, state, rig, number)
     return update_noise(bundle, state), state
 
 
@@ -221,27 +220,27 @@ def _solve_with_outlines(
     solution = minimize_bundle(
         outlined, state, cache, iterations=settings.steps_per_round, tolerance=COARSE_TOLERANCE, exact=False
     )
-    return _estimate_variance_components(
-        outlined, solution, settings.max_outline_rounds, first=len(outlined.views)
-    )
+    return _settle_variances(outlined, solution, settings.max_outline_rounds, first=len(outlined.views))
 
 
-def _estimate_variance_components(
+def _settle_variances(
     bundle: Bundle, solution: MinimizedBundle, rounds: int, first: int = 0
 ) -> tuple[Bundle, MinimizedBundle, set[tuple[int, str]]]:
     """The bundle with estimated noise and view bias, its solution, and rejected views by board and sensor.
 
-    Components are estimated, and outliers rejected, from the views ``first`` on.
+    Variances settle before views are judged: views that scatter as all others do are not outliers. A rejected view
+    returns once it agrees with the others. Components are estimated, and views judged, from ``first`` on.
     """
-    rejected: set[tuple[int, str]] = set()
-    initial_count = np.array([len(views.board) for views in bundle.all_views])
+    settings = bundle.settings.variances
+    complete, kept = bundle, [np.ones(len(views.board), dtype=np.bool_) for views in bundle.all_views]
     for _ in range(rounds):
         before, factors = bundle, view_covariance_factors(bundle, solution.equations)
-        outliers = find_outlier_views(bundle, solution.equations, factors, first)
-        bundle = update_variance_components(bundle, solution, factors, first)
-        bundle, removed = _remove_outlier_views(bundle, outliers, initial_count)
-        rejected |= removed
-        if _has_converged(before, bundle):
+        bundle, change = update_variance_components(bundle, solution, factors, first)
+        settled = change < settings.max_settled_change
+        selected = _judge_views(complete, before, solution, factors, kept, first, settled=settled)
+        if any(np.any(new != old) for new, old in zip(selected, kept, strict=True)):
+            bundle, kept = _select_views_of(complete, before, solution.state, selected), selected
+        elif settled:
             break
         unchanged = zip(solution.equations.cache, before.all_views, bundle.all_views, strict=True)
         cache = [cached if new is old else None for cached, old, new in unchanged]
@@ -249,49 +248,55 @@ def _estimate_variance_components(
             bundle,
             solution.state,
             cache,
-            iterations=bundle.settings.variances.steps_per_round,
+            iterations=settings.steps_per_round,
             tolerance=COARSE_TOLERANCE,
             exact=False,
         )
+    rejected = {
+        (int(board), name)
+        for name, views, part in zip(complete.sensors, complete.views, kept[: len(complete.views)], strict=True)
+        for board in views.board[~part]
+    }
     return bundle, solution, rejected
 
 
-def _remove_outlier_views(
-    bundle: Bundle, outliers: Sequence[NDArray[np.bool_]], initial_count: NDArray[np.intp]
-) -> tuple[Bundle, set[tuple[int, str]]]:
-    """The bundle without outlier views, (K,) masks; and those, by board and sensor.
+def _judge_views(
+    complete: Bundle,
+    bundle: Bundle,
+    solution: MinimizedBundle,
+    factors: Sequence[Array],
+    kept: Sequence[NDArray[np.bool_]],
+    first: int,
+    *,
+    settled: bool,
+) -> list[NDArray[np.bool_]]:
+    """(K,) masks of views of the complete bundle to keep, judged by the solution of those that are kept.
 
-    A sensor that would lose most of its initial views (K,) keeps them: its model is wrong instead.
+    As long as variances have not settled, only gross outliers are rejected, and no view returns.
     """
-    least = (1 - bundle.settings.variances.max_outlier_share) * initial_count
-    removed = [mask & (len(mask) - mask.sum() > some) for mask, some in zip(outliers, least, strict=True)]
-    rejected = {
-        (int(board), name)
-        for name, views, mask in zip(bundle.sensors, bundle.views, removed[: len(bundle.views)], strict=True)
-        for board in views.board[mask]
-    }
-    kept = [
-        views.select(~mask) if np.any(mask) else views
-        for views, mask in zip(bundle.all_views, removed, strict=True)
-    ]
-    return bundle.with_views(kept), rejected
+    everything = [np.ones_like(part) for part in kept]
+    scaled, equations = _select_views_of(complete, bundle, solution.state, everything), solution.equations
+    if not all(np.all(part) for part in kept):
+        equations = linearize_bundle(scaled, solution.state)
+        factors = view_covariance_factors(scaled, solution.equations, equations.views)
+    consistency = measure_consistency(scaled, equations, factors, kept)
+    selected = select_consistent_views(scaled, consistency, kept, settled=settled)
+    return [*kept[:first], *selected[first:]]
 
 
-def _has_converged(before: Bundle, after: Bundle) -> bool:
-    """Whether the views are the same, and their noise and bias nearly so."""
-    settings = before.settings.variances
-    pairs = list(zip(before.all_views, after.all_views, strict=True))
-    same_views = all(len(a.board) == len(b.board) for a, b in pairs)
-    same_noise = all(abs(a.noise_scale / b.noise_scale - 1) < settings.noise_tolerance for a, b in pairs)
-    change, smallest = (
-        np.abs(before.bias_variance - after.bias_variance),
-        np.minimum(before.bias_variance, after.bias_variance),
-    )
-    return (
-        same_views
-        and same_noise
-        and bool(np.all(change <= 2 * settings.bias_tolerance * smallest + _BIAS_VARIANCE_TOLERANCE))
-    )
+def _select_views_of(
+    complete: Bundle, bundle: Bundle, state: BundleState, kept: Sequence[NDArray[np.bool_]]
+) -> Bundle:
+    """The bundle with some of the views (K,) of the complete one, with its own noise."""
+    all_views = []
+    for k, (views, scaled, part) in enumerate(zip(complete.all_views, bundle.all_views, kept, strict=True)):
+        if len(scaled.board) == part.sum() and np.array_equal(views.board[part], scaled.board):
+            all_views.append(scaled)
+            continue
+        some = views.select(part)
+        T_sensor_board = relative_poses(state.T_root_sensor[complete.sensor_of(k)], state.T_root_board[some.board])
+        all_views.append(some.update_noise(T_sensor_board, scaled.noise_scale))
+    return bundle.with_views(all_views)
 
 
 def _residuals_by_sensor(bundle: Bundle, solution: MinimizedBundle) -> Iterator[tuple[str, Array]]:

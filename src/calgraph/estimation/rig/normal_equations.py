@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, gammaln
 
 from calgraph.estimation.marginalization import compute_bias_covariance, marginalize_bias
-from calgraph.estimation.rig.observations import LinearizedResiduals
+from calgraph.estimation.rig.observations import LinearizedResiduals, view_indices
 from calgraph.geometry import Array, Index, se_n
 
 # Limit on the robust weights' iterations, which hardly ever binds.
@@ -36,6 +36,10 @@ class ViewNormalEquations:
     """(V,) robust cost beyond half of ``squared_residuals``, which down-weighted outliers contribute."""
     residual_count: NDArray[np.intp]
     """(V,) number of residuals."""
+    pose_count: int
+    """Number of local parameters of the pose, the first ones."""
+    ring_count: int = 0
+    """Number R of the last local parameters that are biased from view to view, each of different measurements."""
 
     @property
     def information(self) -> Array:
@@ -52,14 +56,38 @@ class ViewNormalEquations:
 
         They measure the noise of single measurements, independent of errors of the poses.
         """
-        whiten, measured = whitening(self.JtJ)
+        whiten, measured = self.whiten_views()
         explained = np.sum(_matvec(whiten, self.Jtr) ** 2, axis=-1)
         return self.squared_residuals - explained, self.residual_count - np.sum(measured, axis=-1)
 
     def fit(self) -> Array:
-        """(V, q) change of the local parameters to the best fit of each view alone."""
-        whiten, _ = whitening(self.JtJ)
+        """(V, q) change of pose and rings to the best fit of each view alone; other parameters do not change."""
+        whiten, _ = self.whiten_views()
         return -_matvec(se_n.transpose(whiten), _matvec(whiten, self.Jtr))
+
+    @property
+    def biased(self) -> Index:
+        """(n,) local parameters that a view's bias displaces: of the pose, and the rings."""
+        q = self.JtJ.shape[-1]
+        return np.concatenate([np.arange(self.pose_count), np.arange(q - self.ring_count, q)])
+
+    def whiten_views(self) -> tuple[Array, NDArray[np.bool_]]:
+        """``L`` (V, n, q) with ``L @ JtJ @ L.T`` the identity where it is measured, (V, n): of the pose and rings.
+
+        Each ring's bias depends on its measurements only, so that rings are eliminated one by one.
+        """
+        p, (views, q) = self.pose_count, self.Jtr.shape
+        rings = np.arange(q - self.ring_count, q)
+        of_rings = self.JtJ[:, rings, rings]
+        some = of_rings > 0
+        inverse = np.where(some, 1 / np.where(some, of_rings, 1.0), 0.0)
+        coupling = self.JtJ[:, :p, rings] * inverse[:, None]
+        of_pose = self.JtJ[:, :p, :p] - coupling @ self.JtJ[:, rings, :p]
+        whiten, measured = whitening(of_pose, np.diagonal(self.JtJ, axis1=-2, axis2=-1)[:, :p])
+        L = np.zeros((views, p + self.ring_count, q))
+        L[:, :p, :p], L[:, :p, rings] = whiten, -whiten @ coupling
+        L[:, p + np.arange(self.ring_count), rings] = np.sqrt(inverse)
+        return L, np.concatenate([measured, some], axis=1)
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "ViewNormalEquations":
         """Those of some of the views: a mask (V,), or indices, which may repeat."""
@@ -70,6 +98,8 @@ class ViewNormalEquations:
             self.squared_residuals[keep],
             self.robust_cost_offset[keep],
             self.residual_count[keep],
+            self.pose_count,
+            self.ring_count,
         )
 
     def squared_change(self, change: Array) -> Array:
@@ -89,11 +119,11 @@ class ViewNormalEquations:
         """Information, gradients and costs with a bias of each view marginalised.
 
         A bent board, a range error on one material, a late stamp: the errors of one view's measurements are
-        correlated, and do not average out. The bias is modelled as a displacement of the board before the sensor
-        with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``.
+        correlated, and do not average out. The bias is modelled as a displacement of the board before the sensor,
+        and of each ring's ranges, with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``.
 
         Args:
-            variance: (p,) diagonal of Q along the sensor's axes; 0 for the sensor's extra parameters.
+            variance: (7,) of the displacement and rotation along the sensor's axes, and of the bias of a ring.
 
         Returns:
             (V, q, q), (V, q) and (V,).
@@ -101,11 +131,54 @@ class ViewNormalEquations:
         cost = self.robust_cost_offset + 0.5 * self.squared_residuals
         if not np.any(variance):
             return self.JtJ, self.Jtr, cost
-        return marginalize_bias(self.JtJ, self.Jtr, cost, _bias_prior(self.local_jacobian, variance))
+        biased, prior = self._bias_prior(variance)
+        return marginalize_bias(self.JtJ, self.Jtr, cost, prior, biased)
 
-    def estimate_bias(self, prior: Array) -> Array:
-        """(V, q) most likely bias, for its prior covariance (V, q, q)."""
-        return -_matvec(compute_bias_covariance(self.JtJ, prior), self.Jtr)
+    def estimate_bias(self, variance: Array) -> Array:
+        """(V, q) most likely bias, for its variances (7,)."""
+        biased, prior = self._bias_prior(variance)
+        shift = np.zeros_like(self.Jtr)
+        P = compute_bias_covariance(self.JtJ[:, biased[:, None], biased], prior)
+        shift[:, biased] = -_matvec(P, self.Jtr[:, biased])
+        return shift
+
+    def _bias_prior(self, variance: Array) -> tuple[Index, Array]:
+        """Local parameters (n,) that a bias with these variances (7,) displaces, and its covariance (V, n, n)."""
+        p = self.pose_count
+        biased = self.biased if variance[6] else np.arange(p)
+        J = self.local_jacobian[:, :p, :6]
+        Q = np.zeros((len(J), len(biased), len(biased)))
+        Q[:, :p, :p] = (J * variance[:6]) @ se_n.transpose(J)
+        rings = np.arange(p, len(biased))
+        Q[:, rings, rings] = variance[6]
+        return biased, Q
+
+
+@dataclass(frozen=True, eq=False)
+class _Groups:
+    """Consecutive residuals of one view or, where there are rings, of one ring in one view."""
+
+    count: Index
+    """(M,) number of residuals of each."""
+    view: Index
+    """(M,)."""
+    ring: Index | None
+    """(M,)."""
+    views: int
+    """Number V of views."""
+
+    def sum_by_view(self, sums: Array) -> Array:
+        """(V, ...) sums of the groups' (M, ...)."""
+        if self.ring is None:
+            return sums
+        total = np.zeros((self.views, *sums.shape[1:]))
+        np.add.at(total, self.view, sums)
+        return total
+
+    def subset(self, index: Index) -> "_Groups":
+        """The groups of some residuals, by their ascending indices."""
+        ends = np.cumsum(self.count)
+        return replace(self, count=np.bincount(np.searchsorted(ends, index, side="right"), minlength=len(ends)))
 
 
 def accumulate(
@@ -126,17 +199,21 @@ def accumulate(
         fit: from the equations to the change (V, q) of local parameters at which weights are computed.
     """
     columns, residual = _jacobian_columns(residuals), residuals.residual.ravel()
-    count = np.diff(start, append=len(residuals.residual)) * residuals.residual.shape[1]
-    unweighted = equations = _accumulate_unweighted(columns, residual, residuals.local_jacobian, count)
+    groups = _group_residuals(residuals, start)
+    unweighted = equations = _accumulate_unweighted(columns, residual, residuals, groups)
     shift = fit(equations)
     for _ in range(_MAX_REWEIGHTINGS):
-        about_fit = residual + np.einsum("in,in->n", columns, np.repeat(shift.T, count, axis=1))
+        by_group = shift[groups.view, : len(columns)]
+        if groups.ring is not None:
+            by_group[:, residuals.ring_column] += shift[groups.view, len(columns) + groups.ring]
+        about_fit = residual + np.einsum("in,in->n", columns, np.repeat(by_group.T, groups.count, axis=1))
         norm = _residual_norms(about_fit.reshape(residuals.residual.shape))
         if not np.any(norm > huber_threshold):
             return unweighted
-        equations = _downweight_outliers(unweighted, columns, residual, start, norm, huber_threshold)
+        equations = _downweight_outliers(unweighted, columns, residuals, groups, norm, huber_threshold)
         before, shift = shift, fit(equations)
-        if np.all(unweighted.squared_change(shift - before) <= _REWEIGHTING_TOLERANCE**2 * count):
+        moved = unweighted.squared_change(shift - before)
+        if np.all(moved <= _REWEIGHTING_TOLERANCE**2 * unweighted.residual_count):
             break
     return equations
 
@@ -144,36 +221,60 @@ def accumulate(
 def accumulate_biased(
     residuals: LinearizedResiduals, start: Index, variance: Array, huber_threshold: float
 ) -> ViewNormalEquations:
-    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (p,)."""
-    prior = _bias_prior(residuals.local_jacobian, variance)
-    return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(prior))
+    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (7,)."""
+    return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(variance))
 
 
 def _jacobian_columns(residuals: LinearizedResiduals) -> Array:
-    """(q, N·k) derivatives, one column of the Jacobian after the other in memory."""
+    """(q - R, N·k) derivatives, one column of the Jacobian after the other in memory."""
     return np.ascontiguousarray(residuals.jacobian.reshape(-1, residuals.jacobian.shape[-1]).T)
 
 
+def _group_residuals(residuals: LinearizedResiduals, start: Index) -> _Groups:
+    """The groups of residuals of views that begin at ``start`` (V,)."""
+    N, k = residuals.residual.shape
+    if residuals.ring is None:
+        count = np.diff(start, append=N) * k
+        return _Groups(count, np.arange(len(start)), None, len(start))
+    view = view_indices(start, N)
+    first = np.flatnonzero(np.diff(view * (residuals.ring.max(initial=0) + 1) + residuals.ring, prepend=-1))
+    return _Groups(np.diff(first, append=N) * k, view[first], residuals.ring[first], len(start))
+
+
 def _accumulate_unweighted(
-    columns: Array, residual: Array, local_jacobian: Array, count: Index
+    columns: Array, residual: Array, residuals: LinearizedResiduals, groups: _Groups
 ) -> ViewNormalEquations:
-    """Normal equations with unit weights of derivatives (q, n) and residuals (n,), ``count`` (V,) of each view."""
-    q = len(columns)
-    JtJ, Jtr = np.empty((len(count), q, q)), np.empty((len(count), q))
-    for i in range(q):
-        for j in range(i, q):
-            JtJ[:, i, j] = JtJ[:, j, i] = _sum_by_view(columns[i] * columns[j], count)
-        Jtr[:, i] = _sum_by_view(columns[i] * residual, count)
+    """Normal equations with unit weights of derivatives (q - R, n) and residuals (n,) in groups."""
+    q, views = len(columns), groups.views
+    R = residuals.local_jacobian.shape[1] - q
+    augmented = np.concatenate([columns, residual[None]])
+    products = np.empty((len(groups.count), q + 1, q + 1))
+    for i in range(q + 1):
+        products[:, i, i:] = products[:, i:, i] = _sum_by_group(augmented[i:] * augmented[i], groups.count).T
+    of_views = groups.sum_by_view(products)
+    JtJ, Jtr = np.zeros((views, q + R, q + R)), np.zeros((views, q + R))
+    JtJ[:, :q, :q], Jtr[:, :q] = of_views[:, :q, :q], of_views[:, :q, q]
+    if groups.ring is not None:
+        c, (view, ring) = residuals.ring_column, (groups.view, q + groups.ring)
+        JtJ[view, :q, ring] = JtJ[view, ring, :q] = products[:, c, :q]
+        JtJ[view, ring, ring], Jtr[view, ring] = products[:, c, c], products[:, c, q]
     return ViewNormalEquations(
-        JtJ, Jtr, local_jacobian, _sum_by_view(residual**2, count), np.zeros(len(count)), count
+        JtJ,
+        Jtr,
+        residuals.local_jacobian,
+        of_views[:, q, q],
+        np.zeros(views),
+        groups.sum_by_view(groups.count.astype(np.float64)).astype(np.intp),
+        residuals.pose_count,
+        residuals.ring_count,
     )
 
 
 def _downweight_outliers(
     unweighted: ViewNormalEquations,
     columns: Array,
-    residual: Array,
-    start: Index,
+    residuals: LinearizedResiduals,
+    groups: _Groups,
     norm: Array,
     huber_threshold: float,
 ) -> ViewNormalEquations:
@@ -181,33 +282,34 @@ def _downweight_outliers(
 
     Args:
         unweighted: with unit weights.
-        columns: (q, N·k) derivatives.
-        residual: (N·k,).
-        start: (V,) the first measurement of each view.
+        columns: (q - R, N·k) derivatives.
+        residuals: of N measurements.
+        groups: of their N·k values.
         norm: (N,) of the residuals that decide the weights.
         huber_threshold: of the norm.
     """
-    outlier = np.flatnonzero(norm > huber_threshold)
-    far, k = norm[outlier], len(residual) // max(len(norm), 1)
-    count = np.bincount(np.searchsorted(start, outlier, side="right") - 1, minlength=len(start))
+    outlier, residual = np.flatnonzero(norm > huber_threshold), residuals.residual.ravel()
+    far, k = norm[outlier], residuals.residual.shape[1]
     index = (k * outlier[:, None] + np.arange(k)).ravel()
     root = np.repeat(np.sqrt(1 - huber_threshold / far), k)
-    excess = _accumulate_unweighted(
-        columns[:, index] * root, residual[index] * root, unweighted.local_jacobian, k * count
-    )
+    subset = groups.subset(index)
+    excess = _accumulate_unweighted(columns[:, index] * root, residual[index] * root, residuals, subset)
+    offsets = np.repeat(0.5 * huber_threshold * (far - huber_threshold) / k, k)
     return replace(
         unweighted,
         JtJ=unweighted.JtJ - excess.JtJ,
         Jtr=unweighted.Jtr - excess.Jtr,
         squared_residuals=unweighted.squared_residuals - excess.squared_residuals,
-        robust_cost_offset=_sum_by_view(0.5 * huber_threshold * (far - huber_threshold), count),
+        robust_cost_offset=groups.sum_by_view(_sum_by_group(offsets, subset.count)),
     )
 
 
-def _sum_by_view(values: Array, count: Index) -> Array:
-    """(V,) sums of values (n,), ``count`` (V,) of each view."""
-    sums, some = np.zeros(len(count)), count > 0
-    sums[some] = np.add.reduceat(values, (np.cumsum(count) - count)[some])
+def _sum_by_group(values: Array, count: Index) -> Array:
+    """(..., M) sums of values (..., n), ``count`` (M,) of each group."""
+    some = count > 0
+    sums = np.zeros((*values.shape[:-1], len(count)))
+    if some.any():
+        sums[..., some] = np.add.reduceat(values, (np.cumsum(count) - count)[some], axis=-1)
     return sums
 
 
@@ -216,47 +318,49 @@ def _residual_norms(residual: Array) -> Array:
     return np.linalg.norm(residual, axis=1) if residual.shape[1] > 1 else np.abs(residual[:, 0])
 
 
-def _bias_prior(local_jacobian: Array, variance: Array) -> Array:
-    """(V, q, q) covariance of the local parameters for a displacement of the board with variances (p,)."""
-    return np.asarray((local_jacobian * variance) @ se_n.transpose(local_jacobian))
-
-
 def _matvec(A: Array, x: Array) -> Array:
     """Matrices (V, n, p) times vectors (V, p)."""
     return np.asarray((A @ x[..., None])[..., 0])
 
 
-def whitening(information: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """``L`` (V, p, p) with ``L @ A @ L.T`` of information A the identity where it is measured, (V, p)."""
+def whitening(information: Array, scale: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
+    """``L`` (V, p, p) with ``L @ A @ L.T`` of information A the identity where it is measured, (V, p).
+
+    Args:
+        information: (V, p, p) A.
+        scale: (V, p) diagonal relative to which a direction counts as measured; that of A if left out.
+    """
     # Metres and radians do not compare: scale to a unit diagonal first.
-    size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0))
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1) if scale is None else scale
+    size = np.sqrt(np.maximum(diagonal, 0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(information / size[..., :, None] / size[..., None, :])
-    measured = values > _RANK_TOLERANCE * values[..., -1:]
+    measured = values > _RANK_TOLERANCE * np.maximum(values[..., -1:], 0 if scale is None else 1)
     root = np.where(measured, values, 1.0) ** -0.5 * measured
     return root[..., :, None] * se_n.transpose(vectors) / size[..., None, :], measured
 
 
 def consistency_statistic(
-    information: Array, covariance: Array, gradient: Array, min_redundancy: float
+    information: Array, reduction: Array, gradient: Array, min_redundancy: float, *, predicted: bool = False
 ) -> tuple[Array, NDArray[np.intp]]:
-    """Test statistic of each view against the solution that it is part of.
+    """Test statistic of each view against the solution that it is part of, or that predicts it.
 
     Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
 
     Args:
         information: (V, p, p) A of each view.
-        covariance: (V, p, p) P of the solution in the view's parameters, the view's contribution included.
-        gradient: (V, p) of each view at the solution; its covariance is A - A P A.
+        reduction: (V, p, p) A P A, with the covariance P of the solution in the view's parameters.
+        gradient: (V, p) of each view at the solution; its covariance is A - A P A, or A + A P A if predicted.
         min_redundancy: least redundancy number of a direction, its share of A that the other views determine.
+        predicted: whether the solution is without the views' contributions.
 
     Returns:
         Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,), without
         directions of smaller redundancy.
     """
     whiten, measured = whitening(information)
-    forced = whiten @ information
-    redundancy = measured[..., :, None] * np.eye(measured.shape[-1]) - forced @ covariance @ se_n.transpose(forced)
+    by_solution = whiten @ reduction @ se_n.transpose(whiten)
+    redundancy = measured[..., :, None] * np.eye(measured.shape[-1]) + (by_solution if predicted else -by_solution)
     values, axes = np.linalg.eigh((redundancy + se_n.transpose(redundancy)) / 2)
     checked = values > min_redundancy
     along = (se_n.transpose(axes) @ whiten @ gradient[..., None])[..., 0]

@@ -5,7 +5,7 @@ it; as the board's size is given, each such pair of beams is a measurement acros
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,22 +16,36 @@ from calgraph.detection import PlanePatch, Segment
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     difference_along_sensor,
+    gather_extra,
+    no_extra,
+    pose_and_extra_jacobian,
     select_measurements,
     start_indices,
     view_indices,
 )
-from calgraph.geometry import Array, Index, se3, se_n
+from calgraph.geometry import Array, Index, se3, se_n, so3
 
 # Cosine of incidence at which smaller ones are truncated: keeps intersections finite. Such edges are not used.
 _MIN_COSINE = 1e-3
 
 
+OUTLINE_PARAMETERS = (
+    "width", "height", "print x", "print y", "print rotation", "angle scale", "azimuth footprint",
+    "elevation footprint"
+)  # fmt: skip
+"""Systematic parameters of outlines, in the order of a view's local parameters after the pose: errors of the
+board's size, the position of the print on the board (m, rad), the relative scale of azimuths, and how far outwards
+the scanner measures sides between beams of different azimuth and elevation, which also varies from view to
+view."""
+
+
 @dataclass(frozen=True, eq=False)
 class OutlineObservations:
-    """Pairs of neighbouring beams, on the board and past it: the distance of their midpoint from a side, m.
+    """Pairs of neighbouring beams, on the board and past it: the direction to a side of the board, across it.
 
-    Implements :class:`calgraph.estimation.rig.observations.BoardViews`. :meth:`update_noise` assigns the sides,
-    which are constant within a minimisation.
+    Implements :class:`calgraph.estimation.rig.observations.BoardViews`. :meth:`update_noise` assigns the sides and
+    the points on them, which are constant within a minimisation. Residuals are angles times a constant distance:
+    distances on the board would be reduced by a smaller scale of everything.
     """
 
     board: Index
@@ -45,11 +59,17 @@ class OutlineObservations:
     side: NDArray[np.int8]
     """(M,) 0 and 1 for the sides at -x and +x, 2 and 3 for those at -y and +y; -1 for edges that are not used."""
     sigma: Array
-    """(M,) standard deviation of each distance, m."""
+    """(M,) standard deviation of each edge across its side on the board, m."""
+    across: Array
+    """(M, 3) normal of the plane of sight through the middle of the edge and parallel to its side, sensor frame,
+    scaled so that its product with the direction to the side is the distance on the board."""
+    along: Array
+    """(M,) coordinate of the edge along its side, board frame, m."""
     settings: OutlineSettings
     noise_scale: float = 1.0
-    extra_count: int = 1
-    """1, the offset of all sides, m, outwards positive: the beams' footprint, or a larger board than stated."""
+    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
+    """(V, 8) or (V, 0) index of ``OUTLINE_PARAMETERS`` in the scanner's extra parameters; -1 for exact ones."""
+    extra_count: int = 0
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -69,7 +89,10 @@ class OutlineObservations:
             half.reshape(-1, 2),
             np.full(len(edges), -1, dtype=np.int8),
             np.ones(len(edges)),
+            np.zeros((len(edges), 3)),
+            np.zeros(len(edges)),
             settings,
+            extra_of_local=no_extra(len(board)),
         )
 
     @property
@@ -83,49 +106,64 @@ class OutlineObservations:
         return np.searchsorted(self.used, self.first)
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
-        """See :class:`BoardViews`: signed distance of the midpoint, in the board's plane, from its side.
-
-        The midpoint (x, y) in the board's frame translates and rotates opposite to the board, and slides along the
-        beam as the plane translates along its normal or tilts.
-        """
+        """See :class:`BoardViews`: the direction to the point of the side relative to the plane of sight."""
         used = self.used
-        view = self._view[used]
-        (x, y), (u, v) = _intersect_boards(se3.inverse(T_sensor_board)[view], self.edges[used].mean(axis=1))
-        axis, sign = self.side[used] // 2, 2.0 * (self.side[used] % 2) - 1
-        n = sign[:, None] * np.eye(2)[axis]
-        distance = n[:, 0] * x + n[:, 1] * y - self.half_size[view, axis] - extra.sum()
-        slide = n[:, 0] * u + n[:, 1] * v
-        by_board = np.column_stack([
-            -n[:, 0], -n[:, 1], slide,
-            slide * y, -slide * x, n[:, 0] * y - n[:, 1] * x,
-            *[-np.ones_like(x)] * self.extra_count,
-        ])  # fmt: skip
-        sigma = self.sigma[used, None]
+        view, axis, sign = self._view[used], self.side[used] // 2, 2.0 * (self.side[used] % 2) - 1
+        local = gather_extra(self.extra_of_local, extra)[view]
+        parameters = local.T if local.shape[1] else np.zeros((8, len(used)))
+        width, height, px, py, turn, angle_scale, azimuth, elevation = parameters
+        upright = self._separates_rings[used]
+        outward = np.where(upright, elevation, azimuth) + np.where(axis == 0, width, height) / 2
+        on_board = np.where(axis[:, None] == [0, 1], 0.0, self.along[used, None])
+        side = sign[:, None] * np.eye(2)[axis]
+        on_board += side * (self.half_size[view, axis] + outward)[:, None]
+        # In the frame of the print, the board is displaced by the opposite of what the print is on the board.
+        c, s = np.cos(turn), -np.sin(turn)
+        turned = np.stack([c * on_board[:, 0] - s * on_board[:, 1], s * on_board[:, 0] + c * on_board[:, 1]], -1)
+        normal = np.stack([c * side[:, 0] - s * side[:, 1], s * side[:, 0] + c * side[:, 1]], axis=-1)
+        R = T_sensor_board[view, :3, :3]
+        rotated = (R[..., :2] @ (turned - np.stack([px, py], axis=-1))[..., None])[..., 0]
+        point = rotated + T_sensor_board[view, :3, 3]
+        distance = np.linalg.norm(point, axis=-1, keepdims=True)
+        direction, sigma = point / distance, self.sigma[used, None]
+        # A scaled azimuth rotates the plane of sight about the scanner's axis.
+        at = self._azimuth[used]
+        across = so3.rotate_z(angle_scale * at, self.across[used])
+        angle = np.sum(across * direction, axis=-1, keepdims=True)
+        by_point = (across - angle * direction) / (distance * sigma)
+        by_local = [by_point, np.cross(rotated, by_point)]
+        if local.shape[1]:
+            by_board = (by_point[:, None] @ R[..., :2])[:, 0]
+            by_outward = np.sum(by_board * normal, axis=-1)
+            by_turn = by_board[:, 0] * turned[:, 1] - by_board[:, 1] * turned[:, 0]
+            by_azimuth = (direction[:, 1] * across[:, 0] - direction[:, 0] * across[:, 1]) * at / sigma[:, 0]
+            by_local.append(np.column_stack([
+                0.5 * by_outward * (axis == 0), 0.5 * by_outward * (axis == 1), -by_board, by_turn, by_azimuth,
+                by_outward * ~upright, by_outward * upright,
+            ]))  # fmt: skip
+        jacobian = np.concatenate(by_local, axis=-1)[:, None]
         return LinearizedResiduals(
-            distance[:, None] / sigma, by_board[:, None] / sigma[..., None], self.local_jacobian(T_sensor_board)
+            angle / sigma, jacobian, self.local_jacobian(T_sensor_board), 6, ring_count=self.ring_count
         )
 
-    def local_jacobian(self, T_sensor_board: Array) -> Array:
-        """See :class:`BoardViews`: the local parameters are the pose's along the board's axes."""
-        size = 6 + self.extra_count
-        basis = np.zeros((len(self.board), size, size))
-        basis[:, :3, :3] = basis[:, 3:6, 3:6] = se_n.transpose(T_sensor_board[:, :3, :3])
-        basis[:, 6:, 6:] = np.eye(self.extra_count)
-        return basis
+    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
+        """See :class:`BoardViews`: the pose itself, and the extra parameters of each view."""
+        return pose_and_extra_jacobian(self.extra_of_local, self.extra_count)
 
     def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
         """See :class:`BoardViews`."""
-        along_sensor = difference_along_sensor(T_before, T_sensor_board, extra)[..., None]
-        return np.asarray((self.local_jacobian(T_before) @ along_sensor)[..., 0])
+        return np.concatenate(
+            [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
+        )
 
-    def update_noise(self, T_sensor_board: Array, scale: float) -> "OutlineObservations":
+    def update_noise(self, T_sensor_board: Array, noise_scale: float) -> "OutlineObservations":
         """See :class:`BoardViews`: the outline is uniformly distributed between the two beams, plus blur."""
         view = self._view
         T, half = se3.inverse(T_sensor_board)[view], self.half_size[view]
         facing = (
             np.abs((T[:, None, :3, :3] @ self.edges[..., None])[..., 2, 0]).min(axis=1) > self.settings.min_cosine
         )
-        on_board, past_board = (np.stack(_intersect_boards(T, self.edges[:, i])[0], axis=-1) for i in (0, 1))
+        on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
         across, midpoint = past_board - on_board, (on_board + past_board) / 2
         axis, sign = np.array([0, 0, 1, 1]), np.array([-1.0, 1.0, -1.0, 1.0])
         distance = np.abs(sign * midpoint[:, axis] - half[:, axis])
@@ -144,11 +182,19 @@ class OutlineObservations:
         )
         # Standard deviation of a uniform distribution over the beams' distance across the side.
         spread = outward[each, nearest] / np.sqrt(12)
+        # The side runs between the ends of the two beams on the board: the plane of sight contains their middle.
+        middle = T_sensor_board[view, :3, 3] + (T_sensor_board[view, :3, :2] @ midpoint[..., None])[..., 0]
+        axes = se_n.transpose(T_sensor_board[view, :3, :2])
+        normal = np.cross(middle, axes[each, 1 - nearest // 2])
+        across_side = sign[nearest, None] * axes[each, nearest // 2]
+        scale = np.linalg.norm(middle, axis=-1) / _away_from_zero(np.sum(normal * across_side, axis=-1))
         return replace(
             self,
             side=np.where(used, nearest, -1).astype(np.int8),
-            sigma=scale * np.hypot(spread, self.settings.blur),
-            noise_scale=scale,
+            sigma=noise_scale * np.hypot(spread, self.settings.blur),
+            across=normal * scale[:, None],
+            along=midpoint[each, 1 - nearest // 2],
+            noise_scale=noise_scale,
         )
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "OutlineObservations":
@@ -162,23 +208,47 @@ class OutlineObservations:
             half_size=self.half_size[keep],
             side=self.side[kept],
             sigma=self.sigma[kept],
+            across=self.across[kept],
+            along=self.along[kept],
+            extra_of_local=self.extra_of_local[keep],
         )
 
     def edge_points(self, T_sensor_board: Array) -> tuple[Index, Array]:
         """Of the edges between close beams, the view of each (N,) and its place in the board's plane (N, 2), m."""
         T = se3.inverse(T_sensor_board)[self._view]
-        on_board, past_board = (np.stack(_intersect_boards(T, self.edges[:, i])[0], axis=-1) for i in (0, 1))
+        on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
         dense = np.linalg.norm(past_board - on_board, axis=1) < self.settings.max_beam_spacing
         return self._view[dense], (on_board + past_board)[dense] / 2
+
+    @property
+    def ring_count(self) -> int:
+        """2, of the footprints, each of which acts on some of the edges as the bias of a ring does on ranges."""
+        return 2 if self.extra_of_local.shape[1] else 0
+
+    @property
+    def _separates_rings(self) -> NDArray[np.bool_]:
+        """(M,) whether the two beams of an edge differ in elevation rather than in azimuth."""
+        apart = np.abs(self.edges[:, 1] - self.edges[:, 0])
+        return np.asarray(apart[:, 2] > np.hypot(apart[:, 0], apart[:, 1]))
+
+    @property
+    def _azimuth(self) -> Array:
+        """(M,) azimuth of the edges, sensor frame, rad."""
+        x, y, _ = self.edges.sum(axis=1).T
+        return np.asarray(np.arctan2(y, x))
 
     @property
     def _view(self) -> Index:
         return view_indices(self.first, len(self.edges))
 
 
-def _intersect_boards(T_board_sensor: Array, directions: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Intersections (x, y), (M,) each, of beams (M, 3) with boards (M, 4, 4), board frame; dx/dz, dy/dz."""
+def _intersect_boards(T_board_sensor: Array, directions: Array) -> Array:
+    """(M, 2) intersections of beams (M, 3) with boards (M, 4, 4), board frame."""
     u, v, w = np.moveaxis((T_board_sensor[:, :3, :3] @ directions[..., None])[..., 0], -1, 0)
-    w = np.copysign(np.maximum(np.abs(w), _MIN_COSINE), w)
+    w = _away_from_zero(w)
     x, y, z = np.moveaxis(T_board_sensor[:, :3, 3], -1, 0)
-    return (x - z * u / w, y - z * v / w), (u / w, v / w)
+    return np.stack([x - z * u / w, y - z * v / w], axis=-1)
+
+
+def _away_from_zero(cosine: Array) -> Array:
+    return np.copysign(np.maximum(np.abs(cosine), _MIN_COSINE), cosine)

@@ -11,7 +11,6 @@ from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
-from calgraph.estimation.rig.extra_parameters import Estimable
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, PairwiseEstimates, select_successful
@@ -28,8 +27,6 @@ class SolverOptions(StrictModel):
     """Matches of two sensors to use: inliers (ransac), or all (none)."""
     folds: Annotated[int, Field(ge=0)] = 5
     """Folds of the cross-validation over captures; 0 for none."""
-    estimate: tuple[Estimable, ...] = ()
-    """Parameters to estimate besides poses: range biases of scanners, intrinsics, displacements of tags."""
     priors: tuple[PosePrior, ...] = ()
     """Priors of sensors' poses."""
     groups: tuple[RigidGroup, ...] = ()

@@ -15,7 +15,11 @@ class MeasuredNoise:
     scale: float
     """Standard deviation of single measurements, over that stated in rig.yaml."""
     view_bias: float
-    """Standard deviation of the view bias, a displacement common to all measurements of one view, m."""
+    """Standard deviation of the view bias, a displacement common to all measurements of one view, m;"""
+    view_tilt: float = 0.0
+    """of the rotation common to them, rad;"""
+    ring_bias: float = 0.0
+    """and of the range bias common to those of one ring in one view, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +52,8 @@ class RigSolution:
     """By capture and sensor, why a detection was rejected although it was an inlier of a pair."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
     """By sensor, where it was estimated."""
-    extra_parameters: tuple[EstimatedParameter, ...] = ()
-    """Parameters estimated besides poses."""
+    systematic: tuple[EstimatedParameter, ...] = ()
+    """Systematic errors of sensors and boards, with their priors."""
     solved_bundle: SolvedBundle | None = None
     """The bundle's solution; None for other estimators, and where no two sensors share a board."""
 

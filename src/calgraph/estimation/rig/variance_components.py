@@ -1,4 +1,4 @@
-"""Variance components: noise of measurements, bias of views; and the test for outlier views."""
+"""Variance components: noise of measurements, bias of views; and the rejection and return of outlier views."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.special import chdtri
+from scipy.special import chdtr, chdtri
 
 from calgraph.config.settings import VarianceComponentSettings
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, MinimizedBundle
-from calgraph.estimation.rig.normal_equations import consistency_statistic, huber_variance_factor, whitening
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, MarginalizedViews, MinimizedBundle
+from calgraph.estimation.rig.normal_equations import consistency_statistic, huber_variance_factor
 from calgraph.estimation.rig.observations import relative_poses
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se_n
 
 
 def update_variance_components(
     bundle: Bundle, solution: MinimizedBundle, factors: Sequence[Array], first: int = 0
-) -> Bundle:
+) -> tuple[Bundle, float]:
     """The bundle after one step of Fisher scoring for the variances of noise and view bias (REML).
 
     Within a view, measurements scatter about its best fit. That determines the noise poorly where views have
@@ -36,53 +36,67 @@ def update_variance_components(
         solution: its solution.
         factors: (K,) of :func:`calgraph.estimation.rig.covariances.view_covariance_factors`.
         first: index of the first views whose components are estimated; those before it keep theirs.
+
+    Returns:
+        The bundle, and the largest change of a variance in its standard errors.
     """
     statistics = [_view_statistics(bundle, solution.equations, k, factors[k]) for k in range(first, len(factors))]
     settings = bundle.settings.variances
     # Noise and bias of each in turn.
     score = np.concatenate([one.score for one in statistics])
+    end = np.cumsum([len(one.score) for one in statistics])
+    rows = [slice(e - len(one.score), e) for e, one in zip(end, statistics, strict=True)]
     fisher = np.zeros((len(score), len(score)))
     for i, one in enumerate(statistics):
-        fisher[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = one.fisher
+        fisher[rows[i], rows[i]] = one.fisher
         for j, other in enumerate(statistics[:i]):
             _, here, there = np.intersect1d(one.board, other.board, assume_unique=True, return_indices=True)
-            W = one.solution_factors[here] @ np.swapaxes(other.solution_factors[there], -1, -2)
-            between = _sum_blocks(np.sum(W**2, axis=0), one.noise_directions, other.noise_directions)
-            fisher[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = between
-            fisher[2 * j : 2 * j + 2, 2 * i : 2 * i + 2] = between.T
-    before = np.column_stack([np.ones(len(statistics)), bundle.bias_variance[first:]]).ravel()
-    least = np.array([[one.bounds[0], 0.0] for one in statistics]).ravel()
-    most = np.array([[one.bounds[1], np.inf] for one in statistics]).ravel()
-    noise, bias = (
-        np.minimum(_fisher_scoring_step(before, score, fisher, least, settings.fisher_ridge), most)
-        .reshape(-1, 2)
-        .T
-    )
-    freedom, state = fisher.diagonal()[::2], solution.state
-    all_views = list(bundle.all_views)
-    for i, views in enumerate(bundle.all_views[first:]):
-        scale = _shrink_noise_scale(views.noise_scale**2 * noise[i], freedom[i], settings)
+            W = one.solution_factors[here] @ se_n.transpose(other.solution_factors[there])
+            between = _sum_blocks(np.sum(W**2, axis=0), one.first, other.first)
+            fisher[rows[i], rows[j]] = between
+            fisher[rows[j], rows[i]] = between.T
+    before = np.concatenate([
+        [1.0, *bundle.bias_variance[k, one.components]] for k, one in enumerate(statistics, start=first)
+    ])  # fmt: skip
+    least, most = np.zeros(len(score)), np.full(len(score), np.inf)
+    least[end - [len(one.score) for one in statistics]] = [one.bounds[0] for one in statistics]
+    most[end - [len(one.score) for one in statistics]] = [one.bounds[1] for one in statistics]
+    _add_prior_of_biases(bundle, statistics, rows, before, score, fisher)
+    after = np.minimum(_fisher_scoring_step(before, score, fisher, least, settings.fisher_ridge), most)
+    state, all_views, bias_variance = solution.state, list(bundle.all_views), bundle.bias_variance.copy()
+    change = np.zeros_like(after)
+    for k, (one, row) in enumerate(zip(statistics, rows, strict=True), start=first):
+        views, (noise, *bias) = bundle.all_views[k], after[row]
+        bias_variance[k, one.components] = np.maximum(bias, bundle.least_bias_variance(k)[one.components])
+        change[row.start + 1 : row.stop] = (bias_variance - bundle.bias_variance)[k, one.components]
+        scale = _shrink_noise_scale(views.noise_scale**2 * noise, one.fisher[0, 0], settings)
+        change[row.start] = 0.0
         if abs(scale / views.noise_scale - 1) >= settings.min_noise_change:
-            T_root_sensor = state.T_root_sensor[bundle.sensor_of(first + i)]
+            change[row.start] = (scale / views.noise_scale) ** 2 - 1
+            T_root_sensor = state.T_root_sensor[bundle.sensor_of(k)]
             T_sensor_board = relative_poses(T_root_sensor, state.T_root_board[views.board])
-            all_views[first + i] = views.update_noise(T_sensor_board, scale)
-    return replace(bundle.with_views(all_views), bias_variance=np.append(bundle.bias_variance[:first], bias))
+            all_views[k] = views.update_noise(T_sensor_board, scale)
+    relative = np.abs(change) * np.sqrt(fisher.diagonal() / 2)
+    return replace(bundle.with_views(all_views), bias_variance=bias_variance), float(relative.max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)
 class _ViewStatistics:
-    """Likelihood of the variances of noise, relative to the present one, and of the bias, for one set of views."""
+    """Likelihood of c variances, of noise relative to the present one and of view biases, for one set of views."""
 
     board: Index
     """(V,)."""
-    noise_directions: int
-    """Number of the first of m directions, where noise has unit covariance; the others are those of the bias."""
+    components: Index
+    """(c - 1,) columns of :attr:`Bundle.bias_variance`."""
+    first: Index
+    """(c,) the first of the m directions of each variance: those where noise has unit covariance, then those of
+    the biases."""
     solution_factors: Array
     """(V, m, r) factors of the reduction of the gradients' covariance by the solution, in these directions."""
     score: Array
-    """(2,) twice the derivative of the log-likelihood by the variances of noise and bias."""
+    """(c,) twice the derivative of the log-likelihood by the variances."""
     fisher: Array
-    """(2, 2) twice their Fisher information."""
+    """(c, c) twice their Fisher information."""
     bounds: tuple[float, float]
     """Of the noise variance in one step."""
 
@@ -90,37 +104,79 @@ class _ViewStatistics:
 def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: Array) -> _ViewStatistics:
     """Those of views k, with their ``factors`` of :func:`view_covariance_factors`."""
     unmarginalized, at, views = equations.cache[k].equations, equations.views[k], bundle.all_views[k]
+    settings = bundle.settings.variances
     squares, freedom = unmarginalized.within_view_scatter()
-    unit = np.sqrt(replace(bundle, bias_variance=np.ones_like(bundle.bias_variance)).bias_variances(k))
-    bias_directions = unit[:, None] * np.swapaxes(at.local_jacobian, -1, -2)
-    directions = np.concatenate([whitening(unmarginalized.JtJ)[0], bias_directions], axis=1)
-    solution_factors, noise_directions = directions @ at.information @ factors, unmarginalized.JtJ.shape[-1]
-    W = directions @ at.information @ np.swapaxes(directions, -1, -2)
-    W = W - solution_factors @ np.swapaxes(solution_factors, -1, -2)
-    among = np.sum((directions @ at.gradient[..., None])[..., 0] ** 2, axis=0)
+    components = np.array(bundle.bias_components(k), dtype=np.intp)
+    by_pose, q = se_n.transpose(at.local_jacobian), at.information.shape[-1]
+    by_ring = np.tile(np.eye(q)[q - views.ring_count :], (len(views.board), 1, 1))
+    of_biases = [by_pose[:, :3], by_pose[:, 3:6], by_ring]
+    groups = [unmarginalized.whiten_views()[0], *(of_biases[c] for c in components)]
+    directions, sizes = np.concatenate(groups, axis=1), [group.shape[1] for group in groups]
+    first_directions = np.cumsum([0, *sizes[:-1]])
+    solution_factors = directions @ at.information @ factors
+    W = directions @ at.information @ se_n.transpose(directions)
+    W = W - solution_factors @ se_n.transpose(solution_factors)
+    weight = _downweight_views(at, factors, unmarginalized.pose_count, settings)
+    among = np.sum(weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2, axis=0)
     expected = np.diagonal(W.sum(axis=0))
-    score = np.add.reduceat(among - expected, [0, noise_directions])
-    fisher = _sum_blocks(np.sum(W**2, axis=0), noise_directions, noise_directions)
+    score = np.add.reduceat(among - expected, first_directions)
+    fisher = _sum_blocks(np.sum(W**2, axis=0), first_directions, first_directions)
     within, freedom = (
         squares.sum() / huber_variance_factor(views.dimension, bundle.settings.huber_threshold),
         freedom.sum(),
     )
     score[0] += within - freedom
     fisher[0, 0] += freedom
-    max_factor = bundle.settings.variances.max_variance_factor
-    expected_among = expected[:noise_directions].sum()
+    max_factor = settings.max_variance_factor
+    expected_among = expected[: sizes[0]].sum()
     low, high = (
         (within + factor * expected_among) / max(freedom + expected_among, 1.0)
         for factor in (1 / max_factor, max_factor)
     )
     return _ViewStatistics(
-        views.board, noise_directions, solution_factors, score, fisher, (float(low), float(high))
+        views.board, components, first_directions, solution_factors, score, fisher, (float(low), float(high))
     )
 
 
-def _sum_blocks(squares: Array, rows: int, columns: int) -> Array:
-    """(2, 2) sums over the blocks of a matrix: of the first rows and columns, and of the others."""
-    return np.asarray(np.add.reduceat(np.add.reduceat(squares, [0, rows], axis=0), [0, columns], axis=1))
+def _downweight_views(
+    at: MarginalizedViews, factors: Array, pose_count: int, settings: VarianceComponentSettings
+) -> Array:
+    """(V,) weights of the squared gradients of views: those of outliers are truncated at a quantile.
+
+    The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
+    statistics", 1981, section 5.3 (proposal 2).
+    """
+    squared, freedom = _test_poses(at, factors, pose_count, settings.min_redundancy)
+    d = np.maximum(freedom, 1)
+    limit = chdtri(d, settings.truncated_share)
+    mean_share = chdtr(d + 2, limit) + limit / d * settings.truncated_share
+    return np.asarray(np.minimum(1, limit / np.maximum(squared, 1e-12)) / mean_share)
+
+
+def _sum_blocks(squares: Array, rows: Index, columns: Index) -> Array:
+    """Sums over the blocks of a matrix that begin at these rows and columns."""
+    return np.asarray(np.add.reduceat(np.add.reduceat(squares, rows, axis=0), columns, axis=1))
+
+
+def _add_prior_of_biases(
+    bundle: Bundle,
+    statistics: Sequence[_ViewStatistics],
+    rows: Sequence[slice],
+    variances: Array,
+    score: Array,
+    fisher: Array,
+) -> None:
+    """Adds observations of the usual size of view biases to score (n,) and Fisher matrix (n, n), in place.
+
+    Without them, the estimate from few views is zero as often as not, and the poses' covariance too small. Source:
+    Chung et al., "A nondegenerate penalized likelihood estimator for variance parameters", Psychometrika 2013.
+    """
+    usual, weight = bundle.usual_bias_variance, bundle.settings.variances.usual_bias_weight
+    for one, row in zip(statistics, rows, strict=True):
+        bias = np.arange(row.start + 1, row.stop)
+        at = np.maximum(variances[bias], usual[one.components])
+        score[bias] += weight * (usual[one.components] - variances[bias]) / at**2
+        fisher[bias, bias] += weight / at**2
 
 
 def _shrink_noise_scale(variance: float, freedom: float, settings: VarianceComponentSettings) -> float:
@@ -142,31 +198,81 @@ def _fisher_scoring_step(variances: Array, score: Array, fisher: Array, least: A
     return np.asarray(least + above)
 
 
-def find_outlier_views(
-    bundle: Bundle, equations: BundleEquations, factors: Sequence[Array], first: int = 0
-) -> list[NDArray[np.bool_]]:
-    """By view set, a mask (V,) of the views that contradict the others: of each board the worst one only.
+@dataclass(frozen=True, eq=False)
+class ViewConsistency:
+    """How well each view of a set agrees with the others."""
 
-    A gross outlier biases all sensors: views with much smaller statistics are tested after it has been rejected.
+    squared: Array
+    """(V,) squared Mahalanobis distance of its gradient."""
+    freedom: NDArray[np.intp]
+    """(V,) its degrees of freedom."""
+
+    def excess(self, significance: float) -> Array:
+        """(V,) the statistic over its limit at a significance level."""
+        return np.asarray(self.squared / chdtri(np.maximum(self.freedom, 1), significance))
+
+
+def measure_consistency(
+    bundle: Bundle, equations: BundleEquations, factors: Sequence[Array], kept: Sequence[NDArray[np.bool_]]
+) -> list[ViewConsistency]:
+    """The consistency of each view with those that a solution is made of, by view set.
 
     Args:
-        bundle: sensors' and outlines' views.
-        equations: at its solution.
-        factors: (K,) of :func:`calgraph.estimation.rig.covariances.view_covariance_factors`.
-        first: index of the first views to test.
+        bundle: all views.
+        equations: of all views, at the solution of those that are kept.
+        factors: (K,) of :func:`calgraph.estimation.rig.covariances.view_covariance_factors` of that solution.
+        kept: (K,) masks (V,) of the views that are part of it.
     """
-    settings = bundle.settings.variances
-    excess = [np.zeros(len(views.board)) for views in bundle.all_views]
-    worst: Array = np.zeros(len(equations.H_board))
-    for k, views in enumerate(bundle.all_views[first:], start=first):
-        at, F = equations.views[k], factors[k]
-        squared, freedom = consistency_statistic(
-            at.information, F @ np.swapaxes(F, -1, -2), at.gradient, settings.min_redundancy
-        )
-        excess[k] = squared / chdtri(np.maximum(freedom, 1), settings.outlier_significance)
-        worst[views.board] = np.maximum(worst[views.board], excess[k])
-    limit = max(1.0, settings.min_share_of_worst * worst.max(initial=0.0))
-    return [
-        np.asarray((over > limit) & (over >= worst[views.board]), dtype=np.bool_)
-        for views, over in zip(bundle.all_views, excess, strict=True)
-    ]
+    found = []
+    least = bundle.settings.variances.min_redundancy
+    for cached, at, F, part in zip(equations.cache, equations.views, factors, kept, strict=True):
+        pose_count = cached.equations.pose_count
+        squared, freedom = _test_poses(at, F, pose_count, least)
+        if not np.all(part):
+            predicted = _test_poses(at, F, pose_count, least, predicted=True)
+            squared, freedom = (np.where(part, a, b) for a, b in zip((squared, freedom), predicted, strict=True))
+        found.append(ViewConsistency(squared, freedom))
+    return found
+
+
+def _test_poses(
+    at: MarginalizedViews, factors: Array, pose_count: int, min_redundancy: float, *, predicted: bool = False
+) -> tuple[Array, NDArray[np.intp]]:
+    """:func:`consistency_statistic` of the local parameters of the pose."""
+    by_solution = at.information[:, :pose_count] @ factors
+    return consistency_statistic(
+        at.information[:, :pose_count, :pose_count],
+        by_solution @ se_n.transpose(by_solution),
+        at.gradient[:, :pose_count],
+        min_redundancy,
+        predicted=predicted,
+    )
+
+
+def select_consistent_views(
+    bundle: Bundle, consistency: Sequence[ViewConsistency], kept: Sequence[NDArray[np.bool_]], *, settled: bool
+) -> list[NDArray[np.bool_]]:
+    """By view set, a mask (V,) of the views to keep: outliers are rejected, and views that agree now return.
+
+    Of each board only the worst view is rejected. A gross outlier biases all sensors: views with much smaller
+    statistics are tested after it has been rejected. As long as variances have not settled, gross outliers only
+    are rejected, and no view returns.
+    """
+    settings, boards = bundle.settings.variances, 1 + max(int(v.board.max(initial=-1)) for v in bundle.all_views)
+    worst: Array = np.zeros(boards)
+    excess = [one.excess(settings.outlier_significance) for one in consistency]
+    for views, over, part in zip(bundle.all_views, excess, kept, strict=True):
+        worst[views.board] = np.maximum(worst[views.board], over * part)
+    least = 1.0 if settled else settings.gross_outlier_ratio
+    limit = max(least, settings.min_share_of_worst * worst.max(initial=0.0))
+    selected = []
+    for views, over, part in zip(bundle.all_views, excess, kept, strict=True):
+        rejected = part & (over > limit) & (over >= worst[views.board])
+        left = part & ~rejected
+        if left.sum() < (1 - settings.max_outlier_share) * len(part):
+            # Its model is wrong instead.
+            left = part
+        # A return waits until the outliers are gone that bias the solution.
+        return_now = settled and worst.max(initial=0.0) <= 1.0
+        selected.append(left | (~part & (over <= 1.0)) if return_now else left)
+    return selected

@@ -23,7 +23,7 @@ def to_json(calibration: Calibration) -> str:
         "root": calibration.root,
         "estimator": evidence.estimator,
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
-        "estimated": [vars(one) for one in calibration.estimated_parameters],
+        "systematic": [vars(one) for one in calibration.systematic],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(evidence.unconnected),
         "remarks": evidence.remarks,

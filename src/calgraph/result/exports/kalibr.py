@@ -1,6 +1,7 @@
 """The cameras of a rig as a Kalibr camchain."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,11 @@ from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import format_coordinate
 from calgraph.sensors import CameraModel
 
+# Pixels along either axis of the image at which radtan is fitted to another model.
+_GRID = 20
+# Largest difference of the pixels of both, px: half of one, several times the noise of corners.
+_MAX_DIFFERENCE = 0.5
+
 _COMMENT = "Kalibr camchain, calibrated by calgraph. T_cn_cnm1 maps coordinates in the camera before to this one."
 
 
@@ -22,6 +28,7 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
     """The text of a camchain with the cameras in the order of the calibration.
 
     Kalibr knows pinhole cameras with its distortion models ``radtan`` (k1 k2 p1 p2), ``equidistant`` and ``none``.
+    Pinhole cameras with more coefficients have the nearest ``radtan``.
 
     Args:
         calibration: the poses.
@@ -29,7 +36,8 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
         cameras: intrinsics by sensor; they take precedence over those of the rig.
 
     Raises:
-        InputError: there is no camera, or the intrinsics of one are not known or not of a kind Kalibr has.
+        InputError: there is no camera, or the intrinsics of one are not known, or more than half a pixel off any
+            kind that Kalibr has.
     """
     names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
     if not names:
@@ -69,11 +77,25 @@ def _distortion(name: str, camera: CameraModel) -> tuple[str, list[float]]:
     if camera.model == "fisheye":
         return "equidistant", coefficients or [0.0] * 4
     if np.any(camera.distortion[4:]):
+        return "radtan", _fit_radtan(name, camera)
+    return ("radtan", coefficients[:4]) if coefficients else ("none", [])
+
+
+def _fit_radtan(name: str, camera: CameraModel) -> list[float]:
+    """k1, k2, p1 and p2 that project nearest to a camera with more coefficients, such as an estimated k3."""
+    x, y = np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID)
+    rays = camera.rays(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    rays = rays[np.isfinite(rays[:, 0])]
+    radtan = replace(camera, distortion=np.zeros(4))
+    effect = camera.project(rays) - radtan.project(rays)
+    by_coefficients = radtan.project_by_intrinsics(rays)[..., 4:].reshape(-1, 4)
+    fitted, *_ = np.linalg.lstsq(by_coefficients, effect.ravel())
+    if np.abs(by_coefficients @ fitted - effect.ravel()).max() > _MAX_DIFFERENCE:
         raise InputError(
             f"Kalibr has no distortion model for {name!r}: its radtan ends at k1 k2 p1 p2, "
-            f"this camera has {len(coefficients)} coefficients"
+            f"this camera has {len(camera.distortion)} coefficients"
         )
-    return ("radtan", coefficients[:4]) if coefficients else ("none", [])
+    return [float(value) for value in fitted]
 
 
 def _matrix(T: Array) -> list[Any]:

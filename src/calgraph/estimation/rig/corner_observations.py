@@ -1,0 +1,188 @@
+"""Printed corners of boards in a camera's images, with the systematic errors of lens and print."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import PixelNoise
+from calgraph.detection import BoardCorners
+from calgraph.estimation.rig.observations import (
+    LinearizedResiduals,
+    difference_along_sensor,
+    gather_extra,
+    no_extra,
+    pose_and_extra_jacobian,
+    select_measurements,
+    start_indices,
+    view_indices,
+)
+from calgraph.geometry import Array, Index, so3
+from calgraph.sensors import CameraModel
+
+BOARD_PARAMETERS = ("print scale", "print aspect", "tag size", "bow along x", "bow along y")
+"""Systematic parameters of a board, in the order of a view's local parameters."""
+TAG_PARAMETERS = ("x", "y", "rotation")
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedCorners:
+    """Printed corners (N,), and what their places depend on."""
+
+    nominal: Array
+    """(N, 3) m, in the board's frame, as stated."""
+    tag_center: Array
+    """(N, 2) centre of each corner's tag, m; the corner itself where it belongs to none."""
+    tag: Index
+    """(N,) index of the tag among those of its board; -1 for none."""
+    bow_shape: Array
+    """(N, 2) height of each corner for a bow of 1 m along x and y."""
+
+    @classmethod
+    def from_nominal(cls, nominal: Array) -> "PrintedCorners":
+        """Corners of no tag, on a flat board."""
+        N = len(nominal)
+        return cls(nominal, nominal[:, :2], np.full(N, -1, dtype=np.intp), np.zeros((N, 2)))
+
+    def displace(self, board: Array, tags: Array) -> tuple[Array, Array]:
+        """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 5 + 3 M).
+
+        Args:
+            board: (N, 5) values of ``BOARD_PARAMETERS``: relative scale, aspect (width over height) and size of
+                tags, and bows, m.
+            tags: (N, M, 3) displacements of the M tags of each corner's board, m and rad.
+        """
+        scale, aspect, tag_size, *bow = board.T
+        each, index = np.arange(len(self.tag)), np.maximum(self.tag, 0)
+        on_tag = self.tag >= 0
+        x, y, angle = (tags[each, index] * on_tag[:, None]).T if tags.shape[1] else np.zeros((3, len(each)))
+        c, s = np.cos(angle), np.sin(angle)
+        dx, dy = (self.nominal[:, :2] - self.tag_center).T
+        arm = np.stack([c * dx - s * dy, s * dx + c * dy], axis=-1)
+        across = np.stack([-arm[:, 1], arm[:, 0]], axis=-1) * (1 + tag_size)[:, None]
+        place = self.tag_center + np.stack([x, y], axis=-1) + (1 + tag_size)[:, None] * arm
+        half = np.array([0.5, -0.5])
+        stretch = 1 + aspect[:, None] * half
+        factor = (1 + scale)[:, None] * stretch
+        height = self.nominal[:, 2] + np.sum(self.bow_shape * np.stack(bow, axis=-1), axis=-1)
+        J = np.zeros((len(each), 3, 5 + 3 * tags.shape[1]))
+        J[:, :2, 0] = stretch * place
+        J[:, :2, 1] = (1 + scale)[:, None] * half * place
+        J[:, :2, 2] = factor * arm
+        J[:, 2, 3:5] = self.bow_shape
+        for axis in range(2):
+            J[each[on_tag], axis, 5 + 3 * index[on_tag] + axis] = factor[on_tag, axis]
+            J[each[on_tag], axis, 7 + 3 * index[on_tag]] = (factor * across)[on_tag, axis]
+        return np.column_stack([factor * place, height]), J
+
+    def select(self, kept: Index) -> "PrintedCorners":
+        """Some of the corners."""
+        return PrintedCorners(self.nominal[kept], self.tag_center[kept], self.tag[kept], self.bow_shape[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class CornerObservations:
+    """Printed corners in a camera's images, through its full model: pixels.
+
+    Implements :class:`calgraph.estimation.rig.observations.BoardViews`. The local parameters are the board's pose,
+    then the camera's relative focal length and pixel aspect, principal point (px) and distortion coefficients,
+    then ``BOARD_PARAMETERS`` and three displacements for each tag of the view's board.
+    """
+
+    board: Index
+    start: Index
+    printed: PrintedCorners
+    pixels: Array
+    """(N, 2)."""
+    camera: CameraModel
+    noise: PixelNoise
+    noise_scale: float = 1.0
+    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
+    """(V, m) index of the local parameters after the pose in the sensor's extra parameters; -1 for exact ones.
+    m = 0 if all are exact."""
+    extra_count: int = 0
+    ring_count: ClassVar[int] = 0
+    dimension: ClassVar[int] = 2
+
+    @classmethod
+    def from_detections(
+        cls, board: Sequence[int], detections: Sequence[BoardCorners], camera: CameraModel, noise: PixelNoise
+    ) -> "CornerObservations":
+        """The views of these boards in their detections, with exact lens and prints."""
+        return cls(
+            np.array(board, dtype=np.intp),
+            start_indices([len(d.pixels) for d in detections]),
+            PrintedCorners.from_nominal(
+                np.concatenate([np.empty((0, 3)), *(d.corners_board for d in detections)])
+            ),
+            np.concatenate([np.empty((0, 2)), *(d.pixels for d in detections)]),
+            camera,
+            noise,
+            extra_of_local=no_extra(len(board)),
+        )
+
+    def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
+        """See :class:`BoardViews`: reprojection errors."""
+        view, local = view_indices(self.start, len(self.pixels)), gather_extra(self.extra_of_local, extra)
+        lens = 4 + len(self.camera.distortion) if local.shape[1] else 0
+        camera = _adjust_camera(self.camera, local[0, :lens]) if len(local) and lens else self.camera
+        corners, by_print = self.printed.nominal, np.zeros((len(self.pixels), 3, 0))
+        if local.shape[1]:
+            of_print = local[view, lens:]
+            tags = of_print[:, len(BOARD_PARAMETERS) :].reshape(len(view), -1, 3)
+            corners, by_print = self.printed.displace(of_print[:, : len(BOARD_PARAMETERS)], tags)
+        R = T_sensor_board[view, :3, :3]
+        rotated = (R @ corners[..., None])[..., 0]
+        points = rotated + T_sensor_board[view, :3, 3]
+        pixels, by_point = camera.project_with_jacobian(points)
+        derivatives = [by_point, -by_point @ so3.hat(rotated)]
+        if local.shape[1]:
+            derivatives += [_project_by_lens(self.camera, camera, points), by_point @ R @ by_print]
+        sigma = self.noise_scale * self.noise.pixel
+        residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(derivatives, axis=-1) / sigma
+        return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6)
+
+    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
+        """See :class:`BoardViews`: the pose itself, and the extra parameters that each view depends on."""
+        return pose_and_extra_jacobian(self.extra_of_local, self.extra_count)
+
+    def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
+        """See :class:`BoardViews`."""
+        return np.concatenate(
+            [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
+        )
+
+    def update_noise(self, T_sensor_board: Array, scale: float) -> "CornerObservations":  # noqa: ARG002
+        """See :class:`BoardViews`."""
+        return replace(self, noise_scale=scale)
+
+    def select(self, keep: NDArray[np.bool_] | Index) -> "CornerObservations":
+        """See :class:`BoardViews`."""
+        start, kept = select_measurements(self.start, len(self.pixels), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            printed=self.printed.select(kept),
+            pixels=self.pixels[kept],
+            extra_of_local=self.extra_of_local[keep],
+        )
+
+
+def _adjust_camera(camera: CameraModel, change: Array) -> CameraModel:
+    """The camera after changes (4 + n,) of relative focal length and pixel aspect, centre (px) and distortion."""
+    stretch = 1 + change[0] + change[1] * np.array([0.5, -0.5])
+    return camera.with_intrinsics(
+        np.concatenate([
+            camera.focal * stretch, camera.principal_point + change[2:4], camera.distortion + change[4:]
+        ])
+    )  # fmt: skip
+
+
+def _project_by_lens(nominal: CameraModel, camera: CameraModel, points: Array) -> Array:
+    """Derivatives (N, 2, 4 + n) of the pixels of points (N, 3) by the changes of :func:`_adjust_camera`."""
+    J = camera.project_by_intrinsics(points)
+    by_focal = J[..., :2] * nominal.focal
+    return np.concatenate([by_focal.sum(axis=-1, keepdims=True), by_focal @ [[0.5], [-0.5]], J[..., 2:]], axis=-1)

@@ -1,0 +1,256 @@
+"""Ranges along a scanner's beams to boards, with systematic errors of ranges, angles, rings and boards."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import RangeNoise
+from calgraph.detection import PlanePatch, Segment
+from calgraph.estimation.rig.observations import (
+    LinearizedResiduals,
+    gather_extra,
+    no_extra,
+    select_extra,
+    select_measurements,
+    start_indices,
+    view_indices,
+)
+from calgraph.geometry import Array, Index, se3, so3
+
+SCANNER_PARAMETERS = ("range bias", "range scale", "bow along x", "bow along y")
+"""Systematic parameters of ranges, in the order of a view's local parameters after the plane."""
+BIAS_COLUMN = 3
+"""Of the local parameters, that of a range bias: a ring's bias acts in the same way on some of the beams."""
+
+
+@dataclass(frozen=True, eq=False)
+class RangeObservations:
+    """Ranges along a scanner's beams to the plane of the board: metres.
+
+    Implements :class:`calgraph.estimation.rig.observations.BoardViews`. The local parameters are three of the
+    plane, ``SCANNER_PARAMETERS`` (m, or relative), the relative scale of azimuths where there are, and one bias a
+    ring.
+    """
+
+    board: Index
+    start: Index
+    directions: Array
+    """(N, 3) unit vectors in the sensor frame; column-major, in the order of use."""
+    ranges: Array
+    """(N,) m."""
+    noise: RangeNoise
+    sigma: Array
+    """(N,) standard deviation of each range, m: it depends on the poses, but is constant within a minimisation."""
+    min_cosine: float
+    """Least cosine between a beam and the board's normal: at grazing incidence the range is not linear in the
+    pose."""
+    noise_scale: float = 1.0
+    azimuth: Array | None = None
+    """(N,) rad, of scanners whose azimuths may be scaled."""
+    ring: Index | None = None
+    """(N,) index of each beam's ring, ascending within a view; None without rings."""
+    ring_count: int = 0
+    half_size: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(V, 2) half width and height of each bowed board, m; infinite where its pose in the plane is unknown."""
+    bow_shape: Array | None = None
+    """(N, 2) height of each beam's end on a board with a bow of 1 m along x and y; constant within a
+    minimisation."""
+    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
+    """(V, m) as of :class:`calgraph.estimation.rig.corner_observations.CornerObservations`."""
+    extra_count: int = 0
+    dimension: ClassVar[int] = 1
+
+    @classmethod
+    def from_detections(
+        cls,
+        board: Sequence[int],
+        detections: Sequence[PlanePatch | Segment],
+        noise: RangeNoise,
+        min_cosine: float,
+    ) -> "RangeObservations":
+        """The views of these boards in their detections, without systematic errors."""
+        ranges = np.concatenate([np.empty(0), *(d.ranges for d in detections)])
+        directions = np.concatenate([np.empty((0, 3)), *(d.directions for d in detections)])
+        return cls(
+            np.array(board, dtype=np.intp),
+            start_indices([len(d.ranges) for d in detections]),
+            np.asfortranarray(directions),
+            ranges,
+            noise,
+            np.full(len(ranges), noise.range),
+            min_cosine,
+            extra_of_local=no_extra(len(board)),
+        )
+
+    def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
+        """See :class:`BoardViews`: a beam u meets the surface ``n @ x = h + z`` at the range ``(h + z) / n @ u``.
+
+        The plane changes this by ``u @ (n dh - h dn) / (n @ u)²``; the share ``z / h`` of a bow z in it, below
+        0.01, is neglected.
+        """
+        local, view = gather_extra(self.extra_of_local, extra), view_indices(self.start, len(self.ranges))
+        if not local.shape[1]:
+            h, cosine = self._intersect_planes(T_sensor_board)
+            distance = np.repeat(h, self._counts) / cosine
+            # Column-major, in the order of computation.
+            columns = np.empty((3, len(self.ranges)))
+            np.multiply(self.directions.T, 1 / (cosine**2 * self.sigma), out=columns)
+            residual = (distance - self.ranges) / self.sigma
+            return LinearizedResiduals(
+                residual[:, None], columns.T[:, None], self.local_jacobian(T_sensor_board), 3
+            )
+        shared = local[0] if len(local) else np.zeros(local.shape[1])
+        bias, scale = shared[:2]
+        directions, by_azimuth = self.directions, None
+        if self.azimuth is not None:
+            turn = shared[len(SCANNER_PARAMETERS)] * self.azimuth
+            directions = so3.rotate_z(turn, self.directions)
+            across = np.stack([-directions[:, 1], directions[:, 0], np.zeros(len(turn))])
+            by_azimuth = across.T * self.azimuth[:, None]
+        h, cosine = self._intersect_planes(T_sensor_board, directions)
+        height = np.repeat(h, self._counts)
+        if self.bow_shape is not None:
+            height = height + np.sum(self.bow_shape * local[view, 2:4], axis=-1)
+        distance, stretch = height / cosine, (1 + scale) / self.sigma
+        q = 3 + local.shape[1] - self.ring_count
+        columns = np.empty((q, len(self.ranges)))
+        np.multiply(directions.T, stretch / cosine**2, out=columns[:3])
+        columns[BIAS_COLUMN], columns[4] = 1 / self.sigma, distance / self.sigma
+        columns[5:7] = 0 if self.bow_shape is None else (stretch / cosine) * self.bow_shape.T
+        if by_azimuth is not None:
+            n = np.repeat(T_sensor_board[:, :3, 2].T, self._counts, axis=1)
+            columns[7] = -np.einsum("in,ni->n", n, by_azimuth) * stretch * distance / cosine
+        predicted = (1 + scale) * distance + bias
+        if self.ring is not None:
+            predicted = predicted + local[view, local.shape[1] - self.ring_count + self.ring]
+        residual = (predicted - self.ranges) / self.sigma
+        return LinearizedResiduals(
+            residual[:, None],
+            columns.T[:, None],
+            self.local_jacobian(T_sensor_board),
+            3,
+            self.ring,
+            self.ring_count,
+            BIAS_COLUMN,
+        )
+
+    def local_jacobian(self, T_sensor_board: Array) -> Array:
+        """See :class:`BoardViews`: derivatives of ``n dh - h dn``, and the extra parameters of each view."""
+        n, h = _board_planes(T_sensor_board)
+        views, m = self.extra_of_local.shape
+        basis = np.zeros((views, 3 + m, 6 + self.extra_count))
+        basis[:, :3, :3] = n[:, :, None] * n[:, None]
+        lever = np.cross(n, T_sensor_board[:, :3, 3])
+        basis[:, :3, 3:6] = h[:, None, None] * so3.hat(n) + n[:, :, None] * lever[:, None]
+        basis[:, 3:, 6:] = select_extra(self.extra_of_local, self.extra_count)
+        return basis
+
+    def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
+        """See :class:`BoardViews`: ``n dh - h dn`` and the extra parameters.
+
+        Ranges change by exactly ``u @ (n dh - h dn)`` over both cosines.
+        """
+        (n, h), (n_after, h_after) = _board_planes(T_before), _board_planes(T_sensor_board)
+        planes = n * (h_after - h)[:, None] - h[:, None] * (n_after - n)
+        return np.concatenate([planes, gather_extra(self.extra_of_local, extra)], axis=-1)
+
+    def update_noise(self, T_sensor_board: Array, scale: float) -> "RangeObservations":
+        """See :class:`BoardViews`: the error of a beam's direction grows with the tangent of its incidence."""
+        h, cosine = self._intersect_planes(T_sensor_board)
+        tangent2 = np.maximum(1 / cosine**2 - 1, 0)
+        sigma = scale * np.sqrt(self.noise.range**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
+        shape = None
+        if np.isfinite(self.half_size).any():
+            view = view_indices(self.start, len(self.ranges))
+            points = self.directions * (h[view] / cosine)[:, None]
+            on_board = (
+                se3.inverse(T_sensor_board)[view] @ np.column_stack([points, np.ones(len(points))])[..., None]
+            )
+            shape = bow_shape(on_board[:, :2, 0], self.half_size[view])
+        return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape)
+
+    def select(self, keep: NDArray[np.bool_] | Index) -> "RangeObservations":
+        """See :class:`BoardViews`."""
+        start, kept = select_measurements(self.start, len(self.ranges), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            directions=self.directions.T[:, kept].T,
+            ranges=self.ranges[kept],
+            sigma=self.sigma[kept],
+            azimuth=None if self.azimuth is None else self.azimuth[kept],
+            ring=None if self.ring is None else self.ring[kept],
+            half_size=self.half_size[keep] if len(self.half_size) else self.half_size,
+            bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
+            extra_of_local=self.extra_of_local[keep],
+        )
+
+    def with_rings(self, ring: Index, count: int) -> "RangeObservations":
+        """The same beams in the order of their rings (N,), of which there are ``count``, within each view."""
+        order = np.lexsort([ring, view_indices(self.start, len(self.ranges))])
+        return replace(
+            self,
+            directions=self.directions.T[:, order].T,
+            ranges=self.ranges[order],
+            sigma=self.sigma[order],
+            azimuth=None if self.azimuth is None else self.azimuth[order],
+            ring=ring[order],
+            ring_count=count,
+        )
+
+    def with_beams(self, board: Index, start: Index, directions: Array, ranges: Array) -> "RangeObservations":
+        """Other beams of the same scanner, (N,), on boards like that of its first view.
+
+        Beams of a multi-beam scanner belong to the ring of the nearest elevation.
+        """
+        first = np.zeros(len(board), dtype=np.intp)
+        beams = replace(
+            self,
+            board=board,
+            start=start,
+            directions=directions,
+            ranges=ranges,
+            sigma=np.ones(len(ranges)),
+            azimuth=None if self.azimuth is None else np.arctan2(directions[:, 1], directions[:, 0]),
+            half_size=self.half_size[first] if len(self.half_size) else self.half_size,
+            bow_shape=None,
+            extra_of_local=self.extra_of_local[first],
+        )
+        if self.ring is None:
+            return beams
+        count = np.bincount(self.ring, minlength=self.ring_count)
+        elevation = np.bincount(self.ring, self.directions[:, 2], self.ring_count) / np.maximum(count, 1)
+        nearest = np.argmin(np.abs(directions[:, 2:] - elevation), axis=1)
+        return beams.with_rings(nearest, self.ring_count)
+
+    @property
+    def _counts(self) -> Index:
+        """(V,) number of beams of each view."""
+        return np.diff(self.start, append=len(self.ranges))
+
+    def _intersect_planes(self, T_sensor_board: Array, directions: Array | None = None) -> tuple[Array, Array]:
+        """Offsets of the planes (V,), and cosines (N,) between beams and normals."""
+        n, h = _board_planes(T_sensor_board)
+        beams = self.directions if directions is None else directions
+        cosine = np.einsum("in,in->n", beams.T, np.repeat(n.T, self._counts, axis=1))
+        return h, np.copysign(np.maximum(np.abs(cosine), self.min_cosine), cosine)
+
+
+def bow_shape(points: Array, half_size: Array) -> Array:
+    """(N, 2) heights of points (N, 2) on boards (N, 2) with a bow of 1 m along x and y.
+
+    A parabola from edge to edge, relative to the best plane; its height is the bow. Zero where the size is infinite.
+    """
+    known = np.isfinite(half_size)
+    share = np.clip(points / np.where(known, half_size, 1.0), -1, 1)
+    return np.asarray(np.where(known, share**2 - 1 / 3, 0.0))
+
+
+def _board_planes(T_sensor_board: Array) -> tuple[Array, Array]:
+    """Normals (V, 3) and offsets (V,) of the boards' planes ``n @ x = h``."""
+    n = T_sensor_board[:, :3, 2]
+    return n, np.sum(n * T_sensor_board[:, :3, 3], axis=-1)
