@@ -243,7 +243,7 @@ class RangeObservations:
 def bow_shape(points: Array, half_size: Array) -> Array:
     """(N, 2) heights of points (N, 2) on boards (N, 2) with a bow of 1 m along x and y.
 
-    A parabola from edge to edge, relative to the best plane; its height is the bow. Zero where the size is infinite.
+    A parabola from edge to edge, relative to the best plane; the bow is its height. Zero where sizes are infinite.
     """
     known = np.isfinite(half_size)
     share = np.clip(points / np.where(known, half_size, 1.0), -1, 1)
