@@ -18,6 +18,7 @@ from calgraph.geometry import Array, se3, so3
 HALF = np.array([WIDTH, HEIGHT]) / 2
 BEFORE = se3.pose(so3.exp(np.array([2.8, 0.3, -0.2])), np.array([0.2, -0.1, 2.0]))
 STEP = 0.02
+FOOTPRINTS = [i for i, quantity in enumerate(OUTLINE_PARAMETERS) if quantity.endswith("footprint")]
 # Number of edges on each side of a board.
 EACH = 6
 
@@ -50,7 +51,7 @@ def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
         range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)), OutlineSettings()
     )
     local = np.full((len(edges), len(OUTLINE_PARAMETERS)), -1, dtype=np.intp)
-    local[:, :2] = 0
+    local[:, FOOTPRINTS] = 0
     return replace(views, extra_of_local=local, extra_count=1).update_noise(T_sensor_board, 1.0)
 
 
@@ -59,12 +60,15 @@ def test_derivatives_of_outlines_are_the_numerical_ones() -> None:
     T = np.stack([BEFORE, se3.retract(BEFORE, np.array([0.3, 0.2, 0.5, 0.4, -0.3, 0.8]))])
     views = outline(T, [edges_of(one, crossings(rng)) for one in T])
     # Elsewhere than where they were made for: then their places on the boards matter.
-    T, extra = se3.retract(T, np.tile([0.02, -0.01, 0.1, 0.1, -0.1, 0.02], (2, 1))), np.array([0.003])
+    T = se3.retract(T, np.tile([0.02, -0.01, 0.1, 0.1, -0.1, 0.02], (2, 1)))
+    count = len(OUTLINE_PARAMETERS)
+    views = replace(views, extra_of_local=np.tile(np.arange(count), (2, 1)), extra_count=count)
+    extra = np.array([0.003, -0.002, 0.01, -0.02, 0.05, 0.01, 0.003, -0.004])
 
     def residual(step: Array) -> Array:
         return views.linearize(se3.retract(T, np.tile(step[:6], (2, 1))), extra + step[6:]).residual.ravel()
 
-    numbers = np.stack([(residual(s) - residual(-s)) / (2 * small) for s in small * np.eye(7)], axis=-1)
+    numbers = np.stack([(residual(s) - residual(-s)) / (2 * small) for s in small * np.eye(6 + count)], axis=-1)
     linearized = views.linearize(T, extra)
     view = np.repeat([0, 1], np.diff(views.start, append=len(linearized.residual)))
     assert len(view) > 40

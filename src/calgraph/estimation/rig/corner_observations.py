@@ -131,8 +131,9 @@ class CornerObservations:
         corners, by_print = self.printed.nominal, np.zeros((len(self.pixels), 3, 0))
         if local.shape[1]:
             of_print = local[view, lens:]
-            tags = of_print[:, len(BOARD_PARAMETERS) :].reshape(len(view), -1, 3)
-            corners, by_print = self.printed.displace(of_print[:, : len(BOARD_PARAMETERS)], tags)
+            of_board, of_tags = np.split(of_print, [len(BOARD_PARAMETERS)], axis=1)
+            tags = of_tags.reshape(len(view), of_tags.shape[1] // len(TAG_PARAMETERS), len(TAG_PARAMETERS))
+            corners, by_print = self.printed.displace(of_board, tags)
         R = T_sensor_board[view, :3, :3]
         rotated = (R @ corners[..., None])[..., 0]
         points = rotated + T_sensor_board[view, :3, 3]

@@ -1,0 +1,227 @@
+"""Derivatives by all systematic parameters against finite differences, and rings against dense one-hot columns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
+from calgraph.estimation.rig.board_observations import group_detections
+from calgraph.estimation.rig.board_outlines import add_outlines
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
+from calgraph.estimation.rig.estimate import build_bundle, update_noise
+from calgraph.estimation.rig.normal_equations import accumulate
+from calgraph.estimation.rig.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
+from calgraph.estimation.rig.range_observations import RangeObservations
+from calgraph.estimation.rig.systematic_parameters import find_rings
+from calgraph.geometry import Array, se3
+from calgraph.pairwise import select_matches
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
+from detected_rigs import QUICK, detect_rig
+
+SETTINGS = SystematicParameterSettings()
+DENSE = QUICK.model_copy(
+    update={
+        "laser": LaserOptions(count=1, resolution=0.5),
+        "multibeam": MultibeamOptions(count=1, resolution=0.5),
+        "radii": (1.5, 2.2),
+    }
+)
+FISHEYE = CameraOptions(model="fisheye", width=640, height=480, distortion=(0.02, -0.01, 0.0, 0.0))
+SCENARIOS = {"pinhole": DENSE, "fisheye": DENSE.model_copy(update={"camera": FISHEYE})}
+
+
+@pytest.fixture(scope="module", params=SCENARIOS)
+def bundle_and_state(request: pytest.FixtureRequest) -> tuple[Bundle, BundleState]:
+    """Of all sensors and outlines, with parameters half a prior standard deviation off."""
+    one = detect_rig(SCENARIOS[request.param])
+    boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in one.pairs()])
+    bundle, state = build_bundle(one.rig, one.captures, boards, one.T_root_sensor)
+    bundle, state = add_outlines(bundle, state, one.rig, one.captures.detections, boards, 1e-6)
+    rng = np.random.default_rng(0)
+    prior = [parameter.prior_stddev for parameter in bundle.extra_parameters]
+    # Places of beams on bowed boards belong to the poses.
+    bundle = update_noise(bundle, state)
+    return bundle, replace(state, extra=0.5 * rng.normal(size=len(prior)) * prior)
+
+
+def dense_jacobian(linearized: LinearizedResiduals, start: np.ndarray) -> Array:
+    """(N, k, 6 + e) by the pose of each measurement's view and the extra parameters."""
+    N, k, q = linearized.jacobian.shape
+    by_local = np.zeros((N, k, linearized.local_jacobian.shape[1]))
+    by_local[..., :q] = linearized.jacobian
+    if linearized.ring is not None:
+        by_local[np.arange(N), :, q + linearized.ring] = linearized.jacobian[..., linearized.ring_column]
+    return np.asarray(by_local @ linearized.local_jacobian[view_indices(start, N)])
+
+
+def poses_and_extra(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+    """Poses before the sensor of views k, off those that the measurements were made for, and its parameters."""
+    views = bundle.all_views[k]
+    T = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
+    off = np.random.default_rng(k).normal(size=(len(T), 6)) * [0.005] * 3
+    return se3.retract(T, off), state.extra[bundle.extra_indices(k)]
+
+
+@pytest.mark.parametrize("k", range(5))
+def test_derivatives_by_poses_and_systematic_parameters(
+    bundle_and_state: tuple[Bundle, BundleState], k: int
+) -> None:
+    """The share of a bow in the derivative by the plane is neglected: 0.002 of it."""
+    bundle, state = bundle_and_state
+    views = bundle.all_views[k]
+    T, extra = poses_and_extra(bundle, state, k)
+    linearized = views.linearize(T, extra)
+    found = dense_jacobian(linearized, views.start)
+    steps = np.concatenate([
+        np.full(6, 1e-6), [1e-4 * bundle.extra_parameters[i].prior_stddev for i in bundle.extra_indices(k)]
+    ])  # fmt: skip
+
+    def residual(column: int, step: float) -> Array:
+        by = np.zeros(6 + len(extra))
+        by[column] = step
+        return views.linearize(se3.retract(T, np.tile(by[:6], (len(T), 1))), extra + by[6:]).residual
+
+    for column, step in enumerate(steps):
+        expected = (residual(column, step) - residual(column, -step)) / (2 * step)
+        size = np.abs(expected).max()
+        # No edges are between rings.
+        assert (
+            size > 0
+            or bundle.extra_parameters[bundle.extra_indices(k)[column - 6]].quantity == "elevation footprint"
+        )
+        np.testing.assert_allclose(found[..., column], expected, atol=2e-3 * size)
+
+
+def test_all_kinds_of_parameters_are_differentiated(bundle_and_state: tuple[Bundle, BundleState]) -> None:
+    bundle, _ = bundle_and_state
+    quantities = {one.quantity.split(" of ring")[0] for one in bundle.extra_parameters}
+    assert quantities >= {
+        "focal length", "pixel aspect", "cx", "cy", "k1", "k2", "range bias", "range scale", "angle scale", "bias",
+        "print scale", "print aspect", "tag size", "bow along x", "bow along y", "x", "y", "rotation", "width",
+        "height", "print x", "print y", "print rotation", "azimuth footprint", "elevation footprint",
+    }  # fmt: skip
+
+
+def test_local_parameters_change_as_their_derivatives_state(bundle_and_state: tuple[Bundle, BundleState]) -> None:
+    """Differences of local parameters for small steps of poses and parameters, of each kind of views."""
+    bundle, state = bundle_and_state
+    for k, views in enumerate(bundle.all_views):
+        T, extra = poses_and_extra(bundle, state, k)
+        rng = np.random.default_rng(k)
+        pose_step, extra_step = 1e-6 * rng.normal(size=(len(T), 6)), 1e-6 * rng.normal(size=len(extra))
+        J = views.local_jacobian(T)
+        expected = (J[..., :6] @ pose_step[..., None])[..., 0] + J[..., 6:] @ extra_step
+        found = views.local_difference(T, se3.retract(T, pose_step), extra_step)
+        np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+def test_sums_of_rings_are_those_of_dense_columns(bundle_and_state: tuple[Bundle, BundleState]) -> None:
+    bundle, state = bundle_and_state
+    k = bundle.sensors.index("lidar")
+    views = bundle.views[k]
+    assert views.ring_count > 5
+    T, extra = poses_and_extra(bundle, state, k)
+    # Also with outliers that are down-weighted: one in ten beams is far off.
+    assert isinstance(views, RangeObservations)
+    far = replace(views, ranges=views.ranges + 0.2 * (np.arange(len(views.ranges)) % 10 == 0))
+    for some in (views, far):
+        linearized = some.linearize(T, extra)
+        dense = one_hot(linearized)
+        grouped, single = (
+            accumulate(one, some.start, RigEstimationSettings().huber_threshold, lambda e: 0 * e.Jtr)
+            for one in (linearized, dense)
+        )
+        scale = np.sqrt(np.maximum(np.diagonal(single.JtJ, axis1=-2, axis2=-1), 1.0))
+        np.testing.assert_allclose(
+            grouped.JtJ / scale[:, None] / scale[..., None],
+            single.JtJ / scale[:, None] / scale[..., None],
+            atol=1e-9,
+        )
+        np.testing.assert_allclose(grouped.Jtr / scale, single.Jtr / scale, atol=1e-7)
+        np.testing.assert_allclose(grouped.squared_residuals, single.squared_residuals)
+        np.testing.assert_allclose(grouped.robust_cost_offset, single.robust_cost_offset)
+
+
+def one_hot(linearized: LinearizedResiduals) -> LinearizedResiduals:
+    """The same with a column for each ring."""
+    assert linearized.ring is not None
+    N, k, _ = linearized.jacobian.shape
+    rings = np.zeros((N, k, linearized.ring_count))
+    rings[np.arange(N), :, linearized.ring] = linearized.jacobian[..., linearized.ring_column]
+    return replace(linearized, jacobian=np.concatenate([linearized.jacobian, rings], axis=-1), ring=None)
+
+
+def beams(elevation_degrees: Array, azimuths: int = 40) -> Array:
+    """(N, 3) directions of all combinations, in an order without any meaning."""
+    elevation, azimuth = np.meshgrid(np.radians(elevation_degrees), np.linspace(-0.5, 0.5, azimuths))
+    e, a = (np.random.default_rng(0).permutation(one.ravel()) for one in (elevation, azimuth))
+    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
+
+
+def test_rings_are_found_by_gaps_between_elevations() -> None:
+    stated = np.arange(-15.0, 16.0, 2.0)
+    directions = beams(stated)
+    elevations, ring = find_rings(directions, SETTINGS)
+    np.testing.assert_allclose(np.degrees(elevations), stated, atol=1e-9)
+    np.testing.assert_allclose(np.degrees(np.arcsin(directions[:, 2])), stated[ring], atol=1e-9)
+
+
+def test_elevations_of_a_ring_may_differ_slightly() -> None:
+    """As of drivers that correct them by azimuth, by 0.02°."""
+    stated = np.arange(-15.0, 16.0, 2.0)
+    directions = beams((stated[:, None] + np.linspace(-0.01, 0.01, 5)).ravel())
+    elevations, ring = find_rings(directions, SETTINGS)
+    np.testing.assert_allclose(np.degrees(elevations), stated, atol=0.01)
+    assert np.abs(np.degrees(np.arcsin(directions[:, 2])) - stated[ring]).max() < 0.02
+
+
+def test_a_scanner_without_gaps_has_no_rings() -> None:
+    """As solid-state LiDARs, and spinning 2-D scanners."""
+    elevations, ring = find_rings(beams(np.linspace(-12, 12, 1000)), SETTINGS)
+    assert len(elevations) == 0
+    assert not ring.any()
+    no_beams = find_rings(np.zeros((0, 3)), SETTINGS)
+    assert [len(one) for one in no_beams] == [0, 0]
+
+
+@pytest.mark.parametrize("count", [64, 100, 128])
+def test_neighbours_of_many_rings_share_a_bias(count: int) -> None:
+    stated = np.linspace(-22.5, 22.5, count)
+    directions = beams(stated)
+    elevations, ring = find_rings(directions, SETTINGS)
+    assert len(elevations) == SETTINGS.max_rings
+    assert np.all(np.diff(elevations) > 0)
+    # Equally many, up to one, of contiguous elevations.
+    elevation = np.degrees(np.arcsin(directions[:, 2]))
+    of_stated = np.array([np.unique(ring[np.abs(elevation - one) < 1e-6]) for one in stated]).ravel()
+    assert len(of_stated) == count
+    assert np.all(np.diff(of_stated) >= 0)
+    assert np.ptp(np.bincount(of_stated)) <= 1
+
+
+def test_beams_elsewhere_belong_to_the_nearest_ring(bundle_and_state: tuple[Bundle, BundleState]) -> None:
+    bundle, _ = bundle_and_state
+    views = bundle.views[bundle.sensors.index("lidar")]
+    assert isinstance(views, RangeObservations)
+    assert views.ring is not None
+    chosen = np.sort(np.random.default_rng(0).permutation(len(views.ranges))[:30])
+    found = views.with_beams(np.array([0]), np.array([0]), views.directions[chosen], views.ranges[chosen])
+    assert found.ring is not None
+    order = np.argsort(views.ring[chosen], kind="stable")
+    np.testing.assert_array_equal(found.ring, views.ring[chosen][order])
+    np.testing.assert_array_equal(found.ranges, views.ranges[chosen][order])
+
+
+def views_without(views: BoardViews) -> BoardViews:
+    return views.select(np.zeros(len(views.board), dtype=np.bool_))
+
+
+def test_no_views_have_no_residuals(bundle_and_state: tuple[Bundle, BundleState]) -> None:
+    bundle, state = bundle_and_state
+    for k, views in enumerate(bundle.all_views):
+        extra = state.extra[bundle.extra_indices(k)]
+        linearized = views_without(views).linearize(np.zeros((0, 4, 4)), extra)
+        assert len(linearized.residual) == 0
+        q = views.local_jacobian(np.zeros((len(views.board), 4, 4)) + np.eye(4)).shape[1]
+        assert linearized.local_jacobian.shape == (0, q, 6 + len(extra))
