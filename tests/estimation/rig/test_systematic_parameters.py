@@ -1,21 +1,25 @@
 """Systematic errors of sensors and boards: each is recovered from a simulated world that has it."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from calgraph.config import Board, Checkerboard
 from calgraph.estimation import RigSolution
 from calgraph.result import EstimatedParameter
 from calgraph.simulation import (
     BoardErrors,
     CameraErrors,
+    CameraOptions,
     LaserOptions,
     ModelErrors,
     MultibeamOptions,
     ScannerErrors,
+    build_world,
 )
-from detected_rigs import QUICK, detect_rig, exact_rig, with_uncertainty
+from detected_rigs import QUICK, detect_rig, detect_rig_on, exact_rig, with_uncertainty
 
 FINE = QUICK.model_copy(
     update={
@@ -93,3 +97,98 @@ def test_an_error_of_the_world_is_recovered(case: Case) -> None:
     found = find(joint, case.of, case.quantity)
     assert found.stddev < 0.75 * found.prior
     assert abs(found.value - found.stated - case.expected) < 3.5 * found.stddev
+
+
+def test_biases_of_rings_are_recovered() -> None:
+    world = detect_rig(FINE, errors=ModelErrors(scanners={"lidar": ScannerErrors(ring_bias=RINGS)}))
+    joint = replace(world, rig=with_uncertainty(exact_rig(world.rig), "lidar", ring_bias=0.01)).solve()
+    rings = [one for one in joint.systematic if one.quantity.startswith("bias of ring")]
+    assert len(rings) >= 8
+    # The lowest of 16 rings is at -15°, and others are 2° apart.
+    elevations = [float(re.findall(r"\(([-+.\d]+)°\)", one.quantity)[0]) for one in rings]
+    true = np.array([RINGS[round((elevation + 15) / 2)] for elevation in elevations])
+    z = (np.array([one.value for one in rings]) - true) / [one.stddev for one in rings]
+    assert np.abs(z).max() < 4
+    assert max(one.stddev for one in rings) < 0.008
+    assert min(one.stddev for one in rings) < 0.004
+
+
+def test_places_of_tags_are_recovered() -> None:
+    """Relative to each other: a displacement and rotation of all of them is one of the board."""
+    position, rotation = {0: (0.003, -0.002), 1: (-0.002, 0.001)}, {2: 0.03}
+    world = detect_rig(FINE, errors=of_board(tag_position=position, tag_rotation=rotation))
+    joint = replace(world, rig=with_uncertainty(exact_rig(world.rig), "board", tag_position=0.002)).solve()
+    (board,) = world.rig.boards
+    off, of_board_motion = [], []
+    for tag in board.tags:
+        (x, y), arm = tag.center, tag.size / 2
+        found = [find(joint, f"tag {tag.id}", quantity).value for quantity in ("x", "y", "rotation")]
+        true = [*position.get(tag.id, (0.0, 0.0)), rotation.get(tag.id, 0.0)]
+        off.append((np.array(found) - true) * [1, 1, arm])
+        of_board_motion.append([[1, 0, -y], [0, 1, x], [0, 0, arm]])
+    A, b = np.concatenate(of_board_motion), np.concatenate(off)
+    motion, *_ = np.linalg.lstsq(A, b)
+    np.testing.assert_allclose(b - A @ motion, 0, atol=0.0007)
+    assert np.abs(b).max() > 0.0007
+
+
+def test_exact_sensors_and_boards_have_no_parameters() -> None:
+    """But footprints of edges, which no rig.yaml states."""
+    joint = detect_rig(FINE).without_systematic_errors().solve()
+    assert {one.quantity for one in joint.systematic} <= {"azimuth footprint", "elevation footprint"}
+
+
+def test_no_parameter_is_listed_twice() -> None:
+    keys = [(one.of, one.quantity) for one in detect_rig(FINE).solve().systematic]
+    assert len(set(keys)) == len(keys)
+
+
+def test_a_rig_as_stated_has_its_stated_values() -> None:
+    joint = detect_rig(FINE).solve()
+    z = [(one.value - one.stated) / one.stddev for one in joint.systematic]
+    assert np.abs(z).max() < 4
+    assert max(abs(one.deviation) for one in joint.systematic) < 3
+    assert all(one.stddev <= 1.0001 * one.prior for one in joint.systematic)
+
+
+def test_variances_grow_with_priors() -> None:
+    world = detect_rig(FINE)
+    of_stated, of_exact = world.solve(), world.without_systematic_errors().solve()
+    for name in ("camera", "laser_front"):
+        grown, exact = (np.sqrt(np.diag(joint.covariance[name])) for joint in (of_stated, of_exact))
+        assert np.all(grown > exact)
+
+
+def test_boards_with_a_pattern_have_no_parameters_of_tags() -> None:
+    pattern = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.12)
+    joint = detect_rig(QUICK.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)})).solve()
+    assert {"tag size", "x", "y", "rotation"}.isdisjoint({one.quantity for one in joint.systematic})
+    assert find(joint, "board", "print scale").stated == 1
+
+
+def test_scanners_alone_do_not_have_parameters_of_a_print() -> None:
+    joint = detect_rig(FINE.model_copy(update={"camera": CameraOptions(count=0)})).solve()
+    assert {one.of for one in joint.systematic} <= {"lidar", "laser_front", "board"}
+    assert {"print scale", "print x", "bow along x"}.isdisjoint({one.quantity for one in joint.systematic})
+
+
+def test_a_focal_length_one_percent_off_moves_no_camera() -> None:
+    """By default priors; without them it would by centimetres."""
+    world = detect_rig(FINE, errors=of_camera(focal_length=(0.01, 0.01)))
+    assert world.mahalanobis(world.solve(), "camera") < 3
+    exact = world.without_systematic_errors()
+    assert exact.error(exact.solve(), "camera") > 0.01
+
+
+def test_outlines_do_not_bias_the_range_scale() -> None:
+    """Noise of edges must not favour nearer boards: residuals are angles, not distances on the board."""
+    scales, world = [], build_world(FINE.model_copy(update={"samples": 1}), 1)
+    for seed in range(20):
+        one = detect_rig_on(world, seed)
+        rig = exact_rig(one.rig)
+        for name in ("lidar", "laser_front"):
+            rig = with_uncertainty(rig, name, range_scale=0.003)
+        joint = replace(one, rig=rig).solve()
+        scales.append([find(joint, name, "range scale").value - 1 for name in ("lidar", "laser_front")])
+    mean, standard_error = np.mean(scales, axis=0), np.std(scales, axis=0, ddof=1) / np.sqrt(len(scales))
+    assert np.all(np.abs(mean) < 3 * standard_error)
