@@ -5,6 +5,8 @@ python benchmarks/efficiency.py --runs 50 --scenarios 4        # four rigs, 50 t
 python benchmarks/efficiency.py --runs 200 --disturbed 0.2     # against the same runs without slips
 python benchmarks/efficiency.py --level recordings --runs 20   # through images and clouds, another rig each time
 python benchmarks/efficiency.py --runs 200 --stated 2          # rig.yaml states twice the noise that there is
+python benchmarks/efficiency.py --systematic drawn             # systematic errors drawn from the priors
+python benchmarks/efficiency.py --systematic exact             # none, and rig.yaml states so: uncertainty 0
 
 Of an efficient estimator, the RMSE over the bound is 1 up to chance; of honest covariances, so is the NEES per
 degree of freedom, and their 95 % ellipsoids hold the truth in 95 % of runs. Chance is stated as 99 % intervals.
@@ -19,9 +21,10 @@ import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import TypeVar, get_args
 
 import numpy as np
+from pydantic import BaseModel
 from scipy.stats import binomtest, chi2, norm
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
@@ -34,7 +37,15 @@ from calgraph.estimation.rig.board_outlines import add_outlines
 from calgraph.estimation.rig.bundle_solver import linearize_bundle
 from calgraph.estimation.rig.estimate import build_bundle, update_noise
 from calgraph.geometry import Array, se3
-from calgraph.simulation import GroundTruth, IdealDetectorOptions, RigScenario, build_world, simulate_detections
+from calgraph.simulation import (
+    GroundTruth,
+    IdealDetectorOptions,
+    ModelErrors,
+    RigScenario,
+    build_world,
+    simulate_detections,
+)
+from model_error_draws import draw_errors
 from simulated import poses_of, recorded
 
 ESTIMATORS = "pairwise", *get_args(Estimator)
@@ -42,6 +53,9 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 TARGET = 0.95, 1.10
 """Of the RMSE over the bound."""
 CONFIDENCE = 0.99
+
+
+Uncertainty = TypeVar("Uncertainty", bound=BaseModel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +134,12 @@ def main() -> None:
     parser.add_argument("--captures", type=int, default=48, help="a multiple of 24")
     parser.add_argument("--disturbed", type=float, default=0.0, help="share of captures in which the board slips")
     parser.add_argument("--stated", type=float, default=1.0, help="stated noise over true noise")
+    parser.add_argument(
+        "--systematic",
+        choices=("none", "drawn", "exact"),
+        default="none",
+        help="systematic errors: none, which the estimator does not know; drawn; none, stated as exact",
+    )
     parser.add_argument("--estimators", nargs="+", choices=ESTIMATORS, default=list(ESTIMATORS))
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
@@ -127,14 +147,15 @@ def main() -> None:
     knobs = IdealDetectorOptions(stated_noise_factor=arguments.stated)
     print(
         f"{scenario.captures} captures, {arguments.runs} runs of {arguments.scenarios} rigs, {arguments.level}, "
-        f"{arguments.disturbed:.0%} disturbed, stated noise {arguments.stated:g} times the true one"
+        f"{arguments.disturbed:.0%} disturbed, stated noise {arguments.stated:g} times the true one, systematic "
+        f"errors {arguments.systematic}"
     )
 
     def outcomes_of(scenario: RigScenario) -> dict[str, Outcomes]:
         if arguments.level == "recordings":
             recordings = recorded_runs(scenario, arguments.runs)
         else:
-            recordings = detected_runs(scenario, arguments.scenarios, arguments.runs, knobs)
+            recordings = detected_runs(scenario, arguments.scenarios, arguments.runs, knobs, arguments.systematic)
         return judge(recordings, arguments.estimators)
 
     clean = outcomes_of(scenario)
@@ -161,14 +182,35 @@ def scenario_of(captures: int) -> RigScenario:
 
 
 def detected_runs(
-    scenario: RigScenario, scenarios: int, runs: int, knobs: IdealDetectorOptions
+    scenario: RigScenario, scenarios: int, runs: int, knobs: IdealDetectorOptions, systematic: str = "none"
 ) -> Iterator[Recording]:
     """Runs that differ in their noise only, of one rig with its board poses after the other."""
     for world in range(scenarios):
         stage = build_world(scenario, world, images=False)
         noise, _, _ = simulate_detections(stage, 0, replace(knobs, stated_noise_factor=1.0))
         for seed in range(runs):
-            yield Recording(*simulate_detections(stage, seed, knobs), noise)
+            drawn = systematic == "drawn"
+            errors = draw_errors(stage, np.random.default_rng((world, seed))) if drawn else ModelErrors()
+            rig, captured, truth = simulate_detections(stage, seed, knobs, errors)
+            if systematic == "exact":
+                rig, noise = without_uncertainty(rig), without_uncertainty(noise)
+            yield Recording(rig, captured, truth, noise)
+
+
+def without_uncertainty(rig: Rig) -> Rig:
+    """The rig with priors that state that nothing has a systematic error."""
+    sensors = {
+        name: spec.model_copy(update={"uncertainty": exact(spec.uncertainty)})
+        for name, spec in rig.sensors.items()
+    }
+    (board,) = rig.boards
+    target = board.model_copy(update={"uncertainty": exact(board.uncertainty)})
+    return rig.model_copy(update={"sensors": sensors, "target": target})
+
+
+def exact(uncertainty: Uncertainty) -> Uncertainty:
+    """Standard deviations of zero."""
+    return uncertainty.model_copy(update=dict.fromkeys(type(uncertainty).model_fields, 0.0))
 
 
 def recorded_runs(scenario: RigScenario, runs: int) -> Iterator[Recording]:

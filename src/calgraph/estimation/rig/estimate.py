@@ -129,6 +129,9 @@ def cramer_rao(
 ) -> dict[str, Array]:
     """The Cramér–Rao bound (6, 6) on the covariance of each sensor's pose, in the root's axes.
 
+    Systematic errors have the priors of the rig, and edges of boards their least view bias (Van Trees, "Detection,
+    estimation, and modulation theory", 1968, section 2.4.3).
+
     Args:
         rig: the rig, with the true noise of its sensors.
         captured: detections; of each sensor and capture the first.
@@ -141,7 +144,8 @@ def cramer_rao(
     truth = replace(state, T_root_board=stack_poses([T_root_board[board.capture] for board in boards]))
     bundle, with_offsets = add_outlines(bundle, truth, rig, captured.detections, boards, 0.0)
     truth = replace(truth, extra=with_offsets.extra)
-    exact = replace(update_noise(bundle, truth), bias_variance=np.zeros_like(bundle.bias_variance))
+    least = np.array([bundle.least_bias_variance(k) for k in range(len(bundle.all_views))])
+    exact = replace(update_noise(bundle, truth), bias_variance=least)
     bound = pose_covariance(exact, truth, linearize_bundle(exact, truth))
     blocks = bound.reshape(len(bundle.sensors), 6, len(bundle.sensors), 6)
     return {name: blocks[i, :, i] for i, name in enumerate(bundle.sensors)}
