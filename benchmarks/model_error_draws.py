@@ -60,7 +60,7 @@ def _displacement_at_corner(camera: CameraModel) -> Array:
         replace(camera, distortion=camera.distortion + step * unit).project(ray)[0]
         for unit in np.eye(len(camera.distortion))
     ]
-    return np.asarray(np.linalg.norm(moved, axis=1) / step)
+    return np.asarray(np.linalg.norm(np.reshape(moved, (-1, 2)), axis=1) / step)
 
 
 def _draw_scanner_errors(scanner: MountedScanner, rig: Rig, rng: np.random.Generator) -> ScannerErrors:
