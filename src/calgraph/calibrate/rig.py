@@ -25,7 +25,7 @@ from calgraph.captures import (
     plan_previews,
 )
 from calgraph.config import CameraSpec, Cylinder, People, Rig
-from calgraph.diagnostics import add_assessment, assemble_rig
+from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import (
     Problem,
@@ -176,18 +176,19 @@ def build_problem_from_captures(
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration of all sensors; deterministic to the last bit."""
     joint, tree = solve_jointly(problem)
-    rig, calibration = problem.rig, assemble_rig(problem, tree, joint)
     if joint.solved_bundle is None:
-        return calibration
+        return assemble_rig(problem, tree, joint)
+    rig, folds = problem.rig, problem.solver.folds
+    settings = rig.settings.diagnostics
+    held_out = cross_validate(joint.solved_bundle, folds, settings.rig) if folds else {}
     # Candidate board poses are sampled with a fixed seed: the result hardly depends on the sample.
-    return add_assessment(
-        calibration,
+    return add_suggestions(
+        assemble_rig(problem, tree, joint, held_out),
         joint.solved_bundle,
         rig.board_size,
-        problem.solver.folds,
         np.random.default_rng(0),
         rig.tolerance,
-        rig.settings.diagnostics,
+        settings,
     )
 
 

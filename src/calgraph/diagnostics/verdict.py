@@ -8,6 +8,7 @@ from scipy.special import ndtri
 from calgraph.captures import InputFinding
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
+from calgraph.diagnostics.finding import Finding
 from calgraph.geometry import Array
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import Verdict
@@ -151,8 +152,8 @@ def join_reasons(*reasons_by_sensor: Mapping[str, str]) -> dict[str, str]:
     return joined
 
 
-def collect_findings(findings: Sequence[InputFinding]) -> dict[str, str]:
-    """By sensor that findings in the recording make weak, what they are."""
+def collect_findings(findings: Sequence[InputFinding | Finding]) -> dict[str, str]:
+    """By sensor that findings make weak, what they are."""
     return join_reasons(*(dict.fromkeys(finding.sensors, finding.text) for finding in findings))
 
 

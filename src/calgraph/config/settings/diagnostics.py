@@ -34,6 +34,39 @@ class RigDiagnosticsSettings(StrictModel):
     """Share of the stated variance that a draw is expected to have at least. Draws nearly equal to the captures
     have no expected scatter, and would divide by zero; 1 % is the mean of 100 captures of which one is
     exchanged."""
+    half_false_alarm_probability: float = Field(default=1e-4, gt=0, lt=1)
+    """Probability with which poses from two halves of the captures differ by more than the test allows although
+    covariances are right: with two pairs of halves and five sensors, 1 right recording in 1000 fails."""
+    max_prior_deviation: float = Field(default=3.0, gt=0)
+    """Deviation of a systematic parameter from its stated value, in prior standard deviations, beyond which it
+    contradicts rig.yaml: 1 in 370 right values does."""
+    max_parameter_correlation: float = Field(default=0.9, gt=0, lt=1)
+    """Posterior correlation of two systematic parameters beyond which the data do not tell them apart: given the
+    other, the standard deviation of each is 2.3 times as small."""
+    max_noise_ratio: float = Field(default=2.0, gt=1)
+    """Largest measured noise of a sensor, and RMS residual of its kept captures, over the stated noise: rig.yaml is
+    right to a factor of about 1.5."""
+    max_good_noise_ratio: float = Field(default=4.0, gt=1)
+    """The same beyond which a sensor is weak: no data sheet errs by this factor, so that the model is wrong."""
+    max_view_bias: float = Field(default=0.005, gt=0)
+    """m; largest standard deviation of the displacement of a sensor's views, and of its rings in each view. That of
+    flat boards and calibrated ranges is 1 to 2 mm."""
+    max_view_tilt: float = Field(default=float(np.radians(0.5)), gt=0)
+    """rad (0.5°); the same of rotations: 5 mm at the edge of a board of 1.2 m."""
+    max_lost_share: float = Field(default=0.2, gt=0, lt=1)
+    """Share of a sensor's shared captures that may be rejected without a remark."""
+    max_good_lost_share: float = Field(default=0.4, gt=0, lt=1)
+    """The same beyond which a sensor is weak: RANSAC and robust estimates hold up to about half of outliers."""
+    min_held_out_views: int = Field(default=8, ge=1)
+    """Predicted captures of a sensor at which its held-out error is tested."""
+    max_held_out_ratio: float = Field(default=1.5, gt=1)
+    """Largest observed over expected error of held-out captures of a good sensor."""
+    max_bootstrap_captures: int = Field(default=15, ge=1)
+    """Captures from which on a calibration does without a bootstrap."""
+    bootstrap_rounds: int = Field(default=50, ge=20)
+    """Samples of the bootstrap in a calibration."""
+    bootstrap_false_alarm_probability: float = Field(default=0.01, gt=0, lt=1)
+    """Probability with which the bootstrap calls covariances optimistic that hold."""
     predicted_board_stddev: float = Field(default=0.02, gt=0)
     """m; directions in which the other sensors locate a held-out board worse than this are not compared: errors of
     interest are smaller, and first-order predictions hold up to about this distance."""

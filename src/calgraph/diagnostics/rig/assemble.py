@@ -1,12 +1,14 @@
 """Assembles the Calibration of a rig: poses with verdicts, and the outcome of every pair and capture."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from calgraph.captures import CaptureSet, Hold
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
+from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.diagnostics.verdict import (
     collect_findings,
@@ -22,16 +24,22 @@ from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
-from calgraph.result import Calibration, CaptureRow, Edge, Evidence, Pictures, SensorPose
+from calgraph.result import Calibration, CaptureRow, Edge, Evidence, HeldOutError, Pictures, SensorPose
 
 
-def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) -> Calibration:
+def assemble_rig(
+    problem: Problem,
+    tree: SpanningTree,
+    solution: RigSolution,
+    held_out: Mapping[str, HeldOutError] = MappingProxyType({}),
+) -> Calibration:
     """Assembles the calibration of a rig.
 
     Args:
         problem: the problem that was solved.
         tree: the spanning tree that the joint solution started from.
         solution: the joint solution of the connected sensors.
+        held_out: errors of its cross-validation by sensor.
     """
     rig, captures, pairs = problem.rig, problem.captures, problem.pairs
     settings = rig.settings.diagnostics.verdict
@@ -39,16 +47,20 @@ def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) ->
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = {view: r for view, r in _inlier_residuals(estimates).items() if view not in solution.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    inconsistent = find_inconsistent_sensors(rig.root, kinds, estimates, settings.max_normalized_rms)
+    findings = find_contradictions(solution, captures, kinds, held_out, rig.settings.diagnostics.rig)
+    inconsistent = collect_findings([*captures.findings, *findings])
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:
         contradicted = find_contradicted_priors(
             solved.bundle, solved.minimized, problem.solver.groups, settings.false_alarm_probability
         )
-        inconsistent = join_reasons(inconsistent, contradicted)
+        inconsistent = join_reasons(contradicted, inconsistent)
+    else:
+        # The baseline has no systematic parameters: pairs show a wrong scale of all detections of a sensor.
+        scaled = find_inconsistent_sensors(rig.root, kinds, estimates, settings.max_normalized_rms)
+        inconsistent = join_reasons(scaled, inconsistent)
     if not solution.converged:
         inconsistent = dict.fromkeys(connected, "the joint solution has not converged") | inconsistent
-    inconsistent = join_reasons(inconsistent, collect_findings(captures.findings))
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
@@ -69,8 +81,9 @@ def assemble_rig(problem: Problem, tree: SpanningTree, solution: RigSolution) ->
                 for name in rig.sensors
             ),
             unconnected=_explain_unconnected(rig, captures, pairs, connected),
-            remarks=(*(finding.text for finding in captures.findings), *solution.remarks),
+            remarks=(*(finding.text for finding in (*captures.findings, *findings)), *solution.remarks),
             residuals=solution.residuals,
+            cross_validation=held_out,
         ),
         pictures=Pictures(
             snapshots=captures.snapshots,

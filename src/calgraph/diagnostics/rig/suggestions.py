@@ -1,4 +1,4 @@
-"""Adds the assessment to a calibration: cross-validation, and the board poses that would improve it most."""
+"""Adds to a calibration the board poses that would improve it most."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,45 +7,35 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.rig.cross_validation import cross_validate
 from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 
 
-def add_assessment(
+def add_suggestions(
     calibration: Calibration,
     solved: SolvedBundle,
     size: tuple[float, float],
-    folds: int,
     rng: np.random.Generator,
     tolerance: Tolerance,
     settings: DiagnosticsSettings = DiagnosticsSettings(),
 ) -> Calibration:
-    """The calibration with its cross-validation and the suggested board poses.
+    """The calibration with the suggested board poses.
 
     Args:
         calibration: poses and verdicts.
         solved: the joint solution that they come from.
         size: width and height of the board, m.
-        folds: of the cross-validation; 0 for none.
         rng: draws candidate board poses.
         tolerance: the largest acceptable error of poses.
         settings: of the diagnostics.
-
-    Raises:
-        InputError: there is one fold.
     """
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
     suggestions = suggest_board_poses(solved, kinds, size, rng, tolerance, settings)
     return replace(
         calibration,
         sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),
-        evidence=replace(
-            calibration.evidence,
-            cross_validation=cross_validate(solved, folds, settings.rig) if folds else {},
-            suggestions=suggestions,
-        ),
+        evidence=replace(calibration.evidence, suggestions=suggestions),
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
-from calgraph.diagnostics.rig.assessment import add_assessment
+from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.solution import SolvedBundle
@@ -32,7 +32,7 @@ def assess(grade: Literal["good", "weak"], folds: int = 0) -> Calibration:
     joint = pose_covariance(exact.bundle, solved.state, solved.equations)
     calibration = Calibration("lidar", sensors, joint_covariance=joint)
     rng = np.random.default_rng(0)
-    return add_assessment(
+    return add_suggestions(
         calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), folds, rng, Tolerance()
     )
 

@@ -1,0 +1,13 @@
+"""What contradicts a result."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that contradicts a result: a remark on it."""
+
+    text: str
+    """Cause, size, and what to do, in one sentence."""
+    sensors: tuple[str, ...] = ()
+    """Sensors whose poses it makes weak."""

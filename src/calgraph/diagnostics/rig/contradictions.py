@@ -1,0 +1,80 @@
+"""Everything that contradicts the calibration of a rig."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from calgraph.captures import CaptureSet
+from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
+from calgraph.diagnostics.rig.capture_losses import find_lost_captures
+from calgraph.diagnostics.rig.half_tests import find_differing_halves
+from calgraph.diagnostics.rig.noise_tests import find_excessive_noise
+from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
+from calgraph.diagnostics.verdict import axis_names
+from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
+from calgraph.result import HeldOutError
+
+
+def find_contradictions(
+    solution: RigSolution,
+    captures: CaptureSet,
+    kinds: Mapping[str, str],
+    held_out: Mapping[str, HeldOutError],
+    settings: RigDiagnosticsSettings = RigDiagnosticsSettings(),
+) -> tuple[Finding, ...]:
+    """The findings of all tests of a joint solution; none where it is not a bundle.
+
+    Args:
+        solution: of the connected sensors.
+        captures: all detections.
+        kinds: camera, lidar2d or lidar3d, by connected sensor.
+        held_out: errors of the cross-validation by sensor.
+        settings: of the tests.
+    """
+    if (solved := solution.solved_bundle) is None:
+        return ()
+    return (
+        *find_systematic_errors(solved, settings),
+        *find_excessive_noise(solution, kinds, settings),
+        *find_lost_captures(captures, solved, settings),
+        *find_differing_halves(solved, settings),
+        *_find_poor_predictions(held_out, settings),
+        *_find_optimistic_covariances(solved, kinds, settings),
+    )
+
+
+def _find_poor_predictions(
+    held_out: Mapping[str, HeldOutError], settings: RigDiagnosticsSettings
+) -> Iterator[Finding]:
+    """Sensors that the others predict worse in held-out captures than covariances and noise allow."""
+    for name, error in held_out.items():
+        if error.views >= settings.min_held_out_views and error.ratio > settings.max_held_out_ratio:
+            yield Finding(
+                f"measurements of {name} on held-out captures are {error.ratio:.1f} times as far from their "
+                "prediction as expected: record more captures, with the board in more different poses",
+                (name,),
+            )
+
+
+def _find_optimistic_covariances(
+    solved: SolvedBundle, kinds: Mapping[str, str], settings: RigDiagnosticsSettings
+) -> Iterator[Finding]:
+    """Sensors whose poses scatter more over resampled captures than stated, where captures are few.
+
+    Few captures determine noise and view bias poorly, and with them the covariances.
+    """
+    if len(np.unique(solved.captures)) >= settings.max_bootstrap_captures:
+        return
+    # The result hardly depends on the samples, so that the seed is fixed.
+    rng = np.random.default_rng(0)
+    confident = settings.model_copy(update={"bootstrap_confidence": 1 - settings.bootstrap_false_alarm_probability})
+    for name, scatter in bootstrap_poses(solved, settings.bootstrap_rounds, rng, lambda _: None, confident).items():
+        if scatter.verdict == "optimistic":
+            axis = axis_names(kinds[name])[scatter.worst]
+            yield Finding(
+                f"{axis} of {name} scatters {scatter.ratio[scatter.worst]:.1f} times as much over resampled captures "
+                "as its standard deviation: record more captures",
+                (name,),
+            )

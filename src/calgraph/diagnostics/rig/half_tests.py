@@ -1,0 +1,114 @@
+"""Tests of halves of the captures against each other.
+
+Errors that change in the course of a recording, or that no parameter describes, give halves poses that differ by
+more than their covariances. Errors that both halves share do not show.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.estimation.rig.board_information import information_by_board
+from calgraph.estimation.rig.bundle_solver import (
+    BOARD_PRIOR_INFORMATION,
+    Bundle,
+    BundleEquations,
+    pose_jacobian,
+)
+from calgraph.estimation.rig.solution import SolvedBundle
+from calgraph.geometry import Array, se_n
+
+# Poses of halves whose differences have a smaller share of the largest eigenvalue of their covariance are equal.
+_RANK_TOLERANCE = 1e-12
+
+
+def find_differing_halves(
+    solved: SolvedBundle, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
+) -> Iterator[Finding]:
+    """Sensors whose poses from halves of the captures differ by more than their covariances allow.
+
+    Halves are the first and the second half in time, and captures of even and odd number. Their solutions are one
+    Gauss-Newton step from that of all captures, with its noise, view bias and robust weights. Both have the prior of
+    information P; with covariances A and B of the halves, their difference has ``A + B - A P B - B P A``.
+
+    Args:
+        solved: the solution of all captures.
+        settings: the probability of a false alarm.
+    """
+    bundle, minimized = solved.bundle, solved.minimized
+    H, g, _ = minimized.equations.eliminate_boards()
+    by_board = information_by_board(bundle, minimized.equations), gradient_by_board(bundle, minimized.equations)
+    prior = H - by_board[0].sum(axis=0), g - by_board[1].sum(axis=0)
+    order = np.unique(solved.captures, return_inverse=True)[1]
+    axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
+    halves: Mapping[str, NDArray[np.bool_]] = {
+        "the first and the second half of the captures": order < (order.max(initial=-1) + 1) / 2,
+        "captures of even and odd number": order % 2 == 0,
+    }
+    for description, first in halves.items():
+        difference, covariance = _compare_halves(prior, by_board, first)
+        for name, J in zip(bundle.sensors, axes, strict=True):
+            if not J.any():
+                continue
+            off, C = J @ difference, J @ covariance @ J.T
+            squared, freedom = _squared_distance(off, C)
+            if squared > chdtri(freedom, settings.half_false_alarm_probability):
+                mm, degrees = 1000 * np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))
+                yield Finding(
+                    f"{description} give poses of {name} that differ by {mm:.1f} mm and {degrees:.2f}°, "
+                    f"{np.sqrt(squared / freedom):.1f} times what noise explains: something changed while "
+                    "recording; fix sensors, lenses and board, hold the board still, and record again",
+                    (name,),
+                )
+
+
+def gradient_by_board(bundle: Bundle, equations: BundleEquations) -> Array:
+    """(C, G) gradient of each board's views by the parameters, the board's pose eliminated.
+
+    The reduced gradient is their sum and that of the priors.
+    """
+    g = np.zeros((len(equations.H_board), bundle.parameter_count))
+    for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
+        g[np.ix_(views.board, bundle.columns(k))] += _multiply(se_n.transpose(at.J_sensor), at.gradient)
+    step = np.linalg.solve(
+        equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.g_board[..., None]
+    )
+    return np.asarray(g - (se_n.transpose(equations.H_board_sensor) @ step)[..., 0])
+
+
+def _compare_halves(
+    prior: tuple[Array, Array], by_board: tuple[Array, Array], first: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Difference (G,) of the solutions of two halves of the boards (C,), and its covariance (G, G).
+
+    Args:
+        prior: information (G, G) and gradient (G,) of priors, which both have.
+        by_board: information (C, G, G) and gradient (C, G) of each board.
+        first: (C,) whether a board is in the first half.
+    """
+    covariances, steps = [], []
+    for half in (first, ~first):
+        covariance = np.linalg.inv(prior[0] + by_board[0][half].sum(axis=0))
+        covariances.append(covariance)
+        steps.append(-covariance @ (prior[1] + by_board[1][half].sum(axis=0)))
+    A, B = covariances
+    shared = A @ prior[0] @ B
+    return steps[1] - steps[0], A + B - shared - shared.T
+
+
+def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
+    """Squared Mahalanobis distance and its degrees of freedom."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    regular = values > _RANK_TOLERANCE * values[-1]
+    along = vectors.T @ (error / scale)
+    return float(np.sum(along[regular] ** 2 / values[regular])), int(regular.sum())
+
+
+def _multiply(A: Array, x: Array) -> Array:
+    """Matrices (V, n, p) times vectors (V, p)."""
+    return np.asarray((A @ x[..., None])[..., 0])

@@ -1,0 +1,67 @@
+"""Deviations of systematic parameters in words."""
+
+import numpy as np
+
+from calgraph.estimation.rig.bundle_solver import SystematicParameter
+
+# By quantity, what a positive and what a negative deviation means.
+_MEANINGS = {
+    "focal length": ("the focal length of {of} is {size} longer than stated", "shorter"),
+    "pixel aspect": ("pixels of {of} are {size} narrower for their height than stated", "wider"),
+    "cx": ("cx of {of} is {size} larger than stated", "smaller"),
+    "cy": ("cy of {of} is {size} larger than stated", "smaller"),
+    "range bias": ("ranges of {of} are {size} longer than they should be", "shorter"),
+    "range scale": ("ranges of {of} are {size} longer than they should be", "shorter"),
+    "angle scale": ("angles between beams of {of} are {size} larger than stated", "smaller"),
+    "print scale": ("the print on the {of} is {size} larger than stated", "smaller"),
+    "print aspect": ("the print on the {of} is {size} wider for its height than stated", "narrower"),
+    "tag size": ("tags on the {of} are {size} larger than stated", "smaller"),
+    "width": ("the {of} is {size} wider than stated", "narrower"),
+    "height": ("the {of} is {size} higher than stated", "lower"),
+}
+_COMPARATIVES = ("longer", "narrower", "larger", "wider", "higher")
+
+
+def describe_deviation(parameter: SystematicParameter, deviation: float) -> str:
+    """How far a parameter is from the stated value, as a clause.
+
+    Args:
+        parameter: the parameter.
+        deviation: of the bundle's value.
+    """
+    of, quantity = parameter.of, parameter.quantity
+    size = _format_size(deviation, parameter)
+    if quantity in _MEANINGS:
+        sentence, opposite = _MEANINGS[quantity]
+        if deviation < 0:
+            positive = next(word for word in _COMPARATIVES if f" {word} " in sentence)
+            sentence = sentence.replace(f" {positive} ", f" {opposite} ")
+        return sentence.format(of=of, size=size)
+    if quantity.startswith("bias of ring"):
+        longer = "longer" if deviation > 0 else "shorter"
+        return f"ranges of {quantity.removeprefix('bias of ')} of {of} are {size} {longer} than those of the others"
+    if quantity.startswith("bow along"):
+        return f"the {of} is bent by {size} {quantity.removeprefix('bow ')}"
+    if quantity.endswith("footprint"):
+        return f"edges of the board in scans of {of} are {size} too far {'out' if deviation > 0 else 'in'}"
+    if quantity.endswith("rotation"):
+        return f"{_printed_thing(of, quantity)} is rotated by {size} from the stated place"
+    return f"{_printed_thing(of, quantity)} is {size} along {quantity[-1]} from the stated place"
+
+
+def _printed_thing(of: str, quantity: str) -> str:
+    """A tag, or the print on a board."""
+    return f"the print on the {of}" if quantity.startswith("print") else of
+
+
+def _format_size(deviation: float, parameter: SystematicParameter) -> str:
+    """The absolute deviation in plain units; of a focal length, relative."""
+    size = abs(deviation)
+    match parameter.unit if parameter.quantity != "focal length" else "":
+        case "m":
+            return f"{1000 * size:.3g} mm"
+        case "rad":
+            return f"{np.degrees(size):.2g}°"
+        case "px":
+            return f"{size:.3g} px"
+    return f"{100 * size:.2g} %"

@@ -1,0 +1,146 @@
+"""Tests of systematic parameters against their priors: what is wrong in rig.yaml, in words.
+
+Each parameter is compared with its prior standard deviation. Parameters with a high posterior correlation cannot be
+told apart: the finding names them together, each with the size that would explain the data alone.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.rig.parameter_description import describe_deviation
+from calgraph.estimation.rig.bundle_solver import Bundle, SystematicParameter
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.estimation.rig.solution import SolvedBundle
+from calgraph.geometry import Array, Index
+from calgraph.sensors import DISTORTION_NAMES
+
+_COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
+# Other causes that a finding lists at most: more are no help.
+_MAX_ALTERNATIVES = 2
+_ADVICE = "check this, correct rig.yaml or state a larger uncertainty there, and calibrate again"
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimates:
+    """Estimated deviations of E systematic parameters from the stated values, with zero prior means."""
+
+    parameters: Sequence[SystematicParameter]
+    deviation: Array
+    """(E,)."""
+    covariance: Array
+    """(E, E) posterior."""
+
+    @property
+    def normalized(self) -> Array:
+        """(E,) deviations in prior standard deviations."""
+        return self.deviation / np.array([one.prior_stddev for one in self.parameters])
+
+    def indistinguishable(self, i: int, min_correlation: float) -> Index:
+        """Indices of the other parameters that the data do not distinguish from parameter i."""
+        stddev = np.sqrt(np.diag(self.covariance))
+        correlation = self.covariance[i] / (stddev[i] * stddev)
+        return np.setdiff1d(np.flatnonzero(np.abs(correlation) > min_correlation), [i])
+
+    def deviation_alone(self, i: int, rest: Index) -> float:
+        """The deviation of parameter i if the rest is as stated."""
+        gain = np.linalg.solve(self.covariance[np.ix_(rest, rest)], self.covariance[rest, i])
+        return float(self.deviation[i] - gain @ self.deviation[rest])
+
+
+def find_systematic_errors(
+    solved: SolvedBundle, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
+) -> Iterator[Finding]:
+    """Systematic parameters that are farther from their stated values than their priors allow.
+
+    Rings of a scanner, and tags of a board, are tested by their largest deviation, at a limit that the largest of
+    as many normal numbers exceeds as rarely; the distortion coefficients of a camera by their joint effect.
+
+    Args:
+        solved: the solution.
+        settings: limits of deviations and correlations.
+    """
+    bundle, minimized = solved.bundle, solved.minimized
+    first = 6 * bundle.body_count
+    covariance = parameter_covariance(minimized.equations)[first:, first:]
+    estimates = _Estimates(bundle.extra_parameters, minimized.state.extra, covariance)
+    named: set[int] = set()
+    for group in _group_parameters(bundle):
+        limit = -ndtri(ndtr(-settings.max_prior_deviation) / len(group))
+        i = int(group[np.argmax(np.abs(estimates.normalized[group]))])
+        if abs(estimates.normalized[i]) > limit and i not in named:
+            others = np.setdiff1d(estimates.indistinguishable(i, settings.max_parameter_correlation), group)
+            named.update(others.tolist())
+            yield _describe_error(bundle, estimates, i, others)
+    for k, views in enumerate(bundle.views):
+        if isinstance(views, CornerObservations):
+            yield from _find_wrong_distortion(bundle, estimates, k, views, settings.max_prior_deviation)
+
+
+def _group_parameters(bundle: Bundle) -> list[Index]:
+    """Indices of parameters that are tested together; distortion coefficients are in none."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for i, one in enumerate(bundle.extra_parameters):
+        if one.quantity in _COEFFICIENTS:
+            continue
+        if one.of.startswith("tag "):
+            key = (" of ".join(one.of.split(" of ")[1:]), "tags")
+        elif one.quantity.startswith("bias of ring"):
+            key = (one.of, "rings")
+        else:
+            key = (one.of, one.quantity)
+        groups.setdefault(key, []).append(i)
+    return [np.array(group, dtype=np.intp) for group in groups.values()]
+
+
+def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index) -> Finding:
+    """The deviation of parameter i, or of others that could explain the data as well, the most probable first."""
+    named = [int(j) for j in others if estimates.parameters[j].quantity not in _COEFFICIENTS]
+    alone = {j: estimates.deviation_alone(j, np.setdiff1d([i, *named], [j])) for j in (i, *named)}
+    named.sort(key=lambda j: abs(alone[j]) / estimates.parameters[j].prior_stddev)
+    causes = [describe_deviation(estimates.parameters[j], alone[j]) for j in (i, *named[:_MAX_ALTERNATIVES])]
+    text = ", or ".join(causes)
+    if len(causes) > 1:
+        text += f": these {len(causes)} cannot be told apart here"
+    deviation = abs(estimates.normalized[i])
+    return Finding(
+        f"{text} ({deviation:.1f} standard deviations of its uncertainty in rig.yaml): {_ADVICE}",
+        affected_sensors(bundle, estimates.parameters[i].view_sets),
+    )
+
+
+def _find_wrong_distortion(
+    bundle: Bundle, estimates: _Estimates, k: int, views: CornerObservations, max_deviation: float
+) -> Iterator[Finding]:
+    """A camera whose distortion displaces the farthest observed corner more than its prior allows."""
+    index = [
+        i for i, one in enumerate(estimates.parameters)
+        if one.of == bundle.sensors[k] and one.quantity in _COEFFICIENTS
+    ]  # fmt: skip
+    if not index or not len(views.pixels):
+        return
+    farthest = np.argmax(np.linalg.norm(views.pixels - views.camera.principal_point, axis=1))
+    ray = views.camera.rays(views.pixels[farthest, None])
+    if not np.isfinite(ray).all():
+        return
+    J = views.camera.project_by_intrinsics(ray)[0, :, 4 : 4 + len(index)]
+    displacement = float(np.linalg.norm(J @ estimates.deviation[index]))
+    expected = float(np.linalg.norm(J * [estimates.parameters[i].prior_stddev for i in index]))
+    if displacement > max_deviation * expected:
+        yield Finding(
+            f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "
+            f"{displacement:.0f} px ({displacement / expected:.1f} standard deviations of their uncertainty in "
+            "rig.yaml): calibrate its intrinsics again, and check that its images are not rectified",
+            affected_sensors(bundle, (k,)),
+        )
+
+
+def affected_sensors(bundle: Bundle, view_sets: Sequence[int]) -> tuple[str, ...]:
+    """Sensors whose poses an error of these views makes wrong: all where the root is among them."""
+    found = {bundle.sensor_of(k) for k in view_sets}
+    return tuple(name for s, name in enumerate(bundle.sensors) if s in found or 0 in found)
