@@ -34,9 +34,6 @@ class RigDiagnosticsSettings(StrictModel):
     """Share of the stated variance that a draw is expected to have at least. Draws nearly equal to the captures
     have no expected scatter, and would divide by zero; 1 % is the mean of 100 captures of which one is
     exchanged."""
-    half_false_alarm_probability: float = Field(default=1e-4, gt=0, lt=1)
-    """Probability with which poses from two halves of the captures differ by more than the test allows although
-    covariances are right: with two pairs of halves and five sensors, 1 right recording in 1000 fails."""
     max_prior_deviation: float = Field(default=3.0, gt=0)
     """Deviation of a systematic parameter from its stated value, in prior standard deviations, beyond which it
     contradicts rig.yaml: 1 in 370 right values does."""

@@ -47,7 +47,7 @@ def assemble_rig(
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = {view: r for view, r in _inlier_residuals(estimates).items() if view not in solution.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    findings = find_contradictions(solution, captures, kinds, held_out, rig.settings.diagnostics.rig)
+    findings = find_contradictions(solution, captures, kinds, held_out, rig.settings.diagnostics)
     inconsistent = collect_findings([*captures.findings, *findings])
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from calgraph.captures import CaptureSet
-from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
 from calgraph.diagnostics.rig.capture_losses import find_lost_captures
@@ -22,7 +22,7 @@ def find_contradictions(
     captures: CaptureSet,
     kinds: Mapping[str, str],
     held_out: Mapping[str, HeldOutError],
-    settings: RigDiagnosticsSettings = RigDiagnosticsSettings(),
+    settings: DiagnosticsSettings = DiagnosticsSettings(),
 ) -> tuple[Finding, ...]:
     """The findings of all tests of a joint solution; none where it is not a bundle.
 
@@ -33,15 +33,16 @@ def find_contradictions(
         held_out: errors of the cross-validation by sensor.
         settings: of the tests.
     """
+    limits = settings.rig
     if (solved := solution.solved_bundle) is None:
         return ()
     return (
-        *find_systematic_errors(solved, settings),
-        *find_excessive_noise(solution, kinds, settings),
-        *find_lost_captures(captures, solved, settings),
-        *find_differing_halves(solved, settings),
-        *_find_poor_predictions(held_out, settings),
-        *_find_optimistic_covariances(solved, kinds, settings),
+        *find_systematic_errors(solved, limits),
+        *find_excessive_noise(solution, kinds, limits),
+        *find_lost_captures(captures, solved, limits),
+        *find_differing_halves(solved, settings.verdict.false_alarm_probability),
+        *_find_poor_predictions(held_out, limits),
+        *_find_optimistic_covariances(solved, kinds, limits),
     )
 
 

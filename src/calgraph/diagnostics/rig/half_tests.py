@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.rig.board_information import information_by_board
 from calgraph.estimation.rig.bundle_solver import (
@@ -26,9 +25,7 @@ from calgraph.geometry import Array, se_n
 _RANK_TOLERANCE = 1e-12
 
 
-def find_differing_halves(
-    solved: SolvedBundle, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
-) -> Iterator[Finding]:
+def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) -> Iterator[Finding]:
     """Sensors whose poses from halves of the captures differ by more than their covariances allow.
 
     Halves are the first and the second half in time, and captures of even and odd number. Their solutions are one
@@ -37,7 +34,7 @@ def find_differing_halves(
 
     Args:
         solved: the solution of all captures.
-        settings: the probability of a false alarm.
+        false_alarm_probability: of the test of one sensor and one pair of halves.
     """
     bundle, minimized = solved.bundle, solved.minimized
     H, g, _ = minimized.equations.eliminate_boards()
@@ -56,7 +53,7 @@ def find_differing_halves(
                 continue
             off, C = J @ difference, J @ covariance @ J.T
             squared, freedom = _squared_distance(off, C)
-            if squared > chdtri(freedom, settings.half_false_alarm_probability):
+            if squared > chdtri(freedom, false_alarm_probability):
                 mm, degrees = 1000 * np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))
                 yield Finding(
                     f"{description} give poses of {name} that differ by {mm:.1f} mm and {degrees:.2f}°, "

@@ -21,6 +21,8 @@ from calgraph.geometry import Array, Index
 from calgraph.sensors import DISTORTION_NAMES
 
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
+# Least share of the prior variance that the data remove of a parameter that is tested.
+_MIN_LEARNED = 0.05
 # Other causes that a finding lists at most: more are no help.
 _MAX_ALTERNATIVES = 2
 _ADVICE = "check this, correct rig.yaml or state a larger uncertainty there, and calibrate again"
@@ -38,8 +40,14 @@ class _Estimates:
 
     @property
     def normalized(self) -> Array:
-        """(E,) deviations in prior standard deviations."""
-        return self.deviation / np.array([one.prior_stddev for one in self.parameters])
+        """(E,) deviations over the standard deviations that they have if the priors are right.
+
+        The variance of an estimate about the stated value is what the data removed of the prior variance. Source:
+        Baarda, "A testing procedure for use in geodetic networks", 1968.
+        """
+        prior = np.array([one.prior_stddev for one in self.parameters]) ** 2
+        removed = np.maximum(prior - np.diag(self.covariance), _MIN_LEARNED * prior)
+        return np.asarray(self.deviation / np.sqrt(removed))
 
     def indistinguishable(self, i: int, min_correlation: float) -> Index:
         """Indices of the other parameters that the data do not distinguish from parameter i."""
