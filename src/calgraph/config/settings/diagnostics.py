@@ -41,13 +41,13 @@ class RigDiagnosticsSettings(StrictModel):
     """Posterior correlation of two systematic parameters beyond which the data do not tell them apart: given the
     other, the standard deviation of each is 2.3 times as small."""
     max_noise_ratio: float = Field(default=2.0, gt=1)
-    """Largest measured noise of a sensor, and RMS residual of its kept captures, over the stated noise: rig.yaml is
-    right to a factor of about 1.5."""
+    """Largest measured noise of a sensor, and RMS residual of its kept captures, over the stated noise: rig.yaml
+    is right to a factor of about 1.5."""
     max_good_noise_ratio: float = Field(default=4.0, gt=1)
     """The same beyond which a sensor is weak: no data sheet errs by this factor, so that the model is wrong."""
     max_view_bias: float = Field(default=0.005, gt=0)
-    """m; largest standard deviation of the displacement of a sensor's views, and of its rings in each view. That of
-    flat boards and calibrated ranges is 1 to 2 mm."""
+    """m; largest standard deviation of the displacement of a sensor's views, and of its rings in each view. That
+    of flat boards and calibrated ranges is 1 to 2 mm."""
     max_view_tilt: float = Field(default=float(np.radians(0.5)), gt=0)
     """rad (0.5°); the same of rotations: 5 mm at the edge of a board of 1.2 m."""
     max_lost_share: float = Field(default=0.2, gt=0, lt=1)

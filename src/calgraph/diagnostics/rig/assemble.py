@@ -5,8 +5,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calgraph.captures import CaptureSet, Hold
+from calgraph.captures import CaptureSet, Hold, InputFinding
 from calgraph.config import Rig
+from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
 from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
@@ -47,8 +48,11 @@ def assemble_rig(
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = {view: r for view, r in _inlier_residuals(estimates).items() if view not in solution.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    findings = find_contradictions(solution, captures, kinds, held_out, rig.settings.diagnostics)
-    inconsistent = collect_findings([*captures.findings, *findings])
+    findings: list[InputFinding | Finding] = [
+        *captures.findings,
+        *find_contradictions(solution, captures, kinds, held_out, rig.settings.diagnostics),
+    ]
+    inconsistent = collect_findings(findings)
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:
         contradicted = find_contradicted_priors(
@@ -81,7 +85,7 @@ def assemble_rig(
                 for name in rig.sensors
             ),
             unconnected=_explain_unconnected(rig, captures, pairs, connected),
-            remarks=(*(finding.text for finding in (*captures.findings, *findings)), *solution.remarks),
+            remarks=(*(finding.text for finding in findings), *solution.remarks),
             residuals=solution.residuals,
             cross_validation=held_out,
         ),

@@ -70,12 +70,16 @@ def _find_optimistic_covariances(
         return
     # The result hardly depends on the samples, so that the seed is fixed.
     rng = np.random.default_rng(0)
-    confident = settings.model_copy(update={"bootstrap_confidence": 1 - settings.bootstrap_false_alarm_probability})
-    for name, scatter in bootstrap_poses(solved, settings.bootstrap_rounds, rng, lambda _: None, confident).items():
+    confident = settings.model_copy(
+        update={"bootstrap_confidence": 1 - settings.bootstrap_false_alarm_probability}
+    )
+    for name, scatter in bootstrap_poses(
+        solved, settings.bootstrap_rounds, rng, lambda _: None, confident
+    ).items():
         if scatter.verdict == "optimistic":
-            axis = axis_names(kinds[name])[scatter.worst]
+            axis, ratio = axis_names(kinds[name])[scatter.worst], scatter.ratio[scatter.worst]
             yield Finding(
-                f"{axis} of {name} scatters {scatter.ratio[scatter.worst]:.1f} times as much over resampled captures "
-                "as its standard deviation: record more captures",
+                f"{axis} of {name} scatters {ratio:.1f} times as much over resampled captures as its standard "
+                "deviation allows: record more captures",
                 (name,),
             )

@@ -4,7 +4,7 @@ Errors that change in the course of a recording, or that no parameter describes,
 more than their covariances. Errors that both halves share do not show.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,9 @@ _RANK_TOLERANCE = 1e-12
 def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) -> Iterator[Finding]:
     """Sensors whose poses from halves of the captures differ by more than their covariances allow.
 
-    Halves are the first and the second half in time, and captures of even and odd number. Their solutions are one
-    Gauss-Newton step from that of all captures, with its noise, view bias and robust weights. Both have the prior of
-    information P; with covariances A and B of the halves, their difference has ``A + B - A P B - B P A``.
+    Halves are the first and the second half in time, and captures of even and odd number. Their solutions are
+    one Gauss-Newton step from that of all captures, with its noise, view bias and robust weights. Both have the
+    prior of information P; with covariances A and B of the halves, their difference has ``A + B - A P B - B P A``.
 
     Args:
         solved: the solution of all captures.
@@ -71,9 +71,7 @@ def gradient_by_board(bundle: Bundle, equations: BundleEquations) -> Array:
     g = np.zeros((len(equations.H_board), bundle.parameter_count))
     for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
         g[np.ix_(views.board, bundle.columns(k))] += _multiply(se_n.transpose(at.J_sensor), at.gradient)
-    step = np.linalg.solve(
-        equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.g_board[..., None]
-    )
+    step = np.linalg.solve(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.g_board[..., None])
     return np.asarray(g - (se_n.transpose(equations.H_board_sensor) @ step)[..., 0])
 
 

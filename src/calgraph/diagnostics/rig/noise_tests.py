@@ -1,7 +1,7 @@
 """Tests of the measured noise and view bias against the noise that rig.yaml states.
 
-The covariances contain the noise that was measured. Where it is a multiple of the stated noise, something errs that
-neither rig.yaml nor a systematic parameter describes.
+The covariances contain the noise that was measured. Where it is a multiple of the stated noise, there are errors
+that neither rig.yaml nor a systematic parameter describes.
 """
 
 from collections.abc import Iterator, Mapping
@@ -43,7 +43,9 @@ def find_excessive_noise(
                 weak if noise.scale > settings.max_good_noise_ratio else (),
             )
         elif bias := _describe_view_bias(noise, settings):
-            yield Finding(f"measurements of {name} are displaced from capture to capture by {bias}: {_BIAS_CAUSES}", weak)
+            yield Finding(
+                f"measurements of {name} are displaced from capture to capture by {bias}: {_BIAS_CAUSES}", weak
+            )
         elif (misfit := noise.scale * (rms(solution.residuals[name]) or 0.0)) > settings.max_noise_ratio:
             yield Finding(
                 f"residuals of {name} are {misfit:.1f} times the noise in rig.yaml: {_BIAS_CAUSES}",

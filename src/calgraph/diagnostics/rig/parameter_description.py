@@ -39,7 +39,9 @@ def describe_deviation(parameter: SystematicParameter, deviation: float) -> str:
         return sentence.format(of=of, size=size)
     if quantity.startswith("bias of ring"):
         longer = "longer" if deviation > 0 else "shorter"
-        return f"ranges of {quantity.removeprefix('bias of ')} of {of} are {size} {longer} than those of the others"
+        return (
+            f"ranges of {quantity.removeprefix('bias of ')} of {of} are {size} {longer} than those of the others"
+        )
     if quantity.startswith("bow along"):
         return f"the {of} is bent by {size} {quantity.removeprefix('bow ')}"
     if quantity.endswith("footprint"):
