@@ -84,7 +84,9 @@ def test_distances_are_positive_beyond_the_board_as_viewed_from_the_scanner(
         T, corners = joint.T_root_sensor[view.sensor], sheets[view.capture]
         normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
         normal *= np.sign(normal @ (corners[0] - T[:3, 3])) / np.linalg.norm(normal)
-        np.testing.assert_allclose(view.residuals, (se3.apply(T, view.measured) - corners[0]) @ normal, atol=1e-9)
+        distances = (se3.apply(T, view.measured) - corners[0]) @ normal
+        # Residuals are without the systematic errors of ranges, which are estimated.
+        np.testing.assert_allclose(view.residuals, distances, atol=0.005)
 
 
 def test_sheets_are_where_the_board_was(one: DetectedRig, outlines: tuple[BoardOutline, ...]) -> None:

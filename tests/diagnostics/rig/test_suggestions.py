@@ -1,9 +1,8 @@
-"""The assessment of a calibration: suggested board poses as advice in verdicts."""
+"""Suggested board poses as advice in verdicts."""
 
 from typing import Literal
 
 import numpy as np
-import pytest
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
@@ -20,7 +19,7 @@ KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
 }
 
 
-def assess(grade: Literal["good", "weak"], folds: int = 0) -> Calibration:
+def suggest(grade: Literal["good", "weak"]) -> Calibration:
     """Of three sensors and six boards, after which the laser is the least certain; all have the grade given."""
     exact = scene(boards=6)
     solved = minimize_bundle(exact.bundle, exact.truth)
@@ -33,12 +32,12 @@ def assess(grade: Literal["good", "weak"], folds: int = 0) -> Calibration:
     calibration = Calibration("lidar", sensors, joint_covariance=joint)
     rng = np.random.default_rng(0)
     return add_suggestions(
-        calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), folds, rng, Tolerance()
+        calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), rng, Tolerance()
     )
 
 
 def test_the_first_suggestion_for_a_weak_sensor_is_in_its_verdict() -> None:
-    found = assess("weak")
+    found = suggest("weak")
     (first, *_) = found.evidence.suggestions
     reasons = {sensor.name: sensor.verdict.reason for sensor in found.sensors}
     assert reasons[first.sensor] == f"some axis ±3 mm; first {first.hold}"
@@ -48,9 +47,4 @@ def test_the_first_suggestion_for_a_weak_sensor_is_in_its_verdict() -> None:
 
 
 def test_good_sensors_need_no_advice() -> None:
-    assert {sensor.verdict.reason for sensor in assess("good").sensors} == {"some axis ±3 mm"}
-
-
-@pytest.mark.parametrize(("folds", "sensors"), [(0, 0), (3, 3)])
-def test_without_folds_there_is_no_cross_validation(folds: int, sensors: int) -> None:
-    assert len(assess("good", folds).evidence.cross_validation) == sensors
+    assert {sensor.verdict.reason for sensor in suggest("good").sensors} == {"some axis ±3 mm"}

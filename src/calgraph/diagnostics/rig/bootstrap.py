@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.board_information import information_by_board
+from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
 from calgraph.estimation.rig.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
@@ -69,6 +69,8 @@ def bootstrap_poses(
     rng: np.random.Generator,
     progress: Callable[[float], None],
     settings: RigDiagnosticsSettings = RigDiagnosticsSettings(),
+    *,
+    exact: bool = True,
 ) -> dict[str, BootstrapScatter]:
     """Compares the covariances of poses with their scatter over resampled captures.
 
@@ -78,6 +80,7 @@ def bootstrap_poses(
         rng: draws them.
         progress: called with the share of the work that is done, 0..1.
         settings: of the intervals.
+        exact: whether samples are solved to their minimum, instead of by one Gauss-Newton step.
 
     Returns:
         By sensor; none for those whose pose is not estimated.
@@ -86,6 +89,8 @@ def bootstrap_poses(
     captures, capture = np.unique(solved.captures, return_inverse=True)
     information = np.zeros((len(captures), bundle.parameter_count, bundle.parameter_count))
     np.add.at(information, capture, information_by_board(bundle, equations))
+    gradient = np.zeros(information.shape[:2])
+    np.add.at(gradient, capture, gradient_by_board(bundle, equations))
     V = parameter_covariance(equations)
     to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = to_sensor @ pose_jacobian(bundle, state).reshape(len(to_sensor), 6, -1)
@@ -93,17 +98,18 @@ def bootstrap_poses(
     free = axes[:, 0].any(axis=-1)
     for i in range(rounds):
         counts = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
-        boards = np.repeat(np.arange(len(capture)), counts[capture])
-        resampled, cache, start = _resample_bundle(bundle, state, equations, boards)
-        sample = minimize_bundle(
-            resampled, start, cache, iterations=_MAX_STEPS, tolerance=COARSE_TOLERANCE, exact=False
-        )
-        difference = se3.difference(sample.state.T_root_sensor, state.T_root_sensor)
+        if exact:
+            boards = np.repeat(np.arange(len(capture)), counts[capture])
+            T_root_sensor = _solve_sample(bundle, state, equations, boards)
+            along = (to_sensor @ se3.difference(T_root_sensor, state.T_root_sensor)[..., None])[..., 0]
+        else:
+            added = np.tensordot(counts - 1.0, information, axes=1)
+            along = -axes @ np.linalg.solve(np.linalg.inv(V) + added, (counts - 1.0) @ gradient)
         expected = np.maximum(
             _axis_variances(axes, _difference_covariance(information, V, counts)),
             settings.bootstrap_min_variance_share * stated**2,
         )
-        squares[free] += ((to_sensor @ difference[..., None])[..., 0] ** 2)[free] / expected[free] / rounds
+        squares[free] += along[free] ** 2 / expected[free] / rounds
         progress((i + 1) / rounds)
     ratio = np.sqrt(squares)
     low, high = _confidence_factors(axes[free] @ V, information, rounds, settings.bootstrap_confidence)
@@ -111,6 +117,15 @@ def bootstrap_poses(
         bundle.sensors[s]: BootstrapScatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
         for i, s in enumerate(np.flatnonzero(free))
     }
+
+
+def _solve_sample(bundle: Bundle, state: BundleState, equations: BundleEquations, boards: Index) -> Array:
+    """(S, 4, 4) poses by the drawn boards (B,), which may repeat."""
+    resampled, cache, start = _resample_bundle(bundle, state, equations, boards)
+    sample = minimize_bundle(
+        resampled, start, cache, iterations=_MAX_STEPS, tolerance=COARSE_TOLERANCE, exact=False
+    )
+    return sample.state.T_root_sensor
 
 
 def _resample_bundle(

@@ -33,16 +33,15 @@ def find_contradictions(
         held_out: errors of the cross-validation by sensor.
         settings: of the tests.
     """
-    limits = settings.rig
     if (solved := solution.solved_bundle) is None:
         return ()
     return (
-        *find_systematic_errors(solved, limits),
-        *find_excessive_noise(solution, kinds, limits),
-        *find_lost_captures(captures, solved, limits),
+        *find_systematic_errors(solved, settings.rig),
+        *find_excessive_noise(solution, kinds, settings.rig),
+        *find_lost_captures(captures, solved, settings.rig),
         *find_differing_halves(solved, settings.verdict.false_alarm_probability),
-        *_find_poor_predictions(held_out, limits),
-        *_find_optimistic_covariances(solved, kinds, limits),
+        *_find_poor_predictions(held_out, settings.rig),
+        *_find_optimistic_covariances(solved, kinds, settings.rig),
     )
 
 

@@ -11,15 +11,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.diagnostics.finding import Finding
-from calgraph.estimation.rig.board_information import information_by_board
-from calgraph.estimation.rig.bundle_solver import (
-    BOARD_PRIOR_INFORMATION,
-    Bundle,
-    BundleEquations,
-    pose_jacobian,
-)
+from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
+from calgraph.estimation.rig.bundle_solver import pose_jacobian
 from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import Array
 
 # Poses of halves whose differences have a smaller share of the largest eigenvalue of their covariance are equal.
 _RANK_TOLERANCE = 1e-12
@@ -63,18 +58,6 @@ def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) 
                 )
 
 
-def gradient_by_board(bundle: Bundle, equations: BundleEquations) -> Array:
-    """(C, G) gradient of each board's views by the parameters, the board's pose eliminated.
-
-    The reduced gradient is their sum and that of the priors.
-    """
-    g = np.zeros((len(equations.H_board), bundle.parameter_count))
-    for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
-        g[np.ix_(views.board, bundle.columns(k))] += _multiply(se_n.transpose(at.J_sensor), at.gradient)
-    step = np.linalg.solve(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.g_board[..., None])
-    return np.asarray(g - (se_n.transpose(equations.H_board_sensor) @ step)[..., 0])
-
-
 def _compare_halves(
     prior: tuple[Array, Array], by_board: tuple[Array, Array], first: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
@@ -102,8 +85,3 @@ def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
     regular = values > _RANK_TOLERANCE * values[-1]
     along = vectors.T @ (error / scale)
     return float(np.sum(along[regular] ** 2 / values[regular])), int(regular.sum())
-
-
-def _multiply(A: Array, x: Array) -> Array:
-    """Matrices (V, n, p) times vectors (V, p)."""
-    return np.asarray((A @ x[..., None])[..., 0])
