@@ -34,7 +34,7 @@ def find_lost_captures(
         lost = len(shared - tied)
         if shared and lost > settings.max_lost_share * len(shared):
             yield Finding(
-                f"{lost} of {len(shared)} captures that {name} shares with other sensors were rejected: check that "
-                "the board rests in each capture, that nothing else in view is like it, and that clocks agree",
+                f"{lost} of {len(shared)} captures that {name} shares with other sensors were rejected: check "
+                "that the board rests in each capture, that nothing in view is like it, and that clocks agree",
                 (name,) if lost > settings.max_good_lost_share * len(shared) else (),
             )

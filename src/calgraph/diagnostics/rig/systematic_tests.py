@@ -25,7 +25,6 @@ _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name i
 _MIN_LEARNED = 0.05
 # Other causes that a finding lists at most: more are no help.
 _MAX_ALTERNATIVES = 2
-_ADVICE = "check this, correct rig.yaml or state a larger uncertainty there, and calibrate again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +116,8 @@ def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index
         text += f": these {len(causes)} cannot be told apart here"
     deviation = abs(estimates.normalized[i])
     return Finding(
-        f"{text} ({deviation:.1f} standard deviations of its uncertainty in rig.yaml): {_ADVICE}",
+        f"{text} ({deviation:.1f} standard deviations of its uncertainty in rig.yaml): check this, correct rig.yaml "
+        "or state a larger uncertainty there, and calibrate again",
         affected_sensors(bundle, estimates.parameters[i].view_sets),
     )
 
