@@ -116,8 +116,8 @@ def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index
         text += f": these {len(causes)} cannot be told apart here"
     deviation = abs(estimates.normalized[i])
     return Finding(
-        f"{text} ({deviation:.1f} standard deviations of its uncertainty in rig.yaml): check this, correct rig.yaml "
-        "or state a larger uncertainty there, and calibrate again",
+        f"{text} ({deviation:.1f} standard deviations of its uncertainty in rig.yaml): check this, correct "
+        "rig.yaml or state a larger uncertainty there, and calibrate again",
         affected_sensors(bundle, estimates.parameters[i].view_sets),
     )
 

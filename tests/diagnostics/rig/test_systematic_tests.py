@@ -1,0 +1,83 @@
+"""Systematic errors beyond their priors are named, with the sensors that they concern; right rigs have none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.rig.systematic_tests import _Estimates, find_systematic_errors
+from calgraph.estimation.rig.bundle_solver import SystematicParameter
+from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
+from detected_rigs import detect_rig
+
+ALL = ("lidar", "camera", "laser_front")
+
+
+def findings(errors: ModelErrors | None = None, seed: int = 0) -> tuple[Finding, ...]:
+    solved = detect_rig(seed=seed, errors=errors).solve().solved_bundle
+    assert solved is not None
+    return tuple(find_systematic_errors(solved))
+
+
+@dataclass(frozen=True)
+class Case:
+    """An error, what is said of it, and the sensors that it makes weak."""
+
+    errors: ModelErrors
+    text: str
+    sensors: tuple[str, ...]
+
+
+RINGS = tuple(0.06 * (np.arange(16) == 8))
+CASES = {
+    "print scale": Case(ModelErrors(BoardErrors(print_scale=0.03)), "the print on the board is", ("camera",)),
+    "print aspect": Case(
+        ModelErrors(BoardErrors(print_aspect=-0.015)), "the print on the board is 1.5 % narrower", ("camera",)
+    ),
+    "bow": Case(ModelErrors(BoardErrors(bow=(0.012, 0, 0))), "the board is bent by 11.8 mm along x", ALL),
+    "focal length": Case(
+        ModelErrors(cameras={"camera": CameraErrors(focal_length=(0.05, 0.05))}), "focal length of", ("camera",)
+    ),
+    "distortion": Case(
+        ModelErrors(cameras={"camera": CameraErrors(distortion=(0.3,))}),
+        "distortion coefficients of camera displace corners",
+        ("camera",),
+    ),
+    "range bias": Case(
+        ModelErrors(scanners={"laser_front": ScannerErrors(range_bias=-0.1)}),
+        "ranges of laser_front are 96.7 mm shorter than they should be",
+        ("laser_front",),
+    ),
+    "range bias of the root": Case(
+        ModelErrors(scanners={"lidar": ScannerErrors(range_bias=0.1)}), "ranges of lidar are", ALL
+    ),
+    "ring": Case(ModelErrors(scanners={"lidar": ScannerErrors(ring_bias=RINGS)}), "ranges of ring 9", ALL),
+}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_right_rigs_have_no_findings(seed: int) -> None:
+    assert findings(seed=seed) == ()
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_an_error_beyond_its_prior_is_named(case: Case) -> None:
+    (found,) = [one for one in findings(case.errors) if case.text in one.text]
+    assert set(found.sensors) == set(case.sensors)
+    assert "rig.yaml" in found.text
+
+
+def test_parameters_with_the_same_effect_are_alternatives() -> None:
+    # Their difference is observed with a standard deviation of 0.1; priors of 1 and 2 split it.
+    parameters = [SystematicParameter("a", "range bias", "m", prior, (0,)) for prior in (1.0, 2.0)]
+    prior, direction = np.diag([1.0, 0.25]), np.array([1.0, -1.0])
+    covariance = np.linalg.inv(prior + 100 * np.outer(direction, direction))
+    estimates = _Estimates(parameters, covariance @ (100 * direction * 5.0), covariance)
+    np.testing.assert_allclose(estimates.deviation, [1, -4], atol=0.02)
+    # Together they explain 5; so does the first alone.
+    assert estimates.deviation_alone(0, np.array([1])) == pytest.approx(5, rel=0.02)
+    assert estimates.deviation_alone(1, np.array([0])) == pytest.approx(-5, rel=0.02)
+    assert estimates.indistinguishable(0, 0.9).tolist() == [1]
+    # As estimates of a difference that priors predict to the root of 5, both are off by as much.
+    np.testing.assert_allclose(np.abs(estimates.normalized), np.sqrt(5), rtol=0.02)
