@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
 from calgraph.calibrate.strategies import select_initialization, select_plane_estimator, solve_baseline
 from calgraph.captures import (
@@ -175,7 +176,9 @@ def build_problem_from_captures(
 
 def solve_problem(problem: Problem) -> Calibration:
     """From the joint problem to a calibration of all sensors; deterministic to the last bit."""
-    joint, tree = solve_jointly(problem)
+    problem, joint, tree = solve_after_bumps(
+        problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly
+    )
     if joint.solved_bundle is None:
         return assemble_rig(problem, tree, joint)
     rig, folds = problem.rig, problem.solver.folds

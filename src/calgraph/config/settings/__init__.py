@@ -23,6 +23,7 @@ from calgraph.config.settings.detection import (
     TagSettings,
 )
 from calgraph.config.settings.diagnostics import (
+    BumpTestSettings,
     DiagnosticsSettings,
     NetworkDiagnosticsSettings,
     RigDiagnosticsSettings,
@@ -77,6 +78,7 @@ __all__ = [
     "BoardPoseSettings",
     "BoardRegistrationSettings",
     "BodySettings",
+    "BumpTestSettings",
     "CameraDetectionSettings",
     "CameraNoiseSettings",
     "CaptureSettings",

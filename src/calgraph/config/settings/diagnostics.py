@@ -100,6 +100,34 @@ class RigDiagnosticsSettings(StrictModel):
     """rad (7.5°); the same for angles, which are rounded to 5°."""
 
 
+class BumpTestSettings(StrictModel):
+    """Tests of steps in the poses of a rig's sensors: sensors that were bumped during the recording."""
+
+    false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
+    """Probability with which a recording without bumps has one reported, for all sensors and times together."""
+    min_views: int = Field(default=4, ge=2)
+    """Least number of captures of a sensor on either side of a step: a board that slips in a few captures in a
+    row is not a bump."""
+    trigger_probability: float = Field(default=0.1, gt=0, lt=1)
+    """Probability with which a recording without bumps is tested with estimated variances, which takes as long as
+    its solution."""
+    max_view_bias: float = Field(default=0.01, gt=0)
+    """m; where views scatter with a larger standard deviation on either side of a step, another error of the model
+    is larger than the step: flat boards and working scanners vary by 1 to 3 mm."""
+    max_rounds: int = Field(default=8, ge=1)
+    """Rounds of estimating the variances beside a step; they start at those of the solution."""
+    permutations: int = Field(default=199, ge=0)
+    """Random orders of a sensor's captures, none of which may have a larger statistic than that of time: 0.5 %
+    of them, whatever the distribution of outliers."""
+    min_time_likelihood: float = Field(default=20.0, gt=1)
+    """Captures are neither before nor after a step if the likelihood of times on either side of them is less than
+    this factor below the largest: about 95 %."""
+    indistinguishable_ratio: float = Field(default=1e4, gt=1)
+    """Sensors whose steps have a likelihood smaller than the largest by less than this factor are all named."""
+    max_bumps: int = Field(default=4, ge=0)
+    """Most steps found in a recording; 0 does not search."""
+
+
 class NetworkDiagnosticsSettings(StrictModel):
     """Tests of a network's calibration."""
 
@@ -120,5 +148,6 @@ class DiagnosticsSettings(StrictModel):
     """Verdicts and tests of the result."""
 
     verdict: VerdictSettings = VerdictSettings()
+    bumps: BumpTestSettings = BumpTestSettings()
     rig: RigDiagnosticsSettings = RigDiagnosticsSettings()
     network: NetworkDiagnosticsSettings = NetworkDiagnosticsSettings()

@@ -77,7 +77,7 @@ def solve_bundle(
     bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
     bundle = without_priors(bundle)
     solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
-    bundle, solution, rejected = _settle_variances(bundle, solution, bundle.settings.variances.max_rounds)
+    bundle, solution, rejected = settle_variances(bundle, solution, bundle.settings.variances.max_rounds)
     bundle, solution, more = _solve_with_outlines(bundle, solution, rig, captured, boards)
     rejected |= more
     # Priors enter last: an error of theirs must not increase the estimated noise.
@@ -224,10 +224,10 @@ def _solve_with_outlines(
     solution = minimize_bundle(
         outlined, state, cache, iterations=settings.steps_per_round, tolerance=COARSE_TOLERANCE, exact=False
     )
-    return _settle_variances(outlined, solution, settings.max_outline_rounds, first=len(outlined.views))
+    return settle_variances(outlined, solution, settings.max_outline_rounds, first=len(outlined.views))
 
 
-def _settle_variances(
+def settle_variances(
     bundle: Bundle, solution: MinimizedBundle, rounds: int, first: int = 0
 ) -> tuple[Bundle, MinimizedBundle, set[tuple[int, str]]]:
     """The bundle with estimated noise and view bias, its solution, and rejected views by board and sensor.
