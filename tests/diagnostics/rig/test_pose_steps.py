@@ -1,4 +1,4 @@
-"""Tests of steps in the poses of sensors: how often they are found where there are some, and where there are none."""
+"""Tests of steps in the poses of sensors: how often they are found, with a step and without one."""
 
 from dataclasses import replace
 
