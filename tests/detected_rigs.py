@@ -15,6 +15,7 @@ from calgraph.pairwise import PairwiseEstimate
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
+    IdealDetectorOptions,
     LaserOptions,
     ModelErrors,
     MultibeamOptions,
@@ -109,8 +110,10 @@ def detect_rig(scenario: RigScenario = QUICK, seed: int = 0, errors: ModelErrors
     return detect_rig_on(build_world(scenario, 1), seed, errors)
 
 
-def detect_rig_on(stage: World, seed: int, errors: ModelErrors | None = None) -> DetectedRig:
+def detect_rig_on(
+    stage: World, seed: int, errors: ModelErrors | None = None, options: IdealDetectorOptions | None = None
+) -> DetectedRig:
     """One of many recordings of the same boards."""
-    rig, captured, truth = simulate_detections(stage, seed, errors=errors)
+    rig, captured, truth = simulate_detections(stage, seed, options, errors)
     others = {name: T for name, T in truth.T_root_sensor.items() if name != rig.root}
     return DetectedRig(rig, captured, {rig.root: np.eye(4), **others}, truth)

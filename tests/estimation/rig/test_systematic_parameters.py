@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from calgraph.config import Board, Checkerboard
 from calgraph.estimation import RigSolution
@@ -20,6 +21,7 @@ from calgraph.simulation import (
     build_world,
 )
 from detected_rigs import QUICK, detect_rig, detect_rig_on, exact_rig, with_uncertainty
+from model_error_draws import draw_errors
 
 FINE = QUICK.model_copy(
     update={
@@ -192,3 +194,17 @@ def test_outlines_do_not_bias_the_range_scale() -> None:
         scales.append([find(joint, name, "range scale").value - 1 for name in ("lidar", "laser_front")])
     mean, standard_error = np.mean(scales, axis=0), np.std(scales, axis=0, ddof=1) / np.sqrt(len(scales))
     assert np.all(np.abs(mean) < 3 * standard_error)
+
+
+def test_covariances_contain_systematic_errors_drawn_from_their_priors() -> None:
+    """Every systematic error of sensors and board at once, in 24 worlds."""
+    world = build_world(FINE.model_copy(update={"samples": 1}), 1)
+    nees = []
+    for seed in range(24):
+        one = detect_rig_on(world, seed, draw_errors(world, np.random.default_rng(seed)))
+        joint = one.solve()
+        nees.append([one.mahalanobis(joint, name) for name in ("camera", "laser_front")])
+        assert not joint.rejected
+    low, high = chi2.ppf([0.005, 0.995], 6 * len(nees)) / (6 * len(nees))
+    # The usual view bias is assumed, of which these worlds have none.
+    assert np.all((0.8 * low < np.mean(nees, axis=0)) & (np.mean(nees, axis=0) < high))
