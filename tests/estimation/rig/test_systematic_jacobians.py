@@ -8,7 +8,14 @@ import pytest
 from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.board_outlines import add_outlines
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
+from calgraph.estimation.rig.bundle_solver import (
+    BOARD_PRIOR_INFORMATION,
+    Bundle,
+    BundleState,
+    linearize_bundle,
+    view_jacobians,
+)
+from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.estimate import build_bundle, update_noise
 from calgraph.estimation.rig.normal_equations import accumulate
 from calgraph.estimation.rig.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
@@ -141,6 +148,34 @@ def test_sums_of_rings_are_those_of_dense_columns(bundle_and_state: tuple[Bundle
         np.testing.assert_allclose(grouped.Jtr / scale, single.Jtr / scale, atol=1e-7)
         np.testing.assert_allclose(grouped.squared_residuals, single.squared_residuals)
         np.testing.assert_allclose(grouped.robust_cost_offset, single.robust_cost_offset)
+
+
+def test_the_covariance_is_the_inverse_of_the_dense_information(
+    bundle_and_state: tuple[Bundle, BundleState],
+) -> None:
+    """Of poses, systematic parameters, rings and footprints, with their priors; without view biases."""
+    bundle, state = bundle_and_state
+    settings = bundle.settings.model_copy(update={"huber_threshold": 1e6})
+    bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance), settings=settings)
+    G, boards = bundle.parameter_count, len(state.T_root_board)
+    H = np.diag(np.concatenate([bundle.prior_stddev**-2, np.full(6 * boards, BOARD_PRIOR_INFORMATION)]))
+    for k, views in enumerate(bundle.all_views):
+        T = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
+        linearized = views.linearize(T, state.extra[bundle.extra_indices(k)])
+        by_view, view = (
+            dense_jacobian(linearized, views.start),
+            view_indices(views.start, len(linearized.residual)),
+        )
+        J_sensor, J_board = view_jacobians(bundle, state, k)
+        for v, board in enumerate(views.board):
+            J = by_view[view == v].reshape(-1, by_view.shape[-1])
+            J = np.concatenate([J @ J_sensor[v], J @ J_board[v]], axis=1)
+            columns = np.concatenate([bundle.columns(k), G + 6 * board + np.arange(6)])
+            H[np.ix_(columns, columns)] += J.T @ J
+    expected = np.linalg.inv(H)[:G, :G]
+    found = parameter_covariance(linearize_bundle(bundle, state))
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found / size / size[:, None], expected / size / size[:, None], atol=1e-5)
 
 
 def one_hot(linearized: LinearizedResiduals) -> LinearizedResiduals:
