@@ -38,7 +38,7 @@ def test_stated_noise_passes() -> None:
             "from capture to capture by 20.0 mm and 1.00°: check",
             True,
         ),
-        (MeasuredNoise(1.0, 0.0, ring_bias=0.01), 1.0, "from capture to capture by 10.0 mm in each ring", True),
+        (MeasuredNoise(1.0, 0.0, ring_bias=0.02), 1.0, "from capture to capture by 20.0 mm in each ring", True),
         (MeasuredNoise(1.0, 0.002), 3.0, "residuals of camera are 3.0 times the noise in rig.yaml", False),
         (MeasuredNoise(1.0, 0.002), 6.0, "residuals of camera are 6.0 times the noise in rig.yaml", True),
     ],

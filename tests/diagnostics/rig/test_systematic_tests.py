@@ -15,9 +15,10 @@ ALL = ("lidar", "camera", "laser_front")
 
 
 def findings(errors: ModelErrors | None = None, seed: int = 0) -> tuple[Finding, ...]:
-    solved = detect_rig(seed=seed, errors=errors).solve().solved_bundle
+    detected = detect_rig(seed=seed, errors=errors)
+    solved = detected.solve().solved_bundle
     assert solved is not None
-    return tuple(find_systematic_errors(solved))
+    return tuple(find_systematic_errors(solved, detected.rig))
 
 
 @dataclass(frozen=True)

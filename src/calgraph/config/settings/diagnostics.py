@@ -46,8 +46,10 @@ class RigDiagnosticsSettings(StrictModel):
     max_good_noise_ratio: float = Field(default=4.0, gt=1)
     """The same beyond which a sensor is weak: no data sheet errs by this factor, so that the model is wrong."""
     max_view_bias: float = Field(default=0.005, gt=0)
-    """m; largest standard deviation of the displacement of a sensor's views, and of its rings in each view. That
-    of flat boards and calibrated ranges is 1 to 2 mm."""
+    """m; largest standard deviation of the displacement of a sensor's views. That of flat boards and calibrated
+    ranges is 1 to 2 mm."""
+    max_ring_bias: float = Field(default=0.01, gt=0)
+    """m; the same of the ranges of each ring in each view: a real VLP-16 has 5 to 6 mm."""
     max_view_tilt: float = Field(default=float(np.radians(0.5)), gt=0)
     """rad (0.5°); the same of rotations: 5 mm at the edge of a board of 1.2 m."""
     max_lost_share: float = Field(default=0.2, gt=0, lt=1)

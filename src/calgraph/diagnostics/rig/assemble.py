@@ -50,7 +50,7 @@ def assemble_rig(
     kinds = {name: rig.sensors[name].kind for name in connected}
     findings: list[InputFinding | Finding] = [
         *captures.findings,
-        *find_contradictions(solution, captures, kinds, held_out, rig.settings.diagnostics),
+        *find_contradictions(solution, rig, captures, held_out),
     ]
     inconsistent = collect_findings(findings)
     ambiguous = find_ambiguous_poses(kinds, estimates)

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from calgraph.captures import CaptureSet
-from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
+from calgraph.config import Rig
+from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
 from calgraph.diagnostics.rig.capture_losses import find_lost_captures
@@ -18,25 +19,21 @@ from calgraph.result import HeldOutError
 
 
 def find_contradictions(
-    solution: RigSolution,
-    captures: CaptureSet,
-    kinds: Mapping[str, str],
-    held_out: Mapping[str, HeldOutError],
-    settings: DiagnosticsSettings = DiagnosticsSettings(),
+    solution: RigSolution, rig: Rig, captures: CaptureSet, held_out: Mapping[str, HeldOutError]
 ) -> tuple[Finding, ...]:
     """The findings of all tests of a joint solution; none where it is not a bundle.
 
     Args:
         solution: of the connected sensors.
+        rig: the rig, with the settings of the tests.
         captures: all detections.
-        kinds: camera, lidar2d or lidar3d, by connected sensor.
         held_out: errors of the cross-validation by sensor.
-        settings: of the tests.
     """
     if (solved := solution.solved_bundle) is None:
         return ()
+    settings, kinds = rig.settings.diagnostics, {name: spec.kind for name, spec in rig.sensors.items()}
     return (
-        *find_systematic_errors(solved, settings.rig),
+        *find_systematic_errors(solved, rig, settings.rig),
         *find_excessive_noise(solution, kinds, settings.rig),
         *find_lost_captures(captures, solved, settings.rig),
         *find_differing_halves(solved, settings.verdict.false_alarm_probability),

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import fdtri
 
 from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
@@ -36,9 +36,10 @@ def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) 
     by_board = information_by_board(bundle, minimized.equations), gradient_by_board(bundle, minimized.equations)
     prior = H - by_board[0].sum(axis=0), g - by_board[1].sum(axis=0)
     order = np.unique(solved.captures, return_inverse=True)[1]
+    count = int(order.max(initial=-1)) + 1
     axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
     halves: Mapping[str, NDArray[np.bool_]] = {
-        "the first and the second half of the captures": order < (order.max(initial=-1) + 1) / 2,
+        "the first and the second half of the captures": order < count / 2,
         "captures of even and odd number": order % 2 == 0,
     }
     for description, first in halves.items():
@@ -48,7 +49,8 @@ def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) 
                 continue
             off, C = J @ difference, J @ covariance @ J.T
             squared, freedom = _squared_distance(off, C)
-            if squared > chdtri(freedom, false_alarm_probability):
+            # The variances of view biases have about as many degrees of freedom as there are captures.
+            if squared > freedom * fdtri(freedom, count, 1 - false_alarm_probability):
                 mm, degrees = 1000 * np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))
                 yield Finding(
                     f"{description} give poses of {name} that differ by {mm:.1f} mm and {degrees:.2f}°, "

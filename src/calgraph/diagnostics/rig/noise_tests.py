@@ -60,6 +60,6 @@ def _describe_view_bias(noise: MeasuredNoise, settings: RigDiagnosticsSettings) 
         sizes.append(f"{1000 * noise.view_bias:.1f} mm")
     if noise.view_tilt > settings.max_view_tilt:
         sizes.append(f"{np.degrees(noise.view_tilt):.2f}°")
-    if noise.ring_bias > settings.max_view_bias:
+    if noise.ring_bias > settings.max_ring_bias:
         sizes.append(f"{1000 * noise.ring_bias:.1f} mm in each ring")
     return " and ".join(sizes)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.parameter_description import describe_deviation
@@ -61,7 +62,7 @@ class _Estimates:
 
 
 def find_systematic_errors(
-    solved: SolvedBundle, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
+    solved: SolvedBundle, rig: Rig, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
 ) -> Iterator[Finding]:
     """Systematic parameters that are farther from their stated values than their priors allow.
 
@@ -70,6 +71,7 @@ def find_systematic_errors(
 
     Args:
         solved: the solution.
+        rig: with the uncertainty of cameras' distortion.
         settings: limits of deviations and correlations.
     """
     bundle, minimized = solved.bundle, solved.minimized
@@ -86,7 +88,10 @@ def find_systematic_errors(
             yield _describe_error(bundle, estimates, i, others)
     for k, views in enumerate(bundle.views):
         if isinstance(views, CornerObservations):
-            yield from _find_wrong_distortion(bundle, estimates, k, views, settings.max_prior_deviation)
+            spec = rig.sensors[bundle.sensors[k]]
+            assert isinstance(spec, CameraSpec)
+            prior = spec.uncertainty.distortion
+            yield from _find_wrong_distortion(bundle, estimates, k, views, prior, settings.max_prior_deviation)
 
 
 def _group_parameters(bundle: Bundle) -> list[Index]:
@@ -123,9 +128,13 @@ def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index
 
 
 def _find_wrong_distortion(
-    bundle: Bundle, estimates: _Estimates, k: int, views: CornerObservations, max_deviation: float
+    bundle: Bundle, estimates: _Estimates, k: int, views: CornerObservations, prior: float, max_deviation: float
 ) -> Iterator[Finding]:
-    """A camera whose distortion displaces the farthest observed corner more than its prior allows."""
+    """A camera whose distortion displaces the farthest observed corner more than its prior allows.
+
+    Coefficients trade against each other, so that single ones deviate much with little effect. Where the prior
+    (pixels, at the image's corner) allows little at that corner, at least its displacement is allowed.
+    """
     index = [
         i for i, one in enumerate(estimates.parameters)
         if one.of == bundle.sensors[k] and one.quantity in _COEFFICIENTS
@@ -139,7 +148,7 @@ def _find_wrong_distortion(
     J = views.camera.project_by_intrinsics(ray)[0, :, 4 : 4 + len(index)]
     displacement = float(np.linalg.norm(J @ estimates.deviation[index]))
     expected = float(np.linalg.norm(J * [estimates.parameters[i].prior_stddev for i in index]))
-    if displacement > max_deviation * expected:
+    if displacement > max(max_deviation * expected, prior):
         yield Finding(
             f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "
             f"{displacement:.0f} px ({displacement / expected:.1f} standard deviations of their uncertainty in "
