@@ -30,7 +30,7 @@ def describe_deviation(parameter: SystematicParameter, deviation: float) -> str:
         deviation: of the bundle's value.
     """
     of, quantity = parameter.of, parameter.quantity
-    size = _format_size(deviation, parameter)
+    size = format_size(deviation, parameter)
     if quantity in _MEANINGS:
         sentence, opposite = _MEANINGS[quantity]
         if deviation < 0:
@@ -56,8 +56,8 @@ def _printed_thing(of: str, quantity: str) -> str:
     return f"the print on the {of}" if quantity.startswith("print") else of
 
 
-def _format_size(deviation: float, parameter: SystematicParameter) -> str:
-    """The absolute deviation in plain units; of a focal length, relative."""
+def format_size(deviation: float, parameter: SystematicParameter) -> str:
+    """The absolute value of a deviation of the bundle's value in plain units; of a focal length, relative."""
     size = abs(deviation)
     match parameter.unit if parameter.quantity != "focal length" else "":
         case "m":

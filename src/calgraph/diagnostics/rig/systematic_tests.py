@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
-from calgraph.diagnostics.rig.parameter_description import describe_deviation
+from calgraph.diagnostics.rig.parameter_description import describe_deviation, format_size
 from calgraph.estimation.rig.bundle_solver import Bundle, SystematicParameter
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
@@ -115,15 +115,16 @@ def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index
     named = [int(j) for j in others if estimates.parameters[j].quantity not in _COEFFICIENTS]
     alone = {j: estimates.deviation_alone(j, np.setdiff1d([i, *named], [j])) for j in (i, *named)}
     named.sort(key=lambda j: abs(alone[j]) / estimates.parameters[j].prior_stddev)
-    causes = [describe_deviation(estimates.parameters[j], alone[j]) for j in (i, *named[:_MAX_ALTERNATIVES])]
-    text = ", or ".join(causes)
+    causes = [i, *named[:_MAX_ALTERNATIVES]]
+    text = ", or ".join(describe_deviation(estimates.parameters[j], alone[j]) for j in causes)
     if len(causes) > 1:
-        text += f": these {len(causes)} cannot be told apart here"
-    deviation = abs(estimates.normalized[i])
+        text += f" (these {len(causes)} cannot be told apart here)"
+    parameter, ratio = estimates.parameters[i], abs(estimates.normalized[i])
     return Finding(
-        f"{text} ({deviation:.1f} standard deviations of its uncertainty in rig.yaml): check this, correct "
-        "rig.yaml or state a larger uncertainty there, and calibrate again",
-        affected_sensors(bundle, estimates.parameters[i].view_sets),
+        f"{text}; this is {ratio:.1f} times as much as its uncertainty in rig.yaml, "
+        f"{format_size(parameter.prior_stddev, parameter)}, lets expect: check it, correct rig.yaml or state a "
+        "larger uncertainty there, and calibrate again",
+        affected_sensors(bundle, [k for j in causes for k in estimates.parameters[j].view_sets]),
     )
 
 
@@ -151,8 +152,8 @@ def _find_wrong_distortion(
     if displacement > max(max_deviation * expected, prior):
         yield Finding(
             f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "
-            f"{displacement:.0f} px ({displacement / expected:.1f} standard deviations of their uncertainty in "
-            "rig.yaml): calibrate its intrinsics again, and check that its images are not rectified",
+            f"{displacement:.0f} px, {displacement / expected:.1f} times as much as their uncertainty in rig.yaml "
+            "lets expect: calibrate its intrinsics again, and check that its images are not rectified",
             affected_sensors(bundle, (k,)),
         )
 
