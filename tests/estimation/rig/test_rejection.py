@@ -10,7 +10,7 @@ from calgraph.config import CameraSpec, PixelNoise
 from calgraph.detection import BoardCorners
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import view_covariance_factors
-from calgraph.estimation.rig.estimate import _settle_variances
+from calgraph.estimation.rig.estimate import settle_variances
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.variance_components import (
     ViewConsistency,
@@ -128,7 +128,7 @@ def test_a_fifth_of_gross_outliers_is_rejected_and_variances_are_those_of_the_ot
         measured = exact.measured(rng)
         bundle = with_outliers(exact, measured, sensor, 0.2, rng)
         rounds = bundle.settings.variances.max_rounds
-        settled, _, rejected = _settle_variances(bundle, minimize_bundle(bundle, exact.truth), rounds)
+        settled, _, rejected = settle_variances(bundle, minimize_bundle(bundle, exact.truth), rounds)
         wrong = {(board, SENSORS[sensor]) for board in range(4)}
         missed += len(wrong - rejected)
         others += len(rejected - wrong)
@@ -150,7 +150,7 @@ def test_views_that_were_rejected_in_the_first_rounds_return() -> None:
         kept = select_consistent_views(bundle, consistency, every, settled=False)
         rejected_at_first += sum(int(np.sum(~part)) for part in kept)
         rounds = bundle.settings.variances.max_rounds
-        settled, _, rejected = _settle_variances(bundle, solution, rounds)
+        settled, _, rejected = settle_variances(bundle, solution, rounds)
         assert not rejected
         assert [len(views.board) for views in settled.views] == [20] * 4
     assert rejected_at_first >= 3
