@@ -10,7 +10,7 @@ from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
 from calgraph.diagnostics.rig.capture_losses import find_lost_captures
-from calgraph.diagnostics.rig.half_tests import find_differing_halves
+from calgraph.diagnostics.rig.change_tests import find_changes
 from calgraph.diagnostics.rig.noise_tests import find_excessive_noise
 from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.diagnostics.verdict import axis_names
@@ -36,7 +36,7 @@ def find_contradictions(
         *find_systematic_errors(solved, rig, settings.rig),
         *find_excessive_noise(solution, kinds, settings.rig),
         *find_lost_captures(captures, solved, settings.rig),
-        *find_differing_halves(solved, settings.verdict.false_alarm_probability),
+        *find_changes(solved, settings.verdict.false_alarm_probability),
         *_find_poor_predictions(held_out, settings.rig),
         *_find_optimistic_covariances(solved, kinds, settings.rig),
     )

@@ -99,6 +99,8 @@ def cross_validate(
         # An outline is measured by a scanner: it must not locate the board for that scanner.
         held_out, cache = _select_boards(bundle.without_outlines(), caches[: len(bundle.views)], fold_of == fold)
         state, equations = _solve_boards(held_out, trained.state, cache)
+        if not np.isfinite(equations.cost):  # by the trained poses, a board is behind a camera
+            continue
         for s, name in enumerate(bundle.sensors):
             if len(held_out.views[s].board):
                 errors[name].append(_compare_with_prediction(held_out, state, equations, covariance, s, settings))
@@ -120,10 +122,14 @@ def _solve_boards(
 ) -> tuple[BundleState, BundleEquations]:
     """Boards located by all sensors, whose poses are fixed."""
     fixed, equations = np.zeros(bundle.parameter_count), linearize_bundle(bundle, state, cache)
-    for _ in range(_BOARD_STEPS):
+    for _ in range(_BOARD_STEPS if np.isfinite(equations.cost) else 0):
         step = _multiply(_invert_information(equations.H_board), -equations.g_board)
-        state = retract_state(bundle, state, fixed, step)
-        equations = linearize_bundle(bundle, state, cache)
+        moved = retract_state(bundle, state, fixed, step)
+        after = linearize_bundle(bundle, moved, cache)
+        # A step that puts a board behind a camera is not taken.
+        if not np.isfinite(after.cost):
+            break
+        state, equations = moved, after
     return state, equations
 
 

@@ -1,4 +1,4 @@
-"""Tests of halves of the captures against each other.
+"""Tests of changes in the course of the captures: of their halves against each other, and of drifts.
 
 Errors that change in the course of a recording, or that no parameter describes, give halves poses that differ by
 more than their covariances. Errors that both halves share do not show.
@@ -12,7 +12,7 @@ from scipy.special import fdtri
 
 from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
-from calgraph.estimation.rig.bundle_solver import pose_jacobian
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, pose_jacobian
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 
@@ -20,8 +20,8 @@ from calgraph.geometry import Array
 _RANK_TOLERANCE = 1e-12
 
 
-def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) -> Iterator[Finding]:
-    """Sensors whose poses from halves of the captures differ by more than their covariances allow.
+def find_changes(solved: SolvedBundle, false_alarm_probability: float) -> Iterator[Finding]:
+    """Sensors whose poses drift, or differ between halves of the captures, by more than their covariances allow.
 
     Halves are the first and the second half in time, and captures of even and odd number. Their solutions are
     one Gauss-Newton step from that of all captures, with its noise, view bias and robust weights. Both have the
@@ -38,6 +38,11 @@ def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) 
     order = np.unique(solved.captures, return_inverse=True)[1]
     count = int(order.max(initial=-1)) + 1
     axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
+    time = order / max(count - 1, 1)
+    named: set[str] = set()
+    for drift in _find_drifts(bundle, minimized.state, H, by_board, time, false_alarm_probability):
+        named.update(drift.sensors)
+        yield drift
     halves: Mapping[str, NDArray[np.bool_]] = {
         "the first and the second half of the captures": order < count / 2,
         "captures of even and odd number": order % 2 == 0,
@@ -45,12 +50,13 @@ def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) 
     for description, first in halves.items():
         difference, covariance = _compare_halves(prior, by_board, first)
         for name, J in zip(bundle.sensors, axes, strict=True):
-            if not J.any():
+            if name in named or not J.any():
                 continue
             off, C = J @ difference, J @ covariance @ J.T
             squared, freedom = _squared_distance(off, C)
             # The variances of view biases have about as many degrees of freedom as there are captures.
             if squared > freedom * fdtri(freedom, count, 1 - false_alarm_probability):
+                named.add(name)
                 mm, degrees = 1000 * np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))
                 yield Finding(
                     f"{description} give poses of {name} that differ by {mm:.1f} mm and {degrees:.2f}°, "
@@ -58,6 +64,51 @@ def find_differing_halves(solved: SolvedBundle, false_alarm_probability: float) 
                     "recording; fix sensors, lenses and board, hold the board still, and record again",
                     (name,),
                 )
+
+
+def _find_drifts(
+    bundle: Bundle,
+    state: BundleState,
+    H: Array,
+    by_board: tuple[Array, Array],
+    time: Array,
+    false_alarm_probability: float,
+) -> Iterator[Finding]:
+    """Sensors whose pose changes linearly in the course of the captures: a score test of its slope.
+
+    In contrast to halves, systematic parameters and the other sensors' poses stay the same, so that smaller
+    changes show. Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters", 1948.
+
+    Args:
+        bundle: the observations.
+        state: the solution.
+        H: (G, G) its information.
+        by_board: information (C, G, G) and gradient (C, G) of each board.
+        time: (C,) of each board, from 0 to 1.
+        false_alarm_probability: of the test of one sensor.
+    """
+    information, gradient = by_board
+    weight = time - 0.5
+    weighted = np.tensordot(weight, information, axes=1)
+    squared_weights = np.tensordot(weight**2, information, axes=1)
+    V, count = np.linalg.inv(H), len(np.unique(time))
+    covariance = squared_weights - weighted @ V @ weighted
+    score = weight @ gradient
+    J = pose_jacobian(bundle, state).reshape(len(bundle.sensors), 6, -1)
+    for s, name in enumerate(bundle.sensors):
+        if not len(columns := bundle.pose_columns(s)):
+            continue
+        of_pose = covariance[np.ix_(columns, columns)]
+        squared, freedom = _squared_distance(score[columns], of_pose)
+        if squared > freedom * fdtri(freedom, count, 1 - false_alarm_probability):
+            slope = -J[s][:, columns] @ np.linalg.pinv(of_pose) @ score[columns]
+            mm, degrees = 1000 * np.linalg.norm(slope[:3]), np.degrees(np.linalg.norm(slope[3:]))
+            yield Finding(
+                f"the pose of {name} drifts by {mm:.1f} mm and {degrees:.2f}° in the course of the captures, "
+                f"{np.sqrt(squared / freedom):.1f} times what noise explains: fix it and the root, and record "
+                "again",
+                (name,),
+            )
 
 
 def _compare_halves(
