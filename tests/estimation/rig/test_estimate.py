@@ -121,7 +121,7 @@ def test_a_rough_start_ends_where_a_good_one_does() -> None:
     }
     good, found = one.solve(), solve_bundle(one.rig, one.captures, one.pairs(), rough)
     for name, T in good.T_root_sensor.items():
-        # Variances stop changing within 0.2 of their standard errors, from either side.
+        # One of thirty edges more or fewer may be within the limits at the start.
         stddev = np.sqrt(np.diag(good.covariance[name])) + 1e-9
         assert np.all(np.abs(se3.difference(found.T_root_sensor[name], T)) < 0.2 * stddev)
 
