@@ -51,7 +51,7 @@ def test_a_bumped_camera_is_calibrated_from_its_captures_afterwards(translation:
     found, truth = calibrate(ModelErrors(cameras={"camera": CameraErrors(bump=bump)}))
     (remark,) = found.evidence.remarks
     assert remark.startswith("camera moved by ")
-    assert "the result is its pose after that" in remark
+    assert " s from the start): the result is its pose after that" in remark
     assert squared_error(found, truth, "camera") < 25
     earlier = {row.capture for row in found.evidence.captures if row.reason == "before the sensor moved"}
     used = {row.capture for row in found.evidence.captures if row.sensor == "camera" and row.used}

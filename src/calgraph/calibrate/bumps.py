@@ -95,10 +95,12 @@ def _describe(
         " or ".join(bump.sensors),
         "" if len(bump.sensors) == 1 else ", these captures cannot tell which,",
     )
+    begin, end = bump.interval
+    # Detections that were made elsewhere have no times.
+    when = f" ({begin:.1f} to {end:.1f} s from the start)" if end > begin else ""
     moved = (
         f"{names}{which} moved by {1000 * bump.translation:.1f} mm and {np.degrees(bump.rotation):.2f}° "
-        f"between captures {bump.before[-1]} and {bump.after[0]} "
-        f"({bump.interval[0]:.1f} to {bump.interval[1]:.1f} s from the start)"
+        f"between captures {bump.before[-1]} and {bump.after[0]}{when}"
     )
     if resolved and not set(bump.sensors) & set(unsteady):
         count = len(bump.after)
