@@ -126,7 +126,7 @@ def test_of_two_sensors_either_may_have_moved() -> None:
 
 
 def test_no_more_false_alarms_than_stated() -> None:
-    """At most 5 in 1000 recordings; one in 300 leaves 98 % confidence in less than 2 %, none in less than 1.3 %."""
+    """At most 5 in 1000; one alarm in 300 runs states less than 1.6 % with 95 % confidence, none less than 1 %."""
     alarms = sum(bool(find(measured(np.random.default_rng(seed)))) for seed in range(RIGHT_RUNS))
     assert alarms <= 1
     assert beta.ppf(0.95, alarms + 1, RIGHT_RUNS - alarms) < 0.016

@@ -107,8 +107,8 @@ class BumpTestSettings(StrictModel):
 
     false_alarm_probability: float = Field(default=5e-3, gt=0, lt=1)
     """Bound on the probability with which a recording without bumps has one reported, for all sensors and times
-    together; Bonferroni's bound is conservative, as neighbouring times have nearly the same statistic. A false alarm
-    costs captures, a bump that is missed an error of up to several standard deviations."""
+    together; Bonferroni's bound is conservative, as neighbouring times have nearly the same statistic. A false
+    alarm costs captures, a bump that is missed an error of up to several standard deviations."""
     min_views: int = Field(default=4, ge=2)
     """Least number of captures of a sensor on either side of a step: a board that slips in a few captures in a
     row is not a bump."""
