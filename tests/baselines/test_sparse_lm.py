@@ -58,7 +58,7 @@ class Alignment:
 
 def test_linear_problem_is_solved_as_the_normal_equations_say(rng: np.random.Generator) -> None:
     A, y, index = rng.normal(size=(20, 3, 2)), rng.normal(size=(20, 3)), rng.integers(2, size=20)
-    found = minimize_sparse({"x": np.zeros((2, 2))}, {"x": Block(2, add)}, [Linear(A, y, index)])
+    found = minimize_sparse({"x": np.zeros((2, 2))}, {"x": Block(2, add)}, [Linear(A, y, index)], iterations=50)
     for i in range(2):
         expected = np.linalg.lstsq(A[index == i].reshape(-1, 2), y[index == i].ravel(), rcond=None)[0]
         np.testing.assert_allclose(found.state["x"][i], expected, atol=1e-8)
@@ -99,7 +99,7 @@ def test_pose_agrees_with_scipy(seed: int) -> None:
     truth = se3.pose(so3.exp(rng.normal(size=3)), rng.normal(size=3))
     x_b = rng.normal(size=(30, 3))
     factor = Alignment(x_b, se3.apply(truth, x_b) + rng.normal(size=(30, 3)) * 0.1)
-    found = minimize_sparse({"pose": np.eye(4)[None]}, {"pose": Block(6, se3.retract)}, [factor])
+    found = minimize_sparse({"pose": np.eye(4)[None]}, {"pose": Block(6, se3.retract)}, [factor], iterations=50)
     oracle = scipy.optimize.least_squares(
         lambda d: factor.linearize({"pose": se3.retract(np.eye(4)[None], d[None])})[0].ravel(),
         np.zeros(6),
@@ -110,4 +110,4 @@ def test_pose_agrees_with_scipy(seed: int) -> None:
 
 def test_residuals_that_are_not_finite_are_refused() -> None:
     with pytest.raises(CalibrationError, match="not finite"):
-        minimize_sparse({"x": np.full((1, 2), np.nan)}, {"x": Block(2, add)}, [Rosenbrock()])
+        minimize_sparse({"x": np.full((1, 2), np.nan)}, {"x": Block(2, add)}, [Rosenbrock()], iterations=50)

@@ -167,7 +167,9 @@ def test_correlation_time_of_an_autoregressive_process(correlation: float, expec
     for k in range(1, len(r)):
         r[k] = correlation * r[k - 1] + noise[k]
     ticks = step * np.tile(np.arange(2000), 10)
-    found = estimate_correlation_time(r, np.repeat(np.arange(10), 2000), ticks, SETTINGS.min_lag_share)
+    found = estimate_correlation_time(
+        r, np.repeat(np.arange(10), 2000), ticks, SETTINGS.min_lag_share, SETTINGS.max_lag
+    )
     assert found == pytest.approx(expected, rel=0.2)
 
 
@@ -175,7 +177,7 @@ def test_correlation_time_does_not_reach_across_series() -> None:
     # Every series is constant: correlated within, independent of the others.
     r = np.repeat(np.random.default_rng(3).normal(size=(400, 2)), 2, axis=0)
     found = estimate_correlation_time(
-        r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400), SETTINGS.min_lag_share
+        r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400), SETTINGS.min_lag_share, SETTINGS.max_lag
     )
     assert found == pytest.approx(3.0, rel=0.1)
 
@@ -371,7 +373,7 @@ def test_systematic_errors_bound_the_information(rng: np.random.Generator) -> No
 
 def test_alternating_residuals_have_a_correlation_time_of_one_step() -> None:
     r: Array = np.tile([1.0, -1.0], 100)[:, None]
-    assert estimate_correlation_time(r, np.zeros(200, dtype=np.intp), np.arange(200), 0.1) == 1.0
+    assert estimate_correlation_time(r, np.zeros(200, dtype=np.intp), np.arange(200), 0.1, 100) == 1.0
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])

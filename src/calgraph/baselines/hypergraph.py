@@ -77,7 +77,7 @@ def solve_hypergraph(
     ]
     converged = True
     if optimize:
-        solution = minimize_sparse(values, BLOCKS, factors)
+        solution = minimize_sparse(values, BLOCKS, factors, iterations=settings.baselines.max_steps)
         values, converged = solution.state, solution.converged
     # Pairwise estimates come from the same detections: they are no independent information for the covariance.
     prior = np.repeat([settings.baselines.prior_translation_stddev, settings.baselines.prior_rotation_stddev], 3)

@@ -70,7 +70,7 @@ class SparseEquations:
 
 
 def minimize_sparse(
-    values: Values, blocks: Mapping[str, Block], factors: Sequence[Factor], *, iterations: int = 50
+    values: Values, blocks: Mapping[str, Block], factors: Sequence[Factor], *, iterations: int
 ) -> Minimum[Values, SparseEquations]:
     """Minimises half the sum of squared residuals of all factors.
 

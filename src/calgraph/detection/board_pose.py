@@ -15,8 +15,6 @@ from calgraph.sensors import CameraModel
 
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a 2-D normal error, in standard deviations of one coordinate."""
-_MAX_ITERATIONS = 30
-"""Most iterations of Levenberg–Marquardt: from the start values of IPPE it converges in fewer than ten."""
 _SAME_POSE = 1e-5
 """Largest difference of two minima that are one, m and rad: the iteration ends with smaller errors."""
 _MIN_WIDTH_RATIO = 1e-3
@@ -95,7 +93,7 @@ def fit_pose(
         if (new_inliers == inliers).all():
             break
         inliers = new_inliers
-        minima = _find_minima(corners[inliers], pixels[inliers], camera)
+        minima = _find_minima(corners[inliers], pixels[inliers], camera, settings.max_steps)
     if not minima:
         return Rejected("the corners detected contradict each other")
     best = minima[0]
@@ -139,7 +137,7 @@ def _select_consistent_marks(
 ) -> tuple[NDArray[np.bool_], list[_PoseFit]] | Rejected:
     """The largest set of marks (M,) that lie on one plane as printed, and the minima of its reprojection error."""
     unique = len(np.unique(ids[in_view])) == in_view.sum()
-    minima = _find_minima(corners[in_view], pixels[in_view], camera) if unique else []
+    minima = _find_minima(corners[in_view], pixels[in_view], camera, settings.max_steps) if unique else []
     if pixels.shape[1] < 4 or in_view.sum() <= 1:
         return in_view, minima
     if minima:
@@ -149,9 +147,11 @@ def _select_consistent_marks(
     # A blurred image has noisier corners than stated; the stated noise is tried first.
     gate = float(chdtri(2 * pixels.shape[1], settings.consensus_significance))
     for scale in (1.0, settings.blur_noise_ratio):
-        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma, gate)
+        consensus = _find_largest_consensus(
+            ids, corners, pixels, in_view, camera, scale * sigma, gate, settings.max_steps
+        )
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
-            return consensus, _find_minima(corners[consensus], pixels[consensus], camera)
+            return consensus, _find_minima(corners[consensus], pixels[consensus], camera, settings.max_steps)
     names = ", ".join(map(str, np.unique(ids[in_view])))
     return Rejected(f"tags {names} do not lie on one board as printed: no two of them agree")
 
@@ -164,6 +164,7 @@ def _find_largest_consensus(
     camera: CameraModel,
     sigma: float,
     gate: float,
+    max_steps: int,
 ) -> NDArray[np.bool_]:
     """The largest set of marks (M,) that the pose of one mark predicts, within that pose's covariance.
 
@@ -171,7 +172,7 @@ def _find_largest_consensus(
     """
     best, best_score = np.zeros(len(ids), dtype=bool), -np.inf
     for mark in np.flatnonzero(in_view):
-        for fit in _find_minima(corners[mark], pixels[mark], camera):
+        for fit in _find_minima(corners[mark], pixels[mark], camera, max_steps):
             d2 = np.array(
                 [_squared_mahalanobis(fit, c, p, camera, sigma) for c, p in zip(corners, pixels, strict=True)]
             )
@@ -198,12 +199,12 @@ def _squared_mahalanobis(fit: _PoseFit, corners: Array, pixels: Array, camera: C
     return float(residuals @ np.linalg.solve(S, residuals))
 
 
-def _find_minima(corners: Array, pixels: Array, camera: CameraModel) -> list[_PoseFit]:
+def _find_minima(corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> list[_PoseFit]:
     """One or two distinct poses with the face visible, for corners (..., 3) at pixels (..., 2); the best first."""
     corners, pixels = corners.reshape(-1, 3), pixels.reshape(-1, 2)
     fits: list[_PoseFit] = []
     for start in _solve_ippe(corners, camera.rays(pixels)):
-        fit = _refine(start, corners, pixels, camera)
+        fit = _refine(start, corners, pixels, camera, max_steps)
         if fit is not None and plane.from_pose(fit.T)[3] > 0:
             fits.append(fit)
     fits.sort(key=lambda fit: fit.cost)
@@ -241,14 +242,14 @@ def _solve_ippe(corners: Array, rays: Array) -> list[Array]:
     return [T for T in poses if np.isfinite(T).all()]
 
 
-def _refine(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> _PoseFit | None:
+def _refine(T: Array, corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> _PoseFit | None:
     """Levenberg–Marquardt on the reprojection error; None if the start cannot be projected or JᵀJ is singular."""
     try:
         minimum = minimize(
             T,
             lambda T, _: _linearize(T, corners, pixels, camera),
             se3.retract,
-            iterations=_MAX_ITERATIONS,
+            iterations=max_steps,
             tolerance=_TOLERANCE,
             relative_tolerance=_RELATIVE_TOLERANCE,
         )

@@ -105,7 +105,9 @@ def _select_candidate_regions(
     for region in regions:
         points = cells.points[region]
         surface = plane.fit(points)
-        possible = [board for board in boards if _has_plausible_size(points, board, cells.spacing)]
+        possible = [
+            board for board in boards if _has_plausible_size(points, board, cells.spacing, settings.lidar3d)
+        ]
         if possible:
             scores = [
                 _score_patch(surface, points, board, cells.spacing, scene, thickness, settings)[0]
@@ -239,16 +241,16 @@ def _measure_extent(points: Array) -> tuple[float, float]:
     return float(spans[2]), float(spans[1])
 
 
-def _has_plausible_size(points: Array, board: Board, spacing: float) -> bool:
-    """Wide limits that no board exceeds: they save the time of scoring walls and small things."""
+def _has_plausible_size(points: Array, board: Board, spacing: float, settings: Lidar3dDetectionSettings) -> bool:
+    """Whether a region may be a board, by wide limits that save the time of scoring walls and small objects."""
     length, width = _measure_extent(points)
     step = spacing * float(np.linalg.norm(points.mean(axis=0)))
     short, diagonal = min(board.size), float(np.hypot(*board.size))
     return (
-        length < 1.5 * diagonal
-        and length > 0.5 * short - step
-        and width > 0.25 * short - step
-        and step < short / 2
+        length < settings.max_patch_length_ratio * diagonal
+        and length > settings.min_patch_length_ratio * short - step
+        and width > settings.min_patch_width_ratio * short - step
+        and step < short / settings.min_patch_cells
     )
 
 

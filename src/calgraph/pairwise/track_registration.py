@@ -14,8 +14,6 @@ from calgraph.config.settings import RegistrationSettings
 from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
 
-# Largest lag of the autocorrelation, steps: later residuals are independent.
-_MAX_LAG = 100
 # Median of χ² with two degrees of freedom.
 _CHI2_MEDIAN = 1.386
 # Information (1/m², 1/rad²) that is added to that of a pose: the angle is unobservable from an object at rest.
@@ -163,7 +161,8 @@ def compute_registration_information(
     d2 = _mahalanobis2(r, W)
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
     ticks = pairs.a.tick[pairs.row_a[rows]]
-    correlation = estimate_correlation_time(whitened, pairs.trajectories[rows], ticks, settings.min_lag_share)
+    series = pairs.trajectories[rows]
+    correlation = estimate_correlation_time(whitened, series, ticks, settings.min_lag_share, settings.max_lag)
     correlation = max(correlation, pairs.a.to_ticks(settings.min_correlation_time))
     prior = _build_prior(depth_stddev, settings)
     degrees_of_freedom = max(2 * len(rows) / correlation - 6, 1.0)
@@ -190,7 +189,7 @@ def rigid_motion_covariance(T_a_b: Array, center: Array, shift: float, turn: flo
 
 
 def estimate_correlation_time(
-    r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp], min_lag_share: float
+    r: Array, series: NDArray[np.intp], ticks: NDArray[np.intp], min_lag_share: float, max_lag: int
 ) -> float:
     """Estimates the integrated autocorrelation time of residuals, in steps, >= 1.
 
@@ -199,15 +198,16 @@ def estimate_correlation_time(
         series: (P,) index of the time series of each residual.
         ticks: (P,) their times, in steps.
         min_lag_share: share of the residuals with another one at a lag, below which the sum ends.
+        max_lag: lag at which the sum ends otherwise, in steps.
 
     Source: Geyer, "Practical Markov chain Monte Carlo", 1992: the sum ends where a pair of terms is negative.
     """
     order = np.lexsort((ticks, series))
-    r, key = r[order], series[order] * (int(ticks.max()) + 2 * _MAX_LAG) + ticks[order] - int(ticks.min())
+    r, key = r[order], series[order] * (int(ticks.max()) + 2 * max_lag) + ticks[order] - int(ticks.min())
     power = float(np.sum(r**2)) / max(len(r), 1)
     total, previous = 1.0, 0.0
-    step = int(np.min(np.diff(np.unique(ticks)), initial=_MAX_LAG))
-    for lag in range(1, _MAX_LAG):
+    step = int(np.min(np.diff(np.unique(ticks)), initial=max_lag))
+    for lag in range(1, max_lag):
         found = np.searchsorted(key, key + lag * step)
         pairs = np.flatnonzero(key[np.minimum(found, len(key) - 1)] == key + lag * step)
         if len(pairs) < min_lag_share * len(r):

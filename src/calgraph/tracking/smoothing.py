@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import TrackingSettings
+from calgraph.config.settings import SmoothingSettings, TrackingSettings
 from calgraph.geometry import Array
 from calgraph.tracking.features import MeasuredCenters
 from calgraph.tracking.filtering import smooth_tracks
@@ -69,7 +69,7 @@ def add_unmodeled_noise(
     valid = np.asarray(np.isfinite(measured.positions).all(axis=1))
     kept = [_sort_by_time(members[valid[members]], times) for members in segments]
     triples = (
-        np.concatenate([_triples(members, times, settings.smoothing.lag) for members in kept])
+        np.concatenate([_triples(members, times, settings.smoothing) for members in kept])
         if kept
         else np.empty((0, 3), int)
     )
@@ -95,13 +95,14 @@ def add_unmodeled_noise(
     )
 
 
-def _triples(members: NDArray[np.intp], times: Array, lag: float) -> NDArray[np.intp]:
-    """(N, 3) triples of clusters: about a lag before, at, and about a lag after a time, s."""
-    t = times[members]
-    before, after = np.searchsorted(t, t - 1.25 * lag), np.searchsorted(t, t + 0.75 * lag)
+def _triples(members: NDArray[np.intp], times: Array, settings: SmoothingSettings) -> NDArray[np.intp]:
+    """(N, 3) triples of clusters: about a lag before, at, and about a lag after a time."""
+    t, lag = times[members], settings.lag
+    (least_before, most_before), (least_after, most_after) = settings.earlier_window, settings.later_window
+    before, after = np.searchsorted(t, t - most_before * lag), np.searchsorted(t, t + least_after * lag)
     inside = np.flatnonzero(after < len(t))
     i, j, k = before[inside], inside, after[inside]
-    near = (t[j] - t[i] > 0.5 * lag) & (t[k] - t[j] < 1.5 * lag)
+    near = (t[j] - t[i] > least_before * lag) & (t[k] - t[j] < most_after * lag)
     return np.asarray(np.stack([members[i], members[j], members[k]], axis=1)[near])
 
 

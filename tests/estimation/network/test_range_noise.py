@@ -30,7 +30,7 @@ def simulate_solution(seconds: float, rng: np.random.Generator) -> tuple[Network
     state = NetworkState(T_ROOT[:1], OFFSET[:1], (body_path,))
     for _ in range(6):
         network = replace(network, bodies=(update_weights(body, state),))
-        state, _ = optimize_network(network, state)
+        state, _ = optimize_network(network, state, iterations=10)
     return network, state
 
 

@@ -12,6 +12,9 @@ class BaselineSettings(StrictModel):
     held_stddev: float = Field(default=0.01, gt=0)
     """m and rad; the hypergraph holds a direction that a pair of the tree does not observe with this standard
     deviation at its start value: tight beside the limit of an observed direction (`pairwise.board.max_stddev`)."""
+    max_steps: int = Field(default=50, ge=1)
+    """Limit on steps of the hypergraph's solution, which states whether it converged: the tests of this estimator
+    need up to 46, where poses start far from the solution."""
     prior_translation_stddev: float = Field(default=10.0, gt=0)
     """m; standard deviation that the hypergraph states for unobservable positions: the size of a scene."""
     prior_rotation_stddev: float = Field(default=float(np.pi), gt=0)

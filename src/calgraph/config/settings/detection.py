@@ -22,6 +22,9 @@ class BoardPoseSettings(StrictModel):
     likelihood ratio of exp(4.5) = 90."""
     max_rejection_rounds: int = Field(default=5, ge=1)
     """Most rounds of solving and rejecting corners: they end where the inliers stay the same."""
+    max_steps: int = Field(default=30, ge=1)
+    """Limit on Levenberg–Marquardt steps from the start values of IPPE: most solutions take 2 to 10; 0.2 % of
+    those in the tests reach it."""
     max_rms_sigmas: float = Field(default=10.0, gt=0)
     """Largest RMS reprojection error, in stated standard deviations: beyond it size or intrinsics are wrong, as
     motion blur triples the noise at most."""
@@ -246,6 +249,17 @@ class Lidar3dDetectionSettings(StrictModel):
     resolved_cells: float = Field(default=4.0, gt=0)
     """Cells across the shorter side from which the score is not reduced: a few cells fit any outline, as of far
     walls."""
+    max_patch_length_ratio: float = Field(default=1.5, gt=1)
+    """Greatest length of a region over the diagonal of the board: stand and arms add to it; longer ones are
+    walls."""
+    min_patch_length_ratio: float = Field(default=0.5, ge=0, lt=1)
+    """Least length of a region over the shorter side of the board, less one spacing of cells: half of a
+    board that is partly hidden. Smaller regions are not scored, which saves time."""
+    min_patch_width_ratio: float = Field(default=0.25, ge=0, lt=1)
+    """The same of its width: less, as few rings across a board hold only a part of it."""
+    min_patch_cells: float = Field(default=2.0, gt=0)
+    """Least shorter side of the board, in spacings of cells at a region: with fewer cells across it, the outline
+    is not measured."""
     min_range: float = Field(default=0.1, ge=0)
     """Shorter ranges, m, are returns from the housing or the robot, or mark missing beams."""
     min_score: float = Field(default=0.1, ge=0, lt=1)

@@ -27,6 +27,9 @@ class VerdictSettings(StrictModel):
 class RigDiagnosticsSettings(StrictModel):
     """Tests of a rig's calibration."""
 
+    bootstrap_max_steps: int = Field(default=8, ge=1)
+    """Limit on steps of each sample's solution, which starts near its minimum: 8 % of those in the tests
+    reach it, and are used as they are."""
     bootstrap_confidence: float = Field(default=0.95, gt=0, lt=1)
     """Probability with which all intervals of the bootstrap hold together if all covariances do; the usual
     level."""

@@ -134,6 +134,11 @@ class NetworkEstimationSettings(StrictModel):
 
     clock_sigma: float = Field(default=0.1, gt=0)
     """Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time."""
+    position_prior_information: float = Field(default=1e-4, gt=0)
+    """Information on a scanner's position about the present estimate, 1/m²: a standard deviation of 100 m keeps a
+    scanner in place whose beams all have no weight. A single beam has more than 10⁵ times as much."""
+    rotation_prior_information: float = Field(default=0.1, gt=0)
+    """The same of its rotation, 1/rad²: a standard deviation of 3.2 rad, half a turn."""
     first_path_sigma: float = Field(default=0.05, ge=0)
     """Error of paths and radii before the first solution, m; added to the noise of ranges. It is that of averaged
     poses and tracked centres."""

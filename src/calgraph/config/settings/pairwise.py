@@ -175,6 +175,9 @@ class RegistrationSettings(StrictModel):
     min_lag_share: Share = 0.1
     """Least share of the residuals with another one at a lag, for it to enter the correlation time: of fewer, the
     autocorrelation is noise."""
+    max_lag: Count = 100
+    """Lag at which the sum of autocorrelations ends at the latest, in steps of the pairs (10 s at every tick):
+    residuals are correlated over some steps of a walk; the sum ends earlier where a pair of terms is negative."""
     min_correlation_time: Positive = 0.5
     """Shortest correlation time of residuals, s: people turn another side to a scanner at every step, which a few
     seconds of residuals alone understate."""

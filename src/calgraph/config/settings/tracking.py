@@ -1,8 +1,13 @@
 """Settings of the tracking of moving objects in one 2-D scanner. Distances in m, times in s, angles in rad."""
 
+from typing import Annotated
+
 from pydantic import Field
 
 from calgraph.config.strict_model import StrictModel
+
+UpToOneLag = Annotated[float, Field(gt=0, le=1)]
+FromOneLag = Annotated[float, Field(ge=1)]
 
 
 class StaticSceneSettings(StrictModel):
@@ -111,6 +116,12 @@ class SmoothingSettings(StrictModel):
     lag: float = Field(default=0.2, gt=0)
     """Distance in time of the centres that are compared, s: shorter than half a step, over which a person
     accelerates little, and two or more scans."""
+    earlier_window: tuple[UpToOneLag, FromOneLag] = (0.5, 1.25)
+    """Least and greatest time of the earlier centre before the middle one, in lags: the earliest within it is
+    taken. It holds a scan of every scanner with 7 Hz or more (0.15 s)."""
+    later_window: tuple[UpToOneLag, FromOneLag] = (0.75, 1.5)
+    """Least and greatest time of the later centre after the middle one, in lags: the earliest within it is taken,
+    so that with dense scans three centres span two lags."""
     min_triples: int = Field(default=20, ge=1)
     """Fewest triples of centres for an estimate: its median is then uncertain by about 30 %."""
     bias_share: float = Field(default=0.5, ge=0, le=1)

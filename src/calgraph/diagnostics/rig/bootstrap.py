@@ -28,9 +28,6 @@ from calgraph.geometry import Array, Index, se3
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]
 
-# Most steps of each solution, which starts near its minimum.
-_MAX_STEPS = 8
-
 
 @dataclass(frozen=True, eq=False)
 class BootstrapScatter:
@@ -100,7 +97,7 @@ def bootstrap_poses(
         counts = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
         if exact:
             boards = np.repeat(np.arange(len(capture)), counts[capture])
-            T_root_sensor = _solve_sample(bundle, state, equations, boards)
+            T_root_sensor = _solve_sample(bundle, state, equations, boards, settings.bootstrap_max_steps)
             along = (to_sensor @ se3.difference(T_root_sensor, state.T_root_sensor)[..., None])[..., 0]
         else:
             added = np.tensordot(counts - 1.0, information, axes=1)
@@ -119,11 +116,13 @@ def bootstrap_poses(
     }
 
 
-def _solve_sample(bundle: Bundle, state: BundleState, equations: BundleEquations, boards: Index) -> Array:
+def _solve_sample(
+    bundle: Bundle, state: BundleState, equations: BundleEquations, boards: Index, max_steps: int
+) -> Array:
     """(S, 4, 4) poses by the drawn boards (B,), which may repeat."""
     resampled, cache, start = _resample_bundle(bundle, state, equations, boards)
     sample = minimize_bundle(
-        resampled, start, cache, iterations=_MAX_STEPS, tolerance=COARSE_TOLERANCE, exact=False
+        resampled, start, cache, iterations=max_steps, tolerance=COARSE_TOLERANCE, exact=False
     )
     return sample.state.T_root_sensor
 

@@ -42,9 +42,6 @@ _MIN_RADIUS = 0.02
 _HEADING_RIDGE = 1e-6
 # Pairs of the four control points that a scan depends on.
 _EARLIER, _LATER = np.triu_indices(4)
-# Zero-gradient information (1/m², 1/m², 1/rad²) of poses: keeps a scanner in place where robust weights leave it
-# no beams. A single beam has 10⁵ times as much. Clocks always have a prior.
-_POSE_REGULARIZER = np.array([1e-4, 1e-4, 0.1, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +56,8 @@ class NetworkEquations:
     """(4S,)."""
     unknowns: Index
     """Columns of the unknowns: neither the root's pose and clock, nor any clock where they are synchronized."""
+    regularizer: Array
+    """(4S,) zero-gradient information of poses; clocks always have a prior."""
 
     def eliminate_bodies(self, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
         """Schur complement of all bodies.
@@ -73,7 +72,7 @@ class NetworkEquations:
             H[np.ix_(body.columns, body.columns)] += body_H
             g[body.columns] += body_g
             back_substitutions.append(K)
-        H[np.diag_indices(len(H))] += np.tile(_POSE_REGULARIZER, len(H) // 4)
+        H[np.diag_indices(len(H))] += self.regularizer
         return H[np.ix_(self.unknowns, self.unknowns)], g[self.unknowns], back_substitutions
 
     def solve(self, damping: float) -> tuple[tuple[Array, list[Array]], float]:
@@ -111,11 +110,13 @@ def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEq
         cost += 0.5 * float(np.sum(state.clock_offset**2)) / network.clock_sigma**2
     columns = np.arange(4, 4 * network.count)
     unknowns = columns if network.clock_sigma > 0 else columns[columns % 4 != 3]
-    return NetworkEquations(cost, tuple(bodies), H, g, unknowns)
+    position, rotation = network.settings.position_prior_information, network.settings.rotation_prior_information
+    regularizer = np.tile([position, position, rotation, 0.0], network.count)
+    return NetworkEquations(cost, tuple(bodies), H, g, unknowns, regularizer)
 
 
 def optimize_network(
-    network: NetworkProblem, state: NetworkState, *, iterations: int = 10, tolerance: float = _TOLERANCE
+    network: NetworkProblem, state: NetworkState, *, iterations: int, tolerance: float = _TOLERANCE
 ) -> tuple[NetworkState, NetworkEquations]:
     """Minimises the cost over all unknowns.
 

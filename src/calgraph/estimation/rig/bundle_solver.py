@@ -285,7 +285,7 @@ def minimize_bundle(
     state: BundleState,
     cache: Sequence[CachedLinearization | None] = (),
     *,
-    iterations: int = 50,
+    iterations: int | None = None,
     tolerance: float = _FINE_TOLERANCE,
     exact: bool = True,
 ) -> MinimizedBundle:
@@ -295,7 +295,7 @@ def minimize_bundle(
         bundle: the observations.
         state: start values.
         cache: (K,) earlier linearizations of the same views near the solution, or None.
-        iterations: steps at most, rejected ones included.
+        iterations: steps at most, rejected ones included; by default as many as the settings allow.
         tolerance: the solver stops where the next step would gain less, in half squared standard deviations.
         exact: whether the final state is linearized exactly, instead of by extrapolation where that is near.
 
@@ -317,7 +317,7 @@ def minimize_bundle(
         state,
         linearize,
         lambda state, step: retract_state(bundle, state, *step),
-        iterations=iterations,
+        iterations=bundle.settings.max_steps if iterations is None else iterations,
         tolerance=tolerance,
         refine=refine if exact else None,
     )
