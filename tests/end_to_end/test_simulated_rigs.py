@@ -173,7 +173,8 @@ def test_a_print_of_another_size_is_no_good_camera(recorded_rig: Staged) -> None
     )
     verdict = calibration["camera"].verdict
     assert verdict.grade != "good"
-    assert "sizes of the printed tags" in verdict.reason
+    assert "the print on the board is" in verdict.reason
+    assert "smaller than stated" in verdict.reason
 
 
 def test_messages_that_arrive_late_or_twice_hardly_change_the_result(recorded_rig: Staged) -> None:

@@ -175,6 +175,9 @@ def _confidence_factors(
     components", 1946).
     """
     each = np.einsum("sig,cgh,sih->csi", by_gradient, information, by_gradient, optimize=True)
-    dof = 1 / (np.sum(each**2, axis=0) / np.sum(each, axis=0) ** 2 + 1 / rounds)
-    tail = (1 - confidence) / dof.size / 2
+    total = np.sum(each, axis=0)
+    # No capture contributes to a pose that is its prior.
+    share = np.divide(np.sum(each**2, axis=0), total**2, out=np.ones_like(total), where=total > 0)
+    dof = 1 / (share + 1 / rounds)
+    tail = (1 - confidence) / max(dof.size, 1) / 2
     return np.sqrt(dof / chdtri(dof, tail)), np.sqrt(dof / chdtri(dof, 1 - tail))
