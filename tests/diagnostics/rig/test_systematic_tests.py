@@ -74,7 +74,7 @@ def test_parameters_with_the_same_effect_are_alternatives() -> None:
     parameters = [SystematicParameter("a", "range bias", "m", prior, (0,)) for prior in (1.0, 2.0)]
     prior, direction = np.diag([1.0, 0.25]), np.array([1.0, -1.0])
     covariance = np.linalg.inv(prior + 100 * np.outer(direction, direction))
-    estimates = _Estimates(parameters, covariance @ (100 * direction * 5.0), covariance)
+    estimates = _Estimates(parameters, covariance @ (100 * direction * 5.0), covariance, 0.05)
     np.testing.assert_allclose(estimates.deviation, [1, -4], atol=0.02)
     # Together they explain 5; so does the first alone.
     assert estimates.deviation_alone(0, np.array([1])) == pytest.approx(5, rel=0.02)

@@ -40,6 +40,9 @@ class RigDiagnosticsSettings(StrictModel):
     max_prior_deviation: float = Field(default=3.0, gt=0)
     """Deviation of a systematic parameter from its stated value, in prior standard deviations, beyond which it
     contradicts rig.yaml: 1 in 370 right values does."""
+    min_learned_share: float = Field(default=0.05, gt=0, lt=1)
+    """Least share of the prior variance that the data are taken to have removed when a deviation is tested: with
+    less, the deviation and the standard deviation that it may have are both rounding."""
     max_parameter_correlation: float = Field(default=0.9, gt=0, lt=1)
     """Posterior correlation of two systematic parameters beyond which the data do not tell them apart: given the
     other, the standard deviation of each is 2.3 times as small."""

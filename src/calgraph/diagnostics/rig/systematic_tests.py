@@ -22,8 +22,6 @@ from calgraph.geometry import Array, Index
 from calgraph.sensors import DISTORTION_NAMES
 
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
-# Least share of the prior variance that the data remove of a parameter that is tested.
-_MIN_LEARNED = 0.05
 # Other causes that a finding lists at most: more are no help.
 _MAX_ALTERNATIVES = 2
 
@@ -37,6 +35,8 @@ class _Estimates:
     """(E,)."""
     covariance: Array
     """(E, E) posterior."""
+    min_learned_share: float
+    """See :attr:`RigDiagnosticsSettings.min_learned_share`."""
 
     @property
     def normalized(self) -> Array:
@@ -46,7 +46,7 @@ class _Estimates:
         Baarda, "A testing procedure for use in geodetic networks", 1968.
         """
         prior = np.array([one.prior_stddev for one in self.parameters]) ** 2
-        removed = np.maximum(prior - np.diag(self.covariance), _MIN_LEARNED * prior)
+        removed = np.maximum(prior - np.diag(self.covariance), self.min_learned_share * prior)
         return np.asarray(self.deviation / np.sqrt(removed))
 
     def indistinguishable(self, i: int, min_correlation: float) -> Index:
@@ -77,7 +77,7 @@ def find_systematic_errors(
     bundle, minimized = solved.bundle, solved.minimized
     first = 6 * bundle.body_count
     covariance = parameter_covariance(minimized.equations)[first:, first:]
-    estimates = _Estimates(bundle.extra_parameters, minimized.state.extra, covariance)
+    estimates = _Estimates(bundle.extra_parameters, minimized.state.extra, covariance, settings.min_learned_share)
     named: set[int] = set()
     for group in _group_parameters(bundle):
         limit = -ndtri(ndtr(-settings.max_prior_deviation) / len(group))

@@ -238,14 +238,14 @@ class _Print:
 
     def parameters(self, most_tags: int) -> Iterator[_Candidate | None]:
         """In the order of a corner's local parameters, for up to ``most_tags`` tags."""
-        prior, single = self.board.uncertainty, len(self.tags) > 0
+        prior, several = self.board.uncertainty, len(self.tags) > 1
         yield _Candidate(self.name, "print scale", "", prior.print_scale, 1.0)
         yield _Candidate(self.name, "print aspect", "", prior.print_aspect, 1.0)
-        # A single tag has no distances between tags that its size could contradict.
-        yield _Candidate(self.name, "tag size", "", prior.tag_size, 1.0) if len(self.tags) > 1 else None
+        # A single tag defines the board's frame and scale: it has no other tags to disagree with.
+        yield _Candidate(self.name, "tag size", "", prior.tag_size, 1.0) if several else None
         yield from _bow_parameters(self.name, self.board)
         for i in range(most_tags):
-            if i >= len(self.tags) or len(self.tags) == 1 or not single:
+            if not several or i >= len(self.tags):
                 yield from (None, None, None)
                 continue
             number, corners = self.tags[i]
