@@ -25,6 +25,7 @@ from calgraph.estimation.network.problem import (
 from calgraph.estimation.network.range_noise import estimate_range_noise
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.network.solver import (
+    NetworkEquations,
     compute_network_covariance,
     compute_residuals,
     compute_smoothness_information,
@@ -42,6 +43,17 @@ from calgraph.tracking import ScannerTracks, Track
 
 
 @dataclass(frozen=True, eq=False)
+class SolvedNetwork:
+    """The problem of a joint solution, with its minimum."""
+
+    problem: NetworkProblem
+    """With the noise, model error and robust weights of the last round."""
+    state: NetworkState
+    equations: NetworkEquations
+    """The normal equations at the state, that of the last accepted step."""
+
+
+@dataclass(frozen=True, eq=False)
 class NetworkSolution:
     """The joint solution of a network of S scanners."""
 
@@ -55,6 +67,8 @@ class NetworkSolution:
     """Whether clock offsets were estimated."""
     model_error: float
     """Standard deviation of the position of bodies in a scan about their smooth path, m."""
+    solved: SolvedNetwork | None = None
+    """What was solved, for tests of the solution; None where only the result is given."""
 
     @property
     def pose_covariance(self) -> Array:
@@ -145,6 +159,7 @@ def solve_network(
         compute_network_covariance(network, equations),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
+        SolvedNetwork(network, state, equations),
     )
 
 
