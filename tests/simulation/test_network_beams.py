@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.simulation.network_beams import cast_ellipses, cast_segments, simulate_true_ranges
+from calgraph.simulation.network_beams import cast_ellipses, cast_polygons, cast_segments, simulate_true_ranges
 from calgraph.simulation.network_walks import SimulatedWalk
 
 HERE = np.zeros(2)
@@ -116,3 +116,23 @@ def test_a_fast_body_is_hit_by_all_beams_of_a_slow_scan() -> None:
     every = cast_ellipses(HERE, angles, *body.pose_at(times[0]), AXES)
     assert np.isfinite(every).sum() > 20
     np.testing.assert_array_equal(ranges[0], every)
+
+
+def test_beams_hit_a_polygon_as_they_hit_the_ellipse_that_it_approximates() -> None:
+    angle = 2 * np.pi * np.arange(720) / 720
+    outline = np.column_stack([0.15 * np.cos(angle), 0.25 * np.sin(angle)])
+    beams = np.linspace(-0.2, 0.2, 101)
+    centers, headings = np.tile([3.0, 0.1], (101, 1)), np.linspace(0, 3, 101)
+    ellipse = cast_ellipses(np.zeros(2), beams, centers, headings, np.array([0.25, 0.15]))
+    polygon = cast_polygons(np.zeros(2), beams, centers, headings, outline)
+    both = np.isfinite(ellipse) & np.isfinite(polygon)
+    assert both.sum() > 20
+    assert np.abs(ellipse[both] - polygon[both]).max() < 2e-3
+    assert (np.isfinite(ellipse) != np.isfinite(polygon)).sum() <= 2
+
+
+def test_beams_along_the_sides_of_a_square_pass_beside_it() -> None:
+    square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    centers = np.array([(5.0, 0.0), (5.0, 1.5), (-5.0, 0.0)])
+    hits = cast_polygons(np.zeros(2), np.zeros(3), centers, np.zeros(3), square)
+    assert hits.tolist() == [4.0, np.inf, np.inf]

@@ -1,4 +1,4 @@
-"""Ray casting in the plane: walls are segments, bodies are ellipses that move from beam to beam."""
+"""Ray casting in the plane: walls are segments, bodies are ellipses or polygons that move from beam to beam."""
 
 from collections.abc import Sequence
 
@@ -7,9 +7,6 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 from calgraph.simulation.network_walks import SimulatedWalk
-
-_MAX_BODY_SPEED = 4.0
-"""Upper bound of a body's speed, m/s: the fastest walker of a scenario stays below it."""
 
 
 def cast_segments(origin: Array, angles: Array, segments: Array) -> Array:
@@ -51,6 +48,32 @@ def cast_ellipses(origin: Array, angles: Array, centers: Array, headings: Array,
     return np.where((discriminant >= 0) & (r > 0), r, np.inf)
 
 
+def cast_polygons(origin: Array, angles: Array, centers: Array, headings: Array, outline: Array) -> Array:
+    """Distances (N,) along beams to one convex polygon each, infinite where they miss it.
+
+    Args:
+        origin: (2,) outside of the polygons, m.
+        angles: (N,) of the beams, rad.
+        centers: (N, 2) m.
+        headings: (N,) direction of the polygon's x, rad.
+        outline: (L, 2) its corners, counter-clockwise, m.
+    """
+    sides = np.roll(outline, -1, axis=0) - outline
+    normals = np.column_stack([sides[:, 1], -sides[:, 0]])
+    c, s = np.cos(headings), np.sin(headings)
+    x, y = (origin - centers).T
+    place = np.column_stack([c * x + s * y, -s * x + c * y])
+    direction = np.column_stack([np.cos(angles - headings), np.sin(angles - headings)])
+    # The beam is inside of each side's half plane before or after it crosses the side (Cyrus and Beck 1978).
+    room, rate = (normals * outline).sum(axis=1) - place @ normals.T, direction @ normals.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = room / rate
+    enter = np.where(rate < 0, at, -np.inf).max(axis=1)
+    leave = np.where(rate > 0, at, np.inf).min(axis=1)
+    beside = ((rate == 0) & (room < 0)).any(axis=1)
+    return np.where((enter > 0) & (enter <= leave) & ~beside, enter, np.inf)
+
+
 def simulate_true_ranges(
     origin: Array, angles: Array, static: Array, times: Array, walks: Sequence[SimulatedWalk], max_range: float
 ) -> Array:
@@ -69,7 +92,10 @@ def simulate_true_ranges(
         scan, beam = _beams_near(origin, angles, times, walk, max_range)
         at = times[scan, beam]
         centers, headings = walk.pose_at(at)
-        hit = cast_ellipses(origin, angles[beam], centers, headings, walk.axes)
+        if walk.outline is None:
+            hit = cast_ellipses(origin, angles[beam], centers, headings, walk.axes)
+        else:
+            hit = cast_polygons(origin, angles[beam], centers, headings, walk.outline)
         ranges[scan, beam] = np.minimum(ranges[scan, beam], hit)
     return ranges
 
@@ -83,7 +109,7 @@ def _beams_near(
     centers, _ = walk.pose_at(np.clip((first + last) / 2, walk.start, None))
     x, y = (centers - origin).T
     distance = np.hypot(x, y)
-    reach = float(walk.axes.max()) + _MAX_BODY_SPEED * (last - first) / 2
+    reach = walk.reach + walk.max_speed * (last - first) / 2
     near = np.flatnonzero((last >= walk.start) & (distance < max_range + reach))
     # The tangents to the circle that holds the body during the scan; all beams if the scanner is inside it.
     half = np.arcsin(np.minimum(reach[near] / np.maximum(distance[near], 1e-9), 1)) + 1e-6

@@ -46,6 +46,8 @@ class ScannerOptions(StrictModel):
     """Largest offset of each scanner from its nominal yaw, degrees."""
     clock_offset: NotNegative = 0.0
     """Largest clock offset of each scanner from the root's clock, s."""
+    height: Annotated[float, Field(ge=0.1, le=0.7)] = 0.3
+    """Of the scan plane above the floor, m, where legs are observed; ellipses are the same at all heights."""
 
     @model_validator(mode="after")
     def _has_beams(self) -> "ScannerOptions":
@@ -60,7 +62,9 @@ class PeopleOptions(StrictModel):
     """The moving bodies; defaults are the office's, and differ from layout to layout."""
 
     kind: Literal["people", "cylinder"] = "people"
-    """People are ellipses that turn with their walk."""
+    """People turn with their walk."""
+    shape: Literal["ellipse", "legs"] = "ellipse"
+    """What a scanner observes of people: an ellipse, as at the hip, or two legs that walk, as below it."""
     count: Annotated[int, Field(ge=0)] = 2
     """Number of simultaneous bodies."""
     axes: tuple[Positive, Positive] = (0.25, 0.15)
@@ -82,10 +86,25 @@ class PeopleOptions(StrictModel):
     swing: Annotated[float, Field(ge=0, le=0.3)] = 0.0
     """Amplitude of the swing of people's arms, m; 0 for people without arms. The clearance is the torso's."""
 
+    leg_radii: tuple[Positive, Positive] = (0.058, 0.066)
+    """Half width and half depth of people's shins at the calf, m."""
+    leg_spread: Annotated[float, Field(ge=0, lt=0.5)] = 0.15
+    """Largest relative difference of a person's shins from these."""
+    foot_offset: tuple[Positive, Positive] = (0.06, 0.1)
+    """Range of the distance of feet from the centre line, m; wide legs have theirs farther apart."""
+    step_length: Positive = 0.68
+    """Of people at 1.2 m/s, m; it is proportional to the root of the speed, and so is the cadence."""
+
     @model_validator(mode="after")
-    def _has_arms_to_swing(self) -> "PeopleOptions":
+    def _has_the_limbs(self) -> "PeopleOptions":
         if self.swing > 0 and self.kind != "people":
             raise invalid("swing", f"a {self.kind} has no arms")
+        if self.shape == "legs" and self.kind != "people":
+            raise invalid("shape", f"a {self.kind} has no legs")
+        if self.shape == "legs" and self.swing > 0:
+            raise invalid("swing", "arms swing above the legs; take the shape ellipse")
+        if self.foot_offset[0] > self.foot_offset[1]:
+            raise invalid("foot_offset", f"must be lower, upper, got {self.foot_offset}")
         return self
 
     @property

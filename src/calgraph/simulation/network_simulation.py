@@ -20,6 +20,7 @@ from calgraph.simulation.network_arms import add_arms
 from calgraph.simulation.network_beams import cast_segments, simulate_true_ranges
 from calgraph.simulation.network_floor import Floor, find_free_space
 from calgraph.simulation.network_layouts import build_layout
+from calgraph.simulation.network_legs import add_legs, draw_gait
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
 from calgraph.simulation.network_walks import SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.scanners import add_mixed_pixels
@@ -66,6 +67,9 @@ class SimulatedNetwork:
     floor: Floor
     scanners: tuple[StationaryScanner, ...]
     walks: tuple[SimulatedWalk, ...]
+    """Of people or cylinders, one each."""
+    bodies: tuple[SimulatedWalk, ...]
+    """What beams hit of them: torso and arms, or legs."""
 
 
 def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
@@ -81,7 +85,8 @@ def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
     kept_clear = body_clearance(scenario.people)
     free_space = find_free_space(layout.floor, kept_clear, layout.mounts[:, :2], kept_clear + 0.1)
     walks = draw_walks(free_space, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
-    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks)
+    bodies = tuple(part for k, walk in enumerate(walks) for part in _build_bodies(scenario, walk, seed, k))
+    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks, bodies)
 
 
 def simulate_network_scans(
@@ -163,15 +168,24 @@ def simulate_scans(network: SimulatedNetwork, scanner: StationaryScanner) -> Ite
     origin, yaw = scanner.T_world_scanner[:2, 2], float(se2.angle(scanner.T_world_scanner))
     static = cast_segments(origin, yaw + scanner.angles, network.floor.segments)
     within = scanner.time_increment * np.arange(len(scanner.angles))
-    bodies = [part for walk in network.walks for part in add_arms(walk, scenario.people.swing)]
     count = _scan_count(scenario, scanner)
     for first in range(0, count, _BATCH):
         starts = scanner.phase + scanner.period * np.arange(first, min(first + _BATCH, count))
         times = starts[:, None] + within
-        true = simulate_true_ranges(origin, yaw + scanner.angles, static, times, bodies, options.max_range)
+        true = simulate_true_ranges(origin, yaw + scanner.angles, static, times, network.bodies, options.max_range)
         stamps = scenario.start_time + starts + scanner.clock_offset
         for stamp, ranges in zip(stamps, _simulate_measured_ranges(true, options, rng), strict=True):
             yield LaserScan(float(stamp), scanner.name, scanner.angles, ranges, scanner.time_increment)
+
+
+def _build_bodies(
+    scenario: NetworkScenario, walk: SimulatedWalk, seed: int, person: int
+) -> tuple[SimulatedWalk, ...]:
+    """What beams hit of one person."""
+    if scenario.people.shape == "ellipse":
+        return add_arms(walk, scenario.people.swing)
+    gait = draw_gait(scenario.people, np.random.default_rng((seed, 0, person + 1)))
+    return add_legs(walk, gait, scenario.scanner.height)
 
 
 def _simulate_measured_ranges(true: Array, options: ScannerOptions, rng: np.random.Generator) -> Array:

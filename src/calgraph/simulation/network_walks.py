@@ -7,6 +7,7 @@ Positions are then smoothed in time, and the body turns with the walk.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -54,6 +55,21 @@ class SimulatedWalk:
     """(K, 2) centre at every hundredth of a second, m."""
     headings: Array
     """(K,) direction it faces, rad, unwrapped."""
+    outline: Array | None = None
+    """(L, 2) corners, counter-clockwise, of a convex polygon with x along the heading, m; none for an ellipse."""
+
+    @cached_property
+    def reach(self) -> float:
+        """The largest distance of the edge from the centre, m."""
+        if self.outline is None:
+            return float(self.axes.max())
+        return float(np.linalg.norm(self.outline, axis=1).max())
+
+    @cached_property
+    def max_speed(self) -> float:
+        """m/s."""
+        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
+        return float(steps.max(initial=0.0)) / SAMPLE_INTERVAL
 
     def pose_at(self, times: Array) -> tuple[Array, Array]:
         """Centres (..., 2) and headings (...) at times (...), s; NaN before the first and after the last one."""
