@@ -8,7 +8,13 @@ from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
 
-_PANELS = {"layout": "Building", "scanner": "2-D scanners", "people": "People", "root": "Recording"}
+_PANELS = {
+    "layout": "Building",
+    "scanner": "2-D scanners",
+    "people": "People",
+    "errors": "Errors of scanners",
+    "root": "Recording",
+}
 _MODEL_OPTIONS = {option.parameter: option for option in list_options(NetworkScenario, _PANELS)}
 
 

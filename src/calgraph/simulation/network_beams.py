@@ -1,6 +1,7 @@
 """Ray casting in the plane: walls are segments, bodies are ellipses or polygons that move from beam to beam."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +9,51 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array
 from calgraph.simulation.network_walks import SimulatedWalk
 
+_USUAL_MAX_SPEED = 4.0
+"""Upper bound of the speed of bodies, m/s; faster ones have their measured one."""
+_SAME_POINT = 1e-6
+"""A beam leaves a mirror farther than this from the point where it hit it, m."""
 
-def cast_segments(origin: Array, angles: Array, segments: Array) -> Array:
-    """Distances (N,) from an origin (2,) in directions (N,) to the nearest of segments (S, 2, 2), or infinite."""
+
+@dataclass(frozen=True, eq=False)
+class ScanPlane:
+    """Beams of one scanner. Distances along them are horizontal ones."""
+
+    origin: Array
+    """(2,) the scanner's place, m."""
+    angles: Array
+    """(M,) directions of the beams in the world, rad."""
+    slopes: Array
+    """(M,) how far they rise per distance."""
+    height: float
+    """Of the scanner above the floor, m."""
+
+    def cuts_at(self, height: float) -> bool:
+        """Whether all beams stay at one height, m."""
+        return self.height == height and not self.slopes.any()
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What some beams of a scanner can hit, directly or by way of a mirror."""
+
+    plane: ScanPlane
+    """Of these beams; that of the scanner's image behind the mirror where they are reflected."""
+    beams: NDArray[np.intp]
+    """(M,) indices of the beams in a scan."""
+    start: Array
+    """(M,) distances of the mirror, m; 0 for direct beams."""
+    end: Array
+    """(M,) distances of the static environment, or of the next mirror, which hide what is behind, m."""
+    background: Array
+    """(M,) measured where there is no body, m; infinite for direct beams that hit a mirror."""
+
+
+def cast_segments(origin: Array, angles: Array, segments: Array, start: Array | float = 0.0) -> Array:
+    """Distances (N,) from an origin (2,) in directions (N,) to the nearest of segments (S, 2, 2), or infinite.
+
+    Segments nearer than ``start`` (N,) do not count.
+    """
     nearest = np.full(len(angles), np.inf)
     c, s = np.cos(angles), np.sin(angles)
     for a, b in segments - origin:
@@ -20,7 +63,7 @@ def cast_segments(origin: Array, angles: Array, segments: Array) -> Array:
         determinant = np.where(np.abs(determinant) < 1e-12, np.nan, determinant)
         r = (a[0] * along[1] - a[1] * along[0]) / determinant
         u = (a[0] * s - a[1] * c) / determinant
-        hit = (r > 0) & (u >= 0) & (u <= 1)
+        hit = (r > start) & (u >= 0) & (u <= 1)
         nearest = np.where(hit, np.fmin(nearest, r), nearest)
     return nearest
 
@@ -48,7 +91,9 @@ def cast_ellipses(origin: Array, angles: Array, centers: Array, headings: Array,
     return np.where((discriminant >= 0) & (r > 0), r, np.inf)
 
 
-def cast_polygons(origin: Array, angles: Array, centers: Array, headings: Array, outline: Array) -> Array:
+def cast_polygons(
+    origin: Array, angles: Array, centers: Array, headings: Array, outline: Array, sizes: Array
+) -> Array:
     """Distances (N,) along beams to one convex polygon each, infinite where they miss it.
 
     Args:
@@ -57,6 +102,7 @@ def cast_polygons(origin: Array, angles: Array, centers: Array, headings: Array,
         centers: (N, 2) m.
         headings: (N,) direction of the polygon's x, rad.
         outline: (L, 2) its corners, counter-clockwise, m.
+        sizes: (N,) factors of the outline.
     """
     sides = np.roll(outline, -1, axis=0) - outline
     normals = np.column_stack([sides[:, 1], -sides[:, 0]])
@@ -65,7 +111,8 @@ def cast_polygons(origin: Array, angles: Array, centers: Array, headings: Array,
     place = np.column_stack([c * x + s * y, -s * x + c * y])
     direction = np.column_stack([np.cos(angles - headings), np.sin(angles - headings)])
     # The beam is inside of each side's half plane before or after it crosses the side (Cyrus and Beck 1978).
-    room, rate = (normals * outline).sum(axis=1) - place @ normals.T, direction @ normals.T
+    room = sizes[:, None] * (normals * outline).sum(axis=1) - place @ normals.T
+    rate = direction @ normals.T
     with np.errstate(divide="ignore", invalid="ignore"):
         at = room / rate
     enter = np.where(rate < 0, at, -np.inf).max(axis=1)
@@ -74,46 +121,89 @@ def cast_polygons(origin: Array, angles: Array, centers: Array, headings: Array,
     return np.where((enter > 0) & (enter <= leave) & ~beside, enter, np.inf)
 
 
-def simulate_true_ranges(
-    origin: Array, angles: Array, static: Array, times: Array, walks: Sequence[SimulatedWalk], max_range: float
-) -> Array:
-    """Ranges (C, M) of scans without noise, each beam at its time of measurement.
+def build_views(plane: ScanPlane, segments: Array, mirrors: Array, floor_distance: Array) -> tuple[View, ...]:
+    """The direct view of a scanner, and one by way of each mirror that it has in view.
 
     Args:
-        origin: (2,) the scanner's place, m.
-        angles: (M,) directions of the beams in the world, rad.
-        static: (M,) their distances to the static environment, m.
+        plane: the beams.
+        segments: (S, 2, 2) of walls and obstacles, m.
+        mirrors: (Q, 2, 2) end points of mirrors, m.
+        floor_distance: (M,) where beams that fall reach the floor, m.
+    """
+    static = np.minimum(cast_segments(plane.origin, plane.angles, segments), floor_distance)
+    distances = [cast_segments(plane.origin, plane.angles, mirror[None]) for mirror in mirrors]
+    end = np.minimum.reduce([static, *distances])
+    views = [View(plane, np.arange(len(end)), np.zeros_like(end), end, np.where(end < static, np.inf, static))]
+    for mirror, distance in zip(mirrors, distances, strict=True):
+        beams = np.flatnonzero((distance <= end) & (distance < static))
+        if len(beams):
+            image, start = _reflect(plane, beams, mirror), distance[beams] + _SAME_POINT
+            beyond = cast_segments(image.origin, image.angles, segments, start)
+            beyond = np.minimum(beyond, floor_distance[beams])
+            views.append(View(image, beams, start, beyond, beyond))
+    return tuple(views)
+
+
+def simulate_true_ranges(
+    views: Sequence[View], times: Array, walks: Sequence[SimulatedWalk], max_range: float
+) -> Array:
+    """Horizontal ranges (C, M) of scans without noise, each beam at its time of measurement, m.
+
+    Args:
+        views: of the scanner.
         times: (C, M) of measurement, s from the start of the recording.
         walks: the bodies.
         max_range: bodies farther away are left out, m.
     """
-    ranges = np.broadcast_to(static, times.shape).copy()
-    for walk in walks:
-        scan, beam = _beams_near(origin, angles, times, walk, max_range)
-        at = times[scan, beam]
-        centers, headings = walk.pose_at(at)
-        if walk.outline is None:
-            hit = cast_ellipses(origin, angles[beam], centers, headings, walk.axes)
-        else:
-            hit = cast_polygons(origin, angles[beam], centers, headings, walk.outline)
-        ranges[scan, beam] = np.minimum(ranges[scan, beam], hit)
+    ranges = np.full(times.shape, np.inf)
+    for view in views:
+        ranges[:, view.beams] = np.minimum(ranges[:, view.beams], view.background)
+        for walk in walks:
+            scan, beam = _beams_near(view.plane, times[:, view.beams], walk, max_range)
+            column = view.beams[beam]
+            hit = _cast_body(view.plane, beam, times[scan, column], walk)
+            hit = np.where((hit > view.start[beam]) & (hit < view.end[beam]), hit, np.inf)
+            ranges[scan, column] = np.minimum(ranges[scan, column], hit)
     return ranges
 
 
+def _reflect(plane: ScanPlane, beams: NDArray[np.intp], mirror: Array) -> ScanPlane:
+    """Some beams of a scanner as they come from its image behind a mirror (2, 2)."""
+    along = (mirror[1] - mirror[0]) / np.linalg.norm(mirror[1] - mirror[0])
+    off = plane.origin - mirror[0]
+    origin = mirror[0] + 2 * (off @ along) * along - off
+    angles = 2 * np.arctan2(along[1], along[0]) - plane.angles[beams]
+    return replace(plane, origin=origin, angles=angles, slopes=plane.slopes[beams])
+
+
+def _cast_body(plane: ScanPlane, beam: NDArray[np.intp], times: Array, walk: SimulatedWalk) -> Array:
+    """Distances (N,) along some beams to a body at times (N,), infinite where they miss it."""
+    centers, headings = walk.pose_at(times)
+    if walk.outline is None:
+        return cast_ellipses(plane.origin, plane.angles[beam], centers, headings, walk.axes)
+    sizes = np.ones(len(beam))
+    if walk.section is not None and not plane.cuts_at(walk.section.height):
+        heights = plane.height + plane.slopes[beam] * np.linalg.norm(centers - plane.origin, axis=1)
+        offsets, sizes = walk.section_at(times, heights)
+        centers = centers + offsets
+    return cast_polygons(plane.origin, plane.angles[beam], centers, headings, walk.outline, sizes)
+
+
 def _beams_near(
-    origin: Array, angles: Array, times: Array, walk: SimulatedWalk, max_range: float
+    plane: ScanPlane, times: Array, walk: SimulatedWalk, max_range: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Scans and beams that can hit a body, from its position in the middle of each scan."""
     first, last = times[:, 0], times[:, -1]
     # A body that enters during a scan counts with its first position.
     centers, _ = walk.pose_at(np.clip((first + last) / 2, walk.start, None))
-    x, y = (centers - origin).T
+    x, y = (centers - plane.origin).T
     distance = np.hypot(x, y)
-    reach = walk.reach + walk.max_speed * (last - first) / 2
+    level = walk.section is None or plane.cuts_at(walk.section.height)
+    reach = (walk.reach if level else walk.full_reach) + max(walk.max_speed, _USUAL_MAX_SPEED) * (last - first) / 2
     near = np.flatnonzero((last >= walk.start) & (distance < max_range + reach))
     # The tangents to the circle that holds the body during the scan; all beams if the scanner is inside it.
     half = np.arcsin(np.minimum(reach[near] / np.maximum(distance[near], 1e-9), 1)) + 1e-6
     half[distance[near] <= reach[near]] = np.pi
-    off = np.remainder(angles - np.arctan2(y[near], x[near])[:, None] + np.pi, 2 * np.pi) - np.pi
+    off = np.remainder(plane.angles - np.arctan2(y[near], x[near])[:, None] + np.pi, 2 * np.pi) - np.pi
     scan, beam = np.nonzero(np.abs(off) <= half[:, None])
     return near[scan], beam

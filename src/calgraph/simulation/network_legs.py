@@ -18,7 +18,7 @@ from scipy.special import betainc
 
 from calgraph.geometry import Array
 from calgraph.simulation.network_scenario import PeopleOptions
-from calgraph.simulation.network_walks import SAMPLE_INTERVAL, SimulatedWalk
+from calgraph.simulation.network_walks import SAMPLE_INTERVAL, Section, SimulatedWalk
 
 ANKLE_HEIGHT, KNEE_HEIGHT, HIP_HEIGHT = 0.09, 0.5, 0.9
 """Heights of the joints of a person of 1.75 m, m."""
@@ -59,9 +59,14 @@ _FLATTENING, _SQUARENESS = 0.88, 2.5
 half width and 86 to 115 mm of radius of curvature."""
 _CORNERS = 72
 """Of the polygon that approximates a cross section: within 0.1 mm."""
+_SIDES = 1.0, -1.0
+"""Left and right."""
 _PROFILE_HEIGHTS = np.array([0.0, 0.09, 0.2, 0.33, 0.45, 0.5, 0.75])
 _PROFILE_SIZES = np.array([0.7, 0.62, 0.8, 1.0, 0.93, 0.95, 1.35])
 """Size of a leg over that of the calf, by height in m: ankle, calf, knee, thigh."""
+
+_SECTION_HEIGHTS = np.array([0.0, ANKLE_HEIGHT, 0.2, 0.33, 0.45, KNEE_HEIGHT, 0.75, HIP_HEIGHT])
+"""Between which a leg is straight and its size changes evenly, m."""
 
 
 @dataclass(frozen=True)
@@ -122,21 +127,35 @@ def add_legs(walk: SimulatedWalk, gait: Gait, height: float) -> tuple[SimulatedW
     """
     times: Array = SAMPLE_INTERVAL * np.arange(len(walk.positions), dtype=np.float64)
     outline = leg_size(height) * shin_outline(*gait.radii)
-    extent = np.ptp(outline, axis=0)[::-1] / 2
     pelvis = np.column_stack([walk.positions, walk.headings])
-    centers, headings, swings = [], [], []
-    for side, steps in zip((1.0, -1.0), _plan_steps(pelvis, gait), strict=True):
-        feet, progress = steps.sample(times)
-        swing = np.sin(np.pi * progress) ** 2
-        hip = _beside(pelvis, side * gait.foot_offset)[:, :2]
-        centers.append(_center_at(height, feet, hip, swing))
-        headings.append(feet[:, 2] + side * gait.toe_out)
-        swings.append(swing)
-    left, right = _keep_apart(centers[0], centers[1], walk.headings, extent, swings[0], swings[1])
-    return (
-        SimulatedWalk(extent, walk.start, left, headings[0], outline),
-        SimulatedWalk(extent, walk.start, right, headings[1], outline),
-    )
+    feet = [steps.sample(times) for steps in _plan_steps(pelvis, gait)]
+    hips = [_beside(pelvis, side * gait.foot_offset)[:, :2] for side in _SIDES]
+    swings = [np.sin(np.pi * progress) ** 2 for _, progress in feet]
+
+    def cut(at: float) -> tuple[Array, Array]:
+        left, right = (
+            _center_at(at, foot, hip, swing) for (foot, _), hip, swing in zip(feet, hips, swings, strict=True)
+        )
+        size = leg_size(at) * np.array(gait.radii)
+        return _keep_apart(left, right, walk.headings, size, swings[0], swings[1])
+
+    centers = cut(height)
+    cuts = [cut(at) for at in _SECTION_HEIGHTS.tolist()]
+    sizes = np.array([leg_size(at) / leg_size(height) for at in _SECTION_HEIGHTS.tolist()])
+    legs = []
+    for k, side in enumerate(_SIDES):
+        offsets = np.array([one[k] - centers[k] for one in cuts])
+        legs.append(
+            SimulatedWalk(
+                leg_size(height) * np.array(gait.radii),
+                walk.start,
+                centers[k],
+                feet[k][0][:, 2] + side * gait.toe_out,
+                outline,
+                Section(height, _SECTION_HEIGHTS, offsets, sizes),
+            )
+        )
+    return legs[0], legs[1]
 
 
 def _center_at(height: float, feet: Array, hip: Array, swing: Array) -> Array:
@@ -174,11 +193,10 @@ def shin_outline(half_width: float, half_depth: float) -> Array:
     """(K, 2) corners of the cross section of a shin that faces x, counter-clockwise and convex, m."""
     angle = 2 * np.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
     c, s = np.cos(angle), np.sin(angle)
-    x = half_depth * np.sign(c) * np.abs(c) ** (2 / _SQUARENESS)
+    x = np.minimum(np.sign(c) * np.abs(c) ** (2 / _SQUARENESS), _FLATTENING)
     y = half_width * np.sign(s) * np.abs(s) ** (2 / _SQUARENESS)
-    front = _FLATTENING * half_depth
-    # The cut moves the front back; the centre stays the middle of what remains.
-    return np.column_stack([np.minimum(x, front) + (half_depth - front) / 2, y])
+    # From -1 to the flat front, stretched to the stated depth about its middle.
+    return np.column_stack([half_depth * (2 * x + 1 - _FLATTENING) / (1 + _FLATTENING), y])
 
 
 def _beside(poses: Array, left: float) -> Array:

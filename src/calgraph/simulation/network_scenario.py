@@ -115,6 +115,41 @@ class PeopleOptions(StrictModel):
         return max(self.axes) * (1 + self.axes_spread)
 
 
+class NetworkErrors(StrictModel):
+    """What scanners do and rig.yaml does not state. All are drawn per scanner, the root included."""
+
+    range_bias: NotNegative = 0.0
+    """Standard deviation of the constant error of ranges, m."""
+    range_scale: Annotated[float, Field(ge=0, lt=0.2)] = 0.0
+    """Standard deviation of the relative error of ranges."""
+    angle_scale: Annotated[float, Field(ge=0, lt=0.05)] = 0.0
+    """Standard deviation of the relative error of beam angles, from the middle of the field of view."""
+    tilt: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Standard deviation of the tilt of the scan plane about each horizontal axis, degrees; walls and ellipses are
+    vertical, legs are cut at the height of the beam, which may reach the floor."""
+    height: Annotated[float, Field(ge=0, lt=0.3)] = 0.0
+    """Largest offset of a scan plane from the stated height, m; matters for legs."""
+    clock_drift: NotNegative = 0.0
+    """Standard deviation of the drift of a clock, relative to that of the root, ppm."""
+    mixed: bool = False
+    """Whether scanners differ in rate, resolution and range: three models in turn."""
+    inverted: Annotated[int, Field(ge=0)] = 0
+    """Number of scanners besides the root that are mounted upside-down."""
+    bump_rotation: Annotated[float, Field(ge=0, le=180)] = 0.0
+    """By which one scanner is turned during the recording, degrees, in either direction."""
+    bump_shift: NotNegative = 0.0
+    """By which the same scanner is shifted, m, in any direction."""
+    bump_time: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """When, as a share of the duration."""
+    driving: NotNegative = 0.0
+    """Speed of one scanner besides the root, which drives through the building, m/s."""
+
+    @property
+    def bumps(self) -> bool:
+        """Whether a scanner is bumped."""
+        return self.bump_rotation > 0 or self.bump_shift > 0
+
+
 class NetworkScenario(StrictModel):
     """Scanners fixed in a building, and people who walk through it.
 
@@ -131,6 +166,7 @@ class NetworkScenario(StrictModel):
     """Pieces of furniture in all."""
     scanner: ScannerOptions = ScannerOptions()
     people: PeopleOptions = PeopleOptions()
+    errors: NetworkErrors = NetworkErrors()
     root: str | None = None
     """The scanner that everything is expressed in, scanner_1 if left out."""
     background: NotNegative = 0.0
@@ -161,6 +197,8 @@ class NetworkScenario(StrictModel):
             raise invalid("background", f"must be below the duration, {self.duration:g}, got {self.background:g}")
         if self.root is not None and self.root not in self.names:
             raise invalid("root", f"must be one of {self.names[0]} to {self.names[-1]}, got {self.root!r}")
+        if self.errors.inverted >= self.scanner.count:
+            raise invalid("errors.inverted", f"must be below the number of scanners, {self.scanner.count}")
         return self
 
     @property

@@ -6,21 +6,23 @@ separate random generator, so that its scans do not depend on what else is simul
 
 import heapq
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from calgraph.config import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, Rig
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, se2, se3
 from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import LaserScan
 from calgraph.simulation.network_arms import add_arms
-from calgraph.simulation.network_beams import cast_segments, simulate_true_ranges
-from calgraph.simulation.network_floor import Floor, find_free_space
+from calgraph.simulation.network_beams import ScanPlane, build_views, simulate_true_ranges
+from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space
 from calgraph.simulation.network_layouts import build_layout
 from calgraph.simulation.network_legs import add_legs, draw_gait
+from calgraph.simulation.network_scanners import StationaryScanner, build_scanners
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
 from calgraph.simulation.network_walks import SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.scanners import add_mixed_pixels
@@ -30,31 +32,10 @@ _LATENCY_RANGE = 0.002, 0.02
 """Bounds of the time from the end of a scan to its arrival at the recorder, s."""
 _BATCH = 500
 """Scans per batch, which bounds memory."""
+_DRIVING_INTERVAL = 0.05
+"""Between two poses of a scanner that drives, s."""
 _TRUTH_RATE = 20.0
 """Samples of the people's true positions, per second."""
-
-
-@dataclass(frozen=True, eq=False)
-class StationaryScanner:
-    """One scanner of the network."""
-
-    name: str
-    T_world_scanner: Array
-    """(3, 3)."""
-    angles: Array
-    """(M,) of its beams, counter-clockwise from its x, rad."""
-    phase: float
-    """Start of its first scan, s from the start of the recording."""
-    period: float
-    """From one scan to the next, s."""
-    clock_offset: float
-    """The scanner's clock minus the root's, s."""
-
-    @property
-    def time_increment(self) -> float:
-        """From one beam to the next, s: the mirror turns once a scan."""
-        step = float(self.angles[1] - self.angles[0])
-        return self.period * step / (2 * np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +51,8 @@ class SimulatedNetwork:
     """Of people or cylinders, one each."""
     bodies: tuple[SimulatedWalk, ...]
     """What beams hit of them: torso and arms, or legs."""
+    mirrors: Array
+    """(Q, 2, 2) end points of mirrors, m."""
 
 
 def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
@@ -81,12 +64,15 @@ def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
     rng = np.random.default_rng((seed, 0))
     layout = build_layout(scenario, rng)
     root = scenario.root or scenario.names[0]
-    scanners = _build_scanners(scenario, layout.mounts, root, rng)
+    error_rng = np.random.default_rng((seed, 0, 0, 1))
+    scanners = build_scanners(scenario, layout.mounts, root, rng, error_rng)
     kept_clear = body_clearance(scenario.people)
     free_space = find_free_space(layout.floor, kept_clear, layout.mounts[:, :2], kept_clear + 0.1)
     walks = draw_walks(free_space, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
+    if scenario.errors.driving:
+        scanners = _let_one_drive(scanners, scenario, root, free_space, error_rng)
     bodies = tuple(part for k, walk in enumerate(walks) for part in _build_bodies(scenario, walk, seed, k))
-    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks, bodies)
+    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks, bodies, np.zeros((0, 2, 2)))
 
 
 def simulate_network_scans(
@@ -150,32 +136,67 @@ def network_rig(network: SimulatedNetwork) -> Rig:
 
 def network_truth(network: SimulatedNetwork) -> GroundTruth:
     """The true poses, clocks and walks, in the root's frame and clock."""
-    T_world_root = next(s.T_world_scanner for s in network.scanners if s.name == network.root)
-    T_root_world = se2.inverse(T_world_root)
+    T_root_world = se3.inverse(next(s.true_pose() for s in network.scanners if s.name == network.root))
     return GroundTruth(
         root=network.root,
-        T_root_sensor={s.name: se2.to_se3(T_root_world @ s.T_world_scanner) for s in network.scanners},
+        T_root_sensor={s.name: T_root_world @ s.true_pose() for s in network.scanners},
         boards=(),
         clock_offsets={s.name: s.clock_offset for s in network.scanners},
         people=tuple(_person_truth(network.scenario, walk, T_root_world) for walk in network.walks),
+        errors={s.name: s.errors() for s in network.scanners if s.errors()},
     )
 
 
 def simulate_scans(network: SimulatedNetwork, scanner: StationaryScanner) -> Iterator[LaserScan]:
     """All scans of one scanner, in order; stamps are of the scanner's clock."""
-    scenario, options = network.scenario, network.scenario.scanner
+    scenario, options = network.scenario, scanner.options
     rng = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner)))
-    origin, yaw = scanner.T_world_scanner[:2, 2], float(se2.angle(scanner.T_world_scanner))
-    static = cast_segments(origin, yaw + scanner.angles, network.floor.segments)
     within = scanner.time_increment * np.arange(len(scanner.angles))
-    count = _scan_count(scenario, scanner)
-    for first in range(0, count, _BATCH):
-        starts = scanner.phase + scanner.period * np.arange(first, min(first + _BATCH, count))
-        times = starts[:, None] + within
-        true = simulate_true_ranges(origin, yaw + scanner.angles, static, times, network.bodies, options.max_range)
-        stamps = scenario.start_time + starts + scanner.clock_offset
-        for stamp, ranges in zip(stamps, _simulate_measured_ranges(true, options, rng), strict=True):
+    starts: Array = scanner.phase + scanner.period * np.arange(_scan_count(scenario, scanner), dtype=np.float64)
+    stamps = scenario.start_time + starts + scanner.clock_offset
+    stamps += scanner.clock_drift * (starts - scenario.duration / 2)
+    for first, last, T_world_scanner in _batches(scanner, starts):
+        plane, times = scanner.plane_at(T_world_scanner), starts[first:last, None] + within
+        views = build_views(plane, network.floor.segments, network.mirrors, _floor_distance(plane, scenario))
+        true = simulate_true_ranges(views, times, network.bodies, options.max_range)
+        true = (1 + scanner.range_scale) * scanner.stretch * true + scanner.range_bias
+        for stamp, ranges in zip(stamps[first:last], _simulate_measured_ranges(true, options, rng), strict=True):
             yield LaserScan(float(stamp), scanner.name, scanner.angles, ranges, scanner.time_increment)
+
+
+def _batches(scanner: StationaryScanner, starts: Array) -> Iterator[tuple[int, int, Array]]:
+    """First and past last scan of each batch, and the scanner's pose (3, 3) in it."""
+    changes = np.searchsorted(starts, [end for end, _ in scanner.earlier]).tolist()
+    for begin, end in pairwise([0, *changes, len(starts)]):
+        for first in range(begin, end, _BATCH):
+            yield first, min(first + _BATCH, end), scanner.pose_at(float(starts[first]))
+
+
+def _floor_distance(plane: ScanPlane, scenario: NetworkScenario) -> Array:
+    """(M,) where beams reach the floor, m; scanners that observe ellipses are too high up for that."""
+    falling = (plane.slopes < 0) & (scenario.people.shape == "legs")
+    return np.where(falling, plane.height / np.where(falling, -plane.slopes, 1.0), np.inf)
+
+
+def _let_one_drive(
+    scanners: tuple[StationaryScanner, ...],
+    scenario: NetworkScenario,
+    root: str,
+    free_space: FreeSpace,
+    rng: np.random.Generator,
+) -> tuple[StationaryScanner, ...]:
+    """The scanners, of which one besides the root drives on a path of its own."""
+    rider = scenario.people.model_copy(
+        update={"count": 1, "speed": scenario.errors.driving, "speed_spread": 0.0, "stop_every": 0.0}
+    )
+    [path] = draw_walks(free_space, np.zeros((0, 2)), rider, 0.0, scenario.duration, rng)
+    times = np.arange(_DRIVING_INTERVAL, scenario.duration, _DRIVING_INTERVAL)
+    places, headings = path.pose_at(times - _DRIVING_INTERVAL / 2)
+    poses = se2.pose(headings, places)
+    chosen = int(rng.choice([k for k, name in enumerate(scenario.names) if name != root]))
+    earlier = tuple(zip(times.tolist(), poses, strict=True))
+    driving = replace(scanners[chosen], T_world_scanner=poses[-1], earlier=earlier)
+    return (*scanners[:chosen], driving, *scanners[chosen + 1 :])
 
 
 def _build_bodies(
@@ -203,26 +224,6 @@ def _simulate_measured_ranges(true: Array, options: ScannerOptions, rng: np.rand
     )
 
 
-def _build_scanners(
-    scenario: NetworkScenario, mounts: Array, root: str, rng: np.random.Generator
-) -> tuple[StationaryScanner, ...]:
-    options = scenario.scanner
-    resolution, view = np.radians(options.resolution), np.radians(options.field_of_view)
-    angles = resolution * np.arange(int(view / resolution + 1e-9) + 1) - view / 2
-    # A full turn does not repeat the first beam.
-    angles = angles[angles < angles[0] + 2 * np.pi - 1e-9]
-    offsets = rng.uniform(-options.clock_offset, options.clock_offset, len(mounts))
-    offsets[scenario.names.index(root)] = 0.0
-    periods = (1 + rng.uniform(-options.rate_tolerance, options.rate_tolerance, len(mounts))) / options.rate
-    phases = rng.uniform(0, periods)
-    return tuple(
-        StationaryScanner(
-            name, se2.pose(mount[2], mount[:2]), angles, float(phases[k]), float(periods[k]), float(offsets[k])
-        )
-        for k, (name, mount) in enumerate(zip(scenario.names, mounts, strict=True))
-    )
-
-
 def _scan_count(scenario: NetworkScenario, scanner: StationaryScanner) -> int:
     """Number of scans that begin and end within the recording."""
     last = scanner.time_increment * (len(scanner.angles) - 1)
@@ -244,12 +245,13 @@ def _simulate_arrivals(
 def _person_truth(scenario: NetworkScenario, walk: SimulatedWalk, T_root_world: Array) -> PersonTruth:
     times = np.arange(walk.start, scenario.duration, 1 / _TRUTH_RATE)
     places, headings = walk.pose_at(times)
-    turned = headings + se2.angle(T_root_world)
+    level = np.zeros(len(times))
+    facing = np.column_stack([np.cos(headings), np.sin(headings), level]) @ T_root_world[:3, :3].T
     return PersonTruth(
         axes=walk.axes,
         times=scenario.start_time + times,
-        positions=se2.apply(T_root_world, places),
-        headings=np.remainder(turned + np.pi, 2 * np.pi) - np.pi,
+        positions=se3.apply(T_root_world, np.column_stack([places, level]))[:, :2],
+        headings=np.arctan2(facing[:, 1], facing[:, 0]),
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from calgraph.errors import InputError
@@ -44,6 +45,20 @@ _SMOOTHING_MARGIN = 0.12
 
 
 @dataclass(frozen=True, eq=False)
+class Section:
+    """How a body's horizontal section changes with the height of the scan plane."""
+
+    height: float
+    """At which the body's positions and outline hold, m."""
+    heights: Array
+    """(H,) m, increasing."""
+    offsets: Array
+    """(H, K, 2) of the section's centre from the body's position at each sample, m."""
+    sizes: Array
+    """(H,) factors of the body's outline."""
+
+
+@dataclass(frozen=True, eq=False)
 class SimulatedWalk:
     """One body over time."""
 
@@ -57,6 +72,8 @@ class SimulatedWalk:
     """(K,) direction it faces, rad, unwrapped."""
     outline: Array | None = None
     """(L, 2) corners, counter-clockwise, of a convex polygon with x along the heading, m; none for an ellipse."""
+    section: Section | None = None
+    """Left out where the body is the same at all heights; only outlines have it."""
 
     @cached_property
     def reach(self) -> float:
@@ -66,6 +83,14 @@ class SimulatedWalk:
         return float(np.linalg.norm(self.outline, axis=1).max())
 
     @cached_property
+    def full_reach(self) -> float:
+        """The same for all heights of the scan plane, m."""
+        if self.section is None:
+            return self.reach
+        offset = np.linalg.norm(self.section.offsets, axis=-1).max(initial=0.0)
+        return float(offset + self.section.sizes.max() * self.reach)
+
+    @cached_property
     def max_speed(self) -> float:
         """m/s."""
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
@@ -73,12 +98,26 @@ class SimulatedWalk:
 
     def pose_at(self, times: Array) -> tuple[Array, Array]:
         """Centres (..., 2) and headings (...) at times (...), s; NaN before the first and after the last one."""
+        first, part = self._samples(times)
+        places = self.positions[first] + part[..., None] * (self.positions[first + 1] - self.positions[first])
+        return places, self.headings[first] + part * (self.headings[first + 1] - self.headings[first])
+
+    def section_at(self, times: Array, heights: Array) -> tuple[Array, Array]:
+        """Offsets (N, 2) of the centre, m, and sizes (N,) of the section at times (N,), s, and heights (N,), m."""
+        assert self.section is not None
+        first, _ = self._samples(times)
+        grid = self.section.heights
+        level = np.clip(np.searchsorted(grid, heights) - 1, 0, len(grid) - 2)
+        share = np.clip((heights - grid[level]) / (grid[level + 1] - grid[level]), 0, 1)
+        below, above = self.section.offsets[level, first], self.section.offsets[level + 1, first]
+        return below + share[:, None] * (above - below), np.interp(heights, grid, self.section.sizes)
+
+    def _samples(self, times: Array) -> tuple[NDArray[np.intp], Array]:
+        """Indices (...) of the samples before times (...), and the shares (...) of the interval passed, or NaN."""
         sample = (times - self.start) / SAMPLE_INTERVAL
         present = (sample >= 0) & (sample <= len(self.positions) - 1)
         first = np.clip(np.floor(np.where(present, sample, 0)).astype(np.intp), 0, len(self.positions) - 2)
-        part = np.where(present, sample - first, np.nan)
-        places = self.positions[first] + part[..., None] * (self.positions[first + 1] - self.positions[first])
-        return places, self.headings[first] + part * (self.headings[first + 1] - self.headings[first])
+        return first, np.where(present, sample - first, np.nan)
 
 
 @dataclass

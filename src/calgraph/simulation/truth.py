@@ -54,9 +54,11 @@ class GroundTruth:
     boards: tuple[BoardTruth, ...]
     """One for each capture, in order."""
     clock_offsets: Mapping[str, float] = field(default_factory=dict)
-    """By sensor, the sensor's clock minus the root's, s; empty for a robot."""
+    """By sensor, the sensor's clock minus the root's, s, in the middle of the recording; empty for a robot."""
     people: tuple[PersonTruth, ...] = ()
     """The moving bodies of a network."""
+    errors: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """By scanner of a network, what is wrong with it."""
 
 
 def save_truth(path: Path, truth: GroundTruth) -> None:
@@ -65,7 +67,8 @@ def save_truth(path: Path, truth: GroundTruth) -> None:
     for name, T_root_sensor in truth.T_root_sensor.items():
         parent = {} if name == truth.root else {"parent": truth.root}
         offset = {"clock_offset": truth.clock_offsets[name]} if name in truth.clock_offsets else {}
-        sensors[name] = {**parent, **_pose_entry(T_root_sensor), **offset}
+        wrong = {"errors": dict(truth.errors[name])} if name in truth.errors else {}
+        sensors[name] = {**parent, **_pose_entry(T_root_sensor), **offset, **wrong}
     captures = [
         {"trigger": b.trigger, "end": b.end, "disturbed": b.disturbed, **_pose_entry(b.T_root_board)}
         for b in truth.boards
@@ -95,6 +98,7 @@ def load_truth(path: Path) -> GroundTruth:
             ),
             {name: entry["clock_offset"] for name, entry in content["sensors"].items() if "clock_offset" in entry},
             tuple(_read_person(entry) for entry in content.get("people", ())),
+            {name: entry["errors"] for name, entry in content["sensors"].items() if "errors" in entry},
         )
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
