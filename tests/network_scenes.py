@@ -15,6 +15,8 @@ DENSITY = TrackingSettings().acceleration_density
 LOSS = TukeyLoss(SETTINGS.beams.tukey_limit)
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([6.0, 1.0])), se2.pose(-1.5, np.array([3.0, 5.0]))])
 OFFSET = np.array([0.0, 0.03, -0.02])
+EXACT = np.zeros((3, 4))
+"""Systematic errors of the scanners, or their prior standard deviations."""
 
 
 def simulate_scans(

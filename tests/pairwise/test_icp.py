@@ -1,5 +1,7 @@
 """ICP of walls: exact in observable directions, unchanged in unobservable ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from calgraph.pairwise.icp import (
     IcpResult,
     StaticBackground,
     _build_normal_equations,
+    _differentiate_by_beam_errors,
+    _match_points,
     _SurfacePoints,
     _wall_error_covariance,
     align_backgrounds,
@@ -50,6 +54,49 @@ def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Gen
     found = align_backgrounds(se2.retract(T_A_B, off), covariance, scan(walls, A, rng), scan(walls, B, rng), SIGMA)
     assert isinstance(found, IcpResult), found
     return found
+
+
+def distort(background: StaticBackground, bias: float, range_scale: float, angle_scale: float) -> StaticBackground:
+    """The background of a scanner without these errors of ranges and angles."""
+    ranges = (np.linalg.norm(background.points, axis=1) - bias) / (1 + range_scale)
+    azimuth = np.arctan2(background.points[:, 1], background.points[:, 0]) * (1 + angle_scale)
+    return StaticBackground(np.column_stack([np.cos(azimuth), np.sin(azimuth)]) * ranges[:, None])
+
+
+@pytest.mark.parametrize("error", range(6))
+def test_the_gradient_depends_on_errors_of_ranges_and_angles_as_stated(
+    error: int, rng: np.random.Generator
+) -> None:
+    """For fixed correspondences and constant weights."""
+    scans = [scan(ROOM, T, rng) for T in (A, B)]
+    a, b = (one.oriented_points for one in scans)
+    matches = _match_points(T_A_B, a, b, 0.1, IcpSettings())
+    errors = np.zeros((2, 3))
+    errors.flat[error] = 1e-6
+
+    def gradient(sign: int) -> Array:
+        points = (distort(StaticBackground(x.points), *(sign * e)) for x, e in zip((a, b), errors, strict=True))
+        of_a, of_b = (replace(x, points=p.points) for x, p in zip((a, b), points, strict=True))
+        return _build_normal_equations(T_A_B, of_a, of_b, matches, 1e-4, 1e3)[1]
+
+    found = _differentiate_by_beam_errors(T_A_B, a, b, matches, 1e-4, 1e3)[:, error]
+    # The Jacobian depends on the points as well; residuals are 1 cm, lever arms metres.
+    numeric = (gradient(1) - gradient(-1)) / 2e-6
+    np.testing.assert_allclose(found, numeric, atol=0.03 * float(np.linalg.norm(numeric)))
+
+
+@pytest.mark.parametrize("walls", [ROOM, CORRIDOR])
+def test_a_range_bias_shifts_the_pose_as_stated(walls: list[Wall]) -> None:
+    scans = [scan(walls, T, np.random.default_rng(k)) for k, T in enumerate((A, B))]
+    found = [
+        align_backgrounds(T_A_B, LOOSE, distort(scans[0], bias, 0, 0), scans[1], SIGMA)
+        for bias in (0.0, 0.01, -0.01)
+    ]
+    nominal, plus, minus = (one for one in found if isinstance(one, IcpResult))
+    expected = 0.01 * nominal.by_beam_errors[:, 0]
+    # Which points correspond changes with the bias.
+    tolerance = 0.3 * float(np.linalg.norm(expected[:2]))
+    np.testing.assert_allclose(se2.difference(plus.T_a_b, minus.T_a_b) / 2, expected, atol=tolerance)
 
 
 @pytest.mark.parametrize("seed", range(5))

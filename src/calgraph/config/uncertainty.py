@@ -81,6 +81,9 @@ class Lidar2dUncertainty(_RangeUncertainty):
     angle_scale: Ratio = 0.002
     """Relative, of the stated angle increment. Drivers that divide the field of view by the number of beams,
     not by that of increments, are off by 0.1 % (1081 beams) to 0.3 % (361 beams)."""
+    clock_drift: Ratio = 3e-5
+    """Relative error of the clock's rate; only in networks, beside the clock offset. Quartz oscillators of
+    computers and scanners are specified to ±50 ppm over temperature: 3 ms in a minute."""
 
 
 class Lidar3dUncertainty(_RangeUncertainty):

@@ -35,6 +35,10 @@ class IcpResult:
     """(3, 3); in unobservable directions that of the initial pose."""
     information: Array
     """(3, 3) of the error in the fixed axes of a; zero in unobservable directions."""
+    by_beam_errors: Array
+    """(3, 6) derivative of the pose by the range bias (m), range scale and angle scale of a and of b; zero in
+    unobservable directions. Ranges are ``(1 + range scale) true + range bias``, true angles ``(1 + angle scale)
+    stated``."""
 
     def fuse(self, T_a_b: Array, information: Array) -> tuple[Array, Array]:
         """Fuses this with an independent estimate and its information: pose (3, 3) and information (3, 3)."""
@@ -137,7 +141,9 @@ def align_backgrounds(
     if deviation @ np.linalg.solve(total, deviation) > settings.max_mahalanobis2:
         return Rejected("static background and tracks contradict each other")
     information = directions @ np.linalg.solve(icp_covariance, directions.T) / scale2
-    return IcpResult(T, information)
+    by_errors = _differentiate_by_beam_errors(T, a, b, matches, noise2, settings.final_distance)
+    by_errors = -scale[:, None] * (directions @ ((directions.T @ (scale[:, None] * by_errors)) / values[:, None]))
+    return IcpResult(T, information, by_errors)
 
 
 def _fit_lines(background: Array, settings: IcpSettings) -> _SurfacePoints:
@@ -180,13 +186,39 @@ def _match_points(
 def _build_normal_equations(
     T: Array, a: _SurfacePoints, b: _SurfacePoints, found: _Matches, noise2: float, match_distance: float
 ) -> tuple[Array, Array]:
+    J, w, r = _linearize_matches(T, a, b, found, noise2, match_distance)
+    return J.T @ (w[:, None] * J), J.T @ (w * r)
+
+
+def _linearize_matches(
+    T: Array, a: _SurfacePoints, b: _SurfacePoints, found: _Matches, noise2: float, match_distance: float
+) -> tuple[Array, Array, Array]:
+    """Jacobian (N, 3), weights (N,) and distances (N,), m, of matched points from lines."""
     of_b, of_a = found
     rotated = b.points[of_b] @ T[:2, :2].T
     normal = a.normals[of_a]
     r = np.sum(normal * (rotated + T[:2, 2] - a.points[of_a]), axis=1)
     J = np.column_stack([normal, normal[:, 1] * rotated[:, 0] - normal[:, 0] * rotated[:, 1]])
-    w = 1 / (noise2 * (1 + (2 * r / match_distance) ** 2))
-    return J.T @ (w[:, None] * J), J.T @ (w * r)
+    return J, 1 / (noise2 * (1 + (2 * r / match_distance) ** 2)), r
+
+
+def _differentiate_by_beam_errors(
+    T: Array, a: _SurfacePoints, b: _SurfacePoints, found: _Matches, noise2: float, match_distance: float
+) -> Array:
+    """(3, 6) derivative of the gradient of :func:`_build_normal_equations` by the beam errors of a and b."""
+    of_b, of_a = found
+    J, w, _ = _linearize_matches(T, a, b, found, noise2, match_distance)
+    in_b = a.normals[of_a] @ T[:2, :2]
+    by_a, by_b = -_displace_points(a.points[of_a], a.normals[of_a]), _displace_points(b.points[of_b], in_b)
+    return np.asarray(J.T @ (w[:, None] * np.column_stack([by_a, by_b])))
+
+
+def _displace_points(points: Array, normals: Array) -> Array:
+    """(N, 3) by how much points (N, 2) are to be corrected along normals for a unit of each beam error."""
+    ranges, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
+    radial = np.sum(normals * points, axis=1)
+    across = normals[:, 1] * points[:, 0] - normals[:, 0] * points[:, 1]
+    return np.column_stack([-radial / ranges, -radial, azimuth * across])
 
 
 def _find_observable_directions(H: Array, max_stddev: float) -> tuple[Array, Array]:

@@ -239,7 +239,7 @@ def test_only_edges_between_unconnected_parts_are_bridges() -> None:
         BodyObservations(knots, (scans(a, weight), scans(b, weight)), np.ones(2), np.ones(2), True)
         for a, b, weight in ((0, 1, 1.0), (1, 2, 0.0))
     )
-    network = NetworkProblem(5, bodies, (), np.ones(5), np.ones(2), 0.1, DENSITY, SETTINGS)
+    network = NetworkProblem(5, bodies, (), np.ones(5), np.ones(2), 0.1, np.zeros((5, 4)), 0.0, DENSITY, SETTINGS)
     edges = [constraint(*pair) for pair in ((0, 1), (1, 2), (2, 3), (3, 4))]
     bridges = select_bridges(network, [constraint(3, 4)], edges)
     assert [(one.a, one.b) for one in bridges] == [(1, 2), (2, 3)]

@@ -9,7 +9,7 @@ from calgraph.estimation.network.heading_search import _find_cheapest_sequence, 
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.splines import Knots
 from calgraph.geometry import Array
-from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 RADII = np.array([0.25, 0.15])
 KNOTS = Knots.spanning(-0.3, 5.3, 0.2)
@@ -31,10 +31,10 @@ def scene(
     scans = tuple(simulate_scans(s, KNOTS, path, np.arange(0.1 + 0.013 * s, 4.9, 0.07), rng) for s in range(3))
     body = BodyObservations(KNOTS, scans, RADII, 0.3 * RADII, faces_forward)
     network = NetworkProblem(
-        3, (body,), (), np.full(3, SIGMA), np.array([0.005, 0.05]) ** 2, 0.1, DENSITY, SETTINGS
+        3, (body,), (), np.full(3, SIGMA), np.array([0.005, 0.05]) ** 2, 0.1, EXACT, 0.0, DENSITY, SETTINGS
     )
     constant = np.column_stack([path.control[:, :2], np.zeros(KNOTS.count)])
-    return network, NetworkState(T_ROOT, OFFSET, (BodyPath(constant, RADII),))
+    return network, NetworkState(T_ROOT, OFFSET, EXACT, (BodyPath(constant, RADII),))
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -10,7 +10,7 @@ from calgraph.estimation.network.model_error import estimate_model_error
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array
-from network_scenes import DENSITY, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 60.0
 INITIAL = np.array([0.005, 0.05]) ** 2
@@ -30,9 +30,8 @@ def simulate_network(
         for s in range(3)
     )
     body = BodyObservations(knots, scans, body_path.radii, 0.1 * body_path.radii, faces_forward=False)
-    return NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, 0.1, DENSITY, SETTINGS), NetworkState(
-        T_ROOT, OFFSET, (body_path,)
-    )
+    network = NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, 0.1, EXACT, 0.0, DENSITY, SETTINGS)
+    return network, NetworkState(T_ROOT, OFFSET, EXACT, (body_path,))
 
 
 def displace_scans(

@@ -11,7 +11,7 @@ from calgraph.estimation.network.range_noise import estimate_range_noise
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
-from network_scenes import DENSITY, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 BACKGROUND = np.array([0.013])
 
@@ -25,9 +25,9 @@ def simulate_solution(seconds: float, rng: np.random.Generator) -> tuple[Network
     scans = simulate_scans(0, knots, body_path, np.arange(0.05, seconds, 0.08), rng)
     body = BodyObservations(knots, (scans,), body_path.radii, 0.1 * body_path.radii, faces_forward=False)
     network = NetworkProblem(
-        1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0, DENSITY, SETTINGS
+        1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0, EXACT[:1], 0.0, DENSITY, SETTINGS
     )
-    state = NetworkState(T_ROOT[:1], OFFSET[:1], (body_path,))
+    state = NetworkState(T_ROOT[:1], OFFSET[:1], EXACT[:1], (body_path,))
     for _ in range(6):
         network = replace(network, bodies=(update_weights(body, state),))
         state, _ = optimize_network(network, state, iterations=10)
@@ -74,7 +74,9 @@ def test_noise_does_not_depend_on_the_directions_of_the_root_axes(rng: np.random
     turn = se2.pose(np.pi / 2, np.zeros(2))
     (path,) = state.paths
     control = np.column_stack([se2.apply(turn, path.control[:, :2]), path.control[:, 2] + np.pi / 2])
-    turned = NetworkState(turn @ state.T_root_scanner, state.clock_offset, (replace(path, control=control),))
+    turned = NetworkState(
+        turn @ state.T_root_scanner, state.clock_offset, EXACT[:1], (replace(path, control=control),)
+    )
     # Without a lower limit by the background.
     background = np.array([0.1 * SIGMA])
     found = [estimate_range_noise(network, s, linearize_network(network, s), background) for s in (state, turned)]

@@ -9,7 +9,7 @@ from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calgraph.config import Cylinder, People
+from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.estimation.network.heading_search import search_headings
@@ -24,6 +24,15 @@ from calgraph.estimation.network.problem import (
 )
 from calgraph.estimation.network.range_noise import estimate_range_noise
 from calgraph.estimation.network.scanner_prior import ScannerPrior
+from calgraph.estimation.network.scanner_unknowns import (
+    BEAM_ERRORS,
+    FIRST_SYSTEMATIC,
+    SCANNER_UNKNOWNS,
+    SYSTEMATIC_ERRORS,
+    SystematicErrors,
+    collect_prior_sigma,
+    correct_points,
+)
 from calgraph.estimation.network.solver import (
     NetworkEquations,
     compute_network_covariance,
@@ -60,7 +69,7 @@ class NetworkSolution:
     T_root_scanner: Array
     """(S, 3, 3)."""
     clock_offset: Array
-    """(S,) scanner clock minus root clock, s."""
+    """(S,) scanner clock minus root clock in the middle of the recording, s."""
     covariance: Array
     """(4S, 4S) of pose in the root's fixed axes and clock offset, scanner by scanner."""
     clocks_estimated: bool
@@ -69,6 +78,8 @@ class NetworkSolution:
     """Standard deviation of the position of bodies in a scan about their smooth path, m."""
     solved: SolvedNetwork | None = None
     """What was solved, for tests of the solution; None where only the result is given."""
+    systematic: SystematicErrors | None = None
+    """Systematic errors of the scanners."""
 
     @property
     def pose_covariance(self) -> Array:
@@ -91,12 +102,13 @@ def solve_network(
     graph: PoseGraph,
     *,
     estimate_clocks: bool = True,
+    uncertainties: Sequence[Lidar2dUncertainty] | None = None,
     prior: ScannerPrior | None = None,
     settings: NetworkEstimationSettings = NetworkEstimationSettings(),
     acceleration_density: float = TrackingSettings().acceleration_density,
     pair_settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> NetworkSolution:
-    """Solves jointly for scanner poses, clock offsets, and paths and radii of bodies.
+    """Solves jointly for poses, clocks and systematic errors of scanners, and paths and radii of bodies.
 
     Args:
         target: the kind of bodies.
@@ -104,6 +116,7 @@ def solve_network(
         averaged: start poses, and the pairs that are inliers.
         graph: of these pairs.
         estimate_clocks: whether the scanners' clocks may differ.
+        uncertainties: prior standard deviations of systematic errors of each scanner; exact if left out.
         prior: of scanner poses, from an earlier calibration.
         settings: of the estimate.
         acceleration_density: spectral density of a body's acceleration, m²/s³.
@@ -121,6 +134,7 @@ def solve_network(
     state = NetworkState(
         T_root_scanner,
         np.zeros(len(tracked)),
+        np.zeros((len(tracked), len(SYSTEMATIC_ERRORS))),
         tuple(_initialize_path(body, target, T_root_scanner, settings, acceleration_density) for body in bodies),
     )
     errors = settings.model_error
@@ -132,6 +146,10 @@ def solve_network(
         range_sigma=background,
         model_error_variance=np.array([errors.initial_position_sigma, errors.initial_heading_sigma]) ** 2,
         clock_sigma=settings.clock_sigma if estimate_clocks else 0.0,
+        systematic_sigma=np.zeros((len(tracked), len(SYSTEMATIC_ERRORS)))
+        if uncertainties is None
+        else collect_prior_sigma(uncertainties, estimate_clocks=estimate_clocks),
+        mid_time=(bodies[0].start + max(body.end for body in bodies)) / 2 if bodies else 0.0,
         acceleration_density=acceleration_density,
         settings=settings,
         prior=prior,
@@ -153,13 +171,18 @@ def solve_network(
         if np.all(np.abs(network.model_error_variance / previous - 1) < errors.tolerance):
             break
         previous = network.model_error_variance
+    covariance = compute_network_covariance(equations)
+    column = np.arange(len(covariance)) % SCANNER_UNKNOWNS
+    stddev = np.sqrt(np.diagonal(covariance)).reshape(-1, SCANNER_UNKNOWNS)[:, FIRST_SYSTEMATIC:]
+    placed = column < FIRST_SYSTEMATIC
     return NetworkSolution(
         state.T_root_scanner,
         state.clock_offset,
-        compute_network_covariance(network, equations),
+        covariance[np.ix_(placed, placed)],
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
-        SolvedNetwork(network, state, equations),
+        solved=SolvedNetwork(network, state, equations),
+        systematic=SystematicErrors(state.systematic, stddev, network.systematic_sigma),
     )
 
 
@@ -264,7 +287,7 @@ def _compute_weights(
     near_side_factor: float,
 ) -> Array:
     """(N,)."""
-    _, _, pose, rate = evaluate_at(state, body, path, scans)
+    _, _, pose, rate = evaluate_at(network, state, body, path, scans)
     hits = raycast_body(state, path, scans, pose, rate)
     residual, _ = compute_residuals(network, scans, hits)
     beams = network.settings.beams
@@ -289,14 +312,21 @@ def _register_walls(
     prior_covariance = np.diag(
         np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
     )
-    backgrounds = [icp.StaticBackground(scanner.background, pair_settings) for scanner in tracked]
+    beam_errors = state.systematic[:, : len(BEAM_ERRORS)]
+    backgrounds = [
+        icp.StaticBackground(correct_points(scanner.background, errors), pair_settings)
+        for scanner, errors in zip(tracked, beam_errors, strict=True)
+    ]
     walls = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
         sigma = float(np.hypot(tracked[a].sigma, tracked[b].sigma))
         registered = icp.align_backgrounds(T_a_b, prior_covariance, backgrounds[a], backgrounds[b], sigma)
         if not isinstance(registered, Rejected):
-            walls.append(WallConstraint(a, b, registered.T_a_b, registered.information))
+            by_errors = registered.by_beam_errors
+            # The pose that exact ranges and angles would have given.
+            T_a_b = se2.retract(registered.T_a_b, -by_errors @ beam_errors[[a, b]].ravel())
+            walls.append(WallConstraint(a, b, T_a_b, registered.information, by_errors))
     return tuple(walls)
 
 

@@ -8,7 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.estimation.network.ellipse_raycast import rotate_by_small_angles
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.scanner_unknowns import compute_scan_errors
 from calgraph.estimation.network.solver import compute_heading_offsets, evaluate_at, index_scans
 from calgraph.geometry import Array, Index
 
@@ -49,16 +51,18 @@ def _compute_beam_costs(
 ) -> tuple[Index, Array]:
     """The control point nearest to each beam with a weight (N,), and the beam's cost (N, G) over the grid."""
     settings = network.settings.heading_search
-    first, weights, pose, rate = evaluate_at(state, body, path, scans)
+    first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
     used = scans.weight > 0
     scan = index_scans(scans)[used]
     nearest = first + 1 + (weights[:, 2] > weights[:, 1])
     centre = pose[scan, :2] + scans.beam_delay[used, None] * rate[scan, :2]
     T = state.T_root_scanner[scans.scanner]
-    direction = scans.direction[used] @ T[:2, :2].T
+    excess, turn = compute_scan_errors(state, scans)
+    x, y = T[:2, :2] @ scans.direction[used].T
+    direction = rotate_by_small_angles(x, y, turn[scan]).T
     sigma = np.hypot(network.range_sigma[scans.scanner], settings.path_sigma)
     ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii, grid)
-    cost = 0.5 * ((ranges - scans.ranges[used, None]) / sigma) ** 2
+    cost = 0.5 * ((ranges + (excess[scan] - scans.ranges[used])[:, None]) / sigma) ** 2
     return nearest[scan], settings.beam_weight * np.fmin(cost, settings.max_beam_cost)
 
 

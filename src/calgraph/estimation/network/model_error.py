@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from calgraph.config.settings import ModelErrorSettings
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import ScanEquations
+from calgraph.estimation.network.scanner_unknowns import compute_root_times
 from calgraph.estimation.network.solver import build_scan_equations, evaluate_at
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index, se_n
@@ -105,8 +106,8 @@ def _collect_equations(
     duration = network.settings.model_error.stride_duration
     collected = []
     for scans in body.scans:
-        _, _, pose, rate = evaluate_at(state, body, path, scans)
-        stride = (scans.times - state.clock_offset[scans.scanner] - body.knots.start) / duration
+        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
+        stride = (compute_root_times(network, state, scans) - body.knots.start) / duration
         equations = build_scan_equations(network, state, path, scans, pose, rate)
         collected.append(_ScannerEquations(equations, np.maximum(stride, 0).astype(np.intp)))
     return tuple(collected)

@@ -1,6 +1,9 @@
 """The joint estimation problem of a network: measurements, priors, and the values of all unknowns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.estimation.network.scanner_prior import ScannerPrior
@@ -26,6 +29,21 @@ class BodyScans:
     weight: Array
     """(N,) robust weights, 0 to 1."""
 
+    @cached_property
+    def mean_range(self) -> Array:
+        """(V,) m."""
+        return self._mean_over_scans(self.ranges)
+
+    @cached_property
+    def mean_azimuth(self) -> Array:
+        """(V,) of the mean beam direction in the scanner frame, rad."""
+        x, y = (self._mean_over_scans(component) for component in self.direction.T)
+        return np.arctan2(y, x)
+
+    def _mean_over_scans(self, values: Array) -> Array:
+        counts = np.diff(self.first_beam, append=len(values))
+        return np.asarray(np.add.reduceat(values, self.first_beam) / counts)
+
 
 @dataclass(frozen=True, eq=False)
 class BodyObservations:
@@ -49,9 +67,11 @@ class WallConstraint:
     a: int
     b: int
     T_a_b: Array
-    """(3, 3)."""
+    """(3, 3) that follows from exact ranges and angles."""
     information: Array
     """(3, 3) in the fixed axes of a; singular where walls constrain fewer than three directions."""
+    by_beam_errors: Array = field(default_factory=lambda: np.zeros((3, 6)))
+    """(3, 6) derivative of T_a_b by ``BEAM_ERRORS`` of a and of b, in the fixed axes of a."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +88,10 @@ class NetworkProblem:
     """(2,) variances of the displacement (m²) and rotation (rad²) of a body from its path in a scan."""
     clock_sigma: float
     """Prior standard deviation of clock offsets, s; 0 where all clocks are synchronized."""
+    systematic_sigma: Array
+    """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; 0 where they are exact."""
+    mid_time: float
+    """The time at which clock offsets are those of the state, s: clocks drift."""
     acceleration_density: float
     """Spectral density of a body's acceleration, m²/s³."""
     settings: NetworkEstimationSettings
@@ -93,6 +117,8 @@ class NetworkState:
     T_root_scanner: Array
     """(S, 3, 3)."""
     clock_offset: Array
-    """(S,) scanner clock minus root clock, s."""
+    """(S,) scanner clock minus root clock in the middle of the recording, s."""
+    systematic: Array
+    """(S, 4) of ``SYSTEMATIC_ERRORS``, zero where the scanner is exact."""
     paths: tuple[BodyPath, ...]
     """One for each body."""

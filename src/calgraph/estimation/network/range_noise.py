@@ -38,7 +38,7 @@ def estimate_range_noise(
     for body, path, body_equations in zip(network.bodies, state.paths, equations.bodies, strict=True):
         path_covariance = compute_path_covariance(body_equations.band)
         for scans in body.scans:
-            first, weights, pose, rate = evaluate_at(state, body, path, scans)
+            first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
             hits = raycast_body(state, path, scans, pose, rate)
             residuals[scans.scanner].append(
                 np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > beams.min_cos_incidence]

@@ -24,10 +24,10 @@ class ScannerPrior:
     """(3K, 3K) in the root's fixed axes."""
 
     def add_to_equations(self, T_root_scanner: Array, H: Array, g: Array) -> float:
-        """Adds the term at poses (S, 3, 3) to normal equations over poses and clocks (4S), in place; its cost."""
+        """Adds the term at poses (S, 3, 3) to normal equations over all scanners (US), in place; its cost."""
         error = se2.difference(T_root_scanner[self.nodes], self.T_root_scanner).ravel()
         gradient = self.information @ error
-        columns = (4 * self.nodes[:, None] + np.arange(3)).ravel()
+        columns = (len(g) // len(T_root_scanner) * self.nodes[:, None] + np.arange(3)).ravel()
         H[np.ix_(columns, columns)] += self.information
         g[columns] += gradient
         return 0.5 * float(error @ gradient)

@@ -1,4 +1,4 @@
-"""Elimination of a body's path and radii from the normal equations by the Schur complement.
+"""Elimination of a body's path and shape from the normal equations by the Schur complement.
 
 A control point of a path is coupled with the three after it only: the path's matrix is banded, and the elimination
 takes time proportional to the length of the path. Source: Golub and Van Loan, "Matrix computations", 2013,
@@ -22,51 +22,58 @@ class BodyEquations:
     gradient: Array
     """(K, 3)."""
     border: Array
-    """(K, 3, 2 + 4L) between control points and, in this order, radii and scanners (pose and clock each)."""
+    """(K, 3, B + UL) between control points and, in this order, the B parameters of the body's shape and the U
+    unknowns of each scanner."""
     corner: Array
-    """(2 + 4L, 2 + 4L) of radii and scanners."""
+    """(B + UL, B + UL) of shape and scanners."""
     corner_gradient: Array
-    """(2 + 4L,)."""
+    """(B + UL,)."""
     columns: Index
-    """(4L,) rows and columns of these scanners in the equations of all scanners."""
+    """(UL,) rows and columns of these scanners in the equations of all scanners."""
+
+    @property
+    def shape_count(self) -> int:
+        """B."""
+        return len(self.corner) - len(self.columns)
 
     def scaled_norm(self, step: Array, scanner_step: Array) -> float:
-        """Squared norm, scaled by the diagonal, of steps (3K + 2,) of path and radii and (4L,) of the scanners."""
-        corner_step = np.concatenate([step[-2:], scanner_step])
-        path = np.sum(np.diagonal(self.band[:, 0], axis1=1, axis2=2) * step[:-2].reshape(-1, 3) ** 2)
+        """Squared norm, scaled by the diagonal, of steps (3K + B,) of path and shape and (UL,) of the scanners."""
+        size = 3 * len(self.band)
+        corner_step = np.concatenate([step[size:], scanner_step])
+        path = np.sum(np.diagonal(self.band[:, 0], axis1=1, axis2=2) * step[:size].reshape(-1, 3) ** 2)
         return float(path + np.diagonal(self.corner) @ corner_step**2)
 
     def slope(self, step: Array, scanner_step: Array) -> float:
         """Derivative of the cost along the same steps."""
-        return float(
-            self.gradient.ravel() @ step[:-2] + self.corner_gradient @ np.concatenate([step[-2:], scanner_step])
-        )
+        size = 3 * len(self.band)
+        corner_step = np.concatenate([step[size:], scanner_step])
+        return float(self.gradient.ravel() @ step[:size] + self.corner_gradient @ corner_step)
 
 
 def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Array, Array]:
-    """Schur complement of a body's path and radii.
+    """Schur complement of a body's path and shape.
 
     Args:
         equations: of the body.
         damping: Levenberg–Marquardt's; the diagonal is multiplied by one plus this.
 
     Returns:
-        Matrix (4L, 4L) and gradient (4L,) of the scanners, and the back substitution ``K`` (3K + 2, 4L + 1): a
-        step (4L,) of the scanners is followed by the step ``-(K[:, :-1] @ step + K[:, -1])`` of path and radii.
+        Matrix (UL, UL) and gradient (UL,) of the scanners, and the back substitution ``K`` (3K + B, UL + 1): a
+        step (UL,) of the scanners is followed by the step ``-(K[:, :-1] @ step + K[:, -1])`` of path and shape.
     """
-    count = len(equations.band)
+    count, B = len(equations.band), equations.shape_count
     factor = cholesky_banded(_pack_lower_band(equations.band, damping), lower=True)
     right = np.concatenate([equations.border.reshape(3 * count, -1), equations.gradient.reshape(-1, 1)], axis=1)
     path = cho_solve_banded((factor, True), right)
     path_part = right[:, :-1].T @ path
     corner = equations.corner * (1 + damping * np.eye(len(equations.corner))) - path_part[:, :-1]
     gradient = equations.corner_gradient - path_part[:, -1]
-    radii = np.linalg.solve(corner[:2, :2], np.concatenate([corner[:2, 2:], gradient[:2, None]], axis=1))
-    H = corner[2:, 2:] - corner[2:, :2] @ radii[:, :-1]
-    g = gradient[2:] - corner[2:, :2] @ radii[:, -1]
-    # The path depends on radii and scanners; the radii depend on the scanners.
-    path_by_scanners = np.concatenate([path[:, 2:-1], path[:, -1:]], axis=1) - path[:, :2] @ radii
-    return H, g, np.concatenate([path_by_scanners, radii])
+    shape = np.linalg.solve(corner[:B, :B], np.concatenate([corner[:B, B:], gradient[:B, None]], axis=1))
+    H = corner[B:, B:] - corner[B:, :B] @ shape[:, :-1]
+    g = gradient[B:] - corner[B:, :B] @ shape[:, -1]
+    # The path depends on shape and scanners; the shape depends on the scanners.
+    path_by_scanners = np.concatenate([path[:, B:-1], path[:, -1:]], axis=1) - path[:, :B] @ shape
+    return H, g, np.concatenate([path_by_scanners, shape])
 
 
 def compute_path_covariance(band: Array) -> Array:

@@ -1,12 +1,12 @@
-"""The joint estimator of a network: poses and clocks of scanners, paths and radii of bodies.
+"""The joint estimator of a network: poses, clocks and systematic errors of scanners, paths and radii of bodies.
 
 A body is an ellipse whose position and heading follow a spline. Residuals are ranges along the beams, each at its
 time of measurement. Given the scanners, bodies are independent, and the equations of a path are banded: each body
-is eliminated on its own, which leaves a small dense problem over scanners and clocks, however long the recording.
+is eliminated on its own, which leaves a small dense problem over scanners, however long the recording.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -26,6 +26,15 @@ from calgraph.estimation.network.problem import (
     WallConstraint,
 )
 from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_scans
+from calgraph.estimation.network.scanner_unknowns import (
+    BEAM_ERRORS,
+    CLOCK,
+    FIRST_SYSTEMATIC,
+    SCANNER_UNKNOWNS,
+    compute_root_times,
+    compute_scan_errors,
+    compute_scanner_jacobian,
+)
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.splines import evaluate_spline
 from calgraph.geometry import Array, Index, se2
@@ -51,13 +60,13 @@ class NetworkEquations:
     cost: float
     bodies: tuple[BodyEquations, ...]
     H: Array
-    """(4S, 4S) of walls and priors, without bodies; pose and clock of each scanner in turn."""
+    """(US, US) of walls and priors, without bodies; the U unknowns of each scanner in turn."""
     g: Array
-    """(4S,)."""
+    """(US,)."""
     unknowns: Index
-    """Columns of the unknowns: neither the root's pose and clock, nor any clock where they are synchronized."""
+    """Columns of what is estimated: neither the root's pose and clock, nor what is exact."""
     regularizer: Array
-    """(4S,) zero-gradient information of poses; clocks always have a prior."""
+    """(US,) zero-gradient information of poses; everything else has a prior."""
 
     def eliminate_bodies(self, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
         """Schur complement of all bodies.
@@ -76,7 +85,7 @@ class NetworkEquations:
         return H[np.ix_(self.unknowns, self.unknowns)], g[self.unknowns], back_substitutions
 
     def solve(self, damping: float) -> tuple[tuple[Array, list[Array]], float]:
-        """Steps (4S,) of scanners and clocks and of each body, and their predicted decrease of the cost."""
+        """Steps (US,) of scanners and of each body, and their predicted decrease of the cost."""
         H, g, back_substitutions = self.eliminate_bodies(damping)
         step = np.zeros(len(self.H))
         step[self.unknowns] = -np.linalg.solve(H, g)
@@ -92,8 +101,8 @@ class NetworkEquations:
 
 def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEquations:
     """The normal equations at a state."""
-    H, g = np.zeros((4 * network.count, 4 * network.count)), np.zeros(4 * network.count)
-    cost = 0.0
+    size = SCANNER_UNKNOWNS * network.count
+    H, g, cost = np.zeros((size, size)), np.zeros(size), 0.0
     bodies = []
     for body, path in zip(network.bodies, state.paths, strict=True):
         equations, body_cost = _linearize_body(network, state, body, path)
@@ -103,16 +112,21 @@ def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEq
         cost += _add_wall(state, wall, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
-    if network.clock_sigma > 0:
-        clocks = 4 * np.arange(network.count) + 3
-        H[clocks, clocks] += network.clock_sigma**-2
-        g[clocks] += state.clock_offset / network.clock_sigma**2
-        cost += 0.5 * float(np.sum(state.clock_offset**2)) / network.clock_sigma**2
-    columns = np.arange(4, 4 * network.count)
-    unknowns = columns if network.clock_sigma > 0 else columns[columns % 4 != 3]
-    position, rotation = network.settings.position_prior_information, network.settings.rotation_prior_information
-    regularizer = np.tile([position, position, rotation, 0.0], network.count)
-    return NetworkEquations(cost, tuple(bodies), H, g, unknowns, regularizer)
+    sigma = np.zeros((network.count, SCANNER_UNKNOWNS))
+    sigma[:, CLOCK], sigma[:, FIRST_SYSTEMATIC:] = network.clock_sigma, network.systematic_sigma
+    values = np.column_stack([np.zeros((network.count, 3)), state.clock_offset, state.systematic]).ravel()
+    estimated = sigma > 0
+    with_prior = np.flatnonzero(estimated)
+    information = sigma.ravel()[with_prior] ** -2
+    H[with_prior, with_prior] += information
+    g[with_prior] += information * values[with_prior]
+    cost += 0.5 * float(information @ values[with_prior] ** 2)
+    estimated[:, :3] = True
+    estimated[0, :FIRST_SYSTEMATIC] = False
+    regularizer = np.zeros((network.count, SCANNER_UNKNOWNS))
+    regularizer[:, :2] = network.settings.position_prior_information
+    regularizer[:, 2] = network.settings.rotation_prior_information
+    return NetworkEquations(cost, tuple(bodies), H, g, np.flatnonzero(estimated), regularizer.ravel())
 
 
 def optimize_network(
@@ -138,20 +152,25 @@ def optimize_network(
 
 
 def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) -> NetworkState:
-    """The state after steps (4S,) of scanners and clocks, and (3K + 2,) of each body's path and radii."""
-    steps = step.reshape(-1, 4)
+    """The state after steps (US,) of scanners, and (3K + 2,) of each body's path and radii."""
+    steps = step.reshape(-1, SCANNER_UNKNOWNS)
     paths = tuple(
         BodyPath(path.control + body[:-2].reshape(-1, 3), np.maximum(path.radii + body[-2:], _MIN_RADIUS))
         for path, body in zip(state.paths, body_steps, strict=True)
     )
-    return NetworkState(se2.retract(state.T_root_scanner, steps[:, :3]), state.clock_offset + steps[:, 3], paths)
+    return NetworkState(
+        se2.retract(state.T_root_scanner, steps[:, :3]),
+        state.clock_offset + steps[:, CLOCK],
+        state.systematic + steps[:, FIRST_SYSTEMATIC:],
+        paths,
+    )
 
 
-def compute_network_covariance(network: NetworkProblem, equations: NetworkEquations) -> Array:
-    """Covariance (4S, 4S) of poses in the root's fixed axes and clock offsets; zero where they are not unknown."""
+def compute_network_covariance(equations: NetworkEquations) -> Array:
+    """Covariance (US, US) of scanners' unknowns, in the root's fixed axes; zero where they are not estimated."""
     H, _, _ = equations.eliminate_bodies()
     unknowns = equations.unknowns
-    covariance = np.zeros((4 * network.count, 4 * network.count))
+    covariance = np.zeros_like(equations.H)
     covariance[np.ix_(unknowns, unknowns)] = np.linalg.inv(H)
     return covariance
 
@@ -160,38 +179,40 @@ def _linearize_body(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
 ) -> tuple[BodyEquations, float]:
     """One body's equations and its cost."""
-    count, scanners = body.knots.count, len(body.scans)
+    count, size = body.knots.count, 2 + SCANNER_UNKNOWNS * len(body.scans)
     band, gradient, cost = _linearize_path_prior(network, body, path)
-    border = np.zeros((count, 3, 2 + 4 * scanners))
-    corner, corner_gradient = np.zeros((2 + 4 * scanners,) * 2), np.zeros(2 + 4 * scanners)
+    border = np.zeros((count, 3, size))
+    corner, corner_gradient = np.zeros((size, size)), np.zeros(size)
     radii_information = body.radii_sigma**-2
     corner[[0, 1], [0, 1]] += radii_information
     corner_gradient[:2] += radii_information * (path.radii - body.radii)
     cost += 0.5 * float(radii_information @ (path.radii - body.radii) ** 2)
     pairs, singles = np.zeros((10, count - 3, 9)), np.zeros((4, count - 3, 9))
     for k, scans in enumerate(body.scans):
-        first, weights, pose, rate = evaluate_at(state, body, path, scans)
+        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
         equations = build_scan_equations(network, state, path, scans, pose, rate).marginalize_model_error(
             network.model_error_variance[[0, 0, 1]]
         )
         A, b = equations.information, equations.gradient
         cost += float(equations.cost.sum())
-        G = _scanner_jacobian(state.T_root_scanner[scans.scanner], pose, rate)
+        G = compute_scanner_jacobian(network, state, scans, pose, rate)
         AG = A @ G
-        columns = slice(2 + 4 * k, 6 + 4 * k)
-        corner[columns, columns] += G.reshape(-1, 4).T @ AG.reshape(-1, 4)
-        corner[:2, :2] += A[:, 3:, 3:].sum(axis=0)
-        mixed = AG[:, 3:].sum(axis=0)
+        columns = slice(2 + SCANNER_UNKNOWNS * k, 2 + SCANNER_UNKNOWNS * (k + 1))
+        flat = G.reshape(-1, SCANNER_UNKNOWNS)
+        corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
+        corner[:2, :2] += A[:, 3:5, 3:5].sum(axis=0)
+        mixed = AG[:, 3:5].sum(axis=0)
         corner[:2, columns] += mixed
         corner[columns, :2] += mixed.T
-        corner_gradient[columns] += G.reshape(-1, 4).T @ b.ravel()
-        corner_gradient[:2] += b[:, 3:].sum(axis=0)
+        corner_gradient[columns] += flat.T @ b.ravel()
+        corner_gradient[:2] += b[:, 3:5].sum(axis=0)
         # A scan depends on the four control points about it: terms of each of them, and of each pair.
-        terms = np.concatenate([b[:, :3], A[:, :3, 3:].reshape(-1, 6), AG[:, :3].reshape(-1, 12)], axis=1)
+        by_radii, by_scanner = A[:, :3, 3:5].reshape(-1, 6), AG[:, :3].reshape(len(b), -1)
+        terms = np.concatenate([b[:, :3], by_radii, by_scanner], axis=1)
         sums = _sum_between_knots(first, weights, terms, count)
         singles += sums[..., :9]
         for i in range(4):
-            border[i : count - 3 + i, :, columns] += sums[i, :, 9:].reshape(-1, 3, 4)
+            border[i : count - 3 + i, :, columns] += sums[i, :, 9:].reshape(-1, 3, SCANNER_UNKNOWNS)
         pairs += _sum_between_knots(
             first, weights[:, _EARLIER] * weights[:, _LATER], A[:, :3, :3].reshape(-1, 9), count
         )
@@ -200,7 +221,8 @@ def _linearize_body(
         border[i : count - 3 + i, :, :2] += singles[i, :, 3:].reshape(-1, 3, 2)
     for earlier, later, block in zip(_EARLIER, _LATER, pairs, strict=True):
         band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
-    scanner_columns = np.concatenate([4 * scans.scanner + np.arange(4) for scans in body.scans])
+    scanners = np.array([scans.scanner for scans in body.scans], dtype=np.intp)
+    scanner_columns = (SCANNER_UNKNOWNS * scanners[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel()
     return BodyEquations(band, gradient, border, corner, corner_gradient, scanner_columns), cost
 
 
@@ -216,10 +238,10 @@ def _sum_between_knots(first: Index, weights: Array, values: Array, count: int) 
 
 
 def evaluate_at(
-    state: NetworkState, body: BodyObservations, path: BodyPath, scans: BodyScans
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, scans: BodyScans
 ) -> tuple[Index, Array, Array, Array]:
     """A body at V scans: first control points and weights of :meth:`Knots.basis_at`, pose and rate (V, 3)."""
-    first, weights, slopes = body.knots.basis_at(scans.times - state.clock_offset[scans.scanner])
+    first, weights, slopes = body.knots.basis_at(compute_root_times(network, state, scans))
     return (
         first,
         weights,
@@ -229,23 +251,29 @@ def evaluate_at(
 
 
 def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array) -> RaycastHits:
-    """Predicted ranges to a body with the given pose and rate (V, 3) at the scans' times."""
+    """Predicted measurements of a body with the given pose and rate (V, 3) at the scans' times."""
     scan = index_scans(scans)
     T = state.T_root_scanner[scans.scanner]
     # Components as separate arrays, for speed.
     x, y, _ = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
     cos, sin = np.cos(pose[:, 2])[scan], np.sin(pose[:, 2])[scan]
     axis = rotate_by_small_angles(cos, sin, scans.beam_delay * rate[scan, 2])
-    direction = (T[:2, :2] @ scans.direction.T).T
-    return raycast_ellipses_by_axis(T[:2, 2], direction, np.stack([x, y]).T, axis, path.radii)
+    excess, turn = compute_scan_errors(state, scans)
+    direction = T[:2, :2] @ scans.direction.T
+    if turn.any():
+        direction = rotate_by_small_angles(direction[0], direction[1], turn[scan])
+    hits = raycast_ellipses_by_axis(T[:2, 2], direction.T, np.stack([x, y]).T, axis, path.radii)
+    return replace(hits, ranges=hits.ranges + excess[scan])
 
 
 def compute_residuals(network: NetworkProblem, scans: BodyScans, hits: RaycastHits) -> tuple[Array, Array]:
-    """Whitened residuals (N,) of beams, and their derivatives (N, 5) by the body's pose and radii."""
+    """Whitened residuals (N,) of beams, and their derivatives (N, 6) by pose, radii and an error of all ranges."""
     sigma = network.range_sigma[scans.scanner]
     hit = hits.cos_incidence > network.settings.beams.min_hit_cosine
     residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, network.settings.beams.missed_residual)
-    return residual, np.where(hit[:, None], hits.jacobian / sigma, 0.0)
+    jacobian = np.empty((6, len(hit)))
+    jacobian[:5], jacobian[5] = np.where(hit, hits.jacobian.T / sigma, 0.0), hit / sigma
+    return residual, jacobian.T
 
 
 def build_scan_equations(
@@ -254,16 +282,6 @@ def build_scan_equations(
     """Equations of the scans of a body with the given pose and rate (V, 3) at the scans' times."""
     residual, jacobian = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
     return sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
-
-
-def _scanner_jacobian(T_root_scanner: Array, pose: Array, rate: Array) -> Array:
-    """(V, 5, 4) of a body's pose relative to a scanner, and its radii, by the scanner's pose and clock."""
-    G = np.zeros((len(pose), 5, 4))
-    arm = pose[:, :2] - T_root_scanner[:2, 2]
-    G[:, 0, 0] = G[:, 1, 1] = G[:, 2, 2] = -1
-    G[:, 0, 2], G[:, 1, 2] = arm[:, 1], -arm[:, 0]
-    G[:, :3, 3] = -rate
-    return G
 
 
 def compute_smoothness_information(step: float, acceleration_density: float) -> Array:
@@ -329,14 +347,17 @@ def index_scans(scans: BodyScans) -> Index:
 def _add_wall(state: NetworkState, wall: WallConstraint, H: Array, g: Array) -> float:
     """Adds a wall constraint to the equations, in place; returns its cost."""
     T_a, T_b = state.T_root_scanner[wall.a], state.T_root_scanner[wall.b]
-    error = se2.difference(se2.inverse(T_a) @ T_b, wall.T_a_b)
+    errors = state.systematic[[wall.a, wall.b], : len(BEAM_ERRORS)]
+    error = se2.difference(se2.inverse(T_a) @ T_b, wall.T_a_b) - wall.by_beam_errors @ errors.ravel()
     R, arm = T_a[:2, :2], T_b[:2, 2] - T_a[:2, 2]
-    by_a, by_b = np.zeros((3, 4)), np.zeros((3, 4))
+    by_a, by_b = np.zeros((2, 3, SCANNER_UNKNOWNS))
     by_b[:2, :2], by_b[2, 2] = R.T, 1
     by_a[:2, :2], by_a[2, 2] = -R.T, -1
     by_a[:2, 2] = -R.T @ np.array([-arm[1], arm[0]])
+    beam_errors = slice(FIRST_SYSTEMATIC, FIRST_SYSTEMATIC + len(BEAM_ERRORS))
+    by_a[:, beam_errors], by_b[:, beam_errors] = np.split(-wall.by_beam_errors, 2, axis=1)
     J = np.concatenate([by_a, by_b], axis=1)
-    columns = np.concatenate([4 * wall.a + np.arange(4), 4 * wall.b + np.arange(4)])
+    columns = (SCANNER_UNKNOWNS * np.array([[wall.a], [wall.b]]) + np.arange(SCANNER_UNKNOWNS)).ravel()
     H[np.ix_(columns, columns)] += J.T @ wall.information @ J
     g[columns] += J.T @ wall.information @ error
     return 0.5 * float(error @ wall.information @ error)

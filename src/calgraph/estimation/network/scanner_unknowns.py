@@ -1,0 +1,98 @@
+"""The unknowns of a scanner, and how they act on its scans.
+
+Besides pose and clock offset, these are the systematic errors of ranges, angles and clock. Errors of ranges and
+angles change by less than a millimetre over the width of a body: each scan has those of its mean beam.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.config import Lidar2dUncertainty
+from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.geometry import Array
+from calgraph.result import EstimatedParameter
+
+SYSTEMATIC_ERRORS = ("range bias", "range scale", "angle scale", "clock drift")
+"""In the order of :attr:`NetworkState.systematic`; m, and relative errors."""
+BEAM_ERRORS = SYSTEMATIC_ERRORS[:3]
+"""Those that displace the points of a scan."""
+SCANNER_UNKNOWNS = 4 + len(SYSTEMATIC_ERRORS)
+"""Pose (3), clock offset, and systematic errors."""
+CLOCK, FIRST_SYSTEMATIC = 3, 4
+"""Columns of the clock offset and of the first systematic error."""
+_RANGE_BIAS, _RANGE_SCALE, _ANGLE_SCALE, _CLOCK_DRIFT = range(len(SYSTEMATIC_ERRORS))
+_UNITS = ("m", "", "", "")
+# Values of an exact scanner: scales are stated as factors.
+_STATED = (0.0, 1.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SystematicErrors:
+    """Estimated systematic errors of S scanners."""
+
+    values: Array
+    """(S, 4) of ``SYSTEMATIC_ERRORS``."""
+    stddev: Array
+    """(S, 4) given the data and all priors."""
+    prior: Array
+    """(S, 4) prior standard deviations; 0 for what is exact."""
+
+    def summarize(self, names: Sequence[str]) -> tuple[EstimatedParameter, ...]:
+        """The estimated parameters of the scanners with these names."""
+        return tuple(
+            EstimatedParameter(
+                name, quantity, _UNITS[p], _STATED[p], prior, _STATED[p] + float(value), stddev=float(stddev)
+            )
+            for name, *of_scanner in zip(names, self.values, self.stddev, self.prior, strict=True)
+            for p, (quantity, value, stddev, prior) in enumerate(
+                zip(SYSTEMATIC_ERRORS, *(numbers.tolist() for numbers in of_scanner), strict=True)
+            )
+            if prior > 0
+        )
+
+
+def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
+    """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference."""
+    sigma = np.array([[u.range_bias, u.range_scale, u.angle_scale, u.clock_drift] for u in uncertainties])
+    sigma[slice(0, 1) if estimate_clocks else slice(None), _CLOCK_DRIFT] = 0
+    return sigma
+
+
+def compute_root_times(network: NetworkProblem, state: NetworkState, scans: BodyScans) -> Array:
+    """(V,) times of scans by the root's clock, s."""
+    drift = state.systematic[scans.scanner, _CLOCK_DRIFT] * (scans.times - network.mid_time)
+    return np.asarray(scans.times - state.clock_offset[scans.scanner] - drift)
+
+
+def compute_scan_errors(state: NetworkState, scans: BodyScans) -> tuple[Array, Array]:
+    """Excess (V,) of measured ranges, m, and the angle (V,) from stated to true beam directions, rad."""
+    systematic = state.systematic[scans.scanner]
+    excess = systematic[_RANGE_BIAS] + systematic[_RANGE_SCALE] * scans.mean_range
+    return excess, systematic[_ANGLE_SCALE] * scans.mean_azimuth
+
+
+def compute_scanner_jacobian(
+    network: NetworkProblem, state: NetworkState, scans: BodyScans, pose: Array, rate: Array
+) -> Array:
+    """(V, 6, U) of a body's relative pose, its radii and the range error, by the scanner's unknowns."""
+    G = np.zeros((len(pose), 6, SCANNER_UNKNOWNS))
+    arm = pose[:, :2] - state.T_root_scanner[scans.scanner, :2, 2]
+    G[:, 0, 0] = G[:, 1, 1] = G[:, 2, 2] = -1
+    G[:, 0, 2], G[:, 1, 2] = arm[:, 1], -arm[:, 0]
+    G[:, :3, CLOCK] = -rate
+    systematic = G[..., FIRST_SYSTEMATIC:]
+    systematic[:, 5, _RANGE_BIAS] = 1
+    systematic[:, 5, _RANGE_SCALE] = scans.mean_range
+    systematic[:, :3, _ANGLE_SCALE] = G[:, :3, 2] * scans.mean_azimuth[:, None]
+    systematic[:, :3, _CLOCK_DRIFT] = G[:, :3, CLOCK] * (scans.times - network.mid_time)[:, None]
+    return G
+
+
+def correct_points(points: Array, systematic: Array) -> Array:
+    """Points (N, 2) of a scanner without its ``BEAM_ERRORS`` (3,)."""
+    bias, range_scale, angle_scale = systematic
+    ranges, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
+    azimuth, ranges = (1 + angle_scale) * azimuth, (ranges - bias) / (1 + range_scale)
+    return np.column_stack([ranges * np.cos(azimuth), ranges * np.sin(azimuth)])
