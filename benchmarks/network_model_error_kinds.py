@@ -1,0 +1,82 @@
+"""Everything in which a world may differ from the model of a network, for network_model_errors.py."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from calgraph.config import People, Rig
+from calgraph.simulation import NetworkScenario
+
+ROOMS = ("office", "lab", "halls")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of world in several sizes."""
+
+    changes: Callable[[float], dict[str, Any]]
+    """To the scenario of the room, for a size."""
+    sizes: tuple[float, ...] = (0.0,)
+    unit: str = ""
+    """Of the sizes; none if there is only one."""
+    rig: Callable[[Rig, float], Rig] = lambda rig, _size: rig
+    """What the user writes instead."""
+
+    def label(self, size: float) -> str:
+        """A size with its unit."""
+        return f"{size:g} {self.unit}" if self.unit else ""
+
+
+def build_scenario(room: str, kind: str, size: float, duration: float, shape: str) -> NetworkScenario:
+    """The scenario of one run.
+
+    Args:
+        room: the layout.
+        kind: of :data:`KINDS`.
+        size: of the kind.
+        duration: s.
+        shape: of people, where the kind has none.
+    """
+    base: dict[str, Any] = {"layout": room, "duration": duration, "people": {"shape": shape}}
+    for key, value in KINDS[kind].changes(size).items():
+        base[key] = {**base.get(key, {}), **value}
+    return NetworkScenario(**base)
+
+
+def list_cases(kinds: Sequence[str], sizes: Sequence[float]) -> Iterator[tuple[str, float]]:
+    """All kinds and sizes; only these sizes where any are given."""
+    for kind in kinds:
+        for size in KINDS[kind].sizes:
+            if not sizes or size in sizes:
+                yield kind, size
+
+
+def _errors(name: str, factor: float = 1.0) -> Callable[[float], dict[str, Any]]:
+    """One error of scanners of a size."""
+    return lambda size: {"errors": {name: factor * size}}
+
+
+def _state_radii(rig: Rig, size: float) -> Rig:
+    """rig.yaml states radii so that the true ones differ by ``size`` per cent."""
+    assert isinstance(rig.target, People)
+    across, along = (axis / (1 + size / 100) for axis in rig.target.axes)
+    return rig.model_copy(update={"target": rig.target.model_copy(update={"axes": (across, along)})})
+
+
+KINDS: Mapping[str, Kind] = {
+    "right": Kind(lambda _: {}),
+    "legs": Kind(lambda n: {"people": {"shape": "legs", "count": int(n)}}, (2, 4), "people"),
+    "radii": Kind(lambda _: {}, (-30, 30), "%", _state_radii),
+    "range_bias": Kind(_errors("range_bias", 1e-3), (20,), "mm"),
+    "range_scale": Kind(_errors("range_scale", 1e-2), (0.5,), "%"),
+    "angle_scale": Kind(_errors("angle_scale", 1e-2), (0.3,), "%"),
+    "tilt": Kind(_errors("tilt"), (2,), "deg"),
+    "legs_tilt": Kind(lambda t: {"people": {"shape": "legs"}, "errors": {"tilt": t}}, (2,), "deg"),
+    "clocks": Kind(lambda ms: {"scanner": {"clock_offset": 1e-3 * ms}}, (50, 300), "ms"),
+    "drift": Kind(_errors("clock_drift"), (100,), "ppm"),
+    "bump_rotation": Kind(_errors("bump_rotation"), (1, 3, 10), "deg"),
+    "bump_shift": Kind(_errors("bump_shift", 1e-3), (30,), "mm"),
+    "inverted": Kind(lambda _: {"errors": {"inverted": 1}}),
+    "mixed": Kind(lambda _: {"errors": {"mixed": True}}),
+    "driving": Kind(_errors("driving"), (0.5,), "m/s"),
+}

@@ -1,0 +1,291 @@
+"""What a calibration of a network says where the world differs from its model.
+
+python benchmarks/network_model_errors.py --jobs 2                          # all kinds, rooms and five seeds
+python benchmarks/network_model_errors.py --kinds legs --seeds 0 1 2        # some kinds
+python benchmarks/network_model_errors.py --kinds bump_rotation --sizes 1   # in the units of the table
+python benchmarks/network_model_errors.py --kinds clocks --shape legs       # people as legs
+python benchmarks/network_model_errors.py --tolerance 0.1 2                 # m, degrees: what "good" means
+python benchmarks/network_model_errors.py --csv scanners.csv                # a row for each scanner
+
+A scanner is *confidently wrong* if its verdict is good and its pose is outside of the 99.9 % ellipsoid of its
+covariance by more than 5 mm or 0.1 degrees, *grossly wrong* if its verdict is good and it is off by more than
+0.5 m or 5 degrees; ``out`` counts those outside of the ellipsoid whatever the verdict. NEES is per degree of
+freedom (x, y, yaw). The pose is compared with the one at the end of the recording, clock offsets with those in its
+middle. Kinds are those of network_model_error_kinds.py.
+"""
+
+import argparse
+import csv
+import logging
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from itertools import groupby
+from pathlib import Path
+from typing import Literal, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.linalg import LinAlgError
+from scipy.stats import chi2
+
+from calgraph.calibrate import NetworkOptions
+from calgraph.calibrate.network import calibrate_network
+from calgraph.calibrate.options import NetworkEstimator
+from calgraph.config import Tolerance
+from calgraph.errors import CalgraphError
+from calgraph.geometry import Array, se3
+from calgraph.processes import parallel_map
+from calgraph.recording.in_memory import MessageRecording
+from calgraph.result import Calibration
+from calgraph.simulation import GroundTruth, build_network, network_rig, network_truth, simulate_scans
+from network_model_error_kinds import KINDS, ROOMS, build_scenario, list_cases
+
+Key = TypeVar("Key")
+NAN = float("nan")
+MAX_METRES, MAX_DEGREES = 0.005, 0.1
+"""By which a good pose may be outside of its ellipsoid."""
+GROSS_METRES, GROSS_DEGREES = 0.5, 5.0
+ELLIPSOID = float(chi2.ppf(0.999, 3))
+IN_PLANE = [0, 1, 5]
+"""x, y and yaw of a tangent vector in space."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one scanner in one run, the root left out."""
+
+    kind: str
+    size: float
+    room: str
+    seed: int
+    scanner: str
+    """Empty where the run failed, which counts as one scanner missing."""
+    grade: str = "missing"
+    """Good, weak, unobservable or missing."""
+    millimetres: float = NAN
+    degrees: float = NAN
+    nees: float = NAN
+    outside_millimetres: float = NAN
+    """How far outside of the ellipsoid; 0 inside of it."""
+    outside_degrees: float = NAN
+    clock_milliseconds: float = NAN
+    """Error of the clock offset, where it was estimated."""
+    crashed: bool = False
+    seconds: float = NAN
+    """Of the whole calibration."""
+    remarks: int = 0
+    """Of the whole calibration."""
+    estimator: str = ""
+    text: str = ""
+    """Remarks of the calibration, and the reason of a verdict that is not good."""
+
+    @property
+    def outside(self) -> bool:
+        """Whether the pose is outside of its ellipsoid."""
+        return self.outside_millimetres > 1000 * MAX_METRES or self.outside_degrees > MAX_DEGREES
+
+    @property
+    def confidently_wrong(self) -> bool:
+        """Whether the verdict is good and the pose is outside of its ellipsoid, or grossly wrong."""
+        return (self.grade == "good" and self.outside) or self.grossly_wrong
+
+    @property
+    def grossly_wrong(self) -> bool:
+        """Whether the verdict is good and the pose is somewhere else."""
+        far = self.millimetres > 1000 * GROSS_METRES or self.degrees > GROSS_DEGREES
+        return self.grade == "good" and far
+
+
+class Setup(NamedTuple):
+    """What all runs share."""
+
+    duration: float
+    """s."""
+    shape: Literal["ellipse", "legs"]
+    estimator: NetworkEstimator
+    tolerance: tuple[float, ...]
+    """m, degrees."""
+
+
+def main() -> None:
+    """Prints a table by kind and room, and what is confidently wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--sizes", nargs="+", type=float, default=[], help="only these, in the units of the table")
+    parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(5)))
+    parser.add_argument("--duration", type=float, default=60.0, help="s")
+    parser.add_argument("--shape", choices=["ellipse", "legs"], default="ellipse", help="of people")
+    parser.add_argument("--tolerance", nargs=2, type=float, default=[0.01, 0.3], help="m, degrees")
+    parser.add_argument("--estimator", choices=["joint", "averaging"], default="joint")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--csv", type=Path, help="file to write all scanners to")
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)
+    setup = Setup(arguments.duration, arguments.shape, arguments.estimator, tuple(arguments.tolerance))
+    work = [
+        (kind, size, room, seed, setup)
+        for kind, size in list_cases(arguments.kinds, arguments.sizes)
+        for room in arguments.rooms
+        for seed in arguments.seeds
+    ]
+
+    def progress(done: float) -> None:
+        print(f"\r{done:.0%} of {len(work)} runs", end="", file=sys.stderr, flush=True)
+
+    outcomes = [one for run_outcomes in parallel_map(run, work, arguments.jobs, progress) for one in run_outcomes]
+    print(file=sys.stderr)
+    show(outcomes)
+    if arguments.csv:
+        save_csv(arguments.csv, outcomes)
+
+
+def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Outcome, ...]:
+    """Simulates and calibrates one recording."""
+    network = build_network(build_scenario(room, kind, size, setup.duration, setup.shape), seed)
+    metres, degrees = setup.tolerance
+    rig = KINDS[kind].rig(network_rig(network), size)
+    rig = rig.model_copy(update={"tolerance": Tolerance(translation=metres, rotation=degrees)})
+    scans = {rig.topics[one.name]: list(simulate_scans(network, one)) for one in network.scanners}
+    options = NetworkOptions(estimator=setup.estimator, seed=seed)
+    began = time.perf_counter()
+    try:
+        found = calibrate_network(rig, MessageRecording(scans), options)
+    except (CalgraphError, ArithmeticError, LinAlgError, LookupError, ValueError) as error:
+        crashed, text = not isinstance(error, CalgraphError), f"{type(error).__name__}: {error}"
+        seconds = time.perf_counter() - began
+        return (Outcome(kind, size, room, seed, "", crashed=crashed, seconds=seconds, text=text),)
+    seconds = time.perf_counter() - began
+    truth = network_truth(network)
+    names = [name for name in truth.T_root_sensor if name != truth.root]
+    return tuple(judge((kind, size, room, seed, name), found, truth, seconds) for name in names)
+
+
+def judge(
+    case: tuple[str, float, str, int, str], found: Calibration, truth: GroundTruth, seconds: float
+) -> Outcome:
+    """Compares one scanner with the truth."""
+    evidence, name = found.evidence, case[-1]
+    remarks = " | ".join(evidence.remarks)
+    sensor = next((one for one in found.sensors if one.name == name), None)
+    if sensor is None:
+        return Outcome(
+            *case,
+            seconds=seconds,
+            remarks=len(evidence.remarks),
+            estimator=evidence.estimator,
+            text=f"{evidence.unconnected.get(name, '')} | {remarks}",
+        )
+    error = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[name])
+    off, covariance = error[IN_PLANE], sensor.covariance[np.ix_(IN_PLANE, IN_PLANE)]
+    squared = float(off @ np.linalg.solve(covariance, off))
+    beyond = max(1 - np.sqrt(ELLIPSOID / squared), 0.0) if squared > 0 else 0.0
+    millimetres, degrees = 1000 * float(np.linalg.norm(off[:2])), float(np.degrees(np.linalg.norm(error[3:])))
+    clock = sensor.clock_offset
+    return Outcome(
+        *case,
+        grade=sensor.verdict.grade,
+        millimetres=millimetres,
+        degrees=degrees,
+        nees=squared / 3,
+        outside_millimetres=beyond * millimetres,
+        outside_degrees=beyond * degrees,
+        clock_milliseconds=NAN if clock is None else 1000 * (clock - truth.clock_offsets[name]),
+        seconds=seconds,
+        remarks=len(evidence.remarks),
+        estimator=evidence.estimator,
+        text=remarks if sensor.verdict.grade == "good" else f"{sensor.verdict.reason} | {remarks}",
+    )
+
+
+def show(outcomes: Sequence[Outcome]) -> None:
+    """Prints a line for each kind, size and room, totals, and each scanner that is confidently wrong."""
+    print(
+        f"{'kind':14} {'size':>9} {'room':7} {'runs':>4} {'good':>4} {'weak':>4} {'miss':>4} {'rem.':>4} "
+        f"{'mm':>7} {'max':>7} {'deg':>6} {'max':>6} {'NEES':>7} {'clock':>6} {'max ms':>6} {'out':>4} "
+        f"{'conf':>4} {'gross':>5} {'s':>5}"
+    )
+    for (kind, size), cases in grouped(outcomes, lambda one: (one.kind, one.size)):
+        rooms = grouped(cases, lambda one: one.room)
+        for room, group in [*rooms, *([("all", cases)] if len(rooms) > 1 else [])]:
+            show_line(f"{kind:14} {KINDS[kind].label(size):>9} {room:7}", group)
+    show_line(f"{'total':14} {'':>9} {'all':7}", outcomes)
+    good = [one for one in outcomes if one.grade == "good"]
+    confident = [one for one in outcomes if one.confidently_wrong]
+    print(f"\nconfidently wrong: {len(confident)} of {len(good)} good scanners ({share(confident, good)}):")
+    for one in confident:
+        print(
+            f"    {one.kind} {KINDS[one.kind].label(one.size)} {one.room} seed {one.seed} {one.scanner}: "
+            f"{one.millimetres:.0f} mm, {one.degrees:.2f} deg, NEES {one.nees:.1f} {one.text[:150]}"
+        )
+    for one in outcomes:
+        if not one.scanner:
+            label = f"{one.kind} {KINDS[one.kind].label(one.size)} {one.room} seed {one.seed}"
+            print(f"{'crashed' if one.crashed else 'failed'}: {label}: {one.text[:200]}")
+    print("\nreasons and remarks, by kind:")
+    texts = [one for one in outcomes if one.text.strip(" |") and one.scanner]
+    for (kind, text), group in grouped(texts, lambda one: (one.kind, one.text)):
+        print(f"    {kind:14} {len(group):3d} x {text[:240]}")
+
+
+def show_line(label: str, group: Sequence[Outcome]) -> None:
+    """Prints figures of some scanners."""
+    runs = {(one.kind, one.size, one.room, one.seed): one for one in group}
+    remarked = sum(one.remarks > 0 for one in runs.values())
+    weak = sum(one.grade in ("weak", "unobservable") for one in group)
+    clocks = np.abs([one.clock_milliseconds for one in group])
+    print(
+        f"{label} {len(runs):4d} {sum(one.grade == 'good' for one in group):4d} {weak:4d} "
+        f"{sum(one.grade == 'missing' for one in group):4d} {remarked:4d} "
+        f"{median([one.millimetres for one in group]):7.1f} {worst([one.millimetres for one in group]):7.1f} "
+        f"{median([one.degrees for one in group]):6.2f} {worst([one.degrees for one in group]):6.2f} "
+        f"{mean([one.nees for one in group]):7.2f} {median(clocks):6.1f} {worst(clocks):6.1f} "
+        f"{sum(one.outside for one in group):4d} {sum(one.confidently_wrong for one in group):4d} "
+        f"{sum(one.grossly_wrong for one in group):5d} {mean([one.seconds for one in runs.values()]):5.1f}"
+    )
+
+
+def save_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Writes a row for each scanner."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [*(one.name for one in fields(Outcome)), "confidently_wrong"])
+        writer.writeheader()
+        writer.writerows({**asdict(one), "confidently_wrong": one.confidently_wrong} for one in outcomes)
+
+
+def grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], Key]) -> list[tuple[Key, list[Outcome]]]:
+    """Groups in order of their first member."""
+    order = {one: k for k, one in enumerate(dict.fromkeys(map(key, outcomes)))}
+    ranked = sorted(outcomes, key=lambda one: order[key(one)])
+    return [(one, list(group)) for one, group in groupby(ranked, key)]
+
+
+def finite(values: Sequence[float] | Array) -> Array:
+    """(N,) the finite ones."""
+    numbers = np.array(values, dtype=np.float64)
+    return numbers[np.isfinite(numbers)]
+
+
+def mean(values: Sequence[float] | Array) -> float:
+    """Of the finite values."""
+    return float(finite(values).mean()) if len(finite(values)) else NAN
+
+
+def median(values: Sequence[float] | Array) -> float:
+    """Of the finite values."""
+    return float(np.median(finite(values))) if len(finite(values)) else NAN
+
+
+def worst(values: Sequence[float] | Array) -> float:
+    """The largest finite value."""
+    return float(finite(values).max(initial=0.0))
+
+
+def share(part: Sequence[Outcome], whole: Sequence[Outcome]) -> str:
+    """In per cent."""
+    return f"{len(part) / len(whole):.1%}" if whole else "-"
+
+
+if __name__ == "__main__":
+    main()
