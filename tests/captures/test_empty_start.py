@@ -43,7 +43,7 @@ def test_it_ends_before_a_person_enters() -> None:
     found = find(record(lambda t: view(IN_VIEW) if t > 4.95 else view()))
     assert found is not None
     assert found.topic == "/scan"
-    assert (found.entry, found.end) == (pytest.approx(5.0), pytest.approx(4.7))
+    assert [found.entry, found.end] == pytest.approx([5.0, 4.7])
 
 
 def test_a_board_that_rests_in_view_at_the_start_is_not_empty() -> None:
