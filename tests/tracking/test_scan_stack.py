@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.config.settings import MotionSettings
 from calgraph.sensors import LaserScan
-from calgraph.tracking.scan_stack import coverage_intervals, stack_scans
+from calgraph.tracking.scan_stack import coverage_intervals, select_scans, stack_scans
 
 ANGLES = np.linspace(-1, 1, 5)
 
@@ -22,3 +22,9 @@ def test_a_pause_longer_than_half_a_second_splits_the_coverage() -> None:
 def test_the_first_of_two_scans_with_one_stamp_is_kept() -> None:
     (run,) = stack_scans([scan(0.0), scan(0.1, 3.0), scan(0.1, 4.0), scan(0.05, 5.0), scan(0.2, 6.0)])
     assert run.ranges[:, 0].tolist() == [2.0, 3.0, 6.0]
+
+
+def test_scans_of_an_interval_are_selected() -> None:
+    runs = select_scans(stack_scans(map(scan, np.arange(10) / 10)), (0.25, 0.5))
+    assert [run.stamps.tolist() for run in runs] == [[0.3, 0.4, 0.5]]
+    assert select_scans(runs, (2.0, 3.0)) == ()

@@ -13,6 +13,7 @@ from calgraph.config import Rig
 from calgraph.diagnostics import (
     assemble_network,
     build_consistent_prior,
+    describe_bumps,
     extract_earlier_poses,
     merge_calibrations,
     remove_scanners,
@@ -116,6 +117,7 @@ def calibrate_tracks(
         progress("solving", 1.0)
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first_time(tracked) if start is None else start
+    findings = [*findings, *describe_bumps(rig.root, tracks, start)]
     calibration = assemble_network(
         rig, stated_frames, tracks, initialization.pairs, graph, names, averaged, start, joint, findings
     )

@@ -14,6 +14,7 @@ from calgraph.diagnostics.network.extension import (
     remove_scanners,
 )
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
+from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
@@ -27,5 +28,5 @@ __all__ = [
     "SensorComparison", "add_suggestions", "assemble_network", "assemble_rig", "axis_names",
     "bootstrap_poses", "build_consistent_prior", "compare_network_poses", "compare_rig_poses",
     "cross_validate",
-    "extract_earlier_poses", "find_bumps", "merge_calibrations", "remove_scanners",
+    "describe_bumps", "extract_earlier_poses", "find_bumps", "merge_calibrations", "remove_scanners",
 ]  # fmt: skip

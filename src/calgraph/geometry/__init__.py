@@ -2,5 +2,9 @@
 
 from calgraph.geometry import ellipse, plane, se2, se3, se_n, so3
 from calgraph.geometry.arrays import Array, Index, diagonal_blocks, invert_2x2
+from calgraph.geometry.local_lines import fit_local_lines
 
-__all__ = ["Array", "Index", "diagonal_blocks", "ellipse", "invert_2x2", "plane", "se2", "se3", "se_n", "so3"]
+__all__ = [
+    "Array", "Index", "diagonal_blocks", "ellipse", "fit_local_lines", "invert_2x2", "plane", "se2", "se3", "se_n",
+    "so3",
+]  # fmt: skip

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, fit_local_lines, se2
 from calgraph.pairwise.track_registration import rigid_motion_covariance
 from calgraph.pairwise.visibility_map import is_free_space
 
@@ -148,22 +148,14 @@ def align_backgrounds(
 
 def _fit_lines(background: Array, settings: IcpSettings) -> _SurfacePoints:
     """Selects the points of (N, 2) whose neighbours in order of angle lie on a line, and fits their normals."""
-    n, width = len(background), 2 * settings.neighbours_per_side + 1
-    if n < width:
-        return _SurfacePoints(np.zeros((0, 2)), np.zeros((0, 2)))
-    windows = np.lib.stride_tricks.sliding_window_view(background, width, axis=0)
-    ranges = np.linalg.norm(windows[..., settings.neighbours_per_side], axis=1)
-    gaps = np.linalg.norm(np.diff(windows, axis=2), axis=1)
-    # Comparisons with NaN are False, so windows over a break are dropped.
-    max_gap = np.maximum(settings.max_neighbour_distance, settings.max_neighbour_ratio * ranges)
-    windows = windows[(gaps < max_gap[:, None]).all(axis=1)]
-    centered = windows - windows.mean(axis=2, keepdims=True)
-    values, vectors = np.linalg.eigh(centered @ np.swapaxes(centered, 1, 2) / width)
-    straight = values[:, 0] < settings.max_line_stddev**2
-    straight &= values[:, 1] > settings.min_elongation2 * values[:, 0]
-    points, normals = windows[straight, :, settings.neighbours_per_side], vectors[straight, :, 0]
-    normals = np.where(np.sum(normals * points, axis=1, keepdims=True) > 0, -normals, normals)
-    return _SurfacePoints(points, normals)
+    max_gap = np.maximum(
+        settings.max_neighbour_distance, settings.max_neighbour_ratio * np.linalg.norm(background, axis=1)
+    )
+    normals = fit_local_lines(
+        background, settings.neighbours_per_side, max_gap, settings.max_line_stddev, settings.min_elongation2
+    )
+    straight = np.isfinite(normals[:, 0])
+    return _SurfacePoints(background[straight], normals[straight])
 
 
 _Matches = tuple[NDArray[np.intp], NDArray[np.intp]]

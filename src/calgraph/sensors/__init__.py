@@ -13,10 +13,10 @@ from calgraph.sensors.messages import (
     Trigger,
 )
 from calgraph.sensors.point_colors import colorize_points
-from calgraph.sensors.scan_background import ScanBackground, align_ranges
+from calgraph.sensors.scan_background import ScanBackground, align_ranges, find_nearest_beams
 
 __all__ = [
     "DISTORTION_NAMES", "CameraInfo", "CameraModel", "Image", "LaserScan", "Message", "MessageDigest",
     "PointCloud", "RecordedMessage", "ScanBackground", "Trigger", "align_ranges", "colorize_points",
-    "convert_cloud_to_scan",
+    "convert_cloud_to_scan", "find_nearest_beams",
 ]  # fmt: skip

@@ -70,3 +70,14 @@ def coverage_intervals(runs: Sequence[ScanRun], max_gap: float) -> Array:
     stamps = np.concatenate([run.stamps for run in runs])
     breaks = np.flatnonzero(np.diff(stamps) > max_gap)
     return np.column_stack([stamps[[0, *breaks + 1]], stamps[[*breaks, -1]]])
+
+
+def select_scans(runs: Sequence[ScanRun], interval: tuple[float, float]) -> tuple[ScanRun, ...]:
+    """The scans with stamps in an interval, s."""
+    selected = []
+    for run in runs:
+        first, end = np.searchsorted(run.stamps, interval[0]), np.searchsorted(run.stamps, interval[1], "right")
+        if end > first:
+            part = slice(first, end)
+            selected.append(ScanRun(run.angles, run.stamps[part], run.increments[part], run.ranges[part]))
+    return tuple(selected)

@@ -41,6 +41,22 @@ class Track:
     """The beams that measured it; none where only positions are given."""
 
 
+@dataclass(frozen=True)
+class ScannerBump:
+    """A step in the pose of a scanner during the recording."""
+
+    interval: tuple[float, float]
+    """Stamps between which the scanner moved, s."""
+    translation: float
+    """Displacement, m; NaN where the backgrounds before and after it have too little in common."""
+    rotation: float
+    """rad, counter-clockwise; NaN likewise."""
+    translation_stddev: float
+    """m."""
+    rotation_stddev: float
+    """rad."""
+
+
 @dataclass(frozen=True, eq=False)
 class ScannerTracks:
     """Tracks and static background of one scanner."""
@@ -53,3 +69,7 @@ class ScannerTracks:
     """Range noise, measured on the background, m."""
     coverage: Array | None = None
     """(W, 2) start and end of the intervals in which it measured, s; None: from its first to its last track."""
+    bumps: tuple[ScannerBump, ...] = ()
+    """Steps in the pose of the scanner during the recording, in order of time;"""
+    interval: tuple[float, float] = (-np.inf, np.inf)
+    """tracks and background are from scans between these stamps only, s, in which it stood still."""

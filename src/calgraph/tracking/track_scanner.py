@@ -22,9 +22,10 @@ from calgraph.tracking.features import (
     target_width,
 )
 from calgraph.tracking.periods import TrackSegment, split_into_periods
-from calgraph.tracking.scan_stack import ScanRun, coverage_intervals, stack_scans
+from calgraph.tracking.scan_stack import ScanRun, coverage_intervals, select_scans, stack_scans
 from calgraph.tracking.smoothing import add_unmodeled_noise, smooth_segments
 from calgraph.tracking.static_scene import learn_static_scene
+from calgraph.tracking.stationarity import analyze_stationarity, select_interval
 from calgraph.tracking.track import Hits, ScannerTracks, Track
 
 _log = logging.getLogger(__name__)
@@ -61,6 +62,14 @@ def track_runs(
     settings: TrackingSettings,
 ) -> ScannerTracks | Rejected:
     """Tracks as :func:`track_scanner` does, from stacked scans."""
+    stationarity = analyze_stationarity(runs, settings.stationarity)
+    if stationarity.rest_share < settings.stationarity.min_rest_share:
+        return Rejected(
+            f"it moves: its static background stays in place for {stationarity.rest_share:.0%} of the time only, "
+            "but scanners of a network have to be stationary; a robot's are calibrated with a board"
+        )
+    interval = select_interval(runs, stationarity.bumps, settings.stationarity)
+    runs = select_scans(runs, interval)
     scene = learn_static_scene(runs, settings.static_scene)
     if scene is None:
         return Rejected("no scan has any beam")
@@ -92,7 +101,8 @@ def track_runs(
             f"but none could be tracked for {motion.min_duration:g} s and {motion.min_travel:g} m"
         )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
-    return ScannerTracks(tracks, scene.points, sigma, coverage_intervals(runs, settings.motion.max_scan_gap))
+    coverage = coverage_intervals(runs, settings.motion.max_scan_gap)
+    return ScannerTracks(tracks, scene.points, sigma, coverage, stationarity.bumps, interval)
 
 
 def _is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:

@@ -4,7 +4,6 @@ from calgraph.config.settings.baselines import BaselineSettings
 from calgraph.config.settings.captures import (
     CameraNoiseSettings,
     CaptureSettings,
-    EmptyStartSettings,
     InputCheckSettings,
     MaxMessageSettings,
     MotionDetectionSettings,
@@ -68,6 +67,7 @@ from calgraph.config.settings.tracking import (
     MotionSettings,
     SmoothingSettings,
     StaticSceneSettings,
+    StationaritySettings,
     TrackingSettings,
 )
 
@@ -89,7 +89,6 @@ __all__ = [
     "DetectionSettings",
     "DiagnosticsSettings",
     "EllipseSettings",
-    "EmptyStartSettings",
     "EstimationSettings",
     "ExtrapolationSettings",
     "GraphSettings",
@@ -120,6 +119,7 @@ __all__ = [
     "Settings",
     "SmoothingSettings",
     "StaticSceneSettings",
+    "StationaritySettings",
     "SurfaceFitSettings",
     "SystematicParameterSettings",
     "TagSettings",

@@ -186,9 +186,89 @@ class CentroidSettings(StrictModel):
     """The same for partly hidden objects: half of the object is missing."""
 
 
+class StationaritySettings(StrictModel):
+    """The test whether a scanner stood still: windows of its scans are registered to each other."""
+
+    window: float = Field(default=1.0, gt=0)
+    """Length of a window, s, whose median ranges are registered: people pass a beam in less than half of it, and a
+    bump is located to about as much."""
+    max_scans_per_window: int = Field(default=9, ge=1)
+    """Most scans whose median is taken in a window, evenly spaced: medians of more are hardly better than the
+    systematic errors below."""
+    neighbours_per_side: int = Field(default=3, ge=1)
+    """Neighbours on either side of a point to which a line is fitted, as for ``pairwise.scanners.icp``."""
+    max_neighbour_distance: float = Field(default=0.1, gt=0)
+    """Distance between neighbours on one surface, m, up to which they are connected, plus the next."""
+    max_neighbour_spacings: float = Field(default=6.0, ge=0)
+    """The same in beam spacings: neighbouring beams on a wall at a grazing angle of 10° end six spacings apart."""
+    max_line_stddev: float = Field(default=0.03, gt=0)
+    """Largest standard deviation of neighbours from their line, m: three times the usual noise of a range."""
+    min_elongation2: float = Field(default=9.0, gt=1)
+    """Least ratio of the neighbours' variances along and across the line."""
+    min_noise: float = Field(default=0.002, gt=0)
+    """Least standard deviation of a median range, m: ranges are quantised to 1 to 10 mm."""
+    max_noise: float = Field(default=0.02, gt=0)
+    """Largest one, m: the medians of a moving scanner differ by more, which is not noise."""
+    initial_scale: float = Field(default=0.3, gt=0)
+    """Distance of points from the reference's surfaces at which the loss has half of its weight in the first step,
+    m: a scanner turned by 3° moves points at 5 m by 0.26 m."""
+    scale_factor: float = Field(default=0.5, gt=0, lt=1)
+    """Factor of this distance from one step to the next."""
+    agreement_sigmas: float = Field(default=3.0, gt=0)
+    """Points within this many standard deviations lie on the reference's surface; scale of the last step."""
+    max_tangential: float = Field(default=0.5, gt=0)
+    """Largest distance of a point from its match along the surface, m: farther along, a wall has other
+    surfaces."""
+    rotation_step: float = Field(default=0.0175, gt=0)
+    """Step of the search for large rotations, rad (1°)."""
+    rotation_tolerance: float = Field(default=0.15, gt=0)
+    """Difference of ranges within which two beams agree in this search, m: a rotation by half a step changes the
+    range of a wall at 4 m and 45° by 35 mm, a translation by as much as itself."""
+    min_points: int = Field(default=25, ge=3)
+    """Least number of compared points for a pose: a wall of 1 m at 2 m and one degree. With less background it is
+    not tested whether the scanner moved."""
+    min_agreement: float = Field(default=0.6, gt=0.5, le=1)
+    """Least share of the compared points on surfaces of the reference; the rest may be furniture that was
+    moved."""
+    max_unchanged: float = Field(default=0.3, ge=0, le=1)
+    """Where no pose explains how the ranges change, the surroundings have changed and not the scanner's place if
+    this share of the ranges is the same."""
+    min_windows: int = Field(default=3, ge=2)
+    """Fewest successive windows with one pose: fewer are disturbances."""
+    surface_error: float = Field(default=0.002, gt=0)
+    """Standard deviation of errors of a surface that vary slowly, m: warming up, reflectance, doors ajar, people
+    who lean on walls."""
+    correlated_points: float = Field(default=10.0, ge=1)
+    """Number of neighbouring points with this error in common."""
+    translation_error: float = Field(default=5e-4, gt=0)
+    """Standard deviation of a pose by systematic errors, m, with any background: steps below 7 mm are not
+    found."""
+    rotation_error: float = Field(default=3.5e-4, gt=0)
+    """The same of its angle, rad (0.03°): steps below 0.2° are not found."""
+    false_alarm_probability: float = Field(default=1e-4, gt=0, lt=1)
+    """Bound on the probability with which a scanner at rest has a step reported, for all times together
+    (Bonferroni): one in a thousand recordings of ten scanners."""
+    max_inflation: float = Field(default=9.0, ge=1)
+    """Largest factor on the variances of poses for the scatter from window to window, which people who pass
+    increase; a moving scanner has a larger one, which is not noise."""
+    informative_step: float = Field(default=0.003, gt=0)
+    """Points that a step moves by at least this from their surfaces, m, vote on it: three standard deviations of a
+    median over ten windows."""
+    min_duration: float = Field(default=10.0, gt=0)
+    """Shortest time at rest from which a scanner is calibrated, s: people take 15 steps; if the last one is
+    shorter, the longest is taken. Half of a shorter recording will do."""
+    settling_time: float = Field(default=0.25, ge=0)
+    """Data within this time of a bump are not used, s: a scanner that is knocked swings for some periods."""
+    min_rest_share: float = Field(default=0.5, gt=0, le=1)
+    """A scanner that is at rest for a smaller share of the time is on a moving platform."""
+    max_references: int = Field(default=6, ge=1)
+    """Most places of one scanner that do not register to each other."""
+
+
 class TrackingSettings(StrictModel):
     """Background, clusters, and the tracks of moving objects in one scanner."""
 
+    stationarity: StationaritySettings = StationaritySettings()
     static_scene: StaticSceneSettings = StaticSceneSettings()
     clusters: ClusterSettings = ClusterSettings()
     association: AssociationSettings = AssociationSettings()

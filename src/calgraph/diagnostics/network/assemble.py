@@ -101,7 +101,9 @@ def assemble_network(
             edges=tuple(_build_edge(pair, found, inlier_poses, parents) for pair, found in pairs.items()),
             captures=build_walk_rows(samples, matches, start, rig.settings.diagnostics.network.min_shared_ticks),
             unconnected={
-                name: _explain_unconnected(name, followed, pairs) for name in rig.sensors if name not in names
+                name: _explain_unconnected(name, rig.root, followed, pairs)
+                for name in rig.sensors
+                if name not in names
             },
             remarks=tuple(finding.text for finding in findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
@@ -168,10 +170,14 @@ def _count_shared(hypothesis: PoseHypothesis) -> int:
     return round(hypothesis.observations / hypothesis.matched_share)
 
 
-def _explain_unconnected(name: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: NetworkPairs) -> str:
-    tracks = followed[name]
+def _explain_unconnected(
+    name: str, root: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: NetworkPairs
+) -> str:
+    tracks, of_root = followed[name], followed[root]
     if isinstance(tracks, Rejected):
         return tracks.reason
+    if isinstance(of_root, Rejected):
+        return f"the root {root} is not calibrated: {of_root.reason}"
     partners_by_reason: dict[str, list[str]] = {}
     for (a, b), found in pairs.items():
         if name in (a, b) and isinstance(found, Rejected):

@@ -1,0 +1,215 @@
+"""Registers windows of scans of one scanner to a reference window: the pose of the scanner over time.
+
+All windows are registered in one call. A point is matched to the reference's beam in its direction; its distance
+from the line through the neighbours of that beam is minimized robustly, with a scale that decreases.
+
+Source: Blais and Levine, "Registering multiview range data to create 3D computer objects", 1995, for matches by
+projection; Censi, "An ICP variant using a point-to-line metric", ICRA 2008; Geman and McClure, 1987, for the loss.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config.settings import StationaritySettings
+from calgraph.geometry import Array, Index, fit_local_lines
+from calgraph.sensors import find_nearest_beams
+
+# Beams of a window that take part: systematic errors limit the precision, not the number of beams.
+_MAX_BEAMS = 300
+# Windows that are registered in one call: bounds memory for recordings of hours.
+_WINDOWS_PER_CALL = 256
+# Prior standard deviation of a pose, m and rad: makes directions invertible that no surface determines.
+_PRIOR_STDDEV = 1.0
+# Steps at the last scale: the first ones of a window that agrees already.
+_FINAL_STEPS = 3
+# Agreement of windows that do not start again.
+_SETTLED_AGREEMENT = 0.9
+# Fewest beams that two scans share in the search for rotations.
+_MIN_SHARED_BEAMS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceScan:
+    """Static surfaces around a scanner, by beam."""
+
+    angles: Array
+    """(B,) ascending, rad."""
+    ranges: Array
+    """(B,) m; infinite where nothing was measured."""
+    settings: StationaritySettings
+
+    @cached_property
+    def points(self) -> Array:
+        """(B, 2) m."""
+        return to_points(self.angles, self.ranges)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Angle between neighbouring beams, rad."""
+        return float(self.angles[-1] - self.angles[0]) / max(len(self.angles) - 1, 1)
+
+    @cached_property
+    def normals(self) -> Array:
+        """(B, 2) of the lines through the neighbours of each point, NaN without one."""
+        settings = self.settings
+        max_gap = settings.max_neighbour_distance + settings.max_neighbour_spacings * self.spacing * self.ranges
+        return fit_local_lines(
+            self.points,
+            settings.neighbours_per_side,
+            max_gap,
+            settings.max_line_stddev,
+            settings.min_elongation2,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WindowPoses:
+    """Poses of a scanner in windows of time."""
+
+    poses: Array
+    """(W, 3) x, y, m, and angle, rad, in the frame of the reference."""
+    information: Array
+    """(W, 3, 3) for points with a standard deviation of 1 m."""
+    compared: NDArray[np.intp]
+    """(W,) points in front of a surface of the reference, on it or behind it, that nothing hides."""
+    agreeing: NDArray[np.intp]
+    """(W,) those on it."""
+
+    @property
+    def agreement(self) -> Array:
+        """(W,) share of the compared points that agree."""
+        return np.asarray(self.agreeing / np.maximum(self.compared, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMatches:
+    """Points matched to surfaces of a reference."""
+
+    distance: Array
+    """(W, B) signed distance from the surface, m; NaN without one."""
+    jacobian: Array
+    """(W, B, 3) derivatives of the distance by the pose."""
+    compared: NDArray[np.bool_]
+    """(W, B) whether the point is compared."""
+
+
+def to_points(angles: Array, ranges: Array) -> Array:
+    """End points (..., B, 2) of beams, m; NaN without a range."""
+    finite = np.where(np.isfinite(ranges), ranges, np.nan)
+    return np.asarray(finite[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+
+
+def register_windows(reference: ReferenceScan, ranges: Array, noise: float) -> WindowPoses:
+    """Registers windows to a reference.
+
+    Windows that agree without any motion need a few steps only; those that do not agree after all steps start
+    again from the best rotation.
+
+    Args:
+        reference: the reference.
+        ranges: (W, B) m, of the same beams.
+        noise: standard deviation of the ranges, m.
+    """
+    parts = range(0, len(ranges), _WINDOWS_PER_CALL)
+    found = [_register_part(reference, ranges[k : k + _WINDOWS_PER_CALL], noise) for k in parts]
+    return WindowPoses(
+        np.concatenate([np.zeros((0, 3)), *(one.poses for one in found)]),
+        np.concatenate([np.zeros((0, 3, 3)), *(one.information for one in found)]),
+        np.concatenate([np.zeros(0, dtype=np.intp), *(one.compared for one in found)]),
+        np.concatenate([np.zeros(0, dtype=np.intp), *(one.agreeing for one in found)]),
+    )
+
+
+def match_surfaces(reference: ReferenceScan, points: Array, poses: Array, max_distance: float) -> SurfaceMatches:
+    """Matches points (W, B, 2) of windows at poses (W, 3) to the surfaces of a reference, up to a distance, m."""
+    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    rx, ry = c * points[..., 0] - s * points[..., 1], s * points[..., 0] + c * points[..., 1]
+    x, y = rx + poses[:, :1], ry + poses[:, 1:2]
+    middle = (reference.angles[0] + reference.angles[-1]) / 2
+    direction = middle + np.remainder(np.arctan2(y, x) - middle + np.pi, 2 * np.pi) - np.pi
+    beam = find_nearest_beams(reference.angles, direction)
+    nx, ny = reference.normals[beam, 0], reference.normals[beam, 1]
+    dx, dy = x - reference.points[beam, 0], y - reference.points[beam, 1]
+    distance = nx * dx + ny * dy
+    # Comparisons with NaN are False.
+    within = np.abs(direction - reference.angles[beam]) <= reference.spacing
+    beside = np.abs(ny * dx - nx * dy) > reference.settings.max_tangential
+    distance[~within] = np.nan
+    # Whatever is nearer than the surface may hide it; beyond it nothing is, if the scanner did not move.
+    hidden = distance > max_distance
+    jacobian = np.stack([nx, ny, ny * rx - nx * ry], axis=-1)
+    distance[(np.abs(distance) < max_distance) & beside] = np.nan
+    return SurfaceMatches(distance, jacobian, np.isfinite(distance) & ~hidden)
+
+
+def _register_part(reference: ReferenceScan, ranges: Array, noise: float) -> WindowPoses:
+    settings = reference.settings
+    stride = -(-len(reference.angles) // _MAX_BEAMS)
+    points = to_points(reference.angles[::stride], ranges[:, ::stride])
+    at_rest = np.zeros((len(ranges), 3))
+    found = _refine(reference, points, at_rest, noise, settings.agreement_sigmas * noise)
+    for guess in (_guess_rest, _search_rotations):
+        poor = np.flatnonzero(found.agreement < _SETTLED_AGREEMENT)
+        if len(poor):
+            initial = guess(reference, ranges[poor])
+            again = _refine(reference, points[poor], initial, noise, settings.initial_scale)
+            better = again.agreeing > found.agreeing[poor]
+            found = _replace(found, again, poor, better)
+    return found
+
+
+def _guess_rest(_reference: ReferenceScan, ranges: Array) -> Array:
+    return np.zeros((len(ranges), 3))
+
+
+def _replace(found: WindowPoses, again: WindowPoses, windows: Index, better: NDArray[np.bool_]) -> WindowPoses:
+    """The results with those of some windows (N,) replaced where others (N,) are better."""
+    at = windows[better]
+    poses, information = found.poses.copy(), found.information.copy()
+    compared, agreeing = found.compared.copy(), found.agreeing.copy()
+    poses[at], information[at] = again.poses[better], again.information[better]
+    compared[at], agreeing[at] = again.compared[better], again.agreeing[better]
+    return WindowPoses(poses, information, compared, agreeing)
+
+
+def _refine(reference: ReferenceScan, points: Array, poses: Array, noise: float, scale: float) -> WindowPoses:
+    """Poses by iteratively reweighted least squares, from poses (W, 3) and a scale, m."""
+    settings = reference.settings
+    final = settings.agreement_sigmas * noise
+    scales = [scale]
+    while scales[-1] > final:
+        scales.append(max(final, scales[-1] * settings.scale_factor))
+    prior = (noise / _PRIOR_STDDEV) ** 2 * np.eye(3)
+    for scale in [*scales, *[final] * _FINAL_STEPS]:
+        matches = match_surfaces(reference, points, poses, 3 * scale)
+        near = np.abs(matches.distance) < 3 * scale
+        e, J = np.where(near, matches.distance, 0), np.where(near[..., None], matches.jacobian, 0)
+        Jt = np.swapaxes(J / (1 + (e[..., None] / scale) ** 2) ** 2, 1, 2)
+        information = Jt @ J + prior
+        poses = poses - np.linalg.solve(information, Jt @ e[..., None])[..., 0]
+    matches = match_surfaces(reference, points, poses, 3 * final)
+    agreeing = np.abs(matches.distance) < final
+    return WindowPoses(poses, information, matches.compared.sum(axis=1), agreeing.sum(axis=1))
+
+
+def _search_rotations(reference: ReferenceScan, ranges: Array) -> Array:
+    """(W, 3) poses of windows (W, B): the rotation under which most ranges agree with the reference's."""
+    settings = reference.settings
+    step = max(1, round(settings.rotation_step / max(reference.spacing, 1e-6)))
+    of_windows, of_reference = ranges[:, ::step], reference.ranges[::step]
+    count = len(of_reference)
+    best, poses = np.zeros(len(ranges)), np.zeros((len(ranges), 3))
+    for shift in range(_MIN_SHARED_BEAMS - count, count - _MIN_SHARED_BEAMS + 1):
+        window = of_windows[:, max(-shift, 0) : count - max(shift, 0)]
+        shifted = of_reference[max(shift, 0) : count - max(-shift, 0)]
+        both = np.isfinite(window) & np.isfinite(shifted)
+        difference = np.where(both, window, np.inf) - np.where(np.isfinite(shifted), shifted, 0)
+        agreeing = (np.abs(difference) < settings.rotation_tolerance).sum(axis=1)
+        # The share of agreeing beams and their number count alike.
+        score = agreeing / np.sqrt(np.maximum(both.sum(axis=1), 1))
+        better = score > best
+        best[better], poses[better, 2] = score[better], shift * step * reference.spacing
+    return poses
