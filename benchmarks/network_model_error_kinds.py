@@ -39,7 +39,7 @@ def build_scenario(room: str, kind: str, size: float, duration: float, shape: st
     """
     base: dict[str, Any] = {"layout": room, "duration": duration, "people": {"shape": shape}}
     for key, value in KINDS[kind].changes(size).items():
-        base[key] = {**base.get(key, {}), **value}
+        base[key] = {**base.get(key, {}), **value} if isinstance(value, dict) else value
     return NetworkScenario(**base)
 
 
@@ -63,9 +63,26 @@ def _state_radii(rig: Rig, size: float) -> Rig:
     return rig.model_copy(update={"target": rig.target.model_copy(update={"axes": (across, along)})})
 
 
+_HEAVY: dict[str, Any] = {
+    "people": {"shape": "legs", "count": 4, "stop_every": 10.0},
+    "chairs": 4,
+    "scanner": {"clock_offset": 0.05},
+    "errors": {"mixed": True, "clock_drift": 20.0},
+}
+"""Four people who stop often, chairs, and mixed scanners with clocks that are off."""
 KINDS: Mapping[str, Kind] = {
     "right": Kind(lambda _: {}),
     "legs": Kind(lambda n: {"people": {"shape": "legs", "count": int(n)}}, (2, 4), "people"),
+    "heavy": Kind(lambda _: _HEAVY),
+    "couples": Kind(lambda n: {"people": {"count": int(n), "couples": 1}}, (2, 4), "people"),
+    "couples_legs": Kind(lambda _: {"people": {"shape": "legs", "count": 4, "couples": 1}}),
+    "carts": Kind(lambda _: {"people": {"carts": 1}}),
+    "carts_legs": Kind(lambda _: {"people": {"shape": "legs", "carts": 1}}),
+    "trolleys": Kind(lambda _: {"people": {"shape": "legs", "trolleys": 1}}),
+    "skirts": Kind(lambda n: {"people": {"shape": "legs", "skirts": int(n)}}, (1, 2), "people"),
+    "chairs": Kind(lambda _: {"chairs": 4}),
+    "chairs_legs": Kind(lambda _: {"chairs": 4, "people": {"shape": "legs"}}),
+    "mirrors": Kind(lambda _: {"mirrors": 2}),
     "radii": Kind(lambda _: {}, (-30, 30), "%", _state_radii),
     "range_bias": Kind(_errors("range_bias", 1e-3), (20,), "mm"),
     "range_scale": Kind(_errors("range_scale", 1e-2), (0.5,), "%"),

@@ -13,7 +13,7 @@ Run = Callable[..., Result]
 _SMALL = (
     "--camera-width 480 --camera-height 360 --camera-rate 4 --camera-texels-per-mm 1 --laser-count 1 "
     "--laser-rate 10 --laser-resolution 0.5 --spinning-count 0 --multibeam-count 1 --multibeam-rate 5 "
-    "--multibeam-resolution 0.4 --bearings -30,0,30 --radii 1.8 --samples 3 --background 1 --hold-time 0.8 "
+    "--multibeam-resolution 0.4 --bearings -30,0,30 --radii 1.8 --samples 3 --background 2.5 --hold-time 0.8 "
     "--move-time 0.4 --clutter 2"
 )
 

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.config import load_rig
+from calgraph.errors import InputError
 from calgraph.recording import RecordingWriter
 from calgraph.sensors import Trigger
 
@@ -15,8 +16,16 @@ Run = Callable[..., Result]
 
 
 @pytest.fixture
-def drafted(run: Run, simulated: Path, tmp_path: Path) -> Path:
-    result = run("init", simulated / "recording", "-o", tmp_path / "rig.yaml")
+def board(tmp_path: Path) -> Path:
+    """A file as ``calgraph board`` prints it."""
+    file = tmp_path / "board.yaml"
+    file.write_text("target: {kind: board, size: [1.2, 0.9], tags: [{id: 3, size: 0.3}]}")
+    return file
+
+
+@pytest.fixture
+def drafted(run: Run, simulated: Path, tmp_path: Path, board: Path) -> Path:
+    result = run("init", simulated / "recording", "-o", tmp_path / "rig.yaml", "--board", board)
     assert result.exit_code == 0, result.output
     return tmp_path / "rig.yaml"
 
@@ -33,18 +42,39 @@ def test_the_draft_has_root_trigger_and_camera_info(drafted: Path) -> None:
     assert (rig.root, rig.capture.trigger, info) == ("lidar", "/trigger", "/camera/camera_info")
 
 
-def test_a_plain_folder_is_drafted(run: Run, tmp_path: Path) -> None:
+def test_the_draft_has_the_board_of_the_file(drafted: Path) -> None:
+    (board,) = load_rig(drafted).boards
+    assert [(tag.id, tag.size) for tag in board.tags] == [(3, 0.3)]
+
+
+def test_the_draft_has_the_empty_start_as_background(drafted: Path, simulated: Path) -> None:
+    window, truth = load_rig(drafted).capture.background, load_rig(simulated / "rig.yaml").capture.background
+    assert window is not None
+    assert truth is not None
+    assert truth[1] - 0.5 <= window[1] <= truth[1]
+
+
+def test_without_a_board_the_draft_says_where_to_get_one(run: Run, simulated: Path, tmp_path: Path) -> None:
+    assert run("init", simulated / "recording", "-o", tmp_path / "rig.yaml").exit_code == 0
+    with pytest.raises(InputError, match="calgraph board prints"):
+        load_rig(tmp_path / "rig.yaml")
+
+
+def test_a_plain_folder_is_drafted(run: Run, tmp_path: Path, board: Path) -> None:
     (tmp_path / "data" / "lidar").mkdir(parents=True)
     np.savez(tmp_path / "data" / "lidar" / "12.5.npz", points=np.eye(3))
     (tmp_path / "data" / "scan").mkdir()
     np.savez(tmp_path / "data" / "scan" / "12.5.npz", ranges=np.ones(4), angle_min=0, angle_increment=0.1)
-    assert run("init", tmp_path / "data", "-o", tmp_path / "rig.yaml").exit_code == 0
+    assert run("init", tmp_path / "data", "-o", tmp_path / "rig.yaml", "--board", board).exit_code == 0
     rig = load_rig(tmp_path / "rig.yaml")
     assert {name: sensor.kind for name, sensor in rig.sensors.items()} == {"lidar": "lidar3d", "laser": "lidar2d"}
 
 
-def test_the_flat_clouds_of_a_real_recording_are_a_2d_scanner(run: Run, tmp_path: Path, data_dir: Path) -> None:
-    assert run("init", data_dir / "acfr-rpg-camera-2dlidar", "-o", tmp_path / "rig.yaml").exit_code == 0
+def test_the_flat_clouds_of_a_real_recording_are_a_2d_scanner(
+    run: Run, tmp_path: Path, data_dir: Path, board: Path
+) -> None:
+    recording = data_dir / "acfr-rpg-camera-2dlidar"
+    assert run("init", recording, "-o", tmp_path / "rig.yaml", "--board", board).exit_code == 0
     rig = load_rig(tmp_path / "rig.yaml")
     assert {sensor.topic: sensor.kind for sensor in rig.sensors.values()} == {
         "images": "camera",
@@ -52,9 +82,11 @@ def test_the_flat_clouds_of_a_real_recording_are_a_2d_scanner(run: Run, tmp_path
     }
 
 
-def test_two_real_scanners_are_named_after_their_topics(run: Run, tmp_path: Path, data_dir: Path) -> None:
+def test_two_real_scanners_are_named_after_their_topics(
+    run: Run, tmp_path: Path, data_dir: Path, board: Path
+) -> None:
     bag = data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag"
-    assert run("init", bag, "-o", tmp_path / "rig.yaml").exit_code == 0
+    assert run("init", bag, "-o", tmp_path / "rig.yaml", "--board", board).exit_code == 0
     rig = load_rig(tmp_path / "rig.yaml")
     assert {name: s.topic for name, s in rig.sensors.items()} == {"front": "/front_scan", "rear": "/rear_scan"}
 
@@ -66,9 +98,9 @@ def test_an_existing_file_is_kept(run: Run, simulated: Path, drafted: Path) -> N
     assert "give --force to overwrite it" in result.stderr
 
 
-def test_an_existing_file_is_overwritten_by_force(run: Run, simulated: Path, drafted: Path) -> None:
+def test_an_existing_file_is_overwritten_by_force(run: Run, simulated: Path, drafted: Path, board: Path) -> None:
     drafted.write_text("mine")
-    assert run("init", simulated / "recording", "-o", drafted, "--force").exit_code == 0
+    assert run("init", simulated / "recording", "-o", drafted, "--force", "--board", board).exit_code == 0
     assert load_rig(drafted).root == "lidar"
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calgraph.config import CameraSpec, FoundTopic, Kind, Rig, draft_rig, load_rig
+from calgraph.config import CameraSpec, FoundBackground, FoundTopic, Kind, Rig, draft_rig, load_rig
 from calgraph.errors import InputError
 
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
@@ -32,8 +32,11 @@ def event(name: str, count: int) -> FoundTopic:
     return FoundTopic(name, "std_msgs/msg/Empty", "event", count)
 
 
-def drafted(tmp_path: Path, *topics: FoundTopic) -> Rig:
-    (tmp_path / "rig.yaml").write_text(draft_rig(topics, "bag"), encoding="utf-8")
+TARGET = "target: {kind: board, size: [1.2, 0.9], tags: [{id: 0, size: 0.3}]}"
+
+
+def drafted(tmp_path: Path, *topics: FoundTopic, background: FoundBackground | None = None) -> Rig:
+    (tmp_path / "rig.yaml").write_text(draft_rig(topics, "bag", TARGET, background), encoding="utf-8")
     return load_rig(tmp_path / "rig.yaml")
 
 
@@ -100,6 +103,23 @@ def test_a_trigger_of_every_image_does_not_mark_captures(tmp_path: Path) -> None
 
 def test_an_event_of_another_name_is_no_trigger(tmp_path: Path) -> None:
     assert drafted(tmp_path, scan("/scan"), event("/heartbeat", 10)).capture.trigger is None
+
+
+@pytest.mark.parametrize("topics", [(), (event("/trigger", 10),)], ids=["holds", "triggers"])
+def test_an_empty_start_becomes_the_background(tmp_path: Path, topics: tuple[FoundTopic, ...]) -> None:
+    rig = drafted(tmp_path, scan("/scan"), *topics, background=FoundBackground(4.7, "/scan changes\nat 5.0 s"))
+    assert rig.capture.background == (0.0, 4.7)
+
+
+@pytest.mark.parametrize("topics", [(), (event("/trigger", 10),)], ids=["holds", "triggers"])
+def test_without_an_empty_start_there_is_no_background(tmp_path: Path, topics: tuple[FoundTopic, ...]) -> None:
+    assert drafted(tmp_path, scan("/scan"), *topics).capture.background is None
+
+
+def test_a_draft_without_a_target_does_not_load(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(draft_rig([scan("/scan")], "bag"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"target: is missing .*calgraph board prints"):
+        load_rig(tmp_path / "rig.yaml")
 
 
 def test_no_sensor_is_refused() -> None:

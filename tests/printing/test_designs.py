@@ -8,6 +8,7 @@ from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag, load_r
 from calgraph.errors import InputError
 from calgraph.printing import BoardOptions, design_board, format_target, read_boards, replace_target
 from calgraph.printing.pages import black_rectangles_mm
+from calgraph.simulation import RigScenario
 
 A4 = (297.0, 210.0)
 ALL = {
@@ -16,6 +17,7 @@ ALL = {
     "charuco": BoardOptions(kind="charuco"),
     "checkerboard": BoardOptions(kind="checkerboard"),
 }
+PATTERNS = {kind: options for kind, options in ALL.items() if kind != "tags"}
 RIG = """\
 # My robot.
 root: lidar
@@ -37,8 +39,8 @@ sensors:
 
 
 @pytest.mark.parametrize("size", [A4, (210.0, 297.0), (1189.0, 841.0), (1200.0, 900.0), (600.0, 200.0)])
-@pytest.mark.parametrize("options", ALL.values(), ids=ALL.keys())
-def test_a_print_fills_the_board_within_its_rim(options: BoardOptions, size: tuple[float, float]) -> None:
+@pytest.mark.parametrize("options", PATTERNS.values(), ids=PATTERNS.keys())
+def test_a_pattern_fills_the_board_within_its_rim(options: BoardOptions, size: tuple[float, float]) -> None:
     black = black_rectangles_mm(design_board(size, options))
     low, high = black[:, :2].min(axis=0), black[:, 2:].max(axis=0)
     assert min(*low, *(size - high)) > 20 - 1e-6
@@ -50,6 +52,16 @@ def test_the_default_board_has_three_tags() -> None:
     board = design_board((1200, 900), BoardOptions())
     assert [tag.id for tag in board.tags] == [0, 1, 2]
     assert len({tag.size for tag in board.tags}) == 1
+
+
+def test_the_default_board_is_the_simulators() -> None:
+    assert design_board((1200, 900), BoardOptions()) == RigScenario().board
+
+
+@pytest.mark.parametrize("size", [A4, (210.0, 297.0), (1189.0, 841.0), (600.0, 600.0), (600.0, 200.0)])
+def test_default_tags_keep_a_rim(size: tuple[float, float]) -> None:
+    black = black_rectangles_mm(design_board(size, BoardOptions()))
+    assert min(*black[:, :2].min(axis=0), *(size - black[:, 2:].max(axis=0))) > 20 - 1e-6
 
 
 def test_tags_of_one_board_keep_a_quiet_zone() -> None:

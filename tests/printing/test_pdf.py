@@ -179,7 +179,7 @@ def test_the_same_board_gives_the_same_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (BoardOptions(), "tag36h11, ids 0, 1, 2, tags of 75 mm; board 297 x 210 mm"),
+        (BoardOptions(), "tag36h11, ids 0, 1, 2, tags of 74 mm; board 297 x 210 mm"),
         (
             BoardOptions(kind="checkerboard"),
             "checkerboard, 8 x 5 inner corners, squares of 28 mm; board 297 x 210 mm",

@@ -27,7 +27,7 @@ def divided(gap: float) -> Floor:
 
 
 def free_space(floor: Floor, scanners: Array = NO_SCANNERS) -> FreeSpace:
-    return find_free_space(floor, 0.4, scanners, 0.5)
+    return find_free_space(floor, 0.4, np.column_stack([scanners, np.full(len(scanners), 0.5)]))
 
 
 def test_a_rectangle_turned_a_quarter_swaps_its_sides() -> None:

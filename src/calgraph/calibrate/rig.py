@@ -24,6 +24,7 @@ from calgraph.captures import (
     limit_messages,
     make_detectors,
     plan_previews,
+    resolve_background,
 )
 from calgraph.config import CameraSpec, Cylinder, People, Rig
 from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate
@@ -110,6 +111,7 @@ def build_problem(
     """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig)
     rng = np.random.default_rng(options.seed)
+    rig = resolve_background(rig, recording)
     captures = collect_captures(rig, recording, options, rng, progress)
     return build_problem_from_captures(resolve_intrinsics(rig, recording), captures, options, rng, progress)
 

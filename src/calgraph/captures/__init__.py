@@ -9,6 +9,7 @@ from calgraph.captures.detect import (
     limit_messages,
 )
 from calgraph.captures.detectors import learn_backgrounds, make_detectors, to_scans
+from calgraph.captures.empty_start import EmptyStart, find_empty_start, resolve_background
 from calgraph.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.captures.holds import Hold, find_holds, is_snapshot_recording
 from calgraph.captures.input_checks import InputFinding, InputMonitor
@@ -18,8 +19,9 @@ from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_tim
 from calgraph.captures.validate_recording import check_timeline
 
 __all__ = [
-    "ActivityMeter", "CaptureSet", "Detector", "GivenDetections", "Hold", "InputFinding", "InputMonitor",
-    "PreviewSize", "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline",
-    "captures_from_detections", "check_timeline", "collect_detections", "detect_in_holds", "find_holds",
-    "is_snapshot_recording", "learn_backgrounds", "limit_messages", "make_detectors", "plan_previews", "to_scans",
+    "ActivityMeter", "CaptureSet", "Detector", "EmptyStart", "GivenDetections", "Hold", "InputFinding",
+    "InputMonitor", "PreviewSize", "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline",
+    "captures_from_detections", "check_timeline", "collect_detections", "detect_in_holds", "find_empty_start",
+    "find_holds", "is_snapshot_recording", "learn_backgrounds", "limit_messages", "make_detectors",
+    "plan_previews", "resolve_background", "to_scans",
 ]  # fmt: skip

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
+from calgraph.captures import resolve_background
 from calgraph.cli.common_options import JobsOption, Results, RigFile, WholeJson, available_cores
 from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
@@ -127,6 +128,7 @@ def calibrate(
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
             )
         with open_recordings(recordings) as recording, progress_bars() as progress:
+            rig = resolve_background(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
             rig = resolve_intrinsics(rig, recording)
         write_results(calibration, rig, folder)

@@ -19,24 +19,26 @@ _TRIGGER = re.compile(r"trigger|capture|shutter|snapshot", re.IGNORECASE)
 # YAML 1.1 readers take some of these words as booleans, null or numbers.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z/][\w./-]*", re.IGNORECASE)
 
-_TARGET_BLOCK = """\
-# The board that was carried around. CHANGE THIS to the board you printed, and measure it: printers change scales,
-# and the size of tags or squares sets the scale of all camera measurements.
-target:
-  kind: board
-  size: [1.2, 0.9]              # width and height of the board, m
-  family: tag36h11              # of the AprilTags
-  tags:                         # size: edge of the black square; center: x right, y up from the board's centre; m
-    - {id: 0, size: 0.32, center: [-0.38, 0.2]}
-    - {id: 1, size: 0.32, center: [0.38, 0.2]}
-    - {id: 2, size: 0.32, center: [0.0, -0.2]}
-  # Or, instead of family and tags, one pattern:
-  # pattern: {kind: checkerboard, columns: 7, rows: 5, square: 0.1}     # columns, rows: inner corners; square: m
-  # pattern: {kind: charuco, columns: 8, rows: 6, square: 0.1, marker: 0.075, dictionary: DICT_5X5_100}
-  # pattern: {kind: aprilgrid, columns: 6, rows: 6, tag_size: 0.088, tag_spacing: 0.3}
+_NO_TARGET = """\
+# CHANGE THIS: state the board that you printed, as you measured it; the size of its tags or squares sets the scale
+# of the cameras. calgraph board prints a board and its target block, which calgraph init can copy.
+# target:
+#   kind: board
+#   size: [WIDTH, HEIGHT]       # of the board, m
+#   family: tag36h11            # of the AprilTags
+#   tags:                       # size: edge of the black square; center: x right, y up from the board's centre; m
+#     - {id: 0, size: EDGE, center: [X, Y]}
+#   Or, instead of family and tags, one pattern:
+#   pattern: {kind: checkerboard, columns: 7, rows: 5, square: EDGE}    # columns, rows: inner corners; square: m
+#   pattern: {kind: charuco, columns: 8, rows: 6, square: EDGE, marker: EDGE, dictionary: DICT_5X5_100}
+#   pattern: {kind: aprilgrid, columns: 6, rows: 6, tag_size: EDGE, tag_spacing: 0.3}
 """
-_BACKGROUND_LINE = (
-    "background: [0.0, 5.0]    # s from the start: the room without board and operator, if there was such a time"
+_NO_TARGET_OF_SCANNERS = """\
+# Or, for scanners that are fixed in a building, the people who walked through:
+# target: {kind: people}
+"""
+_NO_BACKGROUND = (
+    "# background: [0.0, 5.0]      # s from the start: the room without board and operator; none was found"
 )
 _NOISE = {
     "camera": "{pixel: 0.3}",
@@ -63,18 +65,32 @@ class FoundTopic:
 
 
 @dataclass(frozen=True)
+class FoundBackground:
+    """The time without board and operator at the start of a recording, as far as a draft needs it."""
+
+    end: float
+    """s from the start."""
+    entry: str
+    """What was measured at its end."""
+
+
+@dataclass(frozen=True)
 class _Sensor:
     name: str
     topic: FoundTopic
     info: FoundTopic | None
 
 
-def draft_rig(topics: Sequence[FoundTopic], recording: str) -> str:
+def draft_rig(
+    topics: Sequence[FoundTopic], recording: str, target: str = "", background: FoundBackground | None = None
+) -> str:
     """The text of a rig.yaml with every sensor found, one for each camera however many topics it has.
 
     Args:
         topics: all topics of the recording.
         recording: its name, for the comments.
+        target: the block of the target; without one, the draft has a comment in its place, and does not load.
+        background: the time without board and operator, if one was found.
 
     Raises:
         InputError: there is no sensor among the topics.
@@ -95,8 +111,8 @@ def draft_rig(topics: Sequence[FoundTopic], recording: str) -> str:
     parts = [
         _head(recording),
         _root(sensors),
-        _TARGET_BLOCK,
-        _capture(topics),
+        target or _missing_target(chosen),
+        _capture(topics, background),
         _sensors(sensors),
         _skipped_topics(skipped),
     ]
@@ -153,7 +169,7 @@ def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: i
 def _head(recording: str) -> str:
     return (
         f"# Drafted by calgraph init from the topics of {_single_line(recording)}.\n"
-        "# Go through the comments, measure your board, then run\n"
+        "# Go through the comments, state your board, then run\n"
         "#   calgraph calibrate rig.yaml RECORDING -o result\n"
     )
 
@@ -164,18 +180,29 @@ def _root(sensors: Sequence[_Sensor]) -> str:
     return f"# The sensor in whose frame everything is expressed{hint}.\nroot: {_format_scalar(sensors[0].name)}\n"
 
 
-def _capture(topics: Iterable[FoundTopic]) -> str:
+def _missing_target(chosen: Sequence[FoundTopic]) -> str:
+    """Comments in place of a target."""
+    return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if all(topic.kind == "lidar2d" for topic in chosen) else "")
+
+
+def _capture(topics: Iterable[FoundTopic], background: FoundBackground | None) -> str:
     triggers, too_many = _find_triggers(list(topics))
     notes = [
         f"# Not taken for a trigger, because it fires as often as a sensor: {_single_line(t.name)}"
         for t in too_many
     ]
+    window = (
+        f"background: [0.0, {background.end:.1f}]      # s from the start, without board and operator: "
+        f"{_single_line(background.entry)}"
+        if background
+        else _NO_BACKGROUND
+    )
     if not triggers:
         lines = [
             "# No trigger topic was found: captures are found by the board resting.",
-            "# capture:",
+            "capture:" if background else "# capture:",
+            f"{'' if background else '# '}  {window.removeprefix('# ')}",
             "#   trigger: /topic             # every message starts a capture: the board rests from there on",
-            f"#   {_BACKGROUND_LINE}",
         ]
     else:
         name, count = triggers[0].name, triggers[0].count
@@ -185,7 +212,7 @@ def _capture(topics: Iterable[FoundTopic]) -> str:
             "capture:",
             f"  trigger: {_format_scalar(name)}",
             *(f"  # trigger: {_format_scalar(other.name)}" for other in triggers[1:]),
-            f"  # {_BACKGROUND_LINE}",
+            f"  {window}",
         ]
     return "\n".join([*notes, *lines, ""])
 

@@ -16,6 +16,11 @@ BoardKind = Literal["tags", "aprilgrid", "charuco", "checkerboard"]
 
 _MIN_RIM = MARGIN + 5.0
 """Minimum white rim around the print, mm: on a board as large as the paper it holds the rulers."""
+_TAG_EDGE = (0.32 / 1.2, 0.32 / 0.9)
+"""Largest edge of a tag over width and height of the board: 0.32 m on the board of 1.2 by 0.9 m of the simulator
+and of the README, which leaves a rim of more than one of the tag's ten modules."""
+_TAG_CENTER = (0.38 / 1.2, 0.2 / 0.9)
+"""Distance of the tags' centres from the middle of that board over its width and height."""
 _DEFAULT_SHAPES = {"aprilgrid": (6, 4), "charuco": (8, 6), "checkerboard": (8, 5)}
 """Columns and rows of a board in landscape: tags, squares, and inner corners. Of a checkerboard's numbers one is
 odd and one even: only then its orientation is unambiguous."""
@@ -85,13 +90,22 @@ def _design_tags(space: Pair, options: BoardOptions) -> dict[str, Any]:
     if options.tags is not None:
         return {"family": family, "tags": [tag.model_dump() for tag in options.tags]}
     long, short = max(space), min(space)
-    edge = options.tag_size or _round_down(min(0.3 * long, 0.445 * short))
-    along, across = (long - edge) / 2, (short - edge) / 2
+    if options.tag_size:
+        edge = options.tag_size
+        along, across = (long - edge) / 2, (short - edge) / 2
+    else:
+        width, height = long + 2 * _MIN_RIM, short + 2 * _MIN_RIM
+        edge = _round_down(min(_TAG_EDGE[0] * width, _TAG_EDGE[1] * height, (short - _MIN_RIM) / 2))
+        along = min(_TAG_CENTER[0] * width, (long - edge) / 2)
+        across = min(_TAG_CENTER[1] * height, (short - edge) / 2)
     places = [(-along, across), (along, across), (0.0, -across)]
     if space[1] > space[0]:
-        places = [(-y, -x) for x, y in places]
+        places = [(0.0 - y, 0.0 - x) for x, y in places]
     first = options.first_id or 0
-    tags = [{"id": first + i, "size": _m(edge), "center": [_m(x), _m(y)]} for i, (x, y) in enumerate(places)]
+    tags = [
+        {"id": first + i, "size": _m(edge), "center": [_m(round(x, 1)), _m(round(y, 1))]}
+        for i, (x, y) in enumerate(places)
+    ]
     return {"family": family, "tags": tags}
 
 

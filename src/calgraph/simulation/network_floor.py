@@ -96,14 +96,13 @@ class FreeSpace:
         return np.asarray(self.corner + _CELL * np.stack(np.unravel_index(flat, self.free.shape), axis=1))
 
 
-def find_free_space(floor: Floor, min_clearance: float, scanners: Array, scanner_distance: float) -> FreeSpace:
+def find_free_space(floor: Floor, min_clearance: float, keep_off: Array) -> FreeSpace:
     """Finds the largest connected region of a floor for bodies that keep their distance.
 
     Args:
         floor: walls and obstacles.
         min_clearance: of a body's centre from walls, m.
-        scanners: (N, 2) positions of scanners, which are obstacles too.
-        scanner_distance: minimum distance of a body's centre from those, m.
+        keep_off: (N, 3) circles that a body's centre stays out of, such as those around scanners: x, y, radius, m.
 
     Raises:
         InputError: there is no such region.
@@ -113,11 +112,9 @@ def find_free_space(floor: Floor, min_clearance: float, scanners: Array, scanner
     shape = (len(axes[0]), len(axes[1]))
     centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     clearance = floor.clearance(centers)
-    for scanner in scanners:
-        # A scanner acts as a wall at the distance that makes both minimum distances equal.
-        clearance = np.minimum(
-            clearance, np.linalg.norm(centers - scanner, axis=1) - scanner_distance + min_clearance
-        )
+    for x, y, radius in keep_off:
+        # A circle acts as a wall at the distance that makes both minimum distances equal.
+        clearance = np.minimum(clearance, np.linalg.norm(centers - (x, y), axis=1) - radius + min_clearance)
     clearance = clearance.reshape(shape)
     regions, _ = label(clearance >= min_clearance, structure=np.ones((3, 3)))
     sizes = np.bincount(regions.ravel())

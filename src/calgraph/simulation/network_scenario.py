@@ -95,6 +95,30 @@ class PeopleOptions(StrictModel):
     step_length: Positive = 0.68
     """Of people at 1.2 m/s, m; it is proportional to the root of the speed, and so is the cadence."""
 
+    couples: Annotated[int, Field(ge=0)] = 0
+    """Pairs among the people who walk side by side."""
+    carts: Annotated[int, Field(ge=0)] = 0
+    """Number of people who push a cart, a box that reaches down to the floor."""
+    trolleys: Annotated[int, Field(ge=0)] = 0
+    """Number of people who push a trolley on four poles."""
+    skirts: Annotated[int, Field(ge=0)] = 0
+    """Number of people whose legs are hidden by a skirt or a coat: an ellipse of another size."""
+    skirt_radii: tuple[Positive, Positive] = (0.19, 0.17)
+    """Half width and half depth of a skirt, m."""
+
+    @model_validator(mode="after")
+    def _enough_people(self) -> "PeopleOptions":
+        pushing = 2 * self.couples + self.carts + self.trolleys
+        if pushing and self.kind != "people":
+            raise invalid("couples", f"a {self.kind} has neither company nor carts")
+        if max(pushing, self.skirts) > self.count:
+            raise invalid(
+                "count", f"must be at least {max(pushing, self.skirts)} for these couples, carts and skirts"
+            )
+        if self.skirts and self.shape != "legs":
+            raise invalid("skirts", "hide legs; take the shape legs")
+        return self
+
     @model_validator(mode="after")
     def _has_the_limbs(self) -> "PeopleOptions":
         if self.swing > 0 and self.kind != "people":
@@ -164,6 +188,10 @@ class NetworkScenario(StrictModel):
     """Spacing of the scanners of the grid, m."""
     clutter: Annotated[int, Field(ge=0)] = 14
     """Pieces of furniture in all."""
+    chairs: Annotated[int, Field(ge=0)] = 0
+    """Chairs that are moved now and then, by up to half a metre."""
+    mirrors: Annotated[int, Field(ge=0)] = 0
+    """Mirrors on walls, such as glass that reflects, 2 m wide."""
     scanner: ScannerOptions = ScannerOptions()
     people: PeopleOptions = PeopleOptions()
     errors: NetworkErrors = NetworkErrors()
@@ -197,6 +225,8 @@ class NetworkScenario(StrictModel):
             raise invalid("background", f"must be below the duration, {self.duration:g}, got {self.background:g}")
         if self.root is not None and self.root not in self.names:
             raise invalid("root", f"must be one of {self.names[0]} to {self.names[-1]}, got {self.root!r}")
+        if self.layout == "ring" and (self.mirrors or self.chairs):
+            raise invalid("mirrors" if self.mirrors else "chairs", "the ring is not a room; take another layout")
         if self.errors.inverted >= self.scanner.count:
             raise invalid("errors.inverted", f"must be below the number of scanners, {self.scanner.count}")
         return self

@@ -17,14 +17,14 @@ from calgraph.geometry import Array, se2, se3
 from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import LaserScan
-from calgraph.simulation.network_arms import add_arms
 from calgraph.simulation.network_beams import ScanPlane, build_views, simulate_true_ranges
 from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space
+from calgraph.simulation.network_furniture import CHAIR_REACH, move_chairs, place_chairs, place_mirrors
 from calgraph.simulation.network_layouts import build_layout
-from calgraph.simulation.network_legs import add_legs, draw_gait
+from calgraph.simulation.network_people import build_bodies, form_parties, separate_people
 from calgraph.simulation.network_scanners import StationaryScanner, build_scanners
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
-from calgraph.simulation.network_walks import SimulatedWalk, body_clearance, draw_walks
+from calgraph.simulation.network_walks import Party, SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.scanners import add_mixed_pixels
 from calgraph.simulation.truth import GroundTruth, PersonTruth, save_truth
 
@@ -50,7 +50,7 @@ class SimulatedNetwork:
     walks: tuple[SimulatedWalk, ...]
     """Of people or cylinders, one each."""
     bodies: tuple[SimulatedWalk, ...]
-    """What beams hit of them: torso and arms, or legs."""
+    """What beams hit of them and of chairs."""
     mirrors: Array
     """(Q, 2, 2) end points of mirrors, m."""
 
@@ -66,13 +66,27 @@ def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
     root = scenario.root or scenario.names[0]
     error_rng = np.random.default_rng((seed, 0, 0, 1))
     scanners = build_scanners(scenario, layout.mounts, root, rng, error_rng)
-    kept_clear = body_clearance(scenario.people)
-    free_space = find_free_space(layout.floor, kept_clear, layout.mounts[:, :2], kept_clear + 0.1)
-    walks = draw_walks(free_space, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
+    chair_rng, people_rng = (np.random.default_rng((seed, 0, 0, k)) for k in (2, 3))
+    places = layout.mounts[:, :2]
+    mirrors = place_mirrors(layout.floor, scenario.mirrors, places, chair_rng)
+    chairs = place_chairs(layout.floor, scenario.chairs, np.concatenate([places, layout.stations]), chair_rng)
+
+    def find_space(reach: float) -> FreeSpace:
+        clear = body_clearance(scenario.people, reach)
+        near_scanners = np.column_stack([places, np.full(len(places), clear + 0.1)])
+        near_chairs = np.column_stack([chairs, np.full(len(chairs), reach + CHAIR_REACH)])
+        return find_free_space(layout.floor, clear, np.concatenate([near_scanners, near_chairs]))
+
+    parties = form_parties(scenario.people, find_space)
+    together = draw_walks(parties, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
+    walks = separate_people(scenario.people, together, people_rng)
     if scenario.errors.driving:
+        free_space = find_space(scenario.people.reach)
         scanners = _let_one_drive(scanners, scenario, root, free_space, error_rng)
-    bodies = tuple(part for k, walk in enumerate(walks) for part in _build_bodies(scenario, walk, seed, k))
-    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks, bodies, np.zeros((0, 2, 2)))
+    solid = scenario.people.shape == "ellipse"
+    furniture = move_chairs(chairs, scenario.duration, solid, chair_rng)
+    bodies = (*build_bodies(scenario, walks, seed), *furniture)
+    return SimulatedNetwork(scenario, seed, root, layout.floor, scanners, walks, bodies, mirrors)
 
 
 def simulate_network_scans(
@@ -187,9 +201,10 @@ def _let_one_drive(
 ) -> tuple[StationaryScanner, ...]:
     """The scanners, of which one besides the root drives on a path of its own."""
     rider = scenario.people.model_copy(
-        update={"count": 1, "speed": scenario.errors.driving, "speed_spread": 0.0, "stop_every": 0.0}
+        update={"speed": scenario.errors.driving, "speed_spread": 0.0, "stop_every": 0.0}
     )
-    [path] = draw_walks(free_space, np.zeros((0, 2)), rider, 0.0, scenario.duration, rng)
+    party = Party(scenario.people.reach, free_space)
+    [path] = draw_walks([party], np.zeros((0, 2)), rider, 0.0, scenario.duration, rng)
     times = np.arange(_DRIVING_INTERVAL, scenario.duration, _DRIVING_INTERVAL)
     places, headings = path.pose_at(times - _DRIVING_INTERVAL / 2)
     poses = se2.pose(headings, places)
@@ -197,16 +212,6 @@ def _let_one_drive(
     earlier = tuple(zip(times.tolist(), poses, strict=True))
     driving = replace(scanners[chosen], T_world_scanner=poses[-1], earlier=earlier)
     return (*scanners[:chosen], driving, *scanners[chosen + 1 :])
-
-
-def _build_bodies(
-    scenario: NetworkScenario, walk: SimulatedWalk, seed: int, person: int
-) -> tuple[SimulatedWalk, ...]:
-    """What beams hit of one person."""
-    if scenario.people.shape == "ellipse":
-        return add_arms(walk, scenario.people.swing)
-    gait = draw_gait(scenario.people, np.random.default_rng((seed, 0, person + 1)))
-    return add_legs(walk, gait, scenario.scanner.height)
 
 
 def _simulate_measured_ranges(true: Array, options: ScannerOptions, rng: np.random.Generator) -> Array:

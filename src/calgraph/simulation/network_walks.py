@@ -125,6 +125,9 @@ class _Walker:
     """State of one person during the simulation."""
 
     axes: Array
+    reach: float
+    """Of the body, or of all that walk together, m."""
+    free_space: FreeSpace
     speed: float
     stations: Array
     """(K, 2) goals in order, or none."""
@@ -136,26 +139,36 @@ class _Walker:
     stuck_time: float = 0.0
 
 
-def body_clearance(people: PeopleOptions) -> float:
-    """Planned minimum distance of a body's centre from walls, m."""
-    return people.reach + people.clearance + _SMOOTHING_MARGIN
+@dataclass(frozen=True, eq=False)
+class Party:
+    """What walks together: one body, a couple, or a person with a cart."""
+
+    reach: float
+    """Radius of the circle about its centre that stays free, m."""
+    free_space: FreeSpace
+    """Where its centre may be."""
+
+
+def body_clearance(people: PeopleOptions, reach: float) -> float:
+    """Planned minimum distance of a centre from walls, m."""
+    return reach + people.clearance + _SMOOTHING_MARGIN
 
 
 def draw_walks(
-    free_space: FreeSpace,
+    parties: Sequence[Party],
     stations: Array,
     people: PeopleOptions,
     start: float,
     end: float,
     rng: np.random.Generator,
 ) -> tuple[SimulatedWalk, ...]:
-    """Draws the walks of all people.
+    """Draws the walks of all parties, with radii of one person each.
 
     Args:
-        free_space: where they may walk.
+        parties: who walk.
         stations: (K, 2) goals in order; each person starts at another one and takes either direction; with none,
             goals are random.
-        people: number, speed and size.
+        people: speed and size.
         start: s from the start of the recording.
         end: s.
         rng: draws everything random.
@@ -163,50 +176,52 @@ def draw_walks(
     Raises:
         InputError: the floor is too small for all of them.
     """
-    walkers = _init_walkers(free_space, stations, people, rng)
+    walkers = _init_walkers(parties, stations, people, rng)
     steps = int(np.ceil((end - start) / _DECISION_INTERVAL)) + 2
     places = np.empty((steps, len(walkers), 2))
     for step in range(steps):
         for walker in walkers:
-            _advance(walker, walkers, free_space, people, step * _DECISION_INTERVAL, rng)
+            _advance(walker, walkers, people, step * _DECISION_INTERVAL, rng)
         for k, walker in enumerate(walkers):
             places[step, k] = walker.position
     return tuple(_smooth_walk(walker.axes, places[:, k], start) for k, walker in enumerate(walkers))
 
 
 def _init_walkers(
-    free_space: FreeSpace, stations: Array, people: PeopleOptions, rng: np.random.Generator
+    parties: Sequence[Party], stations: Array, people: PeopleOptions, rng: np.random.Generator
 ) -> list[_Walker]:
     walkers: list[_Walker] = []
-    for k in range(people.count):
+    for k, party in enumerate(parties):
+        free_space = party.free_space
         scale = 1 + rng.uniform(-people.axes_spread, people.axes_spread, 2)
         axes = np.full(2, people.diameter / 2) if people.kind == "cylinder" else scale * people.axes
-        order = np.roll(stations, -round(k * len(stations) / max(people.count, 1)), axis=0)
+        order = np.roll(stations, -round(k * len(stations) / len(parties)), axis=0)
         if len(order) and rng.random() < 0.5:
             order = np.roll(order[::-1], 1, axis=0)
         place = free_space.nearest_free(order[0]) if len(order) else free_space.random_place(rng)
         for _ in range(100):
             if all(
-                np.linalg.norm(place - other.position) > _min_center_distance(people) + 0.2 for other in walkers
+                np.linalg.norm(place - other.position)
+                > _min_center_distance(people, party.reach + other.reach) + 0.2
+                for other in walkers
             ):
                 break
             place = free_space.random_place(rng)
         else:
-            raise InputError(f"people.count: {people.count} do not fit on the floor, only {len(walkers)} do")
+            raise InputError(f"people.count: {len(parties)} do not fit on the floor, only {len(walkers)} do")
         speed = people.speed * (1 + rng.uniform(-people.speed_spread, people.speed_spread))
-        walkers.append(_Walker(axes, speed, order, place))
+        walkers.append(_Walker(axes, party.reach, free_space, speed, order, place))
     return walkers
 
 
-def _min_center_distance(people: PeopleOptions) -> float:
-    """Minimum distance of two centres, m."""
-    return 2 * people.reach + people.clearance + _SMOOTHING_MARGIN
+def _min_center_distance(people: PeopleOptions, reaches: float) -> float:
+    """Minimum distance of two centres, m, from the sum of both reaches."""
+    return reaches + people.clearance + _SMOOTHING_MARGIN
 
 
 def _advance(
     walker: _Walker,
     walkers: Sequence[_Walker],
-    free_space: FreeSpace,
     people: PeopleOptions,
     now: float,
     rng: np.random.Generator,
@@ -223,41 +238,39 @@ def _advance(
         or np.linalg.norm(walker.path[-1] - walker.position) < _GOAL_RADIUS
     ):
         walker.path, walker.stuck_time = (
-            free_space.plan_path(walker.position, _next_goal(walker, free_space, rng)),
+            walker.free_space.plan_path(walker.position, _next_goal(walker, rng)),
             0.0,
         )
-    wanted = _wanted_direction(walker, free_space)
+    wanted = _wanted_direction(walker)
     others = [other for other in walkers if other is not walker]
-    walker.velocity = _choose_velocity(walker, wanted, others, free_space, people)
+    walker.velocity = _choose_velocity(walker, wanted, others, people)
     walker.position = walker.position + _DECISION_INTERVAL * walker.velocity
     slow = np.linalg.norm(walker.velocity) < 0.3 * walker.speed
     walker.stuck_time = walker.stuck_time + _DECISION_INTERVAL if slow else 0.0
 
 
-def _next_goal(walker: _Walker, free_space: FreeSpace, rng: np.random.Generator) -> Array:
+def _next_goal(walker: _Walker, rng: np.random.Generator) -> Array:
     if len(walker.stations) == 0 or walker.stuck_time > _MAX_STUCK_TIME:
-        return free_space.random_place(rng)
+        return walker.free_space.random_place(rng)
     walker.visited += 1
     station = walker.stations[walker.visited % len(walker.stations)]
     return np.asarray(station + rng.uniform(-0.7, 0.7, 2))
 
 
-def _wanted_direction(walker: _Walker, free_space: FreeSpace) -> Array:
+def _wanted_direction(walker: _Walker) -> Array:
     """(2,) unit vector towards the farthest part of the path in line of sight, which cuts the cells' corners."""
     nearest = int(np.argmin(np.linalg.norm(walker.path - walker.position, axis=1)))
     walker.path = walker.path[nearest:]
     ahead = walker.path[np.minimum(np.array([2, 4, 6, 9, 12, 16, 20]), len(walker.path) - 1)]
     between = walker.position + np.linspace(0.1, 1, 12)[:, None, None] * (ahead - walker.position)
-    cells = free_space.cells(between)
-    in_sight = free_space.free[cells[..., 0], cells[..., 1]].all(axis=0)
+    cells = walker.free_space.cells(between)
+    in_sight = walker.free_space.free[cells[..., 0], cells[..., 1]].all(axis=0)
     target = ahead[np.flatnonzero(in_sight)[-1]] if in_sight.any() else ahead[0]
     step = target - walker.position
     return np.asarray(step / max(float(np.linalg.norm(step)), 1e-9))
 
 
-def _choose_velocity(
-    walker: _Walker, wanted: Array, others: Sequence[_Walker], free_space: FreeSpace, people: PeopleOptions
-) -> Array:
+def _choose_velocity(walker: _Walker, wanted: Array, others: Sequence[_Walker], people: PeopleOptions) -> Array:
     """(2,) the velocity of least cost among turns and speeds about the wanted one, and standing, m/s."""
     c, s = np.cos(_CANDIDATE_TURNS), np.sin(_CANDIDATE_TURNS)
     directions = np.stack([c * wanted[0] - s * wanted[1], s * wanted[0] + c * wanted[1]], axis=-1)
@@ -268,7 +281,8 @@ def _choose_velocity(
     cost += 0.8 * np.linalg.norm(candidates - walker.velocity, axis=1)
     ahead = walker.position + _LOOKAHEAD_TIMES[:, None, None] * candidates
     cost[-1] += _STANDING_COST * walker.speed
-    blocked = free_space.clearance_at(ahead) < people.reach + people.clearance
+    free_space = walker.free_space
+    blocked = free_space.clearance_at(ahead) < walker.reach + people.clearance
     now_room = free_space.clearance_at(walker.position[None])[0]
     forbidden = blocked[0] & (free_space.clearance_at(ahead[0]) <= now_room)
     cost += walker.speed * (_WALL_COSTS[:, None] * blocked).max(axis=0)
@@ -276,12 +290,13 @@ def _choose_velocity(
         if np.linalg.norm(other.position - walker.position) > 6:
             continue
         gaps = np.linalg.norm(ahead - other.position - _LOOKAHEAD_TIMES[:, None, None] * other.velocity, axis=-1)
-        meets = gaps < _min_center_distance(people) + 0.1
+        distance = _min_center_distance(people, walker.reach + other.reach)
+        meets = gaps < distance + 0.1
         cost += walker.speed * (_PEOPLE_COSTS[:, None] * meets).max(axis=0)
         # A walker who is too near to another may move away, but not closer.
         here = np.linalg.norm(other.position - walker.position)
         after = np.linalg.norm(ahead[0] - other.position, axis=-1)
-        forbidden |= (after < _min_center_distance(people)) & (after < here)
+        forbidden |= (after < distance) & (after < here)
     forbidden[-1] = False
     return np.asarray(candidates[np.argmin(np.where(forbidden, np.inf, cost))])
 

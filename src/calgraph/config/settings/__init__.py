@@ -4,6 +4,7 @@ from calgraph.config.settings.baselines import BaselineSettings
 from calgraph.config.settings.captures import (
     CameraNoiseSettings,
     CaptureSettings,
+    EmptyStartSettings,
     InputCheckSettings,
     MaxMessageSettings,
     MotionDetectionSettings,
@@ -89,6 +90,7 @@ __all__ = [
     "DetectionSettings",
     "DiagnosticsSettings",
     "EllipseSettings",
+    "EmptyStartSettings",
     "EstimationSettings",
     "ExtrapolationSettings",
     "GraphSettings",

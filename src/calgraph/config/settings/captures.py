@@ -65,6 +65,33 @@ class InputCheckSettings(StrictModel):
     six digits, or single precision; it moves a pixel by 0.01 px."""
 
 
+class EmptyStartSettings(StrictModel):
+    """The search for a time without board and operator at the start of a recording."""
+
+    reference_duration: float = Field(default=1.0, gt=0)
+    """Time at the start that later measurements are compared with, s: several messages of any scanner."""
+    min_duration: float = Field(default=1.5, gt=0)
+    """Least duration of an empty start, s: a background needs several messages of each scanner."""
+    max_duration: float = Field(default=60.0, gt=0)
+    """Time from the start that is searched, s: operators who wait longer state a window in rig.yaml."""
+    entry_margin: float = Field(default=0.3, ge=0)
+    """Time between the empty start and the detected entry, s: at 1 m/s, less than half of a person is in view."""
+    direction_cell: float = Field(default=0.0174532925199433, gt=0)
+    """Edge of the cells in which directions are compared, 1°: several beams of any LiDAR."""
+    min_range_change: float = Field(default=0.2, gt=0)
+    """Change of a range, m, that is something else: ten times the noise of a scanner; people and boards are
+    farther than this from walls."""
+    min_range_change_ratio: float = Field(default=0.02, ge=0)
+    """The same over the range: noise of directions and of angles of incidence grows with it."""
+    min_directions: int = Field(default=3, ge=1)
+    """Least number of cells with something else: an object of 0.5 m at 10 m covers three in a row."""
+    later_messages: int = Field(default=20, ge=5)
+    """Messages of each scanner that are searched for what was uncovered, spread over the recording."""
+    max_uncovered_share: float = Field(default=0.5, gt=0, lt=1)
+    """Share of these beyond which something was in view at the start: what left its place uncovers the room in
+    most of them; people who pass cover others."""
+
+
 class CaptureSettings(StrictModel):
     """When the board rests, and which messages of a capture are used."""
 
@@ -72,6 +99,7 @@ class CaptureSettings(StrictModel):
     camera_noise: CameraNoiseSettings = CameraNoiseSettings()
     max_messages: MaxMessageSettings = MaxMessageSettings()
     input_checks: InputCheckSettings = InputCheckSettings()
+    empty_start: EmptyStartSettings = EmptyStartSettings()
     min_hold: float = Field(default=0.5, gt=0)
     """Least duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
     max_motion_period: float = Field(default=0.5, gt=0)

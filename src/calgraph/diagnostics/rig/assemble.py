@@ -65,6 +65,7 @@ def assemble_rig(
         inconsistent = join_reasons(scaled, inconsistent)
     if not solution.converged:
         inconsistent = dict.fromkeys(connected, "the joint solution has not converged") | inconsistent
+    inconsistent = {name: reason + _hint_at_background(rig) for name, reason in inconsistent.items()}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
@@ -127,6 +128,14 @@ def _assemble_sensor(
     )
 
 
+def _hint_at_background(rig: Rig) -> str:
+    """What to try where scanners have no background, and may take other surfaces for the board."""
+    scanners = any(spec.kind != "camera" for spec in rig.sensors.values())
+    if not scanners or rig.capture.background:
+        return ""
+    return "; no background is set: state a time without board and operator as capture.background"
+
+
 def _reorder_covariance(solution: RigSolution, names: Sequence[str]) -> Array:
     """The solution covariance of the sensors in another order."""
     order = list(solution.T_root_sensor)
@@ -184,7 +193,11 @@ def _explain_unconnected(
     rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, connected: Collection[str]
 ) -> dict[str, str]:
     """Why each sensor is not connected to the root, as the rest of a sentence that starts with its name."""
-    reasons = {name: _explain_no_pair(name, captures, pairs) for name in rig.sensors if name not in connected}
+    reasons = {
+        name: _explain_no_pair(name, captures, pairs) + _hint_at_background(rig)
+        for name in rig.sensors
+        if name not in connected
+    }
     if not captures.detections[rig.root]:
         # Then no sensor can be connected, whatever it detected.
         of_root = f"the root {rig.root} {_explain_no_pair(rig.root, captures, pairs)}"

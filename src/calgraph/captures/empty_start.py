@@ -1,0 +1,163 @@
+"""The empty start of a recording: the time before the board and its operator enter the views of the scanners."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.config import CameraSpec, Rig
+from calgraph.config.settings import EmptyStartSettings
+from calgraph.detection.cloud_background import find_direction_cells
+from calgraph.geometry import Array
+from calgraph.recording import Recording
+from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage
+
+
+@dataclass(frozen=True)
+class EmptyStart:
+    """The time at the start of a recording in which nothing moved, before something entered."""
+
+    end: float
+    """Its end, s from the start of the recording."""
+    entry: float
+    """When something entered, s from the start of the recording."""
+    topic: str
+    """Of the scanner that detected it first."""
+
+
+def resolve_background(rig: Rig, recording: Recording) -> Rig:
+    """The rig with the empty start of the recording as background window, where it has a board and states none."""
+    if rig.is_network or rig.capture.background is not None:
+        return rig
+    scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
+    found = find_empty_start(recording, scanners, rig.settings.captures.empty_start)
+    if found is None:
+        return rig
+    return rig.model_copy(update={"capture": rig.capture.model_copy(update={"background": (0.0, found.end)})})
+
+
+def find_empty_start(
+    recording: Recording, topics: Sequence[str], settings: EmptyStartSettings
+) -> EmptyStart | None:
+    """Finds the time before anything enters the view of a scanner.
+
+    A scanner's view was empty at the start if something later appears in front of what it measured then, and if
+    later measurements do not reach beyond it: a board or person that was in view at the start uncovers the room
+    when it moves.
+
+    Args:
+        recording: to search.
+        topics: of the scanners.
+        settings: of the search.
+
+    Returns:
+        The empty start; None if there is none, if it is too short, or if nothing enters.
+    """
+    if not topics:
+        return None
+    start = recording.start
+    until = start + settings.max_duration
+    found = _find_entry(recording.records(topics, start, until), start, settings)
+    if found is None or found.end < settings.min_duration or _is_uncovered_later(recording, topics, settings):
+        return None
+    return found
+
+
+class _Reference:
+    """Nearest and farthest ranges by direction, of the first messages of one scanner."""
+
+    def __init__(self, settings: EmptyStartSettings) -> None:
+        self._settings = settings
+        self._shape = round(np.pi / settings.direction_cell), round(2 * np.pi / settings.direction_cell)
+        self._nearest = np.full(self._shape, np.inf)
+        self._farthest = np.full(self._shape, -np.inf)
+
+    def add(self, message: Message) -> None:
+        """Adds a message."""
+        nearest, farthest = self._measure(message)
+        self._nearest = np.minimum(self._nearest, nearest)
+        self._farthest = np.maximum(self._farthest, farthest)
+
+    def count_nearer(self, message: Message) -> int:
+        """Number of directions in which a message has something in front of everything around them."""
+        from scipy.ndimage import minimum_filter  # takes as long to import as all of NumPy
+
+        nearest, _ = self._measure(message)
+        reference = minimum_filter(self._nearest, size=3, mode=["nearest", "wrap"])
+        margin = self._margin(nearest)
+        return int(np.sum(np.isfinite(nearest) & (nearest < reference - margin)))
+
+    def count_beyond(self, message: Message) -> int:
+        """Number of directions in which a message measures only what is behind everything around them."""
+        from scipy.ndimage import maximum_filter
+
+        nearest, _ = self._measure(message)
+        reference = maximum_filter(self._farthest, size=3, mode=["nearest", "wrap"])
+        beyond = np.isfinite(nearest) & np.isfinite(self._farthest) & (nearest > reference + self._margin(nearest))
+        return int(np.sum(beyond))
+
+    def _margin(self, ranges: Array) -> Array:
+        settings = self._settings
+        finite = np.where(np.isfinite(ranges), ranges, 0.0)
+        return np.asarray(np.maximum(settings.min_range_change, settings.min_range_change_ratio * finite))
+
+    def _measure(self, message: Message) -> tuple[Array, Array]:
+        """Nearest and farthest range by direction; infinite without returns."""
+        nearest, farthest = np.full(self._shape, np.inf), np.full(self._shape, -np.inf)
+        points = _list_points(message)
+        cells = find_direction_cells(points, self._shape)
+        ranges = np.linalg.norm(points, axis=1)
+        np.minimum.at(nearest, cells, ranges)
+        np.maximum.at(farthest, cells, ranges)
+        return nearest, farthest
+
+
+def _list_points(message: Message) -> Array:
+    """(N, 3) finite points, scanner frame, m."""
+    if isinstance(message, LaserScan):
+        angles, ranges = message.angles[message.valid], message.ranges[message.valid]
+        return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))])
+    if isinstance(message, PointCloud):
+        return np.asarray(message.points[np.isfinite(message.points).all(axis=1)])
+    return np.zeros((0, 3))
+
+
+def _find_entry(
+    records: Iterable[RecordedMessage], start: float, settings: EmptyStartSettings
+) -> EmptyStart | None:
+    """The first entry of something into the view of a scanner, in two successive messages of it."""
+    references: dict[str, _Reference] = {}
+    entered: dict[str, float] = {}
+    for record in records:
+        time, topic, message = record.arrival - start, record.topic, record.decode()
+        if topic not in references or time < settings.reference_duration:
+            references.setdefault(topic, _Reference(settings)).add(message)
+        elif references[topic].count_nearer(message) < settings.min_directions:
+            entered.pop(topic, None)
+        elif topic not in entered:
+            entered[topic] = time
+        else:
+            first = min(entered, key=lambda one: entered[one])
+            return EmptyStart(_round_down(entered[first] - settings.entry_margin), entered[first], first)
+    return None
+
+
+def _round_down(time: float) -> float:
+    """A time to tenths of a second, as it is written in rig.yaml."""
+    return float(np.floor(10 * time)) / 10
+
+
+def _is_uncovered_later(recording: Recording, topics: Sequence[str], settings: EmptyStartSettings) -> bool:
+    """Whether a scanner later measures beyond what was in its view at the start, in most of the recording."""
+    references: dict[str, _Reference] = {}
+    beyond: dict[str, list[bool]] = {topic: [] for topic in topics}
+    interval = (recording.end - recording.start) / settings.later_messages
+    due = dict.fromkeys(topics, recording.start + settings.reference_duration)
+    for record in recording.records(topics):
+        topic = record.topic
+        if topic not in references or record.arrival < recording.start + settings.reference_duration:
+            references.setdefault(topic, _Reference(settings)).add(record.decode())
+        elif record.arrival >= due[topic]:
+            due[topic] = record.arrival + interval
+            beyond[topic].append(references[topic].count_beyond(record.decode()) >= settings.min_directions)
+    return any(np.mean(found) > settings.max_uncovered_share for found in beyond.values() if found)
