@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from calgraph.geometry import Array, se2, so3
 from calgraph.simulation.network_beams import ScanPlane
@@ -13,6 +14,8 @@ _UPSIDE_DOWN = so3.exp(np.array([np.pi, 0.0, 0.0]))
 _MODELS = ((1.0, 1.0, 1.0), (2.0, 0.75, 1.5), (0.6, 1.5, 0.8))
 """Rate, resolution and range of mixed scanners over those stated."""
 _PPM = 1e-6
+_MAX_DEVIATIONS = 2.0
+"""Errors are normal and cut off at this many standard deviations, so that no draw is absurd."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +186,9 @@ def _add_errors(
 ) -> tuple[StationaryScanner, ...]:
     errors, count = scenario.errors, len(scanners)
     # Everything is drawn whether or not it is used, so that each error is the same beside any other.
-    bias, range_scale, angle_scale, drift = rng.standard_normal((4, count))
-    tilts, heights = rng.standard_normal((count, 2)), rng.uniform(-1, 1, count)
+    low, high = norm.cdf([-_MAX_DEVIATIONS, _MAX_DEVIATIONS]).tolist()
+    bias, range_scale, angle_scale, drift, *tilts = norm.ppf(rng.uniform(low, high, (6, count)))
+    heights = rng.uniform(-1, 1, count)
     drift[scenario.names.index(root)] = 0.0
     others = rng.permutation([k for k in range(count) if scenario.names[k] != root])
     inverted = others[: errors.inverted]
@@ -197,7 +201,7 @@ def _add_errors(
             range_scale=float(errors.range_scale * range_scale[k]),
             angle_scale=float(errors.angle_scale * angle_scale[k]),
             clock_drift=float(_PPM * errors.clock_drift * drift[k]),
-            tilt=(float(np.radians(errors.tilt) * tilts[k, 0]), float(np.radians(errors.tilt) * tilts[k, 1])),
+            tilt=(float(np.radians(errors.tilt) * tilts[0][k]), float(np.radians(errors.tilt) * tilts[1][k])),
             height=float(scanner.height + errors.height * heights[k]),
             inverted=k in inverted,
         )

@@ -140,7 +140,10 @@ class PeopleOptions(StrictModel):
 
 
 class NetworkErrors(StrictModel):
-    """What scanners do and rig.yaml does not state. All are drawn per scanner, the root included."""
+    """What scanners do and rig.yaml does not state. All are drawn per scanner, the root included.
+
+    Those with a standard deviation are normal and at most twice that.
+    """
 
     range_bias: NotNegative = 0.0
     """Standard deviation of the constant error of ranges, m."""
