@@ -27,7 +27,7 @@ from calgraph.captures import (
     resolve_background,
 )
 from calgraph.config import CameraSpec, Cylinder, People, Rig
-from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate
+from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate, include_drifts
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import (
     Problem,
@@ -183,13 +183,14 @@ def solve_problem(problem: Problem) -> Calibration:
     )
     if joint.solved_bundle is None:
         return assemble_rig(problem, tree, joint)
-    rig, folds = problem.rig, problem.solver.folds
+    rig, folds, solved = problem.rig, problem.solver.folds, joint.solved_bundle
     settings = rig.settings.diagnostics
-    held_out = cross_validate(joint.solved_bundle, folds, settings.rig) if folds else {}
+    held_out = cross_validate(solved, folds, settings.rig) if folds else {}
+    joint = include_drifts(joint, solved, settings.drifts)
     # Candidate board poses are sampled with a fixed seed: the result hardly depends on the sample.
     return add_suggestions(
         assemble_rig(problem, tree, joint, held_out),
-        joint.solved_bundle,
+        solved,
         rig.board_size,
         np.random.default_rng(0),
         rig.tolerance,

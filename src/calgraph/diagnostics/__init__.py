@@ -19,6 +19,7 @@ from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
 from calgraph.diagnostics.rig.cross_validation import cross_validate
+from calgraph.diagnostics.rig.drift_tests import include_drifts
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.diagnostics.verdict import axis_names
@@ -28,5 +29,6 @@ __all__ = [
     "SensorComparison", "add_suggestions", "assemble_network", "assemble_rig", "axis_names",
     "bootstrap_poses", "build_consistent_prior", "compare_network_poses", "compare_rig_poses",
     "cross_validate",
-    "describe_bumps", "extract_earlier_poses", "find_bumps", "merge_calibrations", "remove_scanners",
+    "describe_bumps", "extract_earlier_poses", "find_bumps", "include_drifts", "merge_calibrations",
+    "remove_scanners",
 ]  # fmt: skip

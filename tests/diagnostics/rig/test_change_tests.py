@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.rig.change_tests import _compare_halves, _squared_distance, find_changes
 from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
@@ -74,13 +75,15 @@ def test_covariances_of_differences_hold() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_halves_of_right_recordings_agree(seed: int) -> None:
     exact = scene(boards=BOARDS)
-    assert list(find_changes(solve(exact, exact.measured(np.random.default_rng(seed))), 1e-3)) == []
+    assert (
+        list(find_changes(solve(exact, exact.measured(np.random.default_rng(seed))), DiagnosticsSettings())) == []
+    )
 
 
 def test_a_sensor_that_moved_is_named(rng: np.random.Generator) -> None:
     exact = scene(boards=BOARDS)
     step = np.array([0.03, 0, 0, 0, 0, 0.03 / LEVER])
-    found = list(find_changes(solve(exact, displaced(exact, exact.measured(rng), 2, step)), 1e-3))
+    found = list(find_changes(solve(exact, displaced(exact, exact.measured(rng), 2, step)), DiagnosticsSettings()))
     # The boards that it displaces may make others suspect as well.
     assert ("laser",) in [one.sensors for one in found]
 
@@ -92,7 +95,7 @@ def test_a_drift_is_named_with_its_size(rng: np.random.Generator) -> None:
     T = relative_poses(exact.truth.T_root_sensor[2], exact.truth.T_root_board[laser.board])
     drifted = [se3.retract(np.eye(4), s * np.array([0.04, 0, 0, 0, 0, 0])) for s in share[laser.board]]
     moved = remeasured(laser, se3.inverse(np.array(drifted)) @ T, rng, 0.0)
-    findings = find_changes(solve(exact, replace(bundle, views=(*bundle.views[:2], moved))), 1e-3)
+    findings = find_changes(solve(exact, replace(bundle, views=(*bundle.views[:2], moved))), DiagnosticsSettings())
     (found,) = [one for one in findings if one.sensors == ("laser",)]
     size = float(found.text.removeprefix("the pose of laser drifts by ").split(maxsplit=1)[0])
     assert 25 < size < 60

@@ -26,6 +26,7 @@ from calgraph.config.settings.detection import (
 from calgraph.config.settings.diagnostics import (
     BumpTestSettings,
     DiagnosticsSettings,
+    DriftTestSettings,
     NetworkDiagnosticsSettings,
     RigDiagnosticsSettings,
     VerdictSettings,
@@ -89,6 +90,7 @@ __all__ = [
     "ClusterSettings",
     "DetectionSettings",
     "DiagnosticsSettings",
+    "DriftTestSettings",
     "EllipseSettings",
     "EmptyStartSettings",
     "EstimationSettings",

@@ -138,6 +138,28 @@ class BumpTestSettings(StrictModel):
     """Most steps found in a recording; 0 does not search."""
 
 
+class DriftTestSettings(StrictModel):
+    """Linear changes of the poses of a rig's sensors in the course of the captures."""
+
+    translation: float = Field(default=1e-4, gt=0)
+    """m; least standard deviation of the drift of each sensor, along each axis: aluminium of 1 m that warms by 4 K
+    expands by 0.1 mm."""
+    rotation: float = Field(default=float(np.radians(0.01)), gt=0)
+    """rad (0.01°); the same about each axis: 0.1 mm over 0.6 m, the distance of a bracket's screws from its end.
+    Drifts of this size and more that no test can find are an error of the pose at the end of the recording."""
+    false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
+    """Probability with which a sensor that rests is said to drift; a false alarm makes a good result weak, so that
+    1 in 1000 sensors is rare enough."""
+    trigger_probability: float = Field(default=0.1, gt=0, lt=1)
+    """Probability with which a recording without drifts is tested with variances that are estimated beside drifts,
+    which takes as long as a third of its solution."""
+    max_rounds: int = Field(default=4, ge=1)
+    """Rounds of estimating these variances; they start at those of the solution."""
+    indistinguishable_ratio: float = Field(default=1e4, gt=1)
+    """Sensors whose drifts have a likelihood smaller than the largest by less than this factor are all named, as
+    with bumps."""
+
+
 class NetworkDiagnosticsSettings(StrictModel):
     """Tests of a network's calibration."""
 
@@ -159,5 +181,6 @@ class DiagnosticsSettings(StrictModel):
 
     verdict: VerdictSettings = VerdictSettings()
     bumps: BumpTestSettings = BumpTestSettings()
+    drifts: DriftTestSettings = DriftTestSettings()
     rig: RigDiagnosticsSettings = RigDiagnosticsSettings()
     network: NetworkDiagnosticsSettings = NetworkDiagnosticsSettings()

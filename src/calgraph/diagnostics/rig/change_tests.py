@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.rig.drift_tests import find_drifts, measure_drifts
 from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, pose_jacobian
+from calgraph.estimation.rig.bundle_solver import pose_jacobian
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 
@@ -20,7 +22,7 @@ from calgraph.geometry import Array
 _RANK_TOLERANCE = 1e-12
 
 
-def find_changes(solved: SolvedBundle, false_alarm_probability: float) -> Iterator[Finding]:
+def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterator[Finding]:
     """Sensors whose poses drift, or differ between halves of the captures, by more than their covariances allow.
 
     Halves are the first and the second half in time, and captures of even and odd number. Their solutions are
@@ -29,18 +31,18 @@ def find_changes(solved: SolvedBundle, false_alarm_probability: float) -> Iterat
 
     Args:
         solved: the solution of all captures.
-        false_alarm_probability: of the test of one sensor and one pair of halves.
+        settings: of drifts, and the false-alarm probability of one sensor and one pair of halves.
     """
     bundle, minimized = solved.bundle, solved.minimized
+    confidence = 1 - settings.verdict.false_alarm_probability
     H, g, _ = minimized.equations.eliminate_boards()
     by_board = information_by_board(bundle, minimized.equations), gradient_by_board(bundle, minimized.equations)
     prior = H - by_board[0].sum(axis=0), g - by_board[1].sum(axis=0)
     order = np.unique(solved.captures, return_inverse=True)[1]
     count = int(order.max(initial=-1)) + 1
     axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
-    time = order / max(count - 1, 1)
     named: set[str] = set()
-    for drift in _find_drifts(bundle, minimized.state, H, by_board, time, false_alarm_probability):
+    for drift in find_drifts(measure_drifts(solved, settings.drifts), settings.drifts):
         named.update(drift.sensors)
         yield drift
     halves: Mapping[str, NDArray[np.bool_]] = {
@@ -55,7 +57,7 @@ def find_changes(solved: SolvedBundle, false_alarm_probability: float) -> Iterat
             off, C = J @ difference, J @ covariance @ J.T
             squared, freedom = _squared_distance(off, C)
             # The variances of view biases have about as many degrees of freedom as there are captures.
-            if squared > freedom * fdtri(freedom, count, 1 - false_alarm_probability):
+            if squared > freedom * fdtri(freedom, count, confidence):
                 named.add(name)
                 mm, degrees = 1000 * np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))
                 yield Finding(
@@ -64,51 +66,6 @@ def find_changes(solved: SolvedBundle, false_alarm_probability: float) -> Iterat
                     "recording; fix sensors, lenses and board, hold the board still, and record again",
                     (name,),
                 )
-
-
-def _find_drifts(
-    bundle: Bundle,
-    state: BundleState,
-    H: Array,
-    by_board: tuple[Array, Array],
-    time: Array,
-    false_alarm_probability: float,
-) -> Iterator[Finding]:
-    """Sensors whose pose changes linearly in the course of the captures: a score test of its slope.
-
-    In contrast to halves, systematic parameters and the other sensors' poses stay the same, so that smaller
-    changes show. Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters", 1948.
-
-    Args:
-        bundle: the observations.
-        state: the solution.
-        H: (G, G) its information.
-        by_board: information (C, G, G) and gradient (C, G) of each board.
-        time: (C,) of each board, from 0 to 1.
-        false_alarm_probability: of the test of one sensor.
-    """
-    information, gradient = by_board
-    weight = time - 0.5
-    weighted = np.tensordot(weight, information, axes=1)
-    squared_weights = np.tensordot(weight**2, information, axes=1)
-    V, count = np.linalg.inv(H), len(np.unique(time))
-    covariance = squared_weights - weighted @ V @ weighted
-    score = weight @ gradient
-    J = pose_jacobian(bundle, state).reshape(len(bundle.sensors), 6, -1)
-    for s, name in enumerate(bundle.sensors):
-        if not len(columns := bundle.pose_columns(s)):
-            continue
-        of_pose = covariance[np.ix_(columns, columns)]
-        squared, freedom = _squared_distance(score[columns], of_pose)
-        if squared > freedom * fdtri(freedom, count, 1 - false_alarm_probability):
-            slope = -J[s][:, columns] @ np.linalg.pinv(of_pose) @ score[columns]
-            mm, degrees = 1000 * np.linalg.norm(slope[:3]), np.degrees(np.linalg.norm(slope[3:]))
-            yield Finding(
-                f"the pose of {name} drifts by {mm:.1f} mm and {degrees:.2f}° in the course of the captures, "
-                f"{np.sqrt(squared / freedom):.1f} times what noise explains: fix it and the root, and record "
-                "again",
-                (name,),
-            )
 
 
 def _compare_halves(

@@ -36,7 +36,7 @@ def find_contradictions(
         *find_systematic_errors(solved, rig, settings.rig),
         *find_excessive_noise(solution, kinds, settings.rig),
         *find_lost_captures(captures, solved, settings.rig),
-        *find_changes(solved, settings.verdict.false_alarm_probability),
+        *find_changes(solved, settings),
         *_find_poor_predictions(held_out, settings.rig),
         *_find_optimistic_covariances(solved, kinds, settings.rig),
     )

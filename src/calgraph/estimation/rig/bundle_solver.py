@@ -338,7 +338,7 @@ def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, A
     by_sensor_pose, by_board_pose = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
     pose_size = len(bundle.pose_columns(sensor))
     J_sensor, J_board = np.zeros((count, 6 + extra, pose_size + extra)), np.zeros((count, 6 + extra, 6))
-    J_sensor[:, :6, :pose_size] = (by_sensor_pose @ _body_jacobian(bundle, state, sensor))[..., :pose_size]
+    J_sensor[:, :6, :pose_size] = (by_sensor_pose @ body_jacobian(bundle, state, sensor))[..., :pose_size]
     J_sensor[:, 6:, pose_size:] = np.eye(extra)
     J_board[:, :6] = by_board_pose
     return J_sensor, J_board
@@ -348,7 +348,7 @@ def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array
     """The state after steps (G,) of the sensors and (C, 6) of the boards, along the root's fixed axes."""
     T = state.T_root_sensor.copy()
     for s in np.flatnonzero(bundle.body > 0):
-        J = _body_jacobian(bundle, state, int(s))
+        J = body_jacobian(bundle, state, int(s))
         T[s] = se3.retract(T[s], J @ step[bundle.pose_columns(int(s))])
     extra = state.extra + step[len(step) - len(state.extra) :]
     return BundleState(_restore_rigid_groups(bundle, state, T), se3.retract(state.T_root_board, boards), extra)
@@ -358,11 +358,11 @@ def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
     """(S·6, G) derivatives of all poses, in the root's fixed axes, by the reduced problem's parameters."""
     J = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
     for s in np.flatnonzero(bundle.body > 0):
-        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = _body_jacobian(bundle, state, int(s))
+        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = body_jacobian(bundle, state, int(s))
     return J
 
 
-def _body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
+def body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
     """(6, 6) derivative of a sensor's pose by that of its body, which is the pose of its first sensor."""
     first = int(np.flatnonzero(bundle.body == bundle.body[sensor])[0])
     J = np.eye(6)
@@ -394,7 +394,7 @@ def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H:
     error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
     J = np.eye(6)
     J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
-    J = J @ _body_jacobian(bundle, state, prior.sensor)
+    J = J @ body_jacobian(bundle, state, prior.sensor)
     if len(columns := bundle.pose_columns(prior.sensor)):
         H[np.ix_(columns, columns)] += J.T @ prior.information @ J
         g[columns] += J.T @ prior.information @ error

@@ -1,0 +1,244 @@
+"""Drifts: poses of sensors that change linearly in the course of the captures.
+
+Drifts that are significant are named. Smaller ones are part of the covariance: the pose at the end of a recording
+differs from the estimated one, which is that in its middle, by half the drift.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri, fdtri
+
+from calgraph.config.settings import DriftTestSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.estimation.rig.bundle_solver import (
+    Bundle,
+    BundleEquations,
+    BundleState,
+    MinimizedBundle,
+    SystematicParameter,
+    body_jacobian,
+    linearize_bundle,
+    pose_jacobian,
+)
+from calgraph.estimation.rig.covariances import view_covariance_factors
+from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
+from calgraph.estimation.rig.variance_components import update_variance_components
+from calgraph.geometry import Array, se3, se_n, so3
+
+# Prior information (m⁻², rad⁻²) on a drift: makes directions that no view measures invertible.
+_DRIFT_PRIOR_INFORMATION = 1e-3
+# Grid of scales of the prior of drifts, from that of the settings up to a hundred times as much: 1° and 10 mm.
+_SCALES = np.geomspace(1, 100, 40)
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """The drift of a body as if no other drifts."""
+
+    change: Array
+    """(6,) of the pose of its first sensor in the course of the captures, in the root's fixed axes."""
+    covariance: Array
+    """(6, 6)."""
+    squared: float
+    """Squared Mahalanobis distance from no drift: χ² with six degrees of freedom without one."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriftStatistics:
+    """Score statistics of the drifts of all bodies, the root's first: rigid groups, and sensors outside of them.
+
+    Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters", 1948.
+    """
+
+    bodies: tuple[tuple[str, ...], ...]
+    """(B,) the sensors of each."""
+    information: Array
+    """(B·6, B·6) on their drifts; singular, as a common drift of all is one of the boards."""
+    score: Array
+    """(B·6,) gradient of the cost without drifts."""
+    influence: Array
+    """(B·6, G) derivatives of the parameters of a bundle, estimated without drifts, by drifts."""
+    captures: int
+    """Number of captures."""
+
+    def drift(self, body: int) -> Drift:
+        """The drift of a body."""
+        rows = slice(6 * body, 6 * body + 6)
+        covariance = np.asarray(np.linalg.inv(self.information[rows, rows]), dtype=np.float64)
+        change = -covariance @ self.score[rows]
+        return Drift(change, covariance, -float(self.score[rows] @ change))
+
+    def beside(self, body: int) -> "DriftStatistics":
+        """The statistics beside the drift of a body, which has none any more."""
+        rows = slice(6 * body, 6 * body + 6)
+        gain = self.information[:, rows] @ np.linalg.inv(self.information[rows, rows])
+        information = self.information - gain @ self.information[rows]
+        information[rows, rows] += self.information[rows, rows]
+        return replace(self, information=information, score=self.score - gain @ self.score[rows])
+
+    def limit(self, false_alarm_probability: float) -> float:
+        """Of a body's squared distance: variances of view biases have about as much freedom as captures."""
+        return 6 * float(fdtri(6, self.captures, 1 - false_alarm_probability))
+
+
+def measure_drifts(solved: SolvedBundle, settings: DriftTestSettings) -> DriftStatistics:
+    """The statistics of a solution.
+
+    Its variances contain the effect of drifts: where one may be significant, they are estimated anew beside them.
+    """
+    bundle, state = solved.bundle, solved.minimized.state
+    order = np.unique(solved.captures, return_inverse=True)[1]
+    time = order / max(int(order.max(initial=0)), 1) - 0.5
+    statistics = _score_drifts(bundle, solved.minimized, time)
+    bodies = range(len(statistics.bodies))
+    trigger = chdtri(6, settings.trigger_probability / len(bodies))
+    if max(statistics.drift(body).squared for body in bodies) <= trigger:
+        return statistics
+    for _ in range(settings.max_rounds):
+        bundle, change = _update_variances_beside_drifts(bundle, state, time)
+        if change < bundle.settings.variances.max_settled_change:
+            break
+    return _score_drifts(bundle, _linearize(bundle, state), time)
+
+
+def find_drifts(statistics: DriftStatistics, settings: DriftTestSettings) -> Iterator[Finding]:
+    """Significant drifts, the most significant one first; each is searched beside those before it."""
+    bodies = statistics.bodies
+    for _ in bodies[1:]:
+        drifts = [statistics.drift(body) for body in range(len(bodies))]
+        largest = max(drifts, key=lambda drift: drift.squared)
+        if largest.squared <= statistics.limit(settings.false_alarm_probability):
+            return
+        least = largest.squared - 2 * np.log(settings.indistinguishable_ratio)
+        likely = [sensors for sensors, drift in zip(bodies, drifts, strict=True) if drift.squared >= least]
+        names = " or ".join(" and ".join(sensors) for sensors in likely)
+        which = ", these captures cannot tell which," if len(likely) > 1 else ""
+        mm, degrees = 1000 * np.linalg.norm(largest.change[:3]), np.degrees(np.linalg.norm(largest.change[3:]))
+        yield Finding(
+            f"the pose of {names}{which} drifts by {mm:.1f} mm and {degrees:.2f}° in the course of the captures, "
+            f"{np.sqrt(largest.squared / 6):.1f} times what noise explains: fix it to the robot, and record again",
+            tuple(name for sensors in (bodies if bodies[0] in likely else likely) for name in sensors),
+        )
+        statistics = statistics.beside(drifts.index(largest))
+
+
+def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: DriftTestSettings) -> RigSolution:
+    """The solution with covariances of the poses at the end of the recording, after drifts of all bodies.
+
+    Drifts of a body have a normal prior of mean zero. Its standard deviations are those of the settings or, if
+    the recording makes larger ones more likely, the most likely multiple of them. Their second moments, given the
+    recording, add to the covariance by the error that a drift causes: half of it, as the estimated pose is that in
+    the middle of the recording, and less or more where captures are not distributed evenly. A drift of the root
+    moves all others.
+
+    Source: Efron and Morris, "Stein's estimation rule and its competitors: an empirical Bayes approach", 1973.
+    """
+    bundle, state = solved.bundle, solved.minimized.state
+    prior = np.diag(np.repeat([settings.translation**2, settings.rotation**2], 3))
+    covariance, statistics = solution.joint_covariance.copy(), measure_drifts(solved, settings)
+    of_estimate = pose_jacobian(bundle, state) @ statistics.influence.T
+    for body in range(len(statistics.bodies)):
+        at_end = np.zeros((len(bundle.sensors), 6, 6))
+        for s in np.flatnonzero(bundle.body == body if body else bundle.body > 0).tolist():
+            at_end[s] = body_jacobian(bundle, state, s) if body else -_displacement_with_root(state, s)
+        error = of_estimate[:, 6 * body : 6 * body + 6] - at_end.reshape(-1, 6) / 2
+        covariance += error @ _second_moment(statistics.drift(body), prior) @ error.T
+    return replace(solution, joint_covariance=covariance)
+
+
+def _displacement_with_root(state: BundleState, sensor: int) -> Array:
+    """(6, 6) that of a point of the root's body at the sensor, by that of the root."""
+    J = np.eye(6)
+    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3])
+    return J
+
+
+def _second_moment(drift: Drift, prior: Array) -> Array:
+    """Second moment (6, 6) of a drift, given the recording, for the most likely multiple of its prior."""
+    multiples = _SCALES[:, None, None] ** 2 * prior
+    marginal = multiples + drift.covariance
+    squared = (
+        np.linalg.solve(marginal, np.tile(drift.change, (len(marginal), 1))[..., None])[..., 0] @ drift.change
+    )
+    T = multiples[int(np.argmin(np.linalg.slogdet(marginal)[1] + squared))]
+    gain = T @ np.linalg.inv(T + drift.covariance)
+    mean = gain @ drift.change
+    return np.asarray(np.outer(mean, mean) + T - gain @ T)
+
+
+def _linearize(bundle: Bundle, state: BundleState) -> MinimizedBundle:
+    return MinimizedBundle(state, linearize_bundle(bundle, state), 0, converged=True)
+
+
+def _score_drifts(bundle: Bundle, solution: MinimizedBundle, time: Array) -> DriftStatistics:
+    """The statistics with the variances of the bundle; ``time`` (C,) of each board is from -1/2 to 1/2."""
+    bodies = bundle.body_count + 1
+    _, equations = _add_drifts(bundle, solution, time, range(bodies))
+    H, g, _ = equations.eliminate_boards()
+    G = bundle.parameter_count
+    gain = H[G:, :G] @ np.linalg.inv(H[:G, :G])
+    information = H[G:, G:] - gain @ H[:G, G:] + _DRIFT_PRIOR_INFORMATION * np.eye(6 * bodies)
+    sensors = [tuple(n for n, b in zip(bundle.sensors, bundle.body, strict=True) if b == i) for i in range(bodies)]
+    return DriftStatistics(
+        tuple(sensors), (information + information.T) / 2, g[G:] - gain @ g[:G], gain, len(np.unique(time))
+    )
+
+
+def _update_variances_beside_drifts(bundle: Bundle, state: BundleState, time: Array) -> tuple[Bundle, float]:
+    """The bundle after one update of the sensors' variances with drifts, to first order, and the largest change.
+
+    The root does not drift here, as all may drift relative to it.
+    """
+    solution = _linearize(bundle, state)
+    drifting, equations = _add_drifts(bundle, solution, time, range(1, bundle.body_count + 1))
+    (step, boards), _ = equations.solve(0.0)
+    views = []
+    for k, (of_views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
+        moved = at.J_sensor @ step[drifting.columns(k)] + (at.J_board @ boards[of_views.board, :, None])[..., 0]
+        views.append(replace(at, gradient=at.gradient + (at.information @ moved[..., None])[..., 0]))
+    equations = replace(equations, views=tuple(views))
+    factors = view_covariance_factors(drifting, equations)[: len(bundle.sensors)]
+    return update_variance_components(bundle, replace(solution, equations=equations), factors)
+
+
+def _add_drifts(
+    bundle: Bundle, solution: MinimizedBundle, time: Array, bodies: range
+) -> tuple[Bundle, BundleEquations]:
+    """The bundle and its equations with the drifts of some bodies as parameters, which come last."""
+    state, equations, G = solution.state, solution.equations, bundle.parameter_count
+    count, size = len(state.T_root_board), G + 6 * len(bodies)
+    H, g, H_board_sensor = np.zeros((size, size)), np.zeros(size), np.zeros((count, 6, size))
+    H[:G, :G], g[:G], H_board_sensor[..., :G] = equations.H, equations.g, equations.H_board_sensor
+    all_views = list(equations.views)
+    for k, (of_views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
+        s = bundle.sensor_of(k)
+        if (body := int(bundle.body[s])) not in bodies:
+            continue
+        T_root_sensor = np.broadcast_to(state.T_root_sensor[s], (len(of_views.board), 4, 4))
+        by_pose, _ = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[of_views.board])
+        J = at.local_jacobian[..., :6] @ by_pose @ body_jacobian(bundle, state, s)
+        J = time[of_views.board, None, None] * J
+        JtA = se_n.transpose(J) @ at.information
+        rows, columns = G + 6 * bodies.index(body) + np.arange(6), bundle.columns(k)
+        H[np.ix_(rows, rows)] += (JtA @ J).sum(axis=0)
+        by_parameters = (JtA @ at.J_sensor).sum(axis=0)
+        H[np.ix_(rows, columns)] += by_parameters
+        H[np.ix_(columns, rows)] += by_parameters.T
+        g[rows] += (se_n.transpose(J) @ at.gradient[..., None]).sum(axis=0)[:, 0]
+        H_board_sensor[np.ix_(of_views.board, np.arange(6), rows)] += se_n.transpose(JtA @ at.J_board)
+        all_views[k] = replace(at, J_sensor=np.concatenate([at.J_sensor, J], axis=-1))
+    parameters = tuple(
+        SystematicParameter(bundle.sensors[0], "drift", "", np.inf, _views_of_body(bundle, body))
+        for body in bodies
+        for _ in range(6)
+    )
+    return replace(bundle, extra_parameters=(*bundle.extra_parameters, *parameters)), replace(
+        equations, views=tuple(all_views), H=H, g=g, H_board_sensor=H_board_sensor
+    )
+
+
+def _views_of_body(bundle: Bundle, body: int) -> tuple[int, ...]:
+    """Indices of the view sets of a body's sensors."""
+    return tuple(k for k in range(len(bundle.all_views)) if bundle.body[bundle.sensor_of(k)] == body)

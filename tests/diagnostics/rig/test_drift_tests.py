@@ -1,0 +1,129 @@
+"""Drifts: how often they are named, and what they add to covariances."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from bundle_scenes import bias_variances, remeasured, scene
+from calgraph.config.settings import DriftTestSettings
+from calgraph.diagnostics.rig.drift_tests import find_drifts, include_drifts, measure_drifts
+from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
+from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
+from calgraph.geometry import Array, se3
+
+SETTINGS = DriftTestSettings()
+BOARDS = 30
+SCENE = scene(boards=BOARDS)
+SENSORS = SCENE.bundle.sensors
+VIEW_BIAS = 2e-3
+DIRECTION = np.array([0.0, 0.004, 0.0, 0.004, 0.0, 0.002])
+NO_DRIFT = np.zeros(6)
+
+
+def drifting(seed: int, sensor: int = 0, drift: Array = NO_DRIFT) -> SolvedBundle:
+    """The solution of a recording in which the pose of a sensor changes by (6,)."""
+    rng = np.random.default_rng(seed)
+    bundle = replace(
+        SCENE.measured(rng, view_bias=VIEW_BIAS), bias_variance=bias_variances(len(SENSORS), VIEW_BIAS)
+    )
+    if drift.any():
+        time = np.linspace(0, 1, BOARDS)[:, None]
+        T_root_sensor = se3.retract(np.tile(SCENE.truth.T_root_sensor[sensor], (BOARDS, 1, 1)), time * drift)
+        T = se3.retract(
+            se3.inverse(T_root_sensor) @ SCENE.truth.T_root_board, VIEW_BIAS * rng.normal(size=(BOARDS, 6))
+        )
+        views = list(bundle.views)
+        views[sensor] = remeasured(SCENE.bundle.views[sensor], T, rng, 1.0)
+        bundle = replace(bundle, views=tuple(views))
+    return solve(bundle)
+
+
+def solve(bundle: Bundle) -> SolvedBundle:
+    return SolvedBundle(bundle, minimize_bundle(bundle, SCENE.truth), np.arange(BOARDS))
+
+
+def covariances(solved: SolvedBundle) -> tuple[Array, Array]:
+    """(S·6, S·6) without and with drifts."""
+    covariance = pose_covariance(solved.bundle, solved.minimized.state, solved.minimized.equations)
+    poses = dict(zip(SENSORS, solved.minimized.state.T_root_sensor, strict=True))
+    solution = RigSolution("bundle", poses, covariance, {}, converged=True)
+    return covariance, include_drifts(solution, solved, SETTINGS).joint_covariance
+
+
+def test_the_statistic_without_a_drift_is_chi_squared() -> None:
+    # The camera measures all six parameters.
+    squares = [measure_drifts(drifting(seed), SETTINGS).drift(1).squared for seed in range(60)]
+    assert kstest(squares, chi2(6).cdf).pvalue > 1e-3
+
+
+def test_right_recordings_have_no_drift() -> None:
+    found = [list(find_drifts(measure_drifts(drifting(seed), SETTINGS), SETTINGS)) for seed in range(60)]
+    assert found.count([]) >= 59
+
+
+@pytest.mark.parametrize("sensor", [0, 1, 2])
+def test_a_drift_is_named(sensor: int) -> None:
+    statistics = measure_drifts(drifting(0, sensor, 5 * DIRECTION), SETTINGS)
+    first, *others = find_drifts(statistics, SETTINGS)
+    assert SENSORS[sensor] in first.sensors
+    assert not others
+    if sensor == 1:
+        drift = statistics.drift(sensor)
+        error = drift.change - 5 * DIRECTION
+        assert error @ np.linalg.solve(drift.covariance, error) < chi2.isf(1e-3, 6)
+
+
+def test_a_drift_of_the_root_makes_all_weak() -> None:
+    first, *_ = find_drifts(measure_drifts(drifting(0, 0, 5 * DIRECTION), SETTINGS), SETTINGS)
+    assert set(first.sensors) == set(SENSORS)
+
+
+def test_beside_a_drift_it_has_no_score() -> None:
+    statistics = measure_drifts(drifting(0, 1, DIRECTION), SETTINGS)
+    beside = statistics.beside(1)
+    assert beside.drift(1).squared < 1e-6 * statistics.drift(1).squared
+    # That of the other sensors is as in a joint solution of both.
+    rows = np.r_[6:18]
+    both = statistics.information[np.ix_(rows, rows)]
+    joint = statistics.score[rows] @ np.linalg.solve(both, statistics.score[rows])
+    assert statistics.drift(1).squared + beside.drift(2).squared == pytest.approx(joint)
+
+
+def test_covariances_hold_at_the_end_of_drifts_that_are_not_found() -> None:
+    outside = []
+    for seed in range(12):
+        for size in (0.3, 0.6, 1.0):
+            for sensor in (0, 1):
+                solved = drifting(seed, sensor, size * DIRECTION)
+                if list(find_drifts(measure_drifts(solved, SETTINGS), SETTINGS)):
+                    continue
+                _, covariance = covariances(solved)
+                end = SCENE.truth.T_root_sensor.copy()
+                end[sensor] = se3.retract(end[sensor], size * DIRECTION)
+                end = se3.inverse(end[0]) @ end
+                off = se3.difference(solved.minimized.state.T_root_sensor, end)[1:].ravel()
+                outside.append(np.max(np.abs(off) / np.sqrt(np.diag(covariance)[6:])))
+    assert len(outside) > 20
+    assert max(outside) < 5
+
+
+def test_right_recordings_keep_their_covariances() -> None:
+    ratios = []
+    for seed in range(20):
+        without, with_drifts = covariances(drifting(seed))
+        assert np.linalg.eigvalsh(with_drifts - without).min() > -1e-12
+        ratios.append(np.sqrt(np.diag(with_drifts)[6:] / np.diag(without)[6:]))
+    assert np.median(ratios) < 1.15
+
+
+def test_rigid_groups_do_not_drift_apart() -> None:
+    solved = drifting(0)
+    grouped = solve(replace(solved.bundle, body=np.array([0, 1, 1])))
+    statistics = measure_drifts(grouped, SETTINGS)
+    assert statistics.bodies == ((SENSORS[0],), SENSORS[1:])
+    _, covariance = covariances(grouped)
+    of_camera, of_laser = (covariance[6 * s + 3 : 6 * s + 6, 6 * s + 3 : 6 * s + 6] for s in (1, 2))
+    np.testing.assert_allclose(of_camera, of_laser, rtol=1e-6)
