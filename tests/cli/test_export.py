@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,29 +20,29 @@ def out(calibrated: tuple[Path, Result]) -> Path:
 
 
 def test_the_launch_file_is_python(run: Run, out: Path) -> None:
-    text = run("export", out, "--format", "launch").stdout
+    text = run("export", out, "--force", "--format", "launch").stdout
     assert [node.name for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)] == [
         "generate_launch_description"
     ]
 
 
 def test_a_calibration_yaml_serves_as_well_as_its_folder(run: Run, out: Path) -> None:
-    texts = [run("export", path, "-f", "tf").stdout for path in (out, out / "calibration.yaml")]
+    texts = [run("export", path, "-f", "tf", "--force").stdout for path in (out, out / "calibration.yaml")]
     assert texts[0] == texts[1]
 
 
 def test_tf_has_a_transform_for_each_sensor_but_the_root(run: Run, out: Path) -> None:
-    content = YAML(typ="safe").load(run("export", out, "-f", "tf").stdout)
+    content = YAML(typ="safe").load(run("export", out, "-f", "tf", "--force").stdout)
     assert {entry["child_frame_id"] for entry in content["transforms"]} == {"camera_optical", "laser_front"}
 
 
 def test_kalibr_takes_the_intrinsics_from_the_resolved_rig_beside_the_result(run: Run, out: Path) -> None:
-    content = YAML(typ="safe").load(run("export", out, "-f", "kalibr").stdout)
+    content = YAML(typ="safe").load(run("export", out, "-f", "kalibr", "--force").stdout)
     assert content["cam0"]["resolution"] == [480, 360]
 
 
 def test_a_given_rig_goes_before_the_one_beside_the_result(run: Run, out: Path, simulated: Path) -> None:
-    result = run("export", out, "-f", "kalibr", "--rig", simulated / "rig.yaml")
+    result = run("export", out, "--force", "-f", "kalibr", "--rig", simulated / "rig.yaml")
     assert result.exit_code == 2
     assert "the intrinsics of 'camera' are not known" in result.stderr
 
@@ -55,17 +56,25 @@ def test_json_holds_every_sensor(run: Run, out: Path) -> None:
 
 
 def test_a_new_urdf_has_a_link_for_each_frame(run: Run, out: Path) -> None:
-    robot = ElementTree.fromstring(run("export", out, "-f", "urdf").stdout.encode())
+    robot = ElementTree.fromstring(run("export", out, "-f", "urdf", "--force").stdout.encode())
     assert {link.get("name") for link in robot.iter("link")} == {"lidar", "camera_optical", "laser_front"}
 
 
 def test_a_given_urdf_is_corrected_in_a_file(run: Run, out: Path, tmp_path: Path) -> None:
-    new = run("export", out, "-f", "urdf").stdout
+    new = run("export", out, "-f", "urdf", "--force").stdout
     origin = new[new.index("<origin") : new.index("/>", new.index("<origin")) + 2]
     (tmp_path / "old.urdf").write_text(new.replace(origin, '<origin xyz="9 9 9" rpy="0 0 0"/>'))
-    result = run("export", out, "-f", "urdf", "--urdf", tmp_path / "old.urdf", "-o", tmp_path / "new.urdf")
+    result = run(
+        "export", out, "--force", "-f", "urdf", "--urdf", tmp_path / "old.urdf", "-o", tmp_path / "new.urdf"
+    )
     assert (result.exit_code, result.stdout) == (0, "")
     assert origin in (tmp_path / "new.urdf").read_text()
+
+
+def test_poses_that_are_not_good_are_refused_by_name(run: Run, out: Path, tmp_path: Path) -> None:
+    result = run("export", out, "-f", "tf", "-o", tmp_path / "tf.yaml")
+    assert (result.exit_code, (tmp_path / "tf.yaml").exists()) == (1, False)
+    assert re.search(r"calgraph: laser_front is weak: .*; give --force to export it as it is", result.stderr)
 
 
 def test_an_option_of_another_format_is_refused(run: Run, out: Path) -> None:
@@ -88,6 +97,6 @@ def test_a_folder_without_a_calibration_is_named(run: Run, tmp_path: Path) -> No
 
 
 def test_a_missing_urdf_is_named(run: Run, out: Path, tmp_path: Path) -> None:
-    result = run("export", out, "-f", "urdf", "--urdf", tmp_path / "none.urdf")
+    result = run("export", out, "--force", "-f", "urdf", "--urdf", tmp_path / "none.urdf")
     assert result.exit_code == 2
     assert result.stderr == f"calgraph: {tmp_path / 'none.urdf'}: cannot be read (No such file or directory)\n"

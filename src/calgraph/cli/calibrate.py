@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from calgraph.captures import resolve_background
-from calgraph.cli.common_options import JobsOption, Results, RigFile, WholeJson, available_cores
+from calgraph.cli.common_options import JobsOption, Results, RigFile, StrictOption, WholeJson, available_cores
 from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.progress import progress_bars
@@ -84,13 +84,15 @@ def calibrate(
         Path | None, typer.Option(metavar="FILE", help="Board: write what the solution is made from, for solve.")
     ] = None,
     overrides: SetOption = None,
+    strict: StrictOption = False,
     json: WholeJson = False,
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
 
     Writes calibration.yaml, report.html, captures.csv, scene.npz and rig.resolved.yaml into OUT.
 
-    Exit code 0: calibrated; 1: a sensor could not be (the others are written all the same); 2: bad input.
+    Exit code 0: calibrated; 1: a sensor could not be, or is weak and --strict is given (results are written all
+    the same); 2: bad input.
     """
     from calgraph import calibrate as story  # takes seconds, which --help should not
 
@@ -132,7 +134,7 @@ def calibrate(
             calibration = story.calibrate(rig, recording, options, progress)
             rig = resolve_intrinsics(rig, recording)
         write_results(calibration, rig, folder)
-    show_results(calibration, out, json=json)
+    show_results(calibration, out, json=json, strict=strict)
 
 
 def _check_unused(target: str, options: Mapping[str, object]) -> None:
@@ -158,26 +160,38 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_scene(calibration.pictures, folder / "scene.npz")
 
 
-def show_results(calibration: Calibration, out: Path, *, json: bool) -> None:
+def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:
     """Prints a calibration, as tables or as JSON.
 
     Raises:
-        CalibrationError: a sensor has no pose.
+        CalibrationError: as for :func:`fail_if_not_calibrated`.
     """
     if json:
         typer.echo(to_json(calibration))
     else:
         print_calibration(calibration)
         print_output_path(out)
-    fail_if_unconnected(calibration)
+    fail_if_not_calibrated(calibration, strict=strict)
 
 
-def fail_if_unconnected(calibration: Calibration) -> None:
-    """Says which sensors have no pose, and why.
+def fail_if_not_calibrated(calibration: Calibration, *, strict: bool = False) -> None:
+    """Names the sensors that are not calibrated: without a pose, or with one that is not observable.
+
+    Args:
+        calibration: the result.
+        strict: whether weak poses count as well.
 
     Raises:
         CalibrationError: there is one.
     """
     missing = [f"{name} is not calibrated: {reason}" for name, reason in calibration.evidence.unconnected.items()]
+    grades = {sensor.name: sensor.verdict.grade for sensor in calibration.sensors}
+    missing += [
+        f"{name} is not calibrated: its pose is not observable"
+        for name in grades
+        if grades[name] == "unobservable"
+    ]
+    if strict:
+        missing += [f"{name} is weak, which --strict refuses" for name in grades if grades[name] == "weak"]
     if missing:
         raise CalibrationError("\n".join(missing))

@@ -10,6 +10,7 @@ RigFile = Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, targ
 OneRecording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")]
 Results = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")]
 WholeJson = Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")]
+StrictOption = Annotated[bool, typer.Option("--strict", help="Exit with 1 if a pose is weak, too.")]
 JobsOption = Annotated[
     int | None, typer.Option("--jobs", min=1, help="People: number of worker processes; all cores if left out.")
 ]

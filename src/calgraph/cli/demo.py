@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.calibrate import fail_if_unconnected, write_results
+from calgraph.cli.calibrate import fail_if_not_calibrated, write_results
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.simulate_common import simulate_into
@@ -42,4 +42,4 @@ def demo(
     print_calibration(calibration)
     print_errors(calibration, truth.T_root_sensor)
     print_output_path(out / "result")
-    fail_if_unconnected(calibration)
+    fail_if_not_calibrated(calibration)

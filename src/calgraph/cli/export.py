@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 import typer
 
 from calgraph.config import Rig, load_rig
-from calgraph.errors import InputError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.io import write_text
 from calgraph.io.yaml_reading import read_text
+from calgraph.result import Calibration, load_calibration
 from calgraph.result import export as export_text
-from calgraph.result import load_calibration
 
 Format = Literal["launch", "tf", "urdf", "kalibr", "json"]
 
@@ -36,17 +36,26 @@ def export(
             help="kalibr: rig with the cameras' intrinsics; rig.resolved.yaml beside RESULT if left out.",
         ),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Export poses that are weak or not observable, too.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; stdout if left out.")
     ] = None,
 ) -> None:
-    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON."""
+    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.
+
+    Exit code 1: a pose is not good; give --force to export it as it is.
+    """
     for name, value, its_format in (("--urdf", urdf, "urdf"), ("--rig", rig, "kalibr")):
         if value and format != its_format:
             raise InputError(f"{name}: goes with --format {its_format}, got --format {format}")
     file = result / "calibration.yaml" if result.is_dir() else result
+    calibration = load_calibration(file)
+    if not force and format != "json":  # which states the verdicts
+        _check_poses_are_good(calibration)
     text = export_text(
-        load_calibration(file),
+        calibration,
         format,
         rig=_rig(rig, file) if format == "kalibr" else None,
         urdf=read_text(urdf) if urdf else None,
@@ -55,6 +64,17 @@ def export(
         write_text(out, text)
     else:
         typer.echo(text, nl=not text.endswith("\n"))
+
+
+def _check_poses_are_good(calibration: Calibration) -> None:
+    """Raises CalibrationError if a pose is not good."""
+    poor = [
+        f"{sensor.name} is {sensor.verdict.grade}: {sensor.verdict.reason}; give --force to export it as it is"
+        for sensor in calibration.sensors
+        if sensor.verdict.grade != "good"
+    ]
+    if poor:
+        raise CalibrationError("\n".join(poor))
 
 
 def _rig(given: Path | None, calibration: Path) -> Rig | None:

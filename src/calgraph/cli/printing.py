@@ -36,7 +36,7 @@ def print_calibration(calibration: Calibration) -> None:
             " ".join(f"{_format_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
             *_deviations(sensor),
             *([_clock(sensor)] if timed else []),
-            _GRADES[sensor.verdict.grade],
+            _GRADES[sensor.verdict.grade] if len(calibration.sensors) > 1 else "",
         )
     output.print(table)
     if any(_is_notable(one) for one in calibration.systematic):

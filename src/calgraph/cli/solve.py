@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
-from calgraph.cli.common_options import Results, WholeJson
+from calgraph.cli.common_options import Results, StrictOption, WholeJson
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.setting_options import SetOption, override_settings
 from calgraph.io import replace_folder_atomically
@@ -34,6 +34,7 @@ def solve(
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
     overrides: SetOption = None,
+    strict: StrictOption = False,
     json: WholeJson = False,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
@@ -57,4 +58,4 @@ def solve(
     with replace_folder_atomically(out) as folder:
         calibration = solve_problem(problem)
         write_results(calibration, problem.rig, folder)
-    show_results(calibration, out, json=json)
+    show_results(calibration, out, json=json, strict=strict)

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.cli.calibrate import fail_if_unconnected
+from calgraph.cli.calibrate import fail_if_not_calibrated
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
@@ -58,7 +58,7 @@ def verify(
     else:
         _print(scatter, kinds, rounds, confidence)
         print_remarks(calibration)
-    fail_if_unconnected(calibration)
+    fail_if_not_calibrated(calibration)
     optimistic = [name for name, found in scatter.items() if found.verdict == "optimistic"]
     if optimistic:
         raise CalibrationError(f"the covariance is optimistic: {', '.join(optimistic)}")
