@@ -15,18 +15,22 @@ from calgraph.config import People, RangeNoise
 from calgraph.config.settings import BaselineSettings, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs, scanner_pair
-from calgraph.pairwise.scanner_pair import (
+from calgraph.pairwise import (
+    ScannerPairEstimate,
+    estimate_scanner_pair,
+    estimate_scanner_pairs,
+    hypothesis_evidence,
+)
+from calgraph.pairwise.hypothesis_evidence import (
     PoseHypothesis,
-    _build_hypothesis,
     _count_by_chance,
-    _is_credible,
-    _ScannerData,
-    _select_distinct,
-    _subsample_pairs,
+    build_hypothesis,
+    is_credible,
+    select_distinct,
+    subsample_pairs,
 )
 from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
-from calgraph.pairwise.track_registration import TrackRegistration
+from calgraph.pairwise.track_registration import NuisancePrior, TrackRegistration
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import ScannerTracks, Track, track_scanner
@@ -349,13 +353,13 @@ def test_hypotheses_are_distinct_beyond_half_a_metre_or_eight_degrees(
 ) -> None:
     best = se2.pose(3.1, np.array([2.0, -1.0]))
     T = np.array([se2.retract(best, np.array(step)), best])
-    found = _select_distinct(T, np.array([0.4, 0.3]), 5, HypothesisSettings())
+    found = select_distinct(T, np.array([0.4, 0.3]), 5, HypothesisSettings())
     np.testing.assert_array_equal(found, T[[1, 0] if distinct else [1]])
 
 
 def test_the_distinct_hypotheses_of_least_cost_are_kept() -> None:
     T = se2.pose(np.zeros(4), np.array([[0.0, 0], [1, 0], [2, 0], [3, 0]]))
-    found = _select_distinct(T, np.array([0.4, 0.1, 0.3, 0.2]), 2, HypothesisSettings())
+    found = select_distinct(T, np.array([0.4, 0.1, 0.3, 0.2]), 2, HypothesisSettings())
     np.testing.assert_array_equal(found, T[[1, 3]])
 
 
@@ -367,14 +371,14 @@ def test_the_radius_of_matches_by_chance_contains_the_model_error(monkeypatch: p
         radii.append(radius)
         return np.zeros(len(x))
 
-    monkeypatch.setattr(scanner_pair, "_count_neighbours", count_none)
+    monkeypatch.setattr(hypothesis_evidence, "_count_neighbours", count_none)
     pairs = observe_walks([walk_along_curve(5.0)], np.random.default_rng(0), stated_sigma=0.03)
     fit = TrackRegistration(T_A_B, np.zeros(3), np.arange(len(pairs)), 0.07)
     _count_by_chance(fit, pairs, pairs.b, 4.0, 300)
     assert radii == pytest.approx([2 * np.sqrt(2 * 0.03**2 + 0.07**2)])
 
 
-def build_hypothesis(observations: int = 100, chance: float = 0.0, share: float = 1.0) -> PoseHypothesis:
+def with_matches(observations: int = 100, chance: float = 0.0, share: float = 1.0) -> PoseHypothesis:
     """With a model error that makes the weight of evidence of 100 matches as large as with the best tracks."""
     return PoseHypothesis(np.eye(3), np.eye(3), observations, chance, share, 0.0, 0.0, uses_background=False)
 
@@ -383,17 +387,17 @@ def build_hypothesis(observations: int = 100, chance: float = 0.0, share: float 
 def test_credible_matches_are_several_times_as_many_as_by_chance(chance: float, credible: bool) -> None:
     """100 matches, of which at most a third may be by chance."""
     settings = HypothesisSettings(min_chance_ratio=3.0)
-    assert _is_credible(build_hypothesis(chance=chance), 20, settings) == credible
+    assert is_credible(with_matches(chance=chance), 20, settings) == credible
 
 
 @pytest.mark.parametrize(("observations", "credible"), [(50, True), (49, False)])
 def test_credible_matches_last_for_the_least_time(observations: int, credible: bool) -> None:
-    assert _is_credible(build_hypothesis(observations), 50, HypothesisSettings()) == credible
+    assert is_credible(with_matches(observations), 50, HypothesisSettings()) == credible
 
 
 @pytest.mark.parametrize(("share", "credible"), [(0.41, True), (0.39, False)])
 def test_credible_matches_are_the_least_share_of_the_expected_ones(share: float, credible: bool) -> None:
-    assert _is_credible(build_hypothesis(share=share), 20, HypothesisSettings(min_matched_share=0.4)) == credible
+    assert is_credible(with_matches(share=share), 20, HypothesisSettings(min_matched_share=0.4)) == credible
 
 
 @pytest.mark.parametrize(("min_samples", "left"), [(100, 100), (101, 1000)])
@@ -403,7 +407,7 @@ def test_pairs_are_subsampled_if_enough_samples_are_left(min_samples: int, left:
         np.arange(1000), np.zeros(1000, np.intp), np.zeros((1000, 2)), np.zeros((1000, 2)),
         np.tile(np.eye(2), (1000, 1, 1)), 0.1,
     )  # fmt: skip
-    assert len(_subsample_pairs(pair_samples(walk, walk), 100, min_samples)) == left
+    assert len(subsample_pairs(pair_samples(walk, walk), 100, min_samples)) == left
 
 
 @pytest.mark.parametrize(("expected", "share"), [(20.0, 1.0), (160.0, 0.5)])
@@ -412,11 +416,11 @@ def test_the_matched_share_is_of_the_expected_matches_and_one_at_most(
 ) -> None:
     """80 matches at twice the interval of the ticks."""
     pairs = observe_walks([walk_along_curve(10.0)], np.random.default_rng(0))
-    monkeypatch.setattr(scanner_pair, "_count_expected", lambda *_: expected)
-    monkeypatch.setattr(scanner_pair, "_count_by_chance", lambda *_: 10.0)
+    monkeypatch.setattr(hypothesis_evidence, "count_expected", lambda *_: expected)
+    monkeypatch.setattr(hypothesis_evidence, "_count_by_chance", lambda *_: 10.0)
     fit = TrackRegistration(T_A_B, np.zeros(3), np.arange(80), 0.07)
-    data = _ScannerData.from_tracks(ScannerTracks((), NO_BACKGROUND, 0.01), ScannerPairSettings())
-    found = _build_hypothesis(fit, pairs, data, data, 2 * len(pairs), 0.1, ScannerPairSettings())
+    prior = NuisancePrior(0.1, 0.1)
+    found = build_hypothesis(fit, pairs, pairs.a, pairs.b, 2 * len(pairs), prior, ScannerPairSettings())
     assert found.matched_share == share
     assert (found.observations, found.chance_observations) == (160, 20.0)
 

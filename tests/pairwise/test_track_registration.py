@@ -8,8 +8,8 @@ import pytest
 import track_pairs
 from calgraph.config.settings import HypothesisSettings, ProposalSettings, RegistrationSettings, ResamplingSettings
 from calgraph.geometry import Array, invert_2x2, se2
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.pose_hypotheses import propose_poses
-from calgraph.pairwise.scanner_pair import PoseHypothesis
 from calgraph.pairwise.synchronized_tracks import (
     SimultaneousPairs,
     TrackSamples,
@@ -17,12 +17,12 @@ from calgraph.pairwise.synchronized_tracks import (
     resample_tracks,
 )
 from calgraph.pairwise.track_registration import (
+    NuisancePrior,
     TrackRegistration,
     _associate,
-    _build_prior,
     _mahalanobis2,
     compute_pose_costs,
-    compute_registration_information,
+    compute_registration_covariance,
     estimate_correlation_time,
     register_tracks,
     rigid_motion_covariance,
@@ -32,6 +32,8 @@ from calgraph.tracking import ScannerTracks, Track
 NEAR_POSE = se2.retract(track_pairs.T_A_B, np.array([0.05, -0.04, 0.02]))
 T_A_B = se2.pose(0.7, np.array([1.5, -0.8]))
 SETTINGS = RegistrationSettings()
+PRIOR = NuisancePrior(0.01, 0.03)
+TIGHT = NuisancePrior(1e-6, 1e-6)
 
 
 def position(t: Array) -> Array:
@@ -62,7 +64,7 @@ def simultaneous(delay: float = 0.0, near: float = 0.0, count: int = 300) -> Sim
 
 def test_registration_finds_the_pose() -> None:
     start = se2.retract(T_A_B, np.array([0.1, -0.05, 0.05]))
-    fit = register_tracks(start, simultaneous(), 0.15, 0.03, replace_steps(6))
+    fit = register_tracks(start, simultaneous(), 0.15, PRIOR, replace_steps(6))
     assert fit is not None
     np.testing.assert_allclose(se2.difference(fit.T_a_b, T_A_B), 0, atol=1e-6)
     assert len(fit.matches) == 300
@@ -74,14 +76,14 @@ def replace_steps(steps: int) -> RegistrationSettings:
 
 
 def test_registration_estimates_the_clock_offset() -> None:
-    fit = register_tracks(T_A_B, simultaneous(delay=0.02), 0.15, 0.03, replace_steps(10))
+    fit = register_tracks(T_A_B, simultaneous(delay=0.02), 0.15, PRIOR, replace_steps(10))
     assert fit is not None
     assert fit.nuisance[0] == pytest.approx(0.02, rel=0.05)
     assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.002
 
 
 def test_registration_estimates_depths() -> None:
-    fit = register_tracks(T_A_B, simultaneous(near=0.05), 0.15, 0.2, replace_steps(10))
+    fit = register_tracks(T_A_B, simultaneous(near=0.05), 0.15, NuisancePrior(0.01, 0.2), replace_steps(10))
     assert fit is not None
     np.testing.assert_allclose(fit.nuisance[1:], 0.05, rtol=0.1)
     assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.005
@@ -92,14 +94,14 @@ def test_model_error_is_what_covariances_do_not_explain(rng: np.random.Generator
     ticks = np.arange(2000.0)
     a, b = samples(np.eye(3), ticks), samples(T_A_B, ticks)
     a, b = (replace(s, positions=s.positions + rng.normal(0, 0.05, s.positions.shape)) for s in (a, b))
-    fit = register_tracks(T_A_B, pair_samples(a, b), 0.15, 0.03, replace_steps(6))
+    fit = register_tracks(T_A_B, pair_samples(a, b), 0.15, PRIOR, replace_steps(6))
     assert fit is not None
     assert fit.model_error == pytest.approx(np.sqrt(2 * (0.05**2 - 0.01**2)), rel=0.05)
 
 
 def test_too_few_matches_have_no_registration() -> None:
-    assert register_tracks(T_A_B, simultaneous(count=3), 0.15, 0.03, SETTINGS) is None
-    assert register_tracks(T_A_B, simultaneous(count=4), 0.15, 0.03, SETTINGS) is not None
+    assert register_tracks(T_A_B, simultaneous(count=3), 0.15, PRIOR, SETTINGS) is None
+    assert register_tracks(T_A_B, simultaneous(count=4), 0.15, PRIOR, SETTINGS) is not None
 
 
 def test_information_of_independent_errors_is_that_of_least_squares(rng: np.random.Generator) -> None:
@@ -107,11 +109,11 @@ def test_information_of_independent_errors_is_that_of_least_squares(rng: np.rand
     ticks = np.arange(3000.0)
     a, b = samples(np.eye(3), ticks, sigma=0.02), samples(T_A_B, ticks, sigma=1e-6)
     a = replace(a, positions=a.positions + rng.normal(0, 0.02, a.positions.shape))
-    settings = RegistrationSettings(steps=6, clock_stddev=1e-6, systematic_stddev=1e-6, min_model_error=1e-6)
+    settings = RegistrationSettings(steps=6, systematic_stddev=1e-6, min_model_error=1e-6)
     pairs = pair_samples(a, b)
-    fit = register_tracks(T_A_B, pairs, 0.15, 1e-6, settings)
+    fit = register_tracks(T_A_B, pairs, 0.15, TIGHT, settings)
     assert fit is not None
-    covariance = np.linalg.inv(compute_registration_information(fit, pairs, 1e-6, settings))
+    covariance = compute_registration_covariance(fit, pairs, TIGHT, settings)[:3, :3]
     arm = a.positions - T_A_B[:2, 2]
     J = np.zeros((len(ticks), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1
@@ -133,8 +135,8 @@ def test_distant_matches_have_the_weight_of_the_cauchy_loss() -> None:
     pairs = simultaneous(count=1000)
     b = replace(pairs.b, positions=pairs.b.positions.copy())
     b.positions[::5] += np.array([0.3, 0.0]) @ T_A_B[:2, :2]
-    settings = RegistrationSettings(steps=1, clock_stddev=1e-6)
-    fit = register_tracks(T_A_B, pair_samples(pairs.a, b), 0.15, 1e-6, settings)
+    settings = RegistrationSettings(steps=1)
+    fit = register_tracks(T_A_B, pair_samples(pairs.a, b), 0.15, TIGHT, settings)
     assert fit is not None
     weight = 1 / (1 + 0.09 / (0.15**2 + 2 * 0.01**2) / 6)
     expected = [-0.3 * 0.2 * weight / (0.8 + 0.2 * weight), 0.0, 0.0]
@@ -292,9 +294,9 @@ def test_durations_are_rounded_to_ticks() -> None:
 
 
 def register_walks(
-    pairs: SimultaneousPairs, settings: RegistrationSettings = SETTINGS, depth_stddev: float = 0.03
+    pairs: SimultaneousPairs, settings: RegistrationSettings = SETTINGS, prior: NuisancePrior = PRIOR
 ) -> TrackRegistration:
-    fit = register_tracks(NEAR_POSE, pairs, settings.max_model_error, depth_stddev, settings)
+    fit = register_tracks(NEAR_POSE, pairs, settings.max_model_error, prior, settings)
     assert fit is not None
     return fit
 
@@ -352,16 +354,18 @@ def test_registration_information_matches_the_scatter() -> None:
         )  # fmt: skip
         fit = register_walks(pairs, settings)
         d = se2.difference(fit.T_a_b, track_pairs.T_A_B)
-        squared.append(float(d @ compute_registration_information(fit, pairs, 0.03, settings) @ d))
+        squared.append(
+            float(d @ np.linalg.solve(compute_registration_covariance(fit, pairs, PRIOR, settings)[:3, :3], d))
+        )
     assert np.mean(squared) == pytest.approx(3.0, abs=0.6)  # 3 standard deviations
 
 
 def test_systematic_errors_bound_the_information(rng: np.random.Generator) -> None:
     """Of exact tracks with wide extent: 8 mm of either coordinate of their centre, and 8 mm over the extent."""
     pairs = track_pairs.observe_walks([track_pairs.walk_along_curve(100.0)], rng, stated_sigma=1e-4)
-    settings = RegistrationSettings(min_model_error=1e-4, clock_stddev=1e-6)
-    fit = register_walks(pairs, settings, depth_stddev=1e-6)
-    covariance = np.linalg.inv(compute_registration_information(fit, pairs, 1e-6, settings))
+    settings = RegistrationSettings(min_model_error=1e-4)
+    fit = register_walks(pairs, settings, TIGHT)
+    covariance = compute_registration_covariance(fit, pairs, TIGHT, settings)[:3, :3]
     x = pairs.x_a[fit.matches]
     center, extent = x.mean(axis=0), np.sqrt(np.sum(np.var(x, axis=0)))
     assert np.sqrt(covariance[2, 2]) == pytest.approx(0.008 / extent, rel=0.01)
@@ -385,8 +389,9 @@ def test_priors_of_clock_and_depths_bound_the_information_of_a_straight_walk(
     walk = np.column_stack([np.full(81, 4.0), y]), np.tile([0.0, speed], (81, 1))
     pairs = track_pairs.observe_walks([walk], rng, stated_sigma=1e-4)
     settings = RegistrationSettings(min_model_error=1e-4)
-    fit = register_walks(pairs, settings, depth_stddev=1e-6)
-    covariance = np.linalg.inv(compute_registration_information(fit, pairs, 1e-6, settings))
+    prior = NuisancePrior(0.01, 1e-6)
+    fit = register_walks(pairs, settings, prior)
+    covariance = compute_registration_covariance(fit, pairs, prior, settings)[:3, :3]
     at_walk = np.eye(3)
     at_walk[1, 2] = 4.0 - track_pairs.T_A_B[0, 2]
     assert np.sqrt((at_walk @ covariance @ at_walk.T)[1, 1]) == pytest.approx(
@@ -471,8 +476,21 @@ def test_matches_along_the_larger_variance_are_within_the_gate() -> None:
 
 
 def test_the_prior_is_of_clock_and_depths_and_not_of_the_pose() -> None:
-    prior = _build_prior(0.1, RegistrationSettings(clock_stddev=0.02))
-    np.testing.assert_allclose(prior, [0, 0, 0, 2500, 100, 100])
+    prior = NuisancePrior(0.02, 0.1, clock_mean=0.3)
+    np.testing.assert_allclose(prior.information, [0, 0, 0, 2500, 100, 100])
+    np.testing.assert_array_equal(prior.mean, [0, 0, 0, 0.3, 0, 0])
+
+
+def test_a_clock_that_is_not_observable_keeps_its_prior(rng: np.random.Generator) -> None:
+    """One person on a straight line at a steady speed: an offset of the clock is one of the pose."""
+    y = np.linspace(-2, 2, 81)
+    walk = np.column_stack([np.full(81, 4.0), y]), np.tile([0.0, 0.5], (81, 1))
+    pairs = track_pairs.observe_walks([walk], rng, stated_sigma=1e-4)
+    prior = NuisancePrior(0.05, 1e-6, clock_mean=0.02)
+    fit = register_walks(pairs, RegistrationSettings(min_model_error=1e-4, steps=6), prior)
+    covariance = compute_registration_covariance(fit, pairs, prior, SETTINGS)
+    assert fit.nuisance[0] == pytest.approx(0.02, abs=1e-3)
+    assert np.sqrt(covariance[3, 3]) == pytest.approx(0.05, rel=0.01)
 
 
 def test_a_track_of_one_position_adds_no_samples_to_those_of_others() -> None:

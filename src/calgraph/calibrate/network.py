@@ -6,7 +6,8 @@ from functools import partial
 import numpy as np
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
-from calgraph.calibrate.strategies import select_averaging, select_depth_stddev
+from calgraph.calibrate.scanner_pairs import pair_scanners
+from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.captures import InputFinding, InputMonitor
 from calgraph.config import Rig
@@ -21,7 +22,7 @@ from calgraph.diagnostics import (
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import ScannerPrior, solve_network
 from calgraph.graph import initialize_network
-from calgraph.pairwise import ScannerObservations, estimate_scanner_pairs
+from calgraph.pairwise import ScannerObservations
 from calgraph.recording import Recording
 from calgraph.result import Calibration
 from calgraph.tracking import ScannerTracks
@@ -73,19 +74,12 @@ def calibrate_tracks(
     rng = np.random.default_rng(options.seed)
     tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
     settings = rig.settings.pairwise.scanners
-    pairs = estimate_scanner_pairs(
-        tracked,
-        rng,
-        icp=options.icp,
-        depth_stddev=select_depth_stddev(options.feature, rig.settings.baselines),
-        jobs=options.jobs,
-        progress=lambda done: progress("pairing", done),
-        settings=settings,
-    )
+    corrected = pair_scanners(rig, tracked, options, rng, progress)
+    tracked = dict(corrected.tracked)
     observations = {name: ScannerObservations.from_tracks(scanner, settings) for name, scanner in tracked.items()}
     initialization = initialize_network(
         rig.root,
-        pairs,
+        corrected.pairs,
         observations,
         rng,
         settings=rig.settings.graph,
@@ -119,7 +113,18 @@ def calibrate_tracks(
     start = _first_time(tracked) if start is None else start
     findings = [*findings, *describe_bumps(rig.root, tracks, start)]
     calibration = assemble_network(
-        rig, stated_frames, tracks, initialization.pairs, graph, names, averaged, start, joint, findings
+        rig,
+        stated_frames,
+        {**tracks, **tracked},
+        initialization.pairs,
+        graph,
+        names,
+        averaged,
+        start,
+        joint,
+        (*findings, *corrected.findings),
+        clock_offset=corrected.clock_offset,
+        inverted=corrected.inverted,
     )
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
 

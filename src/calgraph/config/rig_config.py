@@ -127,6 +127,9 @@ class Lidar2dSpec(StrictModel):
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
     noise: RangeNoise = RangeNoise()
+    mounting: Literal["upright", "inverted"] | None = None
+    """Of a network's scanner: inverted if it is mounted upside-down. Recognised from mirrored tracks if left out;
+    the root is then taken as upright."""
     uncertainty: Lidar2dUncertainty = Lidar2dUncertainty()
 
 
@@ -183,6 +186,15 @@ class Rig(StrictModel):
         if self.boards and not printed and self.cameras():
             cameras = ", ".join(self.cameras())
             raise invalid("target", f"needs tags or a pattern, without which no camera detects it ({cameras})")
+        return self
+
+    @model_validator(mode="after")
+    def _mountings_are_of_networks(self) -> "Rig":
+        for name, sensor in self.sensors.items():
+            if isinstance(sensor, Lidar2dSpec) and sensor.mounting and not self.is_network:
+                raise invalid(
+                    f"sensors.{name}.mounting", "applies to networks only: a board determines all of a pose"
+                )
         return self
 
     @model_validator(mode="after")

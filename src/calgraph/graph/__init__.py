@@ -1,5 +1,6 @@
 """The graph of sensors: connectivity and start values."""
 
+from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.graph.cycles import Cycle, find_cycle_basis
 from calgraph.graph.network_graph import (
     average_network,
@@ -14,8 +15,8 @@ from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree, grow_
 from calgraph.graph.tree_consensus import average_poses
 
 __all__ = [
-    "Cycle", "Initialization", "NetworkInitialization", "PoseAveraging", "PoseGraph", "PoseGraphSolution",
-    "SpanningTree", "average_network", "average_poses", "build_network_graph", "build_rig_graph",
-    "compute_joint_covariance", "edge_weights", "find_cycle_basis", "find_spanning_tree", "grow_tree",
-    "initialize_network", "initialize_rig",
+    "ClockMountingSolution", "Cycle", "Initialization", "NetworkInitialization", "PoseAveraging", "PoseGraph",
+    "PoseGraphSolution", "SpanningTree", "average_network", "average_poses", "build_network_graph",
+    "build_rig_graph", "compute_joint_covariance", "edge_weights", "find_cycle_basis", "find_spanning_tree",
+    "grow_tree", "initialize_network", "initialize_rig", "resolve_clocks_and_mountings",
 ]  # fmt: skip

@@ -10,10 +10,16 @@ from calgraph.pairwise.board_pair import (
     select_successful,
     tabulate_matches,
 )
+from calgraph.pairwise.clock_mounting_search import (
+    ClockMountingHypothesis,
+    describe_difference,
+    is_firm,
+    search_clocks_and_mountings,
+)
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.line_matches import evaluate_coplanarity
 from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 from calgraph.pairwise.scanner_pair import (
-    PoseHypothesis,
     ScannerPairEstimate,
     estimate_scanner_pair,
     estimate_scanner_pairs,
@@ -21,8 +27,25 @@ from calgraph.pairwise.scanner_pair import (
 from calgraph.pairwise.visibility_map import ScannerObservations
 
 __all__ = [
-    "Candidates", "MatchFilter", "PairwiseEstimate", "PairwiseEstimates", "PoseHypothesis",
-    "ScannerObservations", "ScannerPairEstimate", "estimate_pair", "estimate_pairs", "estimate_scanner_pair",
-    "estimate_scanner_pairs", "evaluate_coplanarity", "reselect_all_inliers", "reselect_inliers",
-    "select_matches", "select_successful", "tabulate_matches",
+    "Candidates",
+    "ClockMountingHypothesis",
+    "MatchFilter",
+    "PairwiseEstimate",
+    "PairwiseEstimates",
+    "PoseHypothesis",
+    "ScannerObservations",
+    "ScannerPairEstimate",
+    "describe_difference",
+    "estimate_pair",
+    "estimate_pairs",
+    "estimate_scanner_pair",
+    "estimate_scanner_pairs",
+    "evaluate_coplanarity",
+    "is_firm",
+    "reselect_all_inliers",
+    "reselect_inliers",
+    "search_clocks_and_mountings",
+    "select_matches",
+    "select_successful",
+    "tabulate_matches",
 ]  # fmt: skip

@@ -12,20 +12,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
+from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array
+from calgraph.pairwise.hypothesis_evidence import (
+    PoseHypothesis,
+    build_hypothesis,
+    count_expected,
+    is_credible,
+    select_distinct,
+    subsample_pairs,
+)
 from calgraph.pairwise.icp import StaticBackground, align_backgrounds
 from calgraph.pairwise.pose_hypotheses import propose_poses
-from calgraph.pairwise.synchronized_tracks import (
-    SimultaneousPairs,
-    TrackSamples,
-    pair_samples,
-)
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, pair_samples
 from calgraph.pairwise.track_registration import (
+    NuisancePrior,
     TrackRegistration,
     compute_pose_costs,
-    compute_registration_information,
     register_tracks,
 )
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
@@ -34,42 +38,6 @@ from calgraph.tracking import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
-
-
-@dataclass(frozen=True, eq=False)
-class PoseHypothesis:
-    """A possible relative pose of two scanners, with its evidence."""
-
-    T_a_b: Array
-    """(3, 3)."""
-    information: Array
-    """(3, 3) inverse covariance of T_a_b's error (x, y, theta) in the fixed axes of a."""
-    observations: int
-    """Number of matching simultaneous positions, at ticks."""
-    chance_observations: float
-    """Expected number of matches if the scanners had tracked different people in the same places."""
-    matched_share: float
-    """Share of matches among the expected ones: positions where both scanners often detect people, 0..1."""
-    cost: float
-    """Mean truncated squared distance of a's samples to the nearest of b, over the gate, 0..1."""
-    model_error: float
-    """Standard deviation of the matches' distances beyond the tracks' covariances, m."""
-    uses_background: bool
-    """Whether the static background contributed by ICP."""
-
-    @property
-    def score(self) -> float:
-        """Number of matches times their share of the expected ones."""
-        return self.observations * self.matched_share
-
-    def weight_of_evidence(self, settings: HypothesisSettings) -> float:
-        """Log likelihood ratio of the matches: same people against different people with similar trajectories.
-
-        Source: Good, "Probability and the weighing of evidence", 1950. It is scaled by the share of matches among
-        the expected ones. Positions are treated as independent, which they are not: it is not a probability.
-        """
-        stddev = np.hypot(self.model_error, settings.track_stddev)
-        return self.matched_share * self.observations * float(np.log(settings.coincidence_stddev / stddev))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +81,7 @@ def estimate_scanner_pairs(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
+    clock_sigma: float = NetworkEstimationSettings().clock_sigma,
     jobs: int = 1,
     progress: Callable[[float], None] = lambda _done: None,
     settings: ScannerPairSettings = ScannerPairSettings(),
@@ -125,16 +94,18 @@ def estimate_scanner_pairs(
         icp: whether to match the static background, too.
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
             of the settings if None.
+        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         jobs: maximum number of processes, see :func:`calgraph.processes.parallel_map`; does not affect the result.
         progress: called with the completed fraction, 0..1.
         settings: gates, priors and limits.
     """
+    prior = _nuisance_prior(clock_sigma, depth_stddev, settings)
     scanners = {name: _ScannerData.from_tracks(tracks, settings) for name, tracks in tracked.items()}
     names = list(itertools.combinations(tracked, 2))
     pairs = [(scanners[a], scanners[b]) for a, b in names]
     # Random numbers are drawn here in a fixed order, so that results do not depend on the number of processes.
     proposals = [_propose_hypotheses(a, b, rng, settings) for a, b in pairs]
-    work = [(names[k], *pairs[k], proposals[k], icp, depth_stddev, settings) for k in range(len(names))]
+    work = [(names[k], *pairs[k], proposals[k], icp, prior, settings) for k in range(len(names))]
     found = parallel_map(_evaluate_hypotheses, work, jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress)
     return dict(zip(names, found, strict=True))
 
@@ -148,6 +119,7 @@ def estimate_scanner_pair(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
+    clock_sigma: float = NetworkEstimationSettings().clock_sigma,
     settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> ScannerPairEstimate | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners tracked.
@@ -161,6 +133,7 @@ def estimate_scanner_pair(
         icp: whether to match the static background, too.
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
             of the settings if None.
+        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         settings: gates, priors and limits.
 
     Returns:
@@ -168,7 +141,14 @@ def estimate_scanner_pair(
     """
     of_a, of_b = _ScannerData.from_tracks(a, settings), _ScannerData.from_tracks(b, settings)
     proposals = _propose_hypotheses(of_a, of_b, rng, settings)
-    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, depth_stddev, settings)
+    prior = _nuisance_prior(clock_sigma, depth_stddev, settings)
+    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, prior, settings)
+
+
+def _nuisance_prior(
+    clock_sigma: float, depth_stddev: float | None, settings: ScannerPairSettings
+) -> NuisancePrior:
+    return NuisancePrior(clock_sigma, settings.registration.depth_stddev if depth_stddev is None else depth_stddev)
 
 
 def _propose_hypotheses(
@@ -194,18 +174,16 @@ def _evaluate_hypotheses(
     b: _ScannerData,
     proposals: Array | Rejected,
     icp: bool,
-    depth_stddev: float | None,
+    prior: NuisancePrior,
     settings: ScannerPairSettings,
 ) -> ScannerPairEstimate | Rejected:
     """Registers and scores proposed poses, coarsely, then finely."""
     if isinstance(proposals, Rejected):
         return proposals
     limits = settings.hypotheses
-    if depth_stddev is None:
-        depth_stddev = settings.registration.depth_stddev
     pairs = pair_samples(a.observations.samples, b.observations.samples)
     wanted = limits.rough_pairs, limits.coarse_pairs, limits.fine_pairs
-    rough, coarse, fine = (_subsample_pairs(pairs, count, limits.min_samples) for count in wanted)
+    rough, coarse, fine = (subsample_pairs(pairs, count, limits.min_samples) for count in wanted)
 
     def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
         visibility = settings.visibility
@@ -217,13 +195,13 @@ def _evaluate_hypotheses(
         )  # fmt: skip
 
     def register(T: Array, subsampled: SimultaneousPairs, model_error: float) -> TrackRegistration | None:
-        return register_tracks(T, subsampled, model_error, depth_stddev, settings.registration)
+        return register_tracks(T, subsampled, model_error, prior, settings.registration)
 
     proposals = proposals[~contradict(proposals, rough, limits.proposal_stddev)]
     costs = compute_pose_costs(proposals, coarse, limits.proposal_stddev, settings.registration.gate)
     registrations = [
         fit
-        for T in _select_distinct(proposals, costs, limits.coarse_count, settings.hypotheses)
+        for T in select_distinct(proposals, costs, limits.coarse_count, settings.hypotheses)
         if (fit := register(T, coarse, settings.registration.max_model_error))
     ]
     refuted = contradict(_stack_poses(registrations), coarse, 0.0)
@@ -231,19 +209,20 @@ def _evaluate_hypotheses(
     if not registrations:
         return Rejected("under every proposed pose, one does not detect what the other tracks in its view")
     counts = np.array([len(fit.matches) for fit in registrations])
-    shares = counts / [_count_expected(fit.T_a_b, coarse, a, b, settings.hypotheses) for fit in registrations]
+    samples = a.observations.samples, b.observations.samples
+    shares = counts / [count_expected(fit.T_a_b, coarse, *samples, settings.hypotheses) for fit in registrations]
     promising = shares >= limits.min_matched_share
     promising &= counts * shares >= limits.min_score_ratio * np.max(counts * shares)
     poses = _stack_poses(registrations)[promising]
-    poses = _select_distinct(poses, -(counts * shares)[promising], limits.fine_count, settings.hypotheses)
+    poses = select_distinct(poses, -(counts * shares)[promising], limits.fine_count, settings.hypotheses)
     hypotheses = [
-        _build_hypothesis(fit, fine, a, b, len(pairs), depth_stddev, settings)
+        build_hypothesis(fit, fine, *samples, len(pairs), prior, settings)
         for T in poses
         if (fit := register(T, fine, settings.registration.fine_model_error))
     ]
     hypotheses.sort(key=lambda h: -h.score)
     least = pairs.a.to_ticks(limits.min_matched_time)
-    kept = [h for h in hypotheses if _is_credible(h, least, settings.hypotheses)]
+    kept = [h for h in hypotheses if is_credible(h, least, settings.hypotheses)]
     if not kept:
         seconds = round(max(counts) * len(pairs) / len(coarse)) * pairs.a.tick_period
         return Rejected(
@@ -259,95 +238,6 @@ def _evaluate_hypotheses(
 def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:
     """(K, 3, 3)."""
     return np.array([fit.T_a_b for fit in fits]).reshape(-1, 3, 3)
-
-
-def _is_credible(h: PoseHypothesis, min_observations: int, settings: HypothesisSettings) -> bool:
-    """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""
-    return (
-        h.observations >= max(min_observations, settings.min_chance_ratio * h.chance_observations)
-        and h.weight_of_evidence(settings) >= settings.min_weight_of_evidence
-        and h.matched_share >= settings.min_matched_share
-    )
-
-
-def _subsample_pairs(pairs: SimultaneousPairs, wanted: int, min_samples: int) -> SimultaneousPairs:
-    """Selects every n-th tick to leave about ``wanted`` pairs; all pairs if too few samples would be left."""
-    step = max(1, round(len(pairs) / wanted))
-    subsampled = pair_samples(pairs.a.subsample(step), pairs.b.subsample(step))
-    return subsampled if len(np.unique(subsampled.row_a)) >= min_samples else pairs
-
-
-def _select_distinct(T: Array, cost: Array, count: int, settings: HypothesisSettings) -> Array:
-    """Selects up to ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
-    kept: list[Array] = []
-    for i in np.argsort(cost):
-        d = se2.difference(np.array(kept).reshape(-1, 3, 3), T[i])
-        same = (np.hypot(d[:, 0], d[:, 1]) < settings.same_position) & (np.abs(d[:, 2]) < settings.same_angle)
-        if not same.any():
-            kept.append(T[i])
-        if len(kept) == count:
-            break
-    return np.array(kept)
-
-
-def _build_hypothesis(
-    fit: TrackRegistration,
-    pairs: SimultaneousPairs,
-    a: _ScannerData,
-    b: _ScannerData,
-    count: int,
-    depth_stddev: float,
-    settings: ScannerPairSettings,
-) -> PoseHypothesis:
-    scale, gate = count / len(pairs), settings.registration.gate
-    expected = _count_expected(fit.T_a_b, pairs, a, b, settings.hypotheses)
-    return PoseHypothesis(
-        fit.T_a_b,
-        compute_registration_information(fit, pairs, depth_stddev, settings.registration),
-        round(len(fit.matches) * scale),
-        _count_by_chance(fit, pairs, b.observations.samples, gate, settings.hypotheses.max_queries) * scale,
-        min(len(fit.matches) / expected, 1.0),
-        float(compute_pose_costs(fit.T_a_b[None], pairs, settings.registration.max_model_error, gate)[0]),
-        fit.model_error,
-        uses_background=False,
-    )
-
-
-def _count_by_chance(
-    fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples, gate: float, max_queries: int
-) -> float:
-    """Expected number of a's samples that match one of b by chance, from matches at all times.
-
-    If both scanners detect people all the time in one narrow passage, the number is large under any pose that
-    superimposes the passages.
-    """
-    radius = np.sqrt(gate * (float(np.median(pairs.variance)) + fit.model_error**2))
-    sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // max_queries)]
-    near = _count_neighbours(sampled, se2.inverse(fit.T_a_b), b, radius)
-    return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(pairs.a.tick)
-
-
-def _count_expected(
-    T_a_b: Array, pairs: SimultaneousPairs, a: _ScannerData, b: _ScannerData, settings: HypothesisSettings
-) -> float:
-    """Expected number (>= 1) of matches under a correct pose: samples where the other often detects people."""
-    of_a = _count_observable(se2.inverse(T_a_b), pairs.a, b.observations.samples, settings)
-    of_b = _count_observable(T_a_b, pairs.b, a.observations.samples, settings)
-    return max(of_a, of_b, 1)
-
-
-def _count_observable(T: Array, samples: TrackSamples, other: TrackSamples, settings: HypothesisSettings) -> float:
-    overlapping = (samples.tick >= other.tick.min()) & (samples.tick <= other.tick.max())
-    x = samples.positions[overlapping]
-    sampled = x[:: max(1, len(x) // settings.max_queries)]
-    near = _count_neighbours(sampled, T, other, settings.neighbour_radius)
-    return float(np.mean(near >= settings.min_neighbours)) * len(x)
-
-
-def _count_neighbours(x: Array, T: Array, samples: TrackSamples, radius: float) -> NDArray[np.intp]:
-    """Number of samples of all times within the radius of each transformed point (N, 2)."""
-    near = samples.tree.query_ball_point(se2.apply(T, x), radius, return_length=True)
-    return np.asarray(near, dtype=np.intp)
 
 
 def _align_with_background(h: PoseHypothesis, a: _ScannerData, b: _ScannerData) -> PoseHypothesis:

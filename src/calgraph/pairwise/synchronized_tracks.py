@@ -4,7 +4,7 @@ Scanners are not synchronized, so tracks are interpolated.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,17 @@ class TrackSamples:
     def tree(self) -> cKDTree:
         """KD-tree of the positions at all times."""
         return cKDTree(self.positions)
+
+    def transform(self, mirrored: bool, delay: int) -> "TrackSamples":
+        """The samples some ticks earlier, and mirrored at the x axis as those of a scanner mounted upside-down."""
+        signs = np.array([1.0, -1.0 if mirrored else 1.0])
+        return replace(
+            self,
+            tick=self.tick - delay,
+            positions=self.positions * signs,
+            velocities=self.velocities * signs,
+            covariances=self.covariances * np.outer(signs, signs),
+        )
 
     def subsample(self, step: int) -> "TrackSamples":
         """Selects every ``step``-th tick."""

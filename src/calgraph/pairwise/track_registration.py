@@ -22,6 +22,28 @@ _RIDGE = 1e-6
 _MIN_EXTENT = 0.1
 
 
+@dataclass(frozen=True)
+class NuisancePrior:
+    """Prior of clock offset and depths."""
+
+    clock_sigma: float
+    """Standard deviation of the clock offset of two scanners, s."""
+    depth_sigma: float
+    """Standard deviation of the distance from tracked to true centres along the beam, m."""
+    clock_mean: float = 0.0
+    """Mean of the clock offset of b minus a, s: not 0 where b's samples were shifted in time."""
+
+    @property
+    def mean(self) -> Array:
+        """(6,) of pose, clock offset and depths."""
+        return np.array([0.0, 0.0, 0.0, self.clock_mean, 0.0, 0.0])
+
+    @property
+    def information(self) -> Array:
+        """(6,) of pose, clock offset and depths; none of the pose."""
+        return np.append(np.zeros(3), [self.clock_sigma**-2, self.depth_sigma**-2, self.depth_sigma**-2])
+
+
 @dataclass(frozen=True, eq=False)
 class TrackRegistration:
     """A pose with the matches that determine it."""
@@ -37,7 +59,11 @@ class TrackRegistration:
 
 
 def register_tracks(
-    T_a_b: Array, pairs: SimultaneousPairs, model_error: float, depth_stddev: float, settings: RegistrationSettings
+    T_a_b: Array,
+    pairs: SimultaneousPairs,
+    model_error: float,
+    prior: NuisancePrior,
+    settings: RegistrationSettings,
 ) -> TrackRegistration | None:
     """Fits pose, clock offset and depths to the matches of simultaneous pairs, with new matches at every step.
 
@@ -45,13 +71,13 @@ def register_tracks(
         T_a_b: (3, 3) initial pose.
         pairs: all simultaneous pairs.
         model_error: initial standard deviation of the distance between both scanners' centres of one object, m.
-        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m.
-        settings: gate, losses and priors.
+        prior: of clock offset and depths.
+        settings: gate and losses.
 
     Returns:
         The registration, or None if there are too few matches.
     """
-    nuisance, prior = np.zeros(3), _build_prior(depth_stddev, settings)
+    nuisance = np.zeros(3)
     for _ in range(settings.steps):
         matches, d2 = _associate(T_a_b, nuisance, pairs, model_error, settings.gate)
         if len(matches) < settings.min_matches:
@@ -127,15 +153,12 @@ def _compute_differences(
     return np.asarray(se2.apply(T, corrected_b) - corrected_a)
 
 
-def _build_prior(depth_stddev: float, settings: RegistrationSettings) -> Array:
-    """Prior information (6,) of pose, clock offset and depths."""
-    return np.append(np.zeros(3), [settings.clock_stddev**-2, depth_stddev**-2, depth_stddev**-2])
-
-
-def _build_normal_equations(r: Array, J: Array, W: Array, nuisance: Array, prior: Array) -> tuple[Array, Array]:
+def _build_normal_equations(
+    r: Array, J: Array, W: Array, nuisance: Array, prior: NuisancePrior
+) -> tuple[Array, Array]:
     J, WJ = J.reshape(-1, 6), (W @ J).reshape(-1, 6)
-    H = J.T @ WJ + np.diag(prior)
-    g = WJ.T @ r.ravel() + prior * np.concatenate([np.zeros(3), nuisance])
+    H = J.T @ WJ + np.diag(prior.information)
+    g = WJ.T @ r.ravel() + prior.information * (np.append(np.zeros(3), nuisance) - prior.mean)
     return H + _RIDGE * np.eye(6), g
 
 
@@ -147,10 +170,10 @@ def _estimate_model_error(r: Array, S: Array, settings: RegistrationSettings) ->
     return float(np.clip(error, settings.min_model_error, settings.max_model_error))
 
 
-def compute_registration_information(
-    fit: TrackRegistration, pairs: SimultaneousPairs, depth_stddev: float, settings: RegistrationSettings
+def compute_registration_covariance(
+    fit: TrackRegistration, pairs: SimultaneousPairs, prior: NuisancePrior, settings: RegistrationSettings
 ) -> Array:
-    """Inverse covariance (3, 3) of the pose's error in the fixed axes of a, marginalized over clock and depths.
+    """Covariance (4, 4) of the pose's error in the fixed axes of a, and of the clock, marginalized over depths.
 
     Errors of smoothed positions are correlated over seconds: the number of matches is divided by the correlation
     time of the residuals, in ticks.
@@ -164,13 +187,13 @@ def compute_registration_information(
     series = pairs.trajectories[rows]
     correlation = estimate_correlation_time(whitened, series, ticks, settings.min_lag_share, settings.max_lag)
     correlation = max(correlation, pairs.a.to_ticks(settings.min_correlation_time))
-    prior = _build_prior(depth_stddev, settings)
     degrees_of_freedom = max(2 * len(rows) / correlation - 6, 1.0)
     variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, settings.min_variance_factor)
     H, _ = _build_normal_equations(r, J, W / (variance_factor * correlation), fit.nuisance, prior)
     systematic = _systematic_covariance(fit.T_a_b, pairs.x_a[rows], settings.systematic_stddev)
-    covariance = np.linalg.inv(H)[:3, :3] + systematic
-    return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)[:4, :4]
+    covariance[:3, :3] += systematic
+    return covariance
 
 
 def _systematic_covariance(T_a_b: Array, x_a: Array, stddev: float) -> Array:

@@ -62,6 +62,17 @@ class ScannerObservations:
         samples = resample_tracks(tracked, settings.resampling)
         return cls(samples, build_visibility_map(tracked, samples, settings.visibility))
 
+    def transform(self, mirrored: bool, delay: int) -> "ScannerObservations":
+        """Everything ``delay`` ticks earlier, and mirrored as that of a scanner mounted upside-down."""
+        visible, coverage = self.visibility.visible, self.visibility.coverage_intervals
+        # The scanner is in the centre of the grid.
+        visibility = replace(
+            self.visibility,
+            visible=visible[:, ::-1] if mirrored else visible,
+            coverage_intervals=coverage - delay * self.samples.tick_period,
+        )
+        return ScannerObservations(self.samples.transform(mirrored, delay), visibility)
+
     def subsample(self, step: int) -> "ScannerObservations":
         """Selects every ``step``-th tick; the map is unchanged."""
         return replace(self, samples=self.samples.subsample(step))

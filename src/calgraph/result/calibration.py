@@ -64,10 +64,10 @@ class Calibration:
 
     @property
     def planar(self) -> bool:
-        """Whether all poses lie in one plane, which is taken for exact, as those of a network do."""
+        """Whether all poses lie in one plane, either way up; it is taken for exact, as that of a network is."""
         others = [sensor for sensor in self.sensors if sensor.parent is not None]
-        upright = [np.allclose(s.T_root_sensor[2], [0, 0, 1, 0], rtol=0, atol=1e-12) for s in others]
-        return bool(others) and all(upright) and not any(s.covariance[2:5].any() for s in others)
+        in_plane = [np.allclose(np.abs(s.T_root_sensor[2]), [0, 0, 1, 0], rtol=0, atol=1e-12) for s in others]
+        return bool(others) and all(in_plane) and not any(s.covariance[2:5].any() for s in others)
 
     def transform(self, a: str, b: str) -> Array:
         """``T_a_b`` (4, 4), which maps coordinates in sensor b to coordinates in sensor a.

@@ -1,5 +1,6 @@
 """Tracking of moving objects in the scans of one stationary 2-D scanner."""
 
+from calgraph.tracking.corrected_tracks import correct_tracks
 from calgraph.tracking.features import CenterEstimator, measure_centroids
 from calgraph.tracking.parallel_tracking import track_scanners
 from calgraph.tracking.scan_stack import ScanRun, ScanStackBuilder, stack_scans
@@ -8,6 +9,5 @@ from calgraph.tracking.track_scanner import track_scanner
 
 __all__ = [
     "CenterEstimator", "Hits", "ScanRun", "ScanStackBuilder", "ScannerBump", "ScannerTracks", "Track",
-    "measure_centroids", "stack_scans",
-    "track_scanner", "track_scanners",
+    "correct_tracks", "measure_centroids", "stack_scans", "track_scanner", "track_scanners",
 ]  # fmt: skip

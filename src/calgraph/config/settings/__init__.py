@@ -43,6 +43,7 @@ from calgraph.config.settings.network_estimation import (
 )
 from calgraph.config.settings.pairwise import (
     BoardPairSettings,
+    ClockMountingSettings,
     HypothesisSettings,
     IcpSettings,
     PairwiseSettings,
@@ -86,6 +87,7 @@ __all__ = [
     "CameraNoiseSettings",
     "CaptureSettings",
     "CentroidSettings",
+    "ClockMountingSettings",
     "CloudBackgroundSettings",
     "ClusterSettings",
     "DetectionSettings",

@@ -1,7 +1,8 @@
 """Assembles the Calibration of a network: poses lifted to SE(3), with the evidence of every pair."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -35,6 +36,9 @@ def assemble_network(
     start: float,
     joint: NetworkSolution | None = None,
     findings: Sequence[InputFinding] = (),
+    *,
+    clock_offset: Mapping[str, float] = MappingProxyType({}),
+    inverted: Collection[str] = (),
 ) -> Calibration:
     """Assembles the calibration of a network.
 
@@ -49,6 +53,8 @@ def assemble_network(
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses replace the averaged ones.
         findings: what does not fit the rig in the messages of the recording.
+        clock_offset: by which the times of tracks were corrected, s.
+        inverted: scanners whose tracks were mirrored, as they are mounted the other way up than the root.
     """
     tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
     clock_offsets = {} if joint is None else dict(zip(names, joint.clock_offset.tolist(), strict=True))
@@ -68,7 +74,10 @@ def assemble_network(
     clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _find_parents(inliers, names)
     reasons = collect_findings(findings)
-    T_root_sensor = se2.to_se3(T_root_scanner)
+    clocks[:, 0] += [clock_offset.get(name, 0.0) for name in names]
+    # A rotation by 180° about the x axis of the mirrored frame.
+    flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
+    T_root_sensor = se2.to_se3(T_root_scanner) @ flips
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
@@ -107,7 +116,9 @@ def assemble_network(
             },
             remarks=tuple(finding.text for finding in findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
-            initial_poses={} if joint is None else dict(zip(names, se2.to_se3(averaged.T_root_node), strict=True)),
+            initial_poses={}
+            if joint is None
+            else dict(zip(names, se2.to_se3(averaged.T_root_node) @ flips, strict=True)),
         ),
         pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start)),
     )

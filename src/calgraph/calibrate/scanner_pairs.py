@@ -1,0 +1,166 @@
+"""Pairs of a network's scanners, with clocks that differ and scanners mounted upside-down corrected."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from calgraph.calibrate.options import NetworkOptions, Progress
+from calgraph.calibrate.strategies import select_depth_stddev
+from calgraph.captures import InputFinding
+from calgraph.config import Lidar2dSpec, Rig
+from calgraph.errors import Rejected
+from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.pairwise import (
+    ScannerObservations,
+    ScannerPairEstimate,
+    describe_difference,
+    estimate_scanner_pairs,
+    is_firm,
+    search_clocks_and_mountings,
+)
+from calgraph.result import Calibration
+from calgraph.tracking import ScannerTracks, correct_tracks
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedPairs:
+    """Relative poses of scanners, from tracks with the root's clock and mounting."""
+
+    tracked: Mapping[str, ScannerTracks]
+    """Corrected tracks by scanner."""
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
+    """Pairs of all scanners."""
+    clock_offset: Mapping[str, float] = field(default_factory=dict)
+    """By which tracks were corrected: clock of a scanner minus the root's, s; none where it is 0."""
+    inverted: frozenset[str] = frozenset()
+    """Scanners whose tracks were mirrored, as they are mounted the other way up than the root."""
+    findings: tuple[InputFinding, ...] = ()
+    """What was corrected, and what the tracks do not determine."""
+
+
+def pair_scanners(
+    rig: Rig,
+    tracked: Mapping[str, ScannerTracks],
+    options: NetworkOptions,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> CorrectedPairs:
+    """Estimates all pairs; where they do not connect the network, as if clocks and mountings differed, too."""
+    stated = _stated_mountings(rig, options.extend)
+    inverted = frozenset(name for name, differs in stated.items() if differs)
+    tracked = {name: correct_tracks(one, inverted=name in inverted) for name, one in tracked.items()}
+    pairs = _estimate_pairs(rig, tracked, options, rng, progress)
+    solution = _find_differences(rig, tracked, pairs, frozenset(stated), options)
+    least = rig.settings.pairwise.scanners.clock_mounting.min_clock_offset
+    clocks = solution.clock_offset if max(map(abs, solution.clock_offset.values()), default=0.0) > least else {}
+    if clocks or solution.inverted:
+        tracked = {
+            name: correct_tracks(one, clock_offset=clocks.get(name, 0.0), inverted=name in solution.inverted)
+            for name, one in tracked.items()
+        }
+        pairs = _estimate_pairs(rig, tracked, options, rng, progress)
+    findings = _report_findings(rig, solution, clocks)
+    return CorrectedPairs(tracked, pairs, clocks, inverted | solution.inverted, findings)
+
+
+def _estimate_pairs(
+    rig: Rig,
+    tracked: Mapping[str, ScannerTracks],
+    options: NetworkOptions,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
+    return estimate_scanner_pairs(
+        tracked,
+        rng,
+        icp=options.icp,
+        depth_stddev=select_depth_stddev(options.feature, rig.settings.baselines),
+        clock_sigma=rig.settings.estimation.network.clock_sigma,
+        jobs=options.jobs,
+        progress=lambda done: progress("pairing", done),
+        settings=rig.settings.pairwise.scanners,
+    )
+
+
+def _stated_mountings(rig: Rig, earlier: Calibration | None) -> dict[str, bool]:
+    """Whether scanners are mounted the other way up than the root, where rig.yaml or earlier poses state it."""
+    stated = {s.name: bool(s.T_root_sensor[2, 2] < 0) for s in earlier.sensors} if earlier else {}
+    mountings = {name: s.mounting for name, s in rig.sensors.items() if isinstance(s, Lidar2dSpec) and s.mounting}
+    of_root = mountings.get(rig.root, "upright")
+    return {**stated, **{name: mounting != of_root for name, mounting in mountings.items()}}
+
+
+def _find_differences(
+    rig: Rig,
+    tracked: Mapping[str, ScannerTracks],
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    stated: frozenset[str],
+    options: NetworkOptions,
+) -> ClockMountingSolution:
+    """Clocks and mountings; searched in pairs between parts of the network that firm pairs do not connect."""
+    settings, clock_sigma = rig.settings.pairwise.scanners, rig.settings.estimation.network.clock_sigma
+    estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
+    firm = [pair for pair in estimates if is_firm(pair, clock_sigma, settings)]
+    node = {name: k for k, name in enumerate(tracked)}
+    ends = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in firm], dtype=np.intp).reshape(-1, 2)
+    adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(len(node), len(node)))
+    part = dict(zip(node, connected_components(adjacency, directed=False)[1].tolist(), strict=True))
+    hypotheses = [describe_difference(pair, settings.hypotheses) for pair in firm]
+    between = [(a, b) for a, b in combinations(tracked, 2) if part[a] != part[b]]
+    if between:
+        searched = {name for pair in between for name in pair}
+        observations = {name: ScannerObservations.from_tracks(tracked[name], settings) for name in searched}
+        # Other random numbers than those of pairs and trees, which do not depend on the search.
+        rng = np.random.default_rng((options.seed, 1))
+        hypotheses += search_clocks_and_mountings(
+            between, observations, clock_sigma, rng, jobs=options.jobs, settings=settings
+        )
+    names = list(dict.fromkeys([rig.root, *tracked]))
+    return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
+
+
+def _report_findings(
+    rig: Rig, solution: ClockMountingSolution, clocks: Mapping[str, float]
+) -> tuple[InputFinding, ...]:
+    """What was corrected, as remarks; what the tracks do not determine, as reasons for a weak pose."""
+    limits = rig.settings.pairwise.scanners.clock_mounting
+    findings = [
+        InputFinding(
+            f"the clock of {name} differs from that of {rig.root} by {offset:+.2f} s: "
+            "found from the tracks, and corrected"
+        )
+        for name, offset in clocks.items()
+        if abs(offset) > limits.min_clock_offset and name not in solution.distant_clocks
+    ]
+    findings += [
+        InputFinding(
+            f"the clock of {name} differs from that of {rig.root} by {offset:+.2f} s, more than the "
+            f"{limits.max_clock_offset:g} s that are searched: set the clocks, and record again",
+            (name,),
+        )
+        for name, offset in solution.distant_clocks.items()
+    ]
+    findings += [
+        InputFinding(f"{name} is mounted upside-down relative to {rig.root}: recognised from mirrored tracks")
+        for name in sorted(solution.inverted)
+    ]
+    findings += [
+        InputFinding(
+            f"{name} may as well be mounted upside-down, as people walked on one line only: state `mounting` in "
+            "rig.yaml, or let people turn",
+            (name,),
+        )
+        for name in solution.ambiguous
+    ]
+    findings += [
+        InputFinding(
+            f"the tracks of {name} contradict its stated `mounting`: they fit the other scanners as mirrored ones",
+            (name,),
+        )
+        for name in solution.contradicted
+    ]
+    return tuple(findings)

@@ -1,0 +1,152 @@
+"""Clock offsets and mountings of a network's scanners, from those of their pairs.
+
+Mountings are consistent in cycles: an even number of pairs of every cycle is mirrored. Those of most evidence are
+an Ising problem, solved along the spanning tree of clearest pairs and by flips of single scanners. Clock offsets
+are a robust least-squares solution over the pairs that agree with the mountings.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config.settings import ScannerPairSettings
+from calgraph.geometry import Array
+from calgraph.pairwise import ClockMountingHypothesis
+
+# Rounds of reweighting, after which weights of clock offsets change by less than a percent.
+_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class ClockMountingSolution:
+    """Clocks and mountings of scanners, and what the tracks do not determine of them."""
+
+    clock_offset: Mapping[str, float]
+    """Clock of each scanner minus the root's, s; 0 for scanners without pairs."""
+    inverted: frozenset[str]
+    """Scanners whose tracks are mirrored relative to those of the root."""
+    ambiguous: tuple[str, ...]
+    """Scanners that fit nearly as well in the other mounting."""
+    contradicted: tuple[str, ...]
+    """Scanners whose stated mounting has clearly less evidence than the other one."""
+    distant_clocks: Mapping[str, float]
+    """Clock offsets beyond the range of the search, s."""
+
+
+def resolve_clocks_and_mountings(
+    root: str,
+    names: Sequence[str],
+    hypotheses: Sequence[ClockMountingHypothesis],
+    stated: Collection[str],
+    settings: ScannerPairSettings = ScannerPairSettings(),
+) -> ClockMountingSolution:
+    """Selects the mountings of most evidence, and averages the clock offsets of pairs.
+
+    Args:
+        root: its clock and mounting are the reference.
+        names: of all scanners.
+        hypotheses: at most one for each pair and mounting.
+        stated: scanners whose mounting is stated, and whose tracks are mirrored already if it differs from the
+            root's.
+        settings: of the search.
+    """
+    node = {name: k for k, name in enumerate([root, *(name for name in names if name != root)])}
+    fixed = {node[name] for name in (root, *stated)}
+    # Evidence (2, N, N) of the same mounting and of mirrored ones, as far as it exceeds that of chance.
+    evidence = np.zeros((2, len(node), len(node)))
+    for h in hypotheses:
+        i, j = node[h.sensor_a], node[h.sensor_b]
+        excess = max(h.evidence - settings.hypotheses.min_weight_of_evidence, 0.0)
+        evidence[int(h.mirrored), [i, j], [j, i]] = excess
+    signs, ambiguous = _select_mountings(evidence, fixed, settings.clock_mounting.max_evidence_ratio)
+    freely, unsure = _select_mountings(evidence, {node[root]}, settings.clock_mounting.max_evidence_ratio)
+    contradicted = (freely < 0) & ~unsure
+    used = [h for h in hypotheses if h.mirrored == (signs[node[h.sensor_a]] != signs[node[h.sensor_b]])]
+    used = [h for h in used if h.evidence > settings.hypotheses.min_weight_of_evidence]
+    offsets = _average_clocks(len(node), node, used, settings)
+    clock_offset = {name: float(offsets[k]) for name, k in node.items()}
+    farthest = settings.clock_mounting.max_clock_offset
+    return ClockMountingSolution(
+        clock_offset,
+        frozenset(name for name, k in node.items() if signs[k] < 0),
+        tuple(name for name, k in node.items() if ambiguous[k]),
+        tuple(name for name in stated if contradicted[node[name]]),
+        {name: offset for name, offset in clock_offset.items() if abs(offset) > farthest},
+    )
+
+
+def _select_mountings(
+    evidence: Array, fixed: Collection[int], max_evidence_ratio: float
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Signs (N,) of the mountings, and which are ambiguous: all those beyond a tree edge fit as well flipped."""
+    gain = evidence[0] - evidence[1]
+    count = len(gain)
+    signs = np.ones(count, dtype=np.intp)
+    parent: dict[int, int] = dict.fromkeys(fixed, -1)
+    order = []
+    while len(parent) < count:
+        reached = np.array([k in parent for k in range(count)])
+        leaving = np.where(reached[:, None] & ~reached, np.abs(gain), -1.0)
+        i, j = np.unravel_index(int(np.argmax(leaving)), leaving.shape)
+        parent[int(j)] = int(i)
+        order.append(int(j))
+        signs[j] = signs[i] if gain[i, j] >= 0 else -signs[i]
+    improved = True
+    while improved:
+        improved = False
+        for k in order:
+            if signs[k] * float(gain[k] @ signs) < 0:
+                signs[k] *= -1
+                improved = True
+    ambiguous = np.zeros(count, dtype=np.bool_)
+    for first in order:
+        inside = {first}
+        for k in order:  # parents come before their children
+            if parent[k] in inside:
+                inside.add(k)
+        part = np.array([k in inside for k in range(count)])
+        chosen, other = _evidence_across(evidence, signs, part)
+        if chosen > 0 and other > max_evidence_ratio * chosen:
+            ambiguous |= part
+    return signs, ambiguous
+
+
+def _evidence_across(evidence: Array, signs: NDArray[np.intp], part: NDArray[np.bool_]) -> tuple[float, float]:
+    """Evidence of the pairs between a part (N,) and the rest with its mountings, and with the part's flipped."""
+    mirrored = (signs[:, None] != signs).astype(np.intp)
+    across = part[:, None] & ~part
+    i, j = np.nonzero(across)
+    return float(evidence[mirrored[i, j], i, j].sum()), float(evidence[1 - mirrored[i, j], i, j].sum())
+
+
+def _average_clocks(
+    count: int, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis], settings: ScannerPairSettings
+) -> Array:
+    """(N,) offsets from node 0, s: least squares with Cauchy weights, from those of the pairs of most evidence."""
+    offsets = np.zeros(count)
+    ends = np.array([(node[h.sensor_a], node[h.sensor_b]) for h in used], dtype=np.intp).reshape(-1, 2)
+    measured = np.array([h.clock_offset for h in used])
+    sigma = np.hypot([h.clock_stddev for h in used], settings.clock_mounting.clock_noise)
+    reached = {0}
+    by_evidence = sorted(range(len(used)), key=lambda k: -used[k].evidence)
+    while (k := next((k for k in by_evidence if len(reached.intersection(ends[k])) == 1), None)) is not None:
+        i, j = ends[k].tolist()
+        if i in reached:
+            offsets[j] = offsets[i] + measured[k]
+        else:
+            offsets[i] = offsets[j] - measured[k]
+        reached |= {i, j}
+    J = np.zeros((len(used), count))
+    J[np.arange(len(used)), ends[:, 1]] = 1
+    J[np.arange(len(used)), ends[:, 0]] = -1
+    free = sorted(reached - {0})
+    if not free:
+        return offsets
+    for _ in range(_ROUNDS):
+        r = (measured - J @ offsets) / sigma
+        w = 1 / (1 + r**2) / sigma**2
+        H = J[:, free].T @ (w[:, None] * J[:, free])
+        offsets[free] = np.linalg.solve(H, J[:, free].T @ (w * measured))
+    return offsets

@@ -1,0 +1,163 @@
+"""Pose hypotheses of two scanners, with their evidence: the matches of simultaneous tracks, and those expected."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
+from calgraph.geometry import Array, se2
+from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
+from calgraph.pairwise.track_registration import (
+    NuisancePrior,
+    TrackRegistration,
+    compute_pose_costs,
+    compute_registration_covariance,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseHypothesis:
+    """A possible relative pose of two scanners, with its evidence."""
+
+    T_a_b: Array
+    """(3, 3)."""
+    information: Array
+    """(3, 3) inverse covariance of T_a_b's error (x, y, theta) in the fixed axes of a."""
+    observations: int
+    """Number of matching simultaneous positions, at ticks."""
+    chance_observations: float
+    """Expected number of matches if the scanners had tracked different people in the same places."""
+    matched_share: float
+    """Share of matches among the expected ones: positions where both scanners often detect people, 0..1."""
+    cost: float
+    """Mean truncated squared distance of a's samples to the nearest of b, over the gate, 0..1."""
+    model_error: float
+    """Standard deviation of the matches' distances beyond the tracks' covariances, m."""
+    uses_background: bool
+    """Whether the static background contributed by ICP."""
+    clock_offset: float = 0.0
+    """Clock of b minus clock of a, s."""
+    clock_stddev: float = np.inf
+    """Standard deviation of the clock offset, s."""
+    lateral_spread: float = 0.0
+    """Standard deviation of the matched positions across their main direction, m: near 0, mirrored tracks fit."""
+
+    @property
+    def score(self) -> float:
+        """Number of matches times their share of the expected ones."""
+        return self.observations * self.matched_share
+
+    def weight_of_evidence(self, settings: HypothesisSettings) -> float:
+        """Log likelihood ratio of the matches: same people against different people with similar trajectories.
+
+        Source: Good, "Probability and the weighing of evidence", 1950. It is scaled by the share of matches among
+        the expected ones. Positions are treated as independent, which they are not: it is not a probability.
+        """
+        stddev = np.hypot(self.model_error, settings.track_stddev)
+        return self.matched_share * self.observations * float(np.log(settings.coincidence_stddev / stddev))
+
+
+def is_credible(h: PoseHypothesis, min_observations: int, settings: HypothesisSettings) -> bool:
+    """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""
+    return (
+        h.observations >= max(min_observations, settings.min_chance_ratio * h.chance_observations)
+        and h.weight_of_evidence(settings) >= settings.min_weight_of_evidence
+        and h.matched_share >= settings.min_matched_share
+    )
+
+
+def subsample_pairs(pairs: SimultaneousPairs, wanted: int, min_samples: int) -> SimultaneousPairs:
+    """Selects every n-th tick to leave about ``wanted`` pairs; all pairs if too few samples would be left."""
+    step = max(1, round(len(pairs) / wanted))
+    subsampled = pair_samples(pairs.a.subsample(step), pairs.b.subsample(step))
+    return subsampled if len(np.unique(subsampled.row_a)) >= min_samples else pairs
+
+
+def select_distinct(T: Array, cost: Array, count: int, settings: HypothesisSettings) -> Array:
+    """Selects up to ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
+    kept: list[Array] = []
+    for i in np.argsort(cost):
+        d = se2.difference(np.array(kept).reshape(-1, 3, 3), T[i])
+        same = (np.hypot(d[:, 0], d[:, 1]) < settings.same_position) & (np.abs(d[:, 2]) < settings.same_angle)
+        if not same.any():
+            kept.append(T[i])
+        if len(kept) == count:
+            break
+    return np.array(kept)
+
+
+def build_hypothesis(
+    fit: TrackRegistration,
+    pairs: SimultaneousPairs,
+    a: TrackSamples,
+    b: TrackSamples,
+    count: int,
+    prior: NuisancePrior,
+    settings: ScannerPairSettings,
+) -> PoseHypothesis:
+    """A registration with its evidence.
+
+    Args:
+        fit: the registration.
+        pairs: the simultaneous pairs that were registered.
+        a: all samples of a.
+        b: all samples of b.
+        count: number of simultaneous pairs, of which ``pairs`` are a selection.
+        prior: of the registration.
+        settings: gates and limits.
+    """
+    scale, gate = count / len(pairs), settings.registration.gate
+    expected = count_expected(fit.T_a_b, pairs, a, b, settings.hypotheses)
+    covariance = compute_registration_covariance(fit, pairs, prior, settings.registration)
+    matched = pairs.x_a[fit.matches]
+    return PoseHypothesis(
+        fit.T_a_b,
+        np.asarray(np.linalg.inv(covariance[:3, :3]), dtype=np.float64),
+        round(len(fit.matches) * scale),
+        _count_by_chance(fit, pairs, b, gate, settings.hypotheses.max_queries) * scale,
+        min(len(fit.matches) / expected, 1.0),
+        float(compute_pose_costs(fit.T_a_b[None], pairs, settings.registration.max_model_error, gate)[0]),
+        fit.model_error,
+        uses_background=False,
+        clock_offset=float(fit.nuisance[0]) - prior.clock_mean,
+        clock_stddev=float(np.sqrt(covariance[3, 3])),
+        lateral_spread=float(np.sqrt(max(np.linalg.eigvalsh(np.cov(matched.T))[0], 0.0))),
+    )
+
+
+def _count_by_chance(
+    fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples, gate: float, max_queries: int
+) -> float:
+    """Expected number of a's samples that match one of b by chance, from matches at all times.
+
+    If both scanners detect people all the time in one narrow passage, the number is large under any pose that
+    superimposes the passages.
+    """
+    radius = np.sqrt(gate * (float(np.median(pairs.variance)) + fit.model_error**2))
+    sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // max_queries)]
+    near = _count_neighbours(sampled, se2.inverse(fit.T_a_b), b, radius)
+    return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(pairs.a.tick)
+
+
+def count_expected(
+    T_a_b: Array, pairs: SimultaneousPairs, a: TrackSamples, b: TrackSamples, settings: HypothesisSettings
+) -> float:
+    """Expected number (>= 1) of matches under a correct pose: samples where the other often detects people."""
+    of_a = _count_observable(se2.inverse(T_a_b), pairs.a, b, settings)
+    of_b = _count_observable(T_a_b, pairs.b, a, settings)
+    return max(of_a, of_b, 1)
+
+
+def _count_observable(T: Array, samples: TrackSamples, other: TrackSamples, settings: HypothesisSettings) -> float:
+    overlapping = (samples.tick >= other.tick.min()) & (samples.tick <= other.tick.max())
+    x = samples.positions[overlapping]
+    sampled = x[:: max(1, len(x) // settings.max_queries)]
+    near = _count_neighbours(sampled, T, other, settings.neighbour_radius)
+    return float(np.mean(near >= settings.min_neighbours)) * len(x)
+
+
+def _count_neighbours(x: Array, T: Array, samples: TrackSamples, radius: float) -> NDArray[np.intp]:
+    """Number of samples of all times within the radius of each transformed point (N, 2)."""
+    near = samples.tree.query_ball_point(se2.apply(T, x), radius, return_length=True)
+    return np.asarray(near, dtype=np.intp)

@@ -1,0 +1,96 @@
+"""Clocks and mountings of a network from those of its pairs."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.pairwise import ClockMountingHypothesis
+
+NAMES = ("a", "b", "c", "d", "e")
+
+
+def pair(
+    a: str, b: str, *, mirrored: bool = False, clock: float = 0.0, evidence: float = 400.0, stddev: float = 0.001
+) -> ClockMountingHypothesis:
+    return ClockMountingHypothesis(a, b, mirrored, clock, stddev, evidence)
+
+
+def resolve(hypotheses: list[ClockMountingHypothesis], stated: tuple[str, ...] = ()) -> ClockMountingSolution:
+    return resolve_clocks_and_mountings("a", NAMES, hypotheses, stated)
+
+
+def all_pairs(inverted: str, clocks: dict[str, float]) -> list[ClockMountingHypothesis]:
+    return [
+        pair(i, j, mirrored=(i in inverted) != (j in inverted), clock=clocks.get(j, 0.0) - clocks.get(i, 0.0))
+        for i, j in combinations(NAMES, 2)
+    ]
+
+
+def test_consistent_pairs_give_all_mountings_and_clocks() -> None:
+    clocks = {"b": 0.3, "c": -0.2, "e": 0.7}
+    found = resolve(all_pairs("bd", clocks))
+    assert found.inverted == {"b", "d"}
+    for name in NAMES:
+        assert found.clock_offset[name] == pytest.approx(clocks.get(name, 0.0), abs=1e-9)
+    assert (found.ambiguous, found.contradicted, found.distant_clocks) == ((), (), {})
+
+
+def test_the_root_is_the_reference_of_mountings_and_clocks() -> None:
+    """Where all others differ from the root, all others are inverted."""
+    found = resolve([pair("a", "b", mirrored=True), pair("b", "c"), pair("c", "d"), pair("d", "e")])
+    assert found.inverted == {"b", "c", "d", "e"}
+    assert found.clock_offset["a"] == 0.0
+
+
+def test_cycles_outvote_a_wrong_pair() -> None:
+    """One pair with a wrong mounting and a wrong clock among ten, with as much evidence as the others."""
+    pairs = [h for h in all_pairs("c", {"c": 0.3}) if (h.sensor_a, h.sensor_b) != ("a", "b")]
+    found = resolve([*pairs, pair("a", "b", mirrored=True, clock=0.9)])
+    assert found.inverted == {"c"}
+    assert found.clock_offset["b"] == pytest.approx(0.0, abs=2e-3)
+    assert found.clock_offset["c"] == pytest.approx(0.3, abs=2e-3)
+
+
+def test_of_both_mountings_of_a_pair_the_better_one_counts() -> None:
+    found = resolve([pair("a", "b", evidence=120.0), pair("a", "b", mirrored=True, evidence=500.0, clock=0.2)])
+    assert found.inverted == {"b"}
+    assert found.clock_offset["b"] == pytest.approx(0.2)
+    assert found.ambiguous == ()
+
+
+def test_mountings_that_fit_nearly_alike_are_ambiguous() -> None:
+    found = resolve(
+        [pair("a", "b", evidence=500.0), pair("a", "b", mirrored=True, evidence=480.0), pair("b", "c")]
+    )
+    assert found.ambiguous == ("b", "c")
+    assert found.inverted == frozenset()
+
+
+def test_another_pair_settles_an_ambiguous_mounting() -> None:
+    both = [pair("a", "b", evidence=500.0), pair("a", "b", mirrored=True, evidence=510.0)]
+    assert resolve([*both, pair("a", "c"), pair("b", "c")]).ambiguous == ()
+
+
+def test_a_stated_mounting_is_kept_and_its_contradiction_is_named() -> None:
+    found = resolve([pair("a", "b", mirrored=True), pair("b", "c")], ("b",))
+    assert found.inverted == frozenset()
+    assert found.contradicted == ("b",)
+
+
+def test_chance_has_no_evidence() -> None:
+    found = resolve([pair("a", "b", mirrored=True, evidence=40.0, clock=0.5)])
+    assert found.inverted == frozenset()
+    assert found.clock_offset["b"] == 0.0
+
+
+def test_clocks_beyond_the_search_are_named() -> None:
+    assert resolve([pair("a", "b", clock=1.2)]).distant_clocks == {"b": pytest.approx(1.2)}
+
+
+def test_uncertain_clocks_have_little_weight() -> None:
+    """Of two ways to c, the uncertain one changes its clock by its share of the information."""
+    found = resolve([pair("a", "b"), pair("b", "c", clock=0.1), pair("a", "c", clock=0.16, stddev=0.05)])
+    assert found.clock_offset["c"] == pytest.approx(0.1, abs=2e-3)
+    assert np.isfinite(list(found.clock_offset.values())).all()
