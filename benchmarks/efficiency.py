@@ -34,8 +34,8 @@ from calgraph.detection import BoardCorners
 from calgraph.estimation import Estimator, Problem, SolverOptions, cramer_rao
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.board_outlines import add_outlines
+from calgraph.estimation.rig.bundle_setup import build_bundle, update_noise
 from calgraph.estimation.rig.bundle_solver import linearize_bundle
-from calgraph.estimation.rig.estimate import build_bundle, update_noise
 from calgraph.geometry import Array, se3
 from calgraph.simulation import (
     GroundTruth,

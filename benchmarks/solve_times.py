@@ -27,8 +27,8 @@ from calgraph.captures import CaptureSet
 from calgraph.detection import BoardCorners
 from calgraph.estimation import Problem, RigSolution, solve_bundle
 from calgraph.estimation.rig.board_observations import group_detections
+from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.estimation.rig.estimate import build_bundle
 from calgraph.pairwise import select_matches, select_successful
 from calgraph.simulation import (
     CameraOptions,

@@ -32,8 +32,8 @@ from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, board_corners_from_pixels
 from calgraph.estimation import RigSolution
 from calgraph.estimation.rig.board_observations import BoardObservation
+from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
-from calgraph.estimation.rig.estimate import build_bundle
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import Calibration

@@ -34,6 +34,7 @@ from calgraph.estimation import (
     RigSolution,
     SolverOptions,
     attach_by_priors,
+    locate_boards,
     round_trip,
     save_problem,
     solve_bundle,
@@ -151,6 +152,8 @@ def build_problem_from_captures(
     rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
+    if options.estimator == "bundle":
+        captures = locate_boards(rig, captures)
     detections = captures.detections
     settings = rig.settings.pairwise.board
     pairs = estimate_pairs(

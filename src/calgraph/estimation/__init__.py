@@ -2,6 +2,7 @@
 
 from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
+from calgraph.estimation.rig.camera_boards import locate_boards
 from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle, solve_poses
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attach_by_priors
 from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions, check_problem, with_prior_poses
@@ -11,7 +12,6 @@ from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedB
 __all__ = [
     "Estimator", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
     "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolverOptions", "attach_by_priors",
-    "check_problem", "cramer_rao", "load_problem", "round_trip", "save_problem", "solve_bundle", "solve_network",
-    "solve_poses",
-    "with_prior_poses",
+    "check_problem", "cramer_rao", "load_problem", "locate_boards", "round_trip", "save_problem", "solve_bundle",
+    "solve_network", "solve_poses", "with_prior_poses",
 ]  # fmt: skip

@@ -6,27 +6,24 @@ with a Gaussian prior, eliminated from the normal equations (Schur complement).
 
 import numpy as np
 
-from calgraph.geometry import Array, Index, se_n
+from calgraph.geometry import Array, se_n
 
 
-def marginalize_bias(
-    information: Array, gradient: Array, cost: Array, prior: Array, biased: Index | None = None
-) -> tuple[Array, Array, Array]:
+def marginalize_bias(information: Array, gradient: Array, cost: Array, prior: Array) -> tuple[Array, Array, Array]:
     """Normal equations of V views with their biases marginalised: ``A - A P A = (I + A Q)⁻¹ A`` and ``b - A P b``.
 
     Args:
         information: (V, q, q) A.
         gradient: (V, q) b.
         cost: (V,).
-        prior: (n, n) or (V, n, n) covariance Q of the bias of n parameters, which may be singular.
-        biased: (n,) indices of these parameters; the first n if left out.
+        prior: (n, n) or (V, n, n) covariance Q of the bias of the first n parameters, which may be singular.
 
     Returns:
         (V, q, q), (V, q) and (V,).
     """
-    A, b, index = information, gradient, np.arange(prior.shape[-1]) if biased is None else biased
-    to_bias, b_bias = A[:, :, index], b[:, index]
-    P = compute_bias_covariance(to_bias[:, index], prior)
+    A, b, n = information, gradient, prior.shape[-1]
+    to_bias, b_bias = A[:, :, :n], b[:, :n]
+    P = compute_bias_covariance(to_bias[:, :n], prior)
     shift = (P @ b_bias[..., None])[..., 0]
     return (
         A - to_bias @ P @ se_n.transpose(to_bias),

@@ -34,9 +34,9 @@ RINGS = tuple(0.06 * (np.arange(16) == 8))
 CASES = {
     "print scale": Case(ModelErrors(BoardErrors(print_scale=0.03)), "the print on the board is", ("camera",)),
     "print aspect": Case(
-        ModelErrors(BoardErrors(print_aspect=-0.015)), "the print on the board is 1.5 % narrower", ("camera",)
+        ModelErrors(BoardErrors(print_aspect=-0.015)), "the print on the board is 1.6 % narrower", ("camera",)
     ),
-    "bow": Case(ModelErrors(BoardErrors(bow=(0.012, 0, 0))), "the board is bent by 11.8 mm along x", ALL),
+    "bow": Case(ModelErrors(BoardErrors(bow=(0.012, 0, 0))), "the board is bent by 12 mm along x", ALL),
     "focal length": Case(
         ModelErrors(cameras={"camera": CameraErrors(focal_length=(0.05, 0.05))}), "focal length of", ("camera",)
     ),
@@ -47,7 +47,7 @@ CASES = {
     ),
     "range bias": Case(
         ModelErrors(scanners={"laser_front": ScannerErrors(range_bias=-0.1)}),
-        "ranges of laser_front are 96.7 mm shorter than they should be",
+        "ranges of laser_front are 99.8 mm shorter than they should be",
         ("laser_front",),
     ),
     "range bias of the root": Case(

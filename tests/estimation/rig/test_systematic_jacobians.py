@@ -8,6 +8,7 @@ import pytest
 from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.board_outlines import add_outlines
+from calgraph.estimation.rig.bundle_setup import build_bundle, update_noise
 from calgraph.estimation.rig.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     Bundle,
@@ -16,7 +17,6 @@ from calgraph.estimation.rig.bundle_solver import (
     view_jacobians,
 )
 from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.estimation.rig.estimate import build_bundle, update_noise
 from calgraph.estimation.rig.normal_equations import accumulate
 from calgraph.estimation.rig.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
 from calgraph.estimation.rig.range_observations import RangeObservations

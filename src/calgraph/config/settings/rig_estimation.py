@@ -109,6 +109,10 @@ class BoardRegistrationSettings(StrictModel):
 class SystematicParameterSettings(StrictModel):
     """Systematic errors of every bundle; their priors are the ``uncertainty`` of sensors and boards."""
 
+    prior_tail: float = Field(default=3.0, gt=0)
+    """Standard deviations of a prior beyond which it is not Gaussian, but has the tails of a Cauchy distribution
+    (Huber, "Robust statistics", 1981, section 4.8): the deviation from which a finding names the error. Priors
+    describe usual hardware, but distortion that is left out, or tags of another size, is ten times as far off."""
     min_ring_gap: float = Field(default=math.radians(0.1), gt=0)
     """Least gap between the elevations of two rings of a 3-D scanner, rad (0.1°): the closest rings of scanners
     with 128 of them are 0.11° apart, and the elevations of one ring have no gaps."""

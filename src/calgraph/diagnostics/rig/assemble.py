@@ -19,6 +19,7 @@ from calgraph.diagnostics.verdict import (
     join_reasons,
 )
 from calgraph.errors import Rejected
+from calgraph.estimation.rig.board_observations import Node
 from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
@@ -46,7 +47,7 @@ def assemble_rig(
     settings = rig.settings.diagnostics.verdict
     connected = tree.T_root_sensor
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
-    used = {view: r for view, r in _inlier_residuals(estimates).items() if view not in solution.rejected}
+    used = {view: r for view, r in _used_residuals(estimates, solution).items() if view not in solution.rejected}
     kinds = {name: rig.sensors[name].kind for name in connected}
     findings: list[InputFinding | Finding] = [
         *captures.findings,
@@ -153,14 +154,27 @@ def _assemble_edge(
     return Edge(*names, common, len(residuals), in_tree=tree.has_edge(*names), residuals=residuals)
 
 
-def _inlier_residuals(estimates: Sequence[PairwiseEstimate]) -> InlierResiduals:
-    """By capture and sensor: residuals of its inlier matches, by candidate."""
-    used: dict[tuple[int, str], dict[int, list[float]]] = {}
+def _used_residuals(estimates: Sequence[PairwiseEstimate], solution: RigSolution) -> InlierResiduals:
+    """By capture and sensor of inliers and returned detections: residuals of their matches, by candidate."""
+    inliers = {
+        end for pair in estimates for row in pair.matches[pair.inliers].tolist() for end in _ends(pair, row)
+    }
+    used: dict[tuple[int, str], dict[int, list[float]]] = {
+        (capture, name): {k: []} for capture, name, k in solution.returned
+    }
     for pair in estimates:
-        for (capture, i, j), r in zip(pair.matches[pair.inliers], pair.residuals[pair.inliers], strict=True):
-            used.setdefault((int(capture), pair.sensor_a), {}).setdefault(int(i), []).append(float(r))
-            used.setdefault((int(capture), pair.sensor_b), {}).setdefault(int(j), []).append(float(r))
+        for row, inlier, r in zip(pair.matches.tolist(), pair.inliers, pair.residuals.tolist(), strict=True):
+            ends = _ends(pair, row)
+            if inlier or ({*ends} & solution.returned and {*ends} <= inliers | solution.returned):
+                for capture, name, k in ends:
+                    used.setdefault((capture, name), {}).setdefault(k, []).append(r)
     return used
+
+
+def _ends(pair: PairwiseEstimate, row: Sequence[int]) -> tuple[Node, Node]:
+    """The two detections of a match."""
+    capture, i, j = row
+    return (capture, pair.sensor_a, i), (capture, pair.sensor_b, j)
 
 
 def _assemble_row(
@@ -168,8 +182,9 @@ def _assemble_row(
 ) -> CaptureRow:
     residual, reason = None, ""
     if (hold.index, name) in used:
-        matched = np.concatenate(list(used[hold.index, name].values()))
-        residual = float(np.sqrt(np.mean(matched**2)))
+        # A returned detection has no match with a sensor of which RANSAC found no relative pose.
+        if len(matched := np.concatenate(list(used[hold.index, name].values()))):
+            residual = float(np.sqrt(np.mean(matched**2)))
     elif hold.index not in captures.detections[name]:
         reason = captures.rejections[hold.index, name]
     elif (hold.index, name) in solution.rejected:
@@ -183,7 +198,7 @@ def _assemble_row(
         hold.start - captures.start,
         hold.end - captures.start,
         name,
-        residual is not None,
+        (hold.index, name) in used,
         reason,
         residual,
     )

@@ -1,26 +1,23 @@
 """Tests of steps in the poses of sensors: a sensor that was bumped during the recording."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calgraph.diagnostics.rig.pose_steps import PoseStep, find_pose_steps, set_noise
-from calgraph.estimation.rig.board_observations import BoardObservation, group_detections
+from calgraph.diagnostics.rig.pose_steps import PoseStep, find_pose_steps
+from calgraph.estimation.rig.board_observations import add_unambiguous_detections, group_detections
+from calgraph.estimation.rig.bundle_setup import rebuild_bundle
 from calgraph.estimation.rig.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
-    BundleState,
     MinimizedBundle,
     minimize_bundle,
 )
-from calgraph.estimation.rig.estimate import build_bundle
 from calgraph.estimation.rig.priors import without_priors
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
-from calgraph.geometry import Array, Index
-from calgraph.pairwise import PairwiseEstimate, select_successful
+from calgraph.geometry import Index
+from calgraph.pairwise import select_successful
 
 
 @dataclass(frozen=True)
@@ -72,27 +69,18 @@ def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, 
     """
     names = solved.bundle.sensors
     pairs = [e for e in select_successful(problem.pairs) if e.sensor_a in names and e.sensor_b in names]
-    boards = group_detections([(pair, _select_unambiguous(problem, pair)) for pair in pairs])
+    inliers = group_detections([(pair, pair.inliers) for pair in pairs])
+    boards = add_unambiguous_detections(inliers, problem.captures.detections, names)
     without_outlines = without_priors(_remove_outlines(solved.bundle))
     state = solved.minimized.state
     if sum(len(board.detection_index) for board in boards) == sum(len(v.board) for v in solved.bundle.views):
         bundle, captures, cache = without_outlines, solved.captures, solved.minimized.equations.cache[: len(names)]
     else:
-        T_root_sensor = dict(zip(names, state.T_root_sensor, strict=True))
-        bundle, state = _build_like(problem, without_outlines, state, boards, T_root_sensor)
+        bundle, state = rebuild_bundle(problem.rig, problem.captures, boards, without_outlines, state)
+        bundle = without_priors(bundle)
         captures, cache = np.array([board.capture for board in boards]), ()
     solution = minimize_bundle(bundle, state, cache, tolerance=COARSE_TOLERANCE, exact=False)
     return bundle, solution, captures
-
-
-def _select_unambiguous(problem: Problem, pair: PairwiseEstimate) -> NDArray[np.bool_]:
-    """Mask (M,) of a pair's matches: its inliers, and matches of captures in which either has one detection."""
-    single = [
-        len(problem.captures.detections[pair.sensor_a][capture]) == 1
-        and len(problem.captures.detections[pair.sensor_b][capture]) == 1
-        for capture in pair.matches[:, 0].tolist()
-    ]
-    return np.asarray(pair.inliers | np.array(single, dtype=np.bool_))
 
 
 def _remove_outlines(bundle: Bundle) -> Bundle:
@@ -102,22 +90,6 @@ def _remove_outlines(bundle: Bundle) -> Bundle:
         replace(one, view_sets=tuple(k for k in one.view_sets if k < sensors)) for one in bundle.extra_parameters
     )
     return replace(bundle.without_outlines(), extra_parameters=kept)
-
-
-def _build_like(
-    problem: Problem,
-    solved: Bundle,
-    state: BundleState,
-    boards: Sequence[BoardObservation],
-    T_root_sensor: dict[str, Array],
-) -> tuple[Bundle, BundleState]:
-    """The bundle of these boards, with variances and parameters of a solved one, and its start values."""
-    bundle, start = build_bundle(problem.rig, problem.captures, boards, T_root_sensor)
-    bundle = replace(without_priors(bundle), bias_variance=solved.bias_variance)
-    value = {(p.of, p.quantity): x for p, x in zip(solved.extra_parameters, state.extra, strict=True)}
-    extra = np.array([value.get((p.of, p.quantity), 0.0) for p in bundle.extra_parameters])
-    start = replace(start, extra=extra)
-    return set_noise(bundle, start, [views.noise_scale for views in solved.views]), start
 
 
 def _describe(problem: Problem, captures: Index, step: PoseStep) -> Bump:

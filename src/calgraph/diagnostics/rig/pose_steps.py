@@ -8,6 +8,7 @@ from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import BumpTestSettings
 from calgraph.errors import CalibrationError
+from calgraph.estimation.rig.bundle_setup import set_noise
 from calgraph.estimation.rig.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
@@ -19,9 +20,8 @@ from calgraph.estimation.rig.bundle_solver import (
     minimize_bundle,
 )
 from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
-from calgraph.estimation.rig.estimate import settle_variances
 from calgraph.estimation.rig.normal_equations import whitening
-from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.settling import settle_variances
 from calgraph.estimation.rig.variance_components import measure_consistency
 from calgraph.geometry import Array, Index, se3, se_n
 
@@ -127,7 +127,7 @@ def release_poses(
         (S,) by sensor.
     """
     G, boards = bundle.parameter_count, len(state.T_root_board)
-    H = np.diag(bundle.prior_stddev**-2)
+    H = np.diag(bundle.prior_weights(state.extra) * bundle.prior_stddev**-2)
     g = H.diagonal() * np.concatenate([np.zeros(6 * bundle.body_count), state.extra])
     H_board = np.tile(BOARD_PRIOR_INFORMATION * np.eye(6), (boards, 1, 1))
     board_parameters = np.zeros((boards, 6, G + 1))
@@ -264,17 +264,6 @@ def _set_variances(bundle: Bundle, state: BundleState, split: _Split) -> Bundle:
     sensors = len(bundle.sensors)
     scales = [views.noise_scale for views in split.bundle.views[:sensors]]
     return set_noise(replace(bundle, bias_variance=split.bundle.bias_variance[:sensors]), state, scales)
-
-
-def set_noise(bundle: Bundle, state: BundleState, scales: Sequence[float]) -> Bundle:
-    """The bundle with these noise scales (S,)."""
-    return replace(
-        bundle,
-        views=tuple(
-            views.update_noise(relative_poses(T_root_sensor, state.T_root_board[views.board]), scale)
-            for views, T_root_sensor, scale in zip(bundle.views, state.T_root_sensor, scales, strict=True)
-        ),
-    )
 
 
 def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float]:

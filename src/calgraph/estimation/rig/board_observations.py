@@ -1,6 +1,6 @@
 """From matched detections to board observations: the sensors that detected one board, and its initial pose."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,10 +48,61 @@ def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]
     return sorted(map(_select_detections, components.values()), key=lambda o: o.capture)
 
 
+def detected_nodes(boards: Iterable[BoardObservation]) -> set[Node]:
+    """All detections of boards."""
+    return {(board.capture, name, k) for board in boards for name, k in board.detection_index.items()}
+
+
 def _select_detections(members: Sequence[tuple[int, Node]]) -> BoardObservation:
     """The board observation of matched detections: of several of one sensor that with the most matches."""
     ranked = sorted(members, key=lambda member: (member[0], -member[1][2]))
     return BoardObservation(ranked[0][1][0], {sensor: k for _, (_, sensor, k) in ranked})
+
+
+def add_unambiguous_detections(
+    boards: Sequence[BoardObservation], detections: Mapping[str, Candidates], sensors: Collection[str]
+) -> list[BoardObservation]:
+    """The boards with detections that no pair has as inliers, in order of captures.
+
+    Added are detections that are the only one of a sensor in a capture, or the only one of a camera of one of the
+    rig's boards. They join the board that most sensors detected in the capture, or make a board of their own.
+
+    Args:
+        boards: of the pairs' inliers.
+        detections: of all sensors.
+        sensors: whose detections are added.
+    """
+    by_capture: dict[int, list[BoardObservation]] = {}
+    for board in boards:
+        by_capture.setdefault(board.capture, []).append(board)
+    for name in sensors:
+        for capture, candidates in detections[name].items():
+            present = by_capture.setdefault(capture, [])
+            used = {board.detection_index[name] for board in present if name in board.detection_index}
+            for k in set(_find_unambiguous(candidates)) - used:
+                number = _identified_board(candidates[k])
+                fitting = [
+                    i
+                    for i, board in enumerate(present)
+                    if name not in board.detection_index
+                    and (number is None or board_number(board, detections) in (-1, number))
+                ]
+                i = max(fitting, key=lambda i: len(present[i].detection_index), default=len(present))
+                if i == len(present):
+                    present.append(BoardObservation(capture, {}))
+                present[i] = BoardObservation(capture, {**present[i].detection_index, name: k})
+    shared = [board for _, found in sorted(by_capture.items()) for board in found]
+    return [board for board in shared if len(board.detection_index) > 1]
+
+
+def _find_unambiguous(candidates: Sequence[Detection]) -> list[int]:
+    """Indices of the detections that are the only ones of a board, as far as the sensor identifies boards."""
+    numbers = [_identified_board(one) for one in candidates]
+    return [k for k, number in enumerate(numbers) if numbers.count(number) == 1]
+
+
+def _identified_board(detection: Detection) -> int | None:
+    return detection.board if isinstance(detection, BoardCorners) else None
 
 
 def initial_board_pose(

@@ -132,6 +132,17 @@ class Bundle:
         pose = [self.settings.position_prior_stddev] * 3 + [self.settings.rotation_prior_stddev] * 3
         return np.array(pose * self.body_count + [one.prior_stddev for one in self.extra_parameters])
 
+    def prior_weights(self, extra: Array) -> Array:
+        """(G,) factors of the priors' information at extra parameters (E,): less than 1 in the tails.
+
+        Beyond some standard deviations, the prior has the tails of a Cauchy distribution: a lens or print that is
+        grossly wrong contradicts it, and is then estimated from the data.
+        """
+        tail = self.settings.systematic.prior_tail * np.array([one.prior_stddev for one in self.extra_parameters])
+        weights = np.ones(self.parameter_count)
+        weights[6 * self.body_count :] = (tail / np.maximum(np.abs(extra), tail)) ** 2
+        return weights
+
     def bias_components(self, k: int) -> tuple[int, ...]:
         """Columns of ``bias_variance`` that views k have: a displacement, for sensors a rotation, and rings."""
         views = self.all_views[k]
@@ -385,8 +396,10 @@ def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, 
     # Zero-gradient regularizer of poses, for unobserved directions.
     off = np.zeros(bundle.parameter_count)
     off[6 * bundle.body_count :] = state.extra
-    information = bundle.prior_stddev**-2
-    return 0.5 * float(information @ off**2), np.diag(information), information * off
+    weights = bundle.prior_weights(state.extra)
+    information = weights * bundle.prior_stddev**-2
+    tails = -np.log(weights) * bundle.settings.systematic.prior_tail**2
+    return 0.5 * float(np.sum(information * off**2 + tails)), np.diag(information), information * off
 
 
 def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H: Array, g: Array) -> float:

@@ -65,12 +65,6 @@ class ViewNormalEquations:
         whiten, _ = self.whiten_views()
         return -_matvec(se_n.transpose(whiten), _matvec(whiten, self.Jtr))
 
-    @property
-    def biased(self) -> Index:
-        """(n,) local parameters that a view's bias displaces: of the pose, and the rings."""
-        q = self.JtJ.shape[-1]
-        return np.concatenate([np.arange(self.pose_count), np.arange(q - self.ring_count, q)])
-
     def whiten_views(self) -> tuple[Array, NDArray[np.bool_]]:
         """``L`` (V, n, q) with ``L @ JtJ @ L.T`` the identity where it is measured, (V, n): of the pose and rings.
 
@@ -131,27 +125,45 @@ class ViewNormalEquations:
         cost = self.robust_cost_offset + 0.5 * self.squared_residuals
         if not np.any(variance):
             return self.JtJ, self.Jtr, cost
-        biased, prior = self._bias_prior(variance)
-        return marginalize_bias(self.JtJ, self.Jtr, cost, prior, biased)
+        A, b = self.JtJ, self.Jtr
+        if variance[6]:
+            to_rings, P, shift = self._ring_biases(variance[6])
+            A = A - (to_rings * P[:, None]) @ se_n.transpose(to_rings)
+            b = b - _matvec(to_rings, shift)
+            cost = cost - 0.5 * np.sum(self._of_rings(self.Jtr) * shift, axis=-1)
+        return marginalize_bias(A, b, cost, self._pose_bias_prior(variance))
 
     def estimate_bias(self, variance: Array) -> Array:
         """(V, q) most likely bias, for its variances (7,)."""
-        biased, prior = self._bias_prior(variance)
-        shift = np.zeros_like(self.Jtr)
-        P = compute_bias_covariance(self.JtJ[:, biased[:, None], biased], prior)
-        shift[:, biased] = -_matvec(P, self.Jtr[:, biased])
+        p, shift = self.pose_count, np.zeros_like(self.Jtr)
+        A, b = self.JtJ[:, :p, :p], self.Jtr[:, :p]
+        if variance[6]:
+            to_rings, P, of_rings = self._ring_biases(variance[6])
+            A = A - (to_rings[:, :p] * P[:, None]) @ se_n.transpose(to_rings[:, :p])
+            b = b - _matvec(to_rings[:, :p], of_rings)
+        shift[:, :p] = -_matvec(compute_bias_covariance(A, self._pose_bias_prior(variance)), b)
+        if variance[6]:
+            of_rings = of_rings + P * _matvec(se_n.transpose(to_rings[:, :p]), shift[:, :p])
+            shift[:, shift.shape[1] - self.ring_count :] = -of_rings
         return shift
 
-    def _bias_prior(self, variance: Array) -> tuple[Index, Array]:
-        """Local parameters (n,) that a bias with these variances (7,) displaces, and its covariance (V, n, n)."""
-        p = self.pose_count
-        biased = self.biased if variance[6] else np.arange(p)
-        J = self.local_jacobian[:, :p, :6]
-        Q = np.zeros((len(J), len(biased), len(biased)))
-        Q[:, :p, :p] = (J * variance[:6]) @ se_n.transpose(J)
-        rings = np.arange(p, len(biased))
-        Q[:, rings, rings] = variance[6]
-        return biased, Q
+    def _ring_biases(self, variance: float) -> tuple[Array, Array, Array]:
+        """Information (V, q, R) between parameters and rings, and variances and sizes (V, R) of rings' biases.
+
+        The other biases are zero; those of rings are then independent of each other.
+        """
+        rings = np.arange(self.JtJ.shape[-1] - self.ring_count, self.JtJ.shape[-1])
+        P = variance / (1 + variance * self.JtJ[:, rings, rings])
+        return self.JtJ[:, :, rings], P, P * self._of_rings(self.Jtr)
+
+    def _of_rings(self, values: Array) -> Array:
+        """(V, R) of (V, q)."""
+        return values[:, values.shape[1] - self.ring_count :]
+
+    def _pose_bias_prior(self, variance: Array) -> Array:
+        """(V, p, p) covariance of the displacement of the local parameters of the pose."""
+        J = self.local_jacobian[:, : self.pose_count, :6]
+        return np.asarray((J * variance[:6]) @ se_n.transpose(J))
 
 
 @dataclass(frozen=True, eq=False)

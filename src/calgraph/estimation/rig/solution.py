@@ -50,6 +50,8 @@ class RigSolution:
     """Observations that were not used, with the reason."""
     rejected: Mapping[tuple[int, str], str] = field(default_factory=dict)
     """By capture and sensor, why a detection was rejected although it was an inlier of a pair."""
+    returned: frozenset[tuple[int, str, int]] = frozenset()
+    """Capture, sensor and index of the detections that were used although no pair has them as inliers."""
     noise: Mapping[str, MeasuredNoise] = field(default_factory=dict)
     """By sensor, where it was estimated."""
     systematic: tuple[EstimatedParameter, ...] = ()

@@ -238,15 +238,22 @@ def measure_consistency(
 def _test_poses(
     at: MarginalizedViews, factors: Array, pose_count: int, min_redundancy: float, *, predicted: bool = False
 ) -> tuple[Array, NDArray[np.intp]]:
-    """:func:`consistency_statistic` of the local parameters of the pose."""
-    by_solution = at.information[:, :pose_count] @ factors
-    return consistency_statistic(
-        at.information[:, :pose_count, :pose_count],
+    """:func:`consistency_statistic` of the pose's local parameters; infinite where residuals are not finite."""
+    # By the others' solution, the board of an outlier view may be behind the camera.
+    finite = np.isfinite(at.gradient).all(axis=-1) & np.isfinite(factors).all(axis=(-2, -1))
+    information, factors, gradient = (
+        values if finite.all() else np.where(finite.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
+        for values in (at.information, factors, at.gradient)
+    )
+    by_solution = information[:, :pose_count] @ factors
+    squared, freedom = consistency_statistic(
+        information[:, :pose_count, :pose_count],
         by_solution @ se_n.transpose(by_solution),
-        at.gradient[:, :pose_count],
+        gradient[:, :pose_count],
         min_redundancy,
         predicted=predicted,
     )
+    return np.where(finite, squared, np.inf), freedom
 
 
 def select_consistent_views(

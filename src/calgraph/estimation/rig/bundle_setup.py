@@ -1,0 +1,103 @@
+"""From board observations to a bundle with start values."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.captures import CaptureSet
+from calgraph.config import CameraSpec, Rig
+from calgraph.detection import BoardCorners
+from calgraph.estimation.rig.board_observations import BoardObservation, board_number, initial_board_pose
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, stack_poses
+from calgraph.estimation.rig.corner_observations import CornerObservations
+from calgraph.estimation.rig.observations import BoardViews, relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
+from calgraph.estimation.rig.systematic_parameters import add_systematic_parameters
+from calgraph.geometry import Array
+
+
+def build_bundle(
+    rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation], T_root_sensor: Mapping[str, Array]
+) -> tuple[Bundle, BundleState]:
+    """The bundle of the observed boards, and its start values."""
+    names = tuple(T_root_sensor)
+    views = tuple(_select_views(rig, captured, name, boards) for name in names)
+    bundle = Bundle(
+        names,
+        views,
+        body=np.arange(len(names)),
+        bias_variance=np.zeros((len(names), 3)),
+        lever=0.5 * max(rig.board_size),
+        settings=rig.settings.estimation.rig,
+    )
+    initial = bundle.settings.variances.initial_view_bias
+    for k in range(len(names)):
+        components = list(bundle.bias_components(k))
+        bundle.bias_variance[k, components] = (initial * np.array([1, 1 / bundle.lever, 1])[components]) ** 2
+    state = BundleState(
+        stack_poses([T_root_sensor[name] for name in names]),
+        stack_poses([initial_board_pose(board, captured.detections, T_root_sensor) for board in boards]),
+        np.zeros(0),
+    )
+    number = np.array([board_number(board, captured.detections) for board in boards], dtype=np.intp)
+    bundle, state = add_systematic_parameters(bundle, state, rig, number)
+    return update_noise(bundle, state), state
+
+
+def update_noise(bundle: Bundle, state: BundleState) -> Bundle:
+    """The bundle with the noise of its measurements at this state."""
+    all_views = []
+    for k, views in enumerate(bundle.all_views):
+        T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
+        all_views.append(views.update_noise(T_sensor_board, views.noise_scale))
+    return bundle.with_views(all_views)
+
+
+def _select_views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[BoardObservation]) -> BoardViews:
+    """One sensor's views of the boards."""
+    spec = rig.sensors[name]
+    detected = [
+        (i, captured.detections[name][board.capture][board.detection_index[name]])
+        for i, board in enumerate(boards)
+        if name in board.detection_index
+    ]
+    indices = [i for i, _ in detected]
+    if isinstance(spec, CameraSpec):
+        corners = [d for _, d in detected if isinstance(d, BoardCorners)]
+        return CornerObservations.from_detections(indices, corners, captured.cameras[name], spec.noise)
+    surfaces = [d for _, d in detected if not isinstance(d, BoardCorners)]
+    return RangeObservations.from_detections(
+        indices, surfaces, spec.noise, rig.settings.estimation.rig.min_incidence_cosine
+    )
+
+
+def rebuild_bundle(
+    rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation], solved: Bundle, state: BundleState
+) -> tuple[Bundle, BundleState]:
+    """The bundle of other boards, with the variances and parameters of a solved one, and its start values.
+
+    Args:
+        rig: the rig.
+        captured: detections.
+        boards: of the new bundle.
+        solved: without outlines.
+        state: its solution.
+    """
+    T_root_sensor = dict(zip(solved.sensors, state.T_root_sensor, strict=True))
+    bundle, start = build_bundle(rig, captured, boards, T_root_sensor)
+    value = {(p.of, p.quantity): x for p, x in zip(solved.extra_parameters, state.extra, strict=True)}
+    extra = np.array([value.get((p.of, p.quantity), 0.0) for p in bundle.extra_parameters])
+    bundle, start = replace(bundle, bias_variance=solved.bias_variance), replace(start, extra=extra)
+    return set_noise(bundle, start, [views.noise_scale for views in solved.views]), start
+
+
+def set_noise(bundle: Bundle, state: BundleState, scales: Sequence[float]) -> Bundle:
+    """The bundle with these noise scales (S,)."""
+    return replace(
+        bundle,
+        views=tuple(
+            views.update_noise(relative_poses(T_root_sensor, state.T_root_board[views.board]), scale)
+            for views, T_root_sensor, scale in zip(bundle.views, state.T_root_sensor, scales, strict=True)
+        ),
+    )

@@ -1,0 +1,91 @@
+"""Detections that are outliers of all pairs return if they agree with the bundle, and the tails of priors."""
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.detection import BoardCorners, Detection
+from calgraph.estimation import RigSolution, solve_bundle
+from calgraph.estimation.rig.bundle_solver import linearize_bundle
+from detected_rigs import DetectedRig, detect_rig
+
+EXCLUDED = range(0, 60, 4)
+
+
+@pytest.fixture(scope="module")
+def detected() -> DetectedRig:
+    return detect_rig()
+
+
+def solve_without(one: DetectedRig, sensor: str, captures: Collection[int]) -> RigSolution:
+    """The solution where some detections of a sensor are outliers of all pairs."""
+    pairs = [
+        replace(pair, inliers=~np.isin(pair.matches[:, 0], list(captures)))
+        if sensor in (pair.sensor_a, pair.sensor_b)
+        else pair
+        for pair in one.pairs()
+    ]
+    return solve_bundle(one.rig, one.captures, pairs, one.T_root_sensor)
+
+
+@pytest.mark.parametrize("sensor", ["camera", "lidar"])
+def test_outliers_of_pairs_that_agree_with_the_bundle_return(detected: DetectedRig, sensor: str) -> None:
+    joint = solve_without(detected, sensor, EXCLUDED)
+    by_sensor = detected.captures.detections
+    shared = {c for name in by_sensor if name != sensor for c in by_sensor[name]}
+    missing = {(c, sensor, 0) for c in EXCLUDED if c in by_sensor[sensor] and c in shared}
+    assert missing <= joint.returned
+    complete = detected.solve()
+    assert joint.solved_bundle is not None
+    assert complete.solved_bundle is not None
+    assert sum(len(v.board) for v in joint.solved_bundle.bundle.views) == sum(
+        len(v.board) for v in complete.solved_bundle.bundle.views
+    )
+    for name, T in complete.T_root_sensor.items():
+        stddev = np.sqrt(np.diag(complete.covariance[name])[:3]).max()
+        assert np.linalg.norm((joint.T_root_sensor[name] - T)[:3, 3]) <= 0.3 * stddev
+
+
+def test_outliers_that_contradict_the_bundle_stay_out(detected: DetectedRig) -> None:
+    """The board is farther away than it was for the other sensors in every second excluded capture."""
+    by_capture, slipped = detected.captures.detections["camera"], list(EXCLUDED)[::2]
+    outliers = {id(by_capture[c][0]) for c in slipped if c in by_capture}
+
+    def slip(_name: str, detection: Detection) -> Detection:
+        if id(detection) in outliers and isinstance(detection, BoardCorners):
+            middle = detection.pixels.mean(axis=0)
+            return replace(detection, pixels=middle + 0.9 * (detection.pixels - middle))
+        return detection
+
+    joint = solve_without(detected.map_detections(slip), "camera", EXCLUDED)
+    returned = {capture for capture, name, _ in joint.returned if name == "camera"}
+    assert returned == (set(EXCLUDED) - set(slipped)) & set(by_capture)
+
+
+def test_ambiguous_detections_do_not_return(detected: DetectedRig) -> None:
+    """Two planes in each excluded capture of the LiDAR, of which no pair has either as inlier."""
+    by_sensor = dict(detected.captures.detections)
+    by_sensor["lidar"] = {
+        c: (*found, *found) if c in EXCLUDED else found for c, found in by_sensor["lidar"].items()
+    }
+    captures = replace(detected.captures, detections=by_sensor)
+    joint = solve_without(replace(detected, captures=captures), "lidar", EXCLUDED)
+    assert not [node for node in joint.returned if node[1] == "lidar"]
+
+
+def test_priors_have_tails(detected: DetectedRig) -> None:
+    """Gaussian up to a limit; beyond, the gradient of the cost falls with the deviation."""
+    joint = detected.solve().solved_bundle
+    assert joint is not None
+    bundle, state = joint.bundle, joint.minimized.state
+    stddev = np.array([one.prior_stddev for one in bundle.extra_parameters])
+    first = 6 * bundle.body_count
+    views = bundle.with_views([v.select(np.zeros(len(v.board), dtype=np.bool_)) for v in bundle.all_views])
+    for deviation, weight in ((1.0, 1.0), (3.0, 1.0), (6.0, 0.25), (30.0, 0.01)):
+        at = linearize_bundle(views, replace(state, extra=deviation * stddev))
+        assert bundle.prior_weights(deviation * stddev)[first:] == pytest.approx(weight)
+        ahead = linearize_bundle(views, replace(state, extra=(deviation + 1e-5) * stddev))
+        assert (ahead.cost - at.cost) / 1e-5 == pytest.approx(len(stddev) * weight * deviation, rel=1e-3)
+        assert at.g[first:] * stddev == pytest.approx(weight * deviation)
