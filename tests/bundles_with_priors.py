@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from bundle_scenes import Scene, scene
-from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, SensorPrior, minimize_bundle
+from calgraph.estimation.rig.bundle_parameters import SensorPrior
+from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
 from calgraph.estimation.rig.priors import RigidGroup, apply_rigid_groups, assign_bodies
 from calgraph.geometry import Array, se3
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.diagnostics.rig.parameter_description import describe_deviation
-from calgraph.estimation.rig.bundle_solver import SystematicParameter
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 
 
 @pytest.mark.parametrize(

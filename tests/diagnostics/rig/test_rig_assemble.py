@@ -11,7 +11,8 @@ from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
 from calgraph.estimation import Problem, RigSolution, SolverOptions
-from calgraph.estimation.rig.bundle_solver import SensorPrior, minimize_bundle
+from calgraph.estimation.rig.bundle_parameters import SensorPrior
+from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.geometry import se3
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate

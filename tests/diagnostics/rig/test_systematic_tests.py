@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.systematic_tests import _Estimates, find_systematic_errors
-from calgraph.estimation.rig.bundle_solver import SystematicParameter
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
 

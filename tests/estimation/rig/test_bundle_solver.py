@@ -9,10 +9,10 @@ import scipy.optimize
 
 from bundle_scenes import scene
 from calgraph.errors import CalibrationError
+from calgraph.estimation.rig.bundle_parameters import SensorPrior
 from calgraph.estimation.rig.bundle_solver import (
     Bundle,
     BundleState,
-    SensorPrior,
     linearize_bundle,
     minimize_bundle,
     retract_state,

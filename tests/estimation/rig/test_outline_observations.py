@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config.settings import OutlineSettings
 from calgraph.detection import PlanePatch
-from calgraph.estimation.rig.bundle_solver import SystematicParameter, linearize_bundle, minimize_bundle
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.estimation.rig.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.outline_observations import OUTLINE_PARAMETERS, OutlineObservations

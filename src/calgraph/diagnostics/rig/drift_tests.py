@@ -12,12 +12,12 @@ from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import DriftTestSettings
 from calgraph.diagnostics.finding import Finding
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
     MinimizedBundle,
-    SystematicParameter,
     body_jacobian,
     linearize_bundle,
     pose_jacobian,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calgraph.estimation.rig.bundle_solver import SystematicParameter
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 
 # By quantity, what a positive and what a negative deviation means.
 _MEANINGS = {

@@ -14,7 +14,8 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.parameter_description import describe_deviation, format_size
-from calgraph.estimation.rig.bundle_solver import Bundle, SystematicParameter
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.solution import SolvedBundle

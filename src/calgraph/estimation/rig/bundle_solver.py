@@ -13,6 +13,7 @@ import numpy as np
 
 from calgraph.config.settings import RigEstimationSettings
 from calgraph.errors import CalibrationError
+from calgraph.estimation.rig.bundle_parameters import SensorPrior, SystematicParameter
 from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
 from calgraph.geometry import Array, Index, se3, se_n, so3
@@ -26,39 +27,6 @@ BOARD_PRIOR_INFORMATION = 1e-4
 COARSE_TOLERANCE = 1e-3
 # or by more than 0.05 %.
 _FINE_TOLERANCE = 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class SensorPrior:
-    """Gaussian prior of a sensor's pose."""
-
-    sensor: int
-    T_root_sensor: Array
-    """(4, 4)."""
-    information: Array
-    """(6, 6) inverse covariance of its error in the root's fixed axes."""
-
-
-@dataclass(frozen=True)
-class SystematicParameter:
-    """An error of a sensor or of the target that all captures share, estimated besides the poses.
-
-    Its value is the stated one plus ``scale`` times the bundle's, whose prior mean and start value are 0.
-    """
-
-    of: str
-    """The sensor, board or tag that it belongs to."""
-    quantity: str
-    unit: str
-    """``m``, ``px``, ``rad``, or nothing."""
-    prior_stddev: float
-    """Of the bundle's value."""
-    view_sets: tuple[int, ...]
-    """Indices in :attr:`Bundle.all_views` of the views that depend on it."""
-    stated: float = 0.0
-    """In ``unit``."""
-    scale: float = 1.0
-    """``unit`` over that of the bundle."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ import numpy as np
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import SystematicParameterSettings
 from calgraph.detection import compute_landmarks
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, BundleState, SystematicParameter
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, BundleState
 from calgraph.estimation.rig.corner_observations import CornerObservations, PrintedCorners
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.observations import BoardViews, view_indices
