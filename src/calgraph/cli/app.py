@@ -58,7 +58,7 @@ COMMANDS = {
         "measure.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the target: that rig.yaml needs "
         "for it.",
-        "inspect": "Show the topics of a recording: counts, rates, gaps, frames, clocks, and anomalies.",
+        "inspect": "Show the topics of a recording, or how a result was computed.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.",
         "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",
     }.items()

@@ -1,6 +1,7 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
 
@@ -11,6 +12,7 @@ from calgraph.cli.common_options import JobsOption, Results, RigFile, StrictOpti
 from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.progress import progress_bars
+from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
@@ -132,6 +134,8 @@ def calibrate(
         with open_recordings(recordings) as recording, progress_bars() as progress:
             rig = resolve_background(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
+            read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
+            calibration = replace(calibration, provenance=describe_run(read, recording))
             rig = resolve_intrinsics(rig, recording)
         write_results(calibration, rig, folder)
     show_results(calibration, out, json=json, strict=strict)

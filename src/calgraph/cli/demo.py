@@ -1,5 +1,6 @@
 """``calgraph demo``: the whole story on a simulated robot."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 from calgraph.cli.calibrate import fail_if_not_calibrated, write_results
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
+from calgraph.cli.provenance import describe_run
 from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
@@ -36,6 +38,8 @@ def demo(
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
                 calibration = calibrate_rig(rig, recording, RigOptions(), progress)
+                # The command repeats the recording: there is no other input.
+                calibration = replace(calibration, provenance=describe_run([], recording))
                 rig = resolve_intrinsics(rig, recording)
         (folder / "result").mkdir()
         write_results(calibration, rig, folder / "result")

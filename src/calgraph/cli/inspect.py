@@ -12,20 +12,28 @@ from rich.table import Table
 
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
+from calgraph.cli.printing import print_calibration, print_provenance
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import RecordingError
 from calgraph.io import format_json
 from calgraph.recording import SENSORS, Inspection, TopicReport, inspect_recording, open_recording
+from calgraph.result import Calibration, load_calibration, to_json
 
 
 def inspect(
     recording: OneRecording,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show the topics of a recording: counts, rates, gaps, frames, clocks, and anomalies.
+    """Show the topics of a recording, or how a result was computed.
+
+    Of a recording: counts, rates, gaps, frames, clocks, and anomalies. Of a result, the folder that calibrate wrote:
+    version, command, inputs, and poses.
 
     Exit code 2: it is damaged; what could be read is shown all the same.
     """
+    if (recording / "calibration.yaml").is_file():
+        show_result(load_calibration(recording / "calibration.yaml"), json=json)
+        return
     with open_recording(recording) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
     if json:
@@ -34,6 +42,16 @@ def inspect(
         _print(recording, inspection)
     if inspection.damage:
         raise RecordingError(inspection.damage)
+
+
+def show_result(calibration: Calibration, *, json: bool) -> None:
+    """Prints how a calibration was computed, and its poses."""
+    if json:
+        typer.echo(to_json(calibration))
+        return
+    if calibration.provenance:
+        print_provenance(calibration.provenance)
+    print_calibration(calibration)
 
 
 def _print(recording: Path, inspection: Inspection) -> None:

@@ -1,6 +1,7 @@
 """Printing of a calibration: poses with standard deviations, for terminals of 80 columns and for pipes."""
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from rich.table import Table
 
 from calgraph.cli.console import console
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, EstimatedParameter, SensorPose
+from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
@@ -53,6 +54,17 @@ def print_calibration(calibration: Calibration) -> None:
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
             output.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
+
+
+def print_provenance(provenance: Provenance) -> None:
+    """Prints how a calibration was computed, one line each."""
+    output = console()
+    output.print(escape(f"Computed by calgraph {provenance.version} at {provenance.date}: {provenance.command}"))
+    for one in provenance.inputs:
+        output.print(escape(f"from {one.path} (SHA-256 {one.sha256[:12]}…)"))
+    if provenance.start is not None and provenance.duration is not None:
+        start = datetime.fromtimestamp(provenance.start, UTC).isoformat(timespec="seconds")
+        output.print(f"recorded {start}, {provenance.duration:.1f} s, {provenance.messages} messages")
 
 
 def print_remarks(calibration: Calibration) -> None:

@@ -9,6 +9,7 @@ import typer
 from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
 from calgraph.cli.common_options import Results, StrictOption, WholeJson
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
+from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, override_settings
 from calgraph.io import replace_folder_atomically
 
@@ -56,6 +57,6 @@ def solve(
     problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))
     with replace_folder_atomically(out) as folder:
-        calibration = solve_problem(problem)
+        calibration = replace(solve_problem(problem), provenance=describe_run([file, *([prior] if prior else [])]))
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json, strict=strict)

@@ -18,6 +18,7 @@ from calgraph.report.gallery import render_gallery
 from calgraph.report.graph_view import render_edge_table, render_graph
 from calgraph.report.image_view import render_camera_images
 from calgraph.report.pose_table import render_estimated_parameters, render_pose_table
+from calgraph.report.provenance_view import render_provenance
 from calgraph.report.residual_view import render_distances, render_histograms
 from calgraph.report.rig_view import render_rig_view
 from calgraph.report.verdict_cards import describe_good, render_cards, render_remarks, summarize_verdicts
@@ -72,6 +73,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         coverage=render_coverage(calibration, rig, words),
         captures_title=words.items_title,
         captures=render_captures(calibration, words) + render_gallery(calibration),
+        provenance=render_provenance(calibration),
         style=_read_asset("style.css"),
         plotly=get_plotlyjs(),
         script=_read_asset("page.js"),

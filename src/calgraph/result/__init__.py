@@ -10,6 +10,7 @@ from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, S
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.pictures import BoardOutline, BoardView, FloorView, Pictures
+from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.snapshots import Snapshot
@@ -17,7 +18,8 @@ from calgraph.result.table import to_dataframe
 
 __all__ = [
     "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter", "Evidence",
-    "ExtrinsicsFile", "FloorView", "HeldOutError", "Pictures", "SensorPose", "Snapshot", "Suggestion", "Verdict",
-    "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances", "load_calibration",
-    "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_scene", "to_dataframe", "to_json",
+    "ExtrinsicsFile", "FloorView", "HeldOutError", "InputFile", "Pictures", "Provenance", "SensorPose", "Snapshot",
+    "Suggestion", "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
+    "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_scene",
+    "to_dataframe", "to_json",
 ]  # fmt: skip

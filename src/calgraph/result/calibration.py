@@ -11,6 +11,7 @@ from calgraph.geometry import Array, se3
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.pictures import Pictures
+from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
 
 
@@ -28,6 +29,8 @@ class Calibration:
     """Parameters that were estimated besides poses."""
     evidence: Evidence = field(default_factory=Evidence)
     pictures: Pictures = field(default_factory=Pictures)
+    provenance: Provenance | None = None
+    """How it was computed; None where it was not computed by a command."""
 
     def __post_init__(self) -> None:
         count = len(self.sensors)

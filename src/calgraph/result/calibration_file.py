@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
 from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, HeldOutError, Suggestion
+from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
 
 FORMAT = "calgraph/1"
@@ -47,6 +49,8 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
+    if calibration.provenance:
+        text += format_yaml({"provenance": _provenance(calibration.provenance)})
     write_text(path, text)
 
 
@@ -88,6 +92,12 @@ def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
     stated, prior, value, stddev = _round_digits([one.stated, one.prior, one.value, one.stddev], 9)
     numbers = {"stated": stated, "prior": prior, "value": value, "stddev": stddev}
     return {"of": one.of, "quantity": one.quantity, **unit, **numbers}
+
+
+def _provenance(provenance: Provenance) -> dict[str, Any]:
+    return {name: value for name, value in asdict(provenance).items() if value is not None} | {
+        "inputs": [asdict(one) for one in provenance.inputs]
+    }
 
 
 def _quality(calibration: Calibration) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, Suggestion
+from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, Verdict
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
@@ -158,6 +159,21 @@ class _EstimatedParameter(StrictModel):
     stddev: NonNegative
 
 
+class _InputFile(StrictModel):
+    path: str
+    sha256: str
+
+
+class _Provenance(StrictModel):
+    version: str
+    date: str
+    command: str
+    inputs: tuple[_InputFile, ...]
+    start: Finite | None = None
+    duration: Finite | None = None
+    messages: int | None = None
+
+
 class _File(StrictModel):
     format: str
     """Version of the file's format."""
@@ -173,6 +189,8 @@ class _File(StrictModel):
     """What version 0.1 estimated on request, without priors; not read."""
     joint_covariance: _JointCovariance | None = None
     """The covariance of the errors of all sensors."""
+    provenance: _Provenance | None = None
+    """How the calibration was computed."""
 
     @model_validator(mode="after")
     def _is_of_all_sensors(self) -> "_File":
@@ -247,7 +265,13 @@ def load_calibration(path: Path) -> Calibration:
             cross_validation={name: _held_out_error(one) for name, one in quality.cross_validation.items()},
             suggestions=tuple(_suggestion(one) for one in quality.suggestions),
         ),
+        provenance=_provenance(file.provenance) if file.provenance else None,
     )
+
+
+def _provenance(entry: _Provenance) -> Provenance:
+    inputs = tuple(InputFile(one.path, one.sha256) for one in entry.inputs)
+    return Provenance(**{**vars(entry), "inputs": inputs})
 
 
 def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:

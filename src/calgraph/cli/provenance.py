@@ -1,0 +1,55 @@
+"""Provenance of the results of a command."""
+
+import hashlib
+import os
+import shlex
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from calgraph.recording import Recording
+from calgraph.result import InputFile, Provenance
+
+# Bytes of each end of a file that are hashed: recordings have gigabytes.
+_HASHED_BYTES = 2**20
+
+
+def describe_run(inputs: Iterable[Path], recording: Recording | None = None) -> Provenance:
+    """The provenance of what the running command computes.
+
+    Args:
+        inputs: files and folders that it reads.
+        recording: the recording among them, open.
+    """
+    provenance = Provenance(
+        version=version("calgraph"),
+        date=_now().isoformat(timespec="seconds"),
+        command=shlex.join(["calgraph", *sys.argv[1:]]),
+        inputs=tuple(InputFile(str(path), hash_input(path)) for path in inputs),
+    )
+    if recording is None:
+        return provenance
+    messages = sum(topic.count for topic in recording.topics)
+    return replace(provenance, start=recording.start, duration=recording.end - recording.start, messages=messages)
+
+
+def hash_input(path: Path) -> str:
+    """SHA-256 of the sizes and of both ends of a file, or of all files of a folder in the order of their names."""
+    digest = hashlib.sha256()
+    for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
+        size = file.stat().st_size
+        digest.update(str(size).encode())
+        with file.open("rb") as opened:
+            digest.update(opened.read(_HASHED_BYTES))
+            opened.seek(max(size - _HASHED_BYTES, 0))
+            digest.update(opened.read(_HASHED_BYTES))
+    return digest.hexdigest()
+
+
+def _now() -> datetime:
+    """The time of the run; SOURCE_DATE_EPOCH where it is set, for builds that are to be reproduced."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    return datetime.fromtimestamp(int(epoch), UTC) if epoch else datetime.now(UTC)
