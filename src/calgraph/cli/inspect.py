@@ -26,8 +26,8 @@ def inspect(
 ) -> None:
     """Show the topics of a recording, or how a result was computed.
 
-    Of a recording: counts, rates, gaps, frames, clocks, and anomalies. Of a result, the folder that calibrate wrote:
-    version, command, inputs, and poses.
+    Of a recording: counts, rates, gaps, frames, clocks, and anomalies. Of a result, the folder that calibrate
+    wrote: version, command, inputs, and poses.
 
     Exit code 2: it is damaged; what could be read is shown all the same.
     """
