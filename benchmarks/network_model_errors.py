@@ -17,6 +17,7 @@ middle. Kinds are those of network_model_error_kinds.py.
 import argparse
 import csv
 import logging
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -223,9 +224,9 @@ def show(outcomes: Sequence[Outcome]) -> None:
         if not one.scanner:
             label = f"{one.kind} {KINDS[one.kind].label(one.size)} {one.room} seed {one.seed}"
             print(f"{'crashed' if one.crashed else 'failed'}: {label}: {one.text[:200]}")
-    print("\nreasons and remarks, by kind:")
+    print("\nreasons and remarks, by kind, without numbers:")
     texts = [one for one in outcomes if one.text.strip(" |") and one.scanner]
-    for (kind, text), group in grouped(texts, lambda one: (one.kind, one.text)):
+    for (kind, text), group in grouped(texts, lambda one: (one.kind, re.sub(r"[-+]?\d[\d.]*", "#", one.text))):
         print(f"    {kind:14} {len(group):3d} x {text[:240]}")
 
 

@@ -125,6 +125,17 @@ def test_the_root_is_never_inverted() -> None:
     assert not any(network.scanners[0].inverted for network in networks)
 
 
+def test_an_inverted_root_has_the_others_upside_down() -> None:
+    network = build_network(scenario(inverted_root=True), 2)
+    truth = network_truth(network)
+    assert [T[2, 2] for T in truth.T_root_sensor.values()] == pytest.approx([1, -1, -1, -1, -1, -1])
+    scans, _ = simulate_network_scans(network.scenario, 2)
+    T_world_root = network.scanners[0].true_pose()
+    for name, sent in scans.items():
+        points = se3.apply(T_world_root @ truth.T_root_sensor[name], sent[0].points)[:, :2]
+        assert np.abs(network.floor.clearance(points[np.isfinite(points).all(axis=1)])).max() < 1e-6
+
+
 def test_all_but_the_root_can_be_inverted_at_most() -> None:
     with pytest.raises(ValueError, match="must be below the number of scanners, 6"):
         scenario(inverted=6)

@@ -203,7 +203,7 @@ def _add_errors(
             clock_drift=float(_PPM * errors.clock_drift * drift[k]),
             tilt=(float(np.radians(errors.tilt) * tilts[0][k]), float(np.radians(errors.tilt) * tilts[1][k])),
             height=float(scanner.height + errors.height * heights[k]),
-            inverted=k in inverted,
+            inverted=errors.inverted_root if scanner.name == root else k in inverted,
         )
         for k, scanner in enumerate(scanners)
     ]

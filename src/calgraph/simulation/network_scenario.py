@@ -162,6 +162,8 @@ class NetworkErrors(StrictModel):
     """Whether scanners differ in rate, resolution and range: three models in turn."""
     inverted: Annotated[int, Field(ge=0)] = 0
     """Number of scanners besides the root that are mounted upside-down."""
+    inverted_root: bool = False
+    """Whether the root is mounted upside-down."""
     bump_rotation: Annotated[float, Field(ge=0, le=180)] = 0.0
     """By which one scanner is turned during the recording, degrees, in either direction."""
     bump_shift: NotNegative = 0.0
