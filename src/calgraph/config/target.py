@@ -183,11 +183,13 @@ def _check_within_board(key: str, board_size: Pair, center: Pair, extent: Pair) 
 
 
 class People(StrictModel):
-    """Walking people, whose cross-sections are ellipses to horizontal scanners."""
+    """Walking people, whose cross-sections are ellipses to horizontal scanners, or two legs below the hip."""
 
     kind: Literal["people"] = "people"
     axes: tuple[Length, Length] = (0.25, 0.15)
     """Start values of the ellipse's radii, m."""
+    height: Length | None = None
+    """Of the scan plane above the floor, m; without it, the widths of objects show whether they are legs."""
 
 
 class Cylinder(StrictModel):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array
+from calgraph.tracking.clusters import Foreground
 from calgraph.tracking.track import ScannerTracks, Track
 
 
@@ -27,7 +28,12 @@ def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverte
         tracks=tuple(_correct_track(track, clock_offset, signs) for track in tracked.tracks),
         background=background * signs,
         coverage=None if tracked.coverage is None else tracked.coverage - clock_offset,
+        foreground=tracked.foreground and _correct_foreground(tracked.foreground, clock_offset, signs),
     )
+
+
+def _correct_foreground(foreground: Foreground, clock_offset: float, signs: Array) -> Foreground:
+    return replace(foreground, angles=foreground.angles * signs[1], times=foreground.times - clock_offset)
 
 
 def _correct_track(track: Track, clock_offset: float, signs: Array) -> Track:

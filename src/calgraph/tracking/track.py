@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
+from calgraph.tracking.clusters import Foreground
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,3 +74,5 @@ class ScannerTracks:
     """Steps in the pose of the scanner during the recording, in order of time;"""
     interval: tuple[float, float] = (-np.inf, np.inf)
     """tracks and background are from scans between these stamps only, s, in which it stood still."""
+    foreground: Foreground | None = None
+    """The beams that end before the static background, tracked or not; None where only tracks are given."""

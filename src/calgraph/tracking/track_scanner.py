@@ -102,7 +102,7 @@ def track_runs(
         )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
     coverage = coverage_intervals(runs, settings.motion.max_scan_gap)
-    return ScannerTracks(tracks, scene.points, sigma, coverage, stationarity.bumps, interval)
+    return ScannerTracks(tracks, scene.points, sigma, coverage, stationarity.bumps, interval, beams)
 
 
 def _is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:

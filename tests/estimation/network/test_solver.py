@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from calgraph.estimation.network.ellipse_raycast import RaycastHits, raycast_ellipses
+from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,
@@ -21,8 +22,6 @@ from calgraph.estimation.network.solver import (
     compute_heading_offsets,
     compute_network_covariance,
     compute_residuals,
-    evaluate_at,
-    index_scans,
     linearize_network,
     optimize_network,
     raycast_body,

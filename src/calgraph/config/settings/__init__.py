@@ -33,6 +33,13 @@ from calgraph.config.settings.diagnostics import (
 )
 from calgraph.config.settings.estimation import EstimationSettings
 from calgraph.config.settings.graph import GraphSettings
+from calgraph.config.settings.legs import (
+    LegAssociationSettings,
+    LegBodySettings,
+    LegClusterSettings,
+    LegSettings,
+    LegTrackSettings,
+)
 from calgraph.config.settings.network_estimation import (
     BodySettings,
     HeadingSearchSettings,
@@ -102,6 +109,11 @@ __all__ = [
     "HypothesisSettings",
     "IcpSettings",
     "InputCheckSettings",
+    "LegAssociationSettings",
+    "LegBodySettings",
+    "LegClusterSettings",
+    "LegSettings",
+    "LegTrackSettings",
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
     "MaxMessageSettings",

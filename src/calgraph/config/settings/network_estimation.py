@@ -2,6 +2,7 @@
 
 from pydantic import Field
 
+from calgraph.config.settings.legs import LegSettings
 from calgraph.config.strict_model import StrictModel
 
 
@@ -163,3 +164,4 @@ class NetworkEstimationSettings(StrictModel):
     range_noise: RangeNoiseSettings = RangeNoiseSettings()
     model_error: ModelErrorSettings = ModelErrorSettings()
     heading_search: HeadingSearchSettings = HeadingSearchSettings()
+    legs: LegSettings = LegSettings()

@@ -13,7 +13,10 @@ from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.estimation.network.heading_search import search_headings
+from calgraph.estimation.network.leg_choice import measures_legs
+from calgraph.estimation.network.leg_solution import AddWalls, solve_legs
 from calgraph.estimation.network.model_error import estimate_model_error
+from calgraph.estimation.network.path_equations import compute_smoothness_information, evaluate_at
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,
@@ -37,8 +40,6 @@ from calgraph.estimation.network.solver import (
     NetworkEquations,
     compute_network_covariance,
     compute_residuals,
-    compute_smoothness_information,
-    evaluate_at,
     optimize_network,
     raycast_body,
 )
@@ -154,23 +155,20 @@ def solve_network(
         settings=settings,
         prior=prior,
     )
-    network = replace(network, walls=select_bridges(network, (), edges))
-    for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
-        network = replace(network, range_sigma=np.hypot(background, path_sigma))
-        network = _update_weights(network, state, settings.beams.initial_near_side_factor)
-        state, equations = optimize_network(network, state, iterations=settings.iterations)
-        state = search_headings(network, state)
-    previous = np.full(2, np.inf)
-    for _ in range(settings.max_rounds):
-        range_sigma = estimate_range_noise(network, state, equations, background)
-        network = _update_weights(replace(network, range_sigma=range_sigma), state)
-        network = replace(network, model_error_variance=estimate_model_error(network, state))
+
+    def add_walls(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
         walls = _register_walls(tracked, network, state, pair_settings)
-        network = replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
-        state, equations = optimize_network(network, state, iterations=settings.iterations)
-        if np.all(np.abs(network.model_error_variance / previous - 1) < errors.tolerance):
-            break
-        previous = network.model_error_variance
+        return replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
+
+    foregrounds = [one.foreground for one in tracked if one.foreground is not None]
+    if (
+        isinstance(target, People)
+        and len(foregrounds) == len(tracked)
+        and measures_legs(target, tracked, settings.legs)
+    ):
+        network, state, equations = solve_legs(network, state, foregrounds, add_walls)
+    else:
+        network, state, equations = _solve_bodies(network, state, edges, add_walls)
     covariance = compute_network_covariance(equations)
     column = np.arange(len(covariance)) % SCANNER_UNKNOWNS
     stddev = np.sqrt(np.diagonal(covariance)).reshape(-1, SCANNER_UNKNOWNS)[:, FIRST_SYSTEMATIC:]
@@ -184,6 +182,30 @@ def solve_network(
         solved=SolvedNetwork(network, state, equations),
         systematic=SystematicErrors(state.systematic, stddev, network.systematic_sigma),
     )
+
+
+def _solve_bodies(
+    network: NetworkProblem, state: NetworkState, edges: Sequence[WallConstraint], add_walls: AddWalls
+) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+    """Solves for scanners and ellipses; the noise of the given network is that of the background."""
+    settings, background = network.settings, network.range_sigma
+    network = replace(network, walls=select_bridges(network, (), edges))
+    for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
+        network = replace(network, range_sigma=np.hypot(background, path_sigma))
+        network = _update_weights(network, state, settings.beams.initial_near_side_factor)
+        state, equations = optimize_network(network, state, iterations=settings.iterations)
+        state = search_headings(network, state)
+    previous = np.full(2, np.inf)
+    for _ in range(settings.max_rounds):
+        range_sigma = estimate_range_noise(network, state, equations, background)
+        network = _update_weights(replace(network, range_sigma=range_sigma), state)
+        network = replace(network, model_error_variance=estimate_model_error(network, state))
+        network = add_walls(network, state)
+        state, equations = optimize_network(network, state, iterations=settings.iterations)
+        if np.all(np.abs(network.model_error_variance / previous - 1) < settings.model_error.tolerance):
+            break
+        previous = network.model_error_variance
+    return network, state, equations
 
 
 def _build_observations(

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.estimation.network.ellipse_raycast import rotate_by_small_angles
+from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scanner_unknowns import compute_scan_errors
-from calgraph.estimation.network.solver import compute_heading_offsets, evaluate_at, index_scans
+from calgraph.estimation.network.solver import compute_heading_offsets
 from calgraph.geometry import Array, Index
 
 

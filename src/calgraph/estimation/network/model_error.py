@@ -12,10 +12,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 from calgraph.config.settings import ModelErrorSettings
+from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import ScanEquations
 from calgraph.estimation.network.scanner_unknowns import compute_root_times
-from calgraph.estimation.network.solver import build_scan_equations, evaluate_at
+from calgraph.estimation.network.solver import build_scan_equations
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index, se_n
 

@@ -109,6 +109,10 @@ class BodyPath:
     radii: Array
     """(2,) across and along the heading, m."""
 
+    def retract(self, step: Array, min_radius: float) -> "BodyPath":
+        """The path after a step (3K + 2,) of control points and radii."""
+        return BodyPath(self.control + step[:-2].reshape(-1, 3), np.maximum(self.radii + step[-2:], min_radius))
+
 
 @dataclass(frozen=True, eq=False)
 class NetworkState:

@@ -7,10 +7,11 @@ the more so, the greater the leverage of the beams (Huber, "Robust statistics", 
 
 import numpy as np
 
+from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_scans
 from calgraph.estimation.network.schur import compute_path_covariance
-from calgraph.estimation.network.solver import NetworkEquations, compute_residuals, evaluate_at, raycast_body
+from calgraph.estimation.network.solver import NetworkEquations, compute_residuals, raycast_body
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 

@@ -62,7 +62,7 @@ def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Arr
         step (UL,) of the scanners is followed by the step ``-(K[:, :-1] @ step + K[:, -1])`` of path and shape.
     """
     count, B = len(equations.band), equations.shape_count
-    factor = cholesky_banded(_pack_lower_band(equations.band, damping), lower=True)
+    factor = cholesky_banded(pack_lower_band(equations.band, damping), lower=True)
     right = np.concatenate([equations.border.reshape(3 * count, -1), equations.gradient.reshape(-1, 1)], axis=1)
     path = cho_solve_banded((factor, True), right)
     path_part = right[:, :-1].T @ path
@@ -112,7 +112,7 @@ def compute_path_covariance(band: Array) -> Array:
     return np.asarray(covariance.reshape(-1, 4, 3, 3)[:count])
 
 
-def _pack_lower_band(band: Array, damping: float) -> Array:
+def pack_lower_band(band: Array, damping: float = 0.0) -> Array:
     """The lower band (12, 3K) of a path's matrix in LAPACK's storage, with the damped diagonal."""
     count = len(band)
     lower = np.zeros((12, 3 * count))

@@ -9,13 +9,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from calgraph.config.settings import BodySettings
 from calgraph.estimation.network.ellipse_raycast import (
     RaycastHits,
     raycast_ellipses_by_axis,
     rotate_by_small_angles,
+)
+from calgraph.estimation.network.leg_equations import linearize_leg
+from calgraph.estimation.network.leg_problem import LegObservations, LegPath
+from calgraph.estimation.network.path_equations import (
+    EARLIER,
+    LATER,
+    compute_smoothness_information,
+    evaluate_at,
+    index_scans,
+    sum_between_knots,
 )
 from calgraph.estimation.network.problem import (
     BodyObservations,
@@ -31,17 +40,13 @@ from calgraph.estimation.network.scanner_unknowns import (
     CLOCK,
     FIRST_SYSTEMATIC,
     SCANNER_UNKNOWNS,
-    compute_root_times,
     compute_scan_errors,
     compute_scanner_jacobian,
 )
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
-from calgraph.estimation.network.splines import evaluate_spline
 from calgraph.geometry import Array, Index, se2
 from calgraph.levenberg_marquardt import minimize
 
-# Second difference of control points.
-_SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
 # Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no unknown is then
 # off by more than 0.2 % of its standard deviation.
 _TOLERANCE = 1e-6
@@ -49,8 +54,6 @@ _TOLERANCE = 1e-6
 _MIN_RADIUS = 0.02
 # Information (1/rad²) that makes headings invertible of bodies that rest: 1000 rad.
 _HEADING_RIDGE = 1e-6
-# Pairs of the four control points that a scan depends on.
-_EARLIER, _LATER = np.triu_indices(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,7 @@ def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEq
     H, g, cost = np.zeros((size, size)), np.zeros(size), 0.0
     bodies = []
     for body, path in zip(network.bodies, state.paths, strict=True):
-        equations, body_cost = _linearize_body(network, state, body, path)
+        equations, body_cost = _linearize(network, state, body, path)
         bodies.append(equations)
         cost += body_cost
     for wall in network.walls:
@@ -152,12 +155,9 @@ def optimize_network(
 
 
 def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) -> NetworkState:
-    """The state after steps (US,) of scanners, and (3K + 2,) of each body's path and radii."""
+    """The state after steps (US,) of scanners, and of each body's path and shape."""
     steps = step.reshape(-1, SCANNER_UNKNOWNS)
-    paths = tuple(
-        BodyPath(path.control + body[:-2].reshape(-1, 3), np.maximum(path.radii + body[-2:], _MIN_RADIUS))
-        for path, body in zip(state.paths, body_steps, strict=True)
-    )
+    paths = tuple(path.retract(body, _MIN_RADIUS) for path, body in zip(state.paths, body_steps, strict=True))
     return NetworkState(
         se2.retract(state.T_root_scanner, steps[:, :3]),
         state.clock_offset + steps[:, CLOCK],
@@ -175,10 +175,19 @@ def compute_network_covariance(equations: NetworkEquations) -> Array:
     return covariance
 
 
-def _linearize_body(
+def _linearize(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
 ) -> tuple[BodyEquations, float]:
     """One body's equations and its cost."""
+    if isinstance(body, LegObservations) and isinstance(path, LegPath):
+        return linearize_leg(network, state, body, path)
+    return _linearize_body(network, state, body, path)
+
+
+def _linearize_body(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> tuple[BodyEquations, float]:
+    """The equations of an ellipse and its cost."""
     count, size = body.knots.count, 2 + SCANNER_UNKNOWNS * len(body.scans)
     band, gradient, cost = _linearize_path_prior(network, body, path)
     border = np.zeros((count, 3, size))
@@ -209,45 +218,21 @@ def _linearize_body(
         # A scan depends on the four control points about it: terms of each of them, and of each pair.
         by_radii, by_scanner = A[:, :3, 3:5].reshape(-1, 6), AG[:, :3].reshape(len(b), -1)
         terms = np.concatenate([b[:, :3], by_radii, by_scanner], axis=1)
-        sums = _sum_between_knots(first, weights, terms, count)
+        sums = sum_between_knots(first, weights, terms, count)
         singles += sums[..., :9]
         for i in range(4):
             border[i : count - 3 + i, :, columns] += sums[i, :, 9:].reshape(-1, 3, SCANNER_UNKNOWNS)
-        pairs += _sum_between_knots(
-            first, weights[:, _EARLIER] * weights[:, _LATER], A[:, :3, :3].reshape(-1, 9), count
+        pairs += sum_between_knots(
+            first, weights[:, EARLIER] * weights[:, LATER], A[:, :3, :3].reshape(-1, 9), count
         )
     for i in range(4):
         gradient[i : count - 3 + i] += singles[i, :, :3]
         border[i : count - 3 + i, :, :2] += singles[i, :, 3:].reshape(-1, 3, 2)
-    for earlier, later, block in zip(_EARLIER, _LATER, pairs, strict=True):
+    for earlier, later, block in zip(EARLIER, LATER, pairs, strict=True):
         band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
     scanners = np.array([scans.scanner for scans in body.scans], dtype=np.intp)
     scanner_columns = (SCANNER_UNKNOWNS * scanners[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel()
     return BodyEquations(band, gradient, border, corner, corner_gradient, scanner_columns), cost
-
-
-def _sum_between_knots(first: Index, weights: Array, values: Array, count: int) -> Array:
-    """(W, K - 3, n) sums of values (V, n) times weights (V, W), over the scans between two knots each."""
-    scans, kinds = weights.shape
-    ends = np.searchsorted(first, np.arange(1, count - 2)) + scans * np.arange(kinds)[:, None]
-    sums = csr_array(
-        (weights.T.ravel(), np.tile(np.arange(scans), kinds), np.concatenate([[0], ends.ravel()])),
-        shape=(kinds * (count - 3), scans),
-    )
-    return np.asarray((sums @ values).reshape(kinds, count - 3, -1))
-
-
-def evaluate_at(
-    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, scans: BodyScans
-) -> tuple[Index, Array, Array, Array]:
-    """A body at V scans: first control points and weights of :meth:`Knots.basis_at`, pose and rate (V, 3)."""
-    first, weights, slopes = body.knots.basis_at(compute_root_times(network, state, scans))
-    return (
-        first,
-        weights,
-        evaluate_spline(path.control, first, weights),
-        evaluate_spline(path.control, first, slopes),
-    )
 
 
 def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array) -> RaycastHits:
@@ -282,11 +267,6 @@ def build_scan_equations(
     """Equations of the scans of a body with the given pose and rate (V, 3) at the scans' times."""
     residual, jacobian = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
     return sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
-
-
-def compute_smoothness_information(step: float, acceleration_density: float) -> Array:
-    """(3, 3) information of three consecutive control points, ``step`` (s) apart: acceleration is white noise."""
-    return np.outer(_SECOND_DIFFERENCE, _SECOND_DIFFERENCE) / (step**3 * acceleration_density)
 
 
 def _linearize_path_prior(
@@ -337,11 +317,6 @@ def compute_heading_offsets(
     walking = np.linalg.norm(velocity, axis=1) > settings.min_walking_speed
     offset = headings - np.arctan2(velocity[:, 1], velocity[:, 0])[:, None]
     return (offset + np.pi / 2) % np.pi - np.pi / 2, walking / settings.heading_sigma**2
-
-
-def index_scans(scans: BodyScans) -> Index:
-    """(N,) index of the scan of each beam."""
-    return np.repeat(np.arange(len(scans.first_beam)), np.diff(scans.first_beam, append=len(scans.ranges)))
 
 
 def _add_wall(state: NetworkState, wall: WallConstraint, H: Array, g: Array) -> float:

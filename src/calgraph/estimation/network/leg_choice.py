@@ -1,0 +1,18 @@
+"""Whether scanners measure whole bodies or single legs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calgraph.config import People
+from calgraph.config.settings import LegSettings
+from calgraph.tracking import ScannerTracks, measure_widths
+
+
+def measures_legs(target: People, tracked: Sequence[ScannerTracks], settings: LegSettings) -> bool:
+    """Whether most objects are as narrow as legs; the stated height of the scan plane decides if there is one."""
+    if target.height is not None:
+        return target.height < settings.max_height
+    widths = [measure_widths(one.foreground, one.sigma, settings.clusters) for one in tracked if one.foreground]
+    share = float(np.mean(np.concatenate(widths) < settings.max_narrow_width))
+    return share > settings.min_narrow_share

@@ -1,0 +1,148 @@
+"""Normal equations of one leg over its path, its shape, a bias of each scanner's ranges, and the scanners.
+
+The outline of a leg differs from the model in a way that depends on the side from which a scanner measures it. The
+bias of each scanner and leg stands for that; the elimination of the leg marginalises it.
+"""
+
+import numpy as np
+
+from calgraph.config.settings import LegSettings
+from calgraph.estimation.network.leg_problem import LegObservations, LegPath, compute_shape_prior
+from calgraph.estimation.network.leg_raycast import LegHits, raycast_legs
+from calgraph.estimation.network.path_equations import (
+    EARLIER,
+    LATER,
+    compute_smoothness_information,
+    evaluate_at,
+    index_scans,
+    sum_between_knots,
+)
+from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.scanner_unknowns import (
+    SCANNER_UNKNOWNS,
+    compute_scan_errors,
+    compute_scanner_jacobian,
+)
+from calgraph.estimation.network.schur import BodyEquations
+from calgraph.geometry import Array, Index
+
+# Zero-gradient information (1/m², 1/rad²) that keeps control points without measurements invertible: 30 m, 10 rad.
+_POSITION_RIDGE, _HEADING_RIDGE = 1e-3, 1e-2
+
+
+def raycast_leg(
+    network: NetworkProblem, state: NetworkState, path: LegPath, scans: BodyScans, pose: Array, rate: Array
+) -> LegHits:
+    """Predicted ranges to a leg with the given pose and rate (V, 3) at the scans' times, without its bias."""
+    scan = index_scans(scans)
+    T = state.T_root_scanner[scans.scanner]
+    x, y, heading = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
+    excess, turn = (values[scan] for values in compute_scan_errors(state, scans))
+    direction = T[:2, :2] @ scans.direction.T
+    direction = direction + turn * np.stack([-direction[1], direction[0]])
+    body = network.settings.legs.body
+    return raycast_legs(
+        T[:2, 2], direction.T, np.stack([x, y], axis=1), heading, path.shape, body.harmonics, body.max_edge_ratio
+    ).add_to_ranges(excess)
+
+
+def compute_leg_residuals(
+    network: NetworkProblem, scans: BodyScans, hits: LegHits, bias: float
+) -> tuple[Array, Array]:
+    """Whitened residuals (N,), and their standard deviations (N,), m: ranges are less certain near the edges."""
+    sigma = np.hypot(network.range_sigma[scans.scanner], network.settings.legs.body.edge_sigma * hits.slope)
+    return (hits.ranges + bias - scans.ranges) / sigma, sigma
+
+
+def linearize_leg(
+    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath
+) -> tuple[BodyEquations, float]:
+    """A leg's equations and its cost; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
+    settings = network.settings.legs
+    count, shapes, local = leg.knots.count, len(path.shape), len(path.shape) + len(leg.scans)
+    size = local + SCANNER_UNKNOWNS * len(leg.scans)
+    band, gradient, cost = _linearize_leg_path(leg, path, settings)
+    border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
+    mean, sigma = compute_shape_prior(settings.body)
+    information = np.concatenate([sigma**-2, np.full(len(leg.scans), 1 / leg.bias_variance)])
+    deviation = np.concatenate([path.shape - mean, path.bias])
+    corner[np.arange(local), np.arange(local)] = information
+    corner_gradient[:local] = information * deviation
+    cost += 0.5 * float(information @ deviation**2)
+    pairs = np.zeros((len(EARLIER), count - 3, 9))
+    for k, scans in enumerate(leg.scans):
+        first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
+        hits = raycast_leg(network, state, path, scans, pose, rate)
+        residual, beam_sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+        # Derivatives by pose (3), shape (B) and the bias, which all ranges share.
+        jacobian = np.column_stack([hits.jacobian, np.ones(len(residual))]) / beam_sigma[:, None]
+        A, b, scan_cost = _sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
+        cost += scan_cost
+        G = np.zeros((len(pose), 4 + shapes, SCANNER_UNKNOWNS))
+        G[:, [0, 1, 2, -1]] = compute_scanner_jacobian(network, state, scans, pose, rate)[:, [0, 1, 2, 5]]
+        AG = A @ G
+        columns = slice(local + SCANNER_UNKNOWNS * k, local + SCANNER_UNKNOWNS * (k + 1))
+        own = np.concatenate([np.arange(shapes), [shapes + k]])
+        flat = G.reshape(-1, SCANNER_UNKNOWNS)
+        corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
+        corner[np.ix_(own, own)] += A[:, 3:, 3:].sum(axis=0)
+        mixed = AG[:, 3:].sum(axis=0)
+        corner[own, columns] += mixed
+        corner[columns, own] += mixed.T
+        corner_gradient[columns] += flat.T @ b.ravel()
+        corner_gradient[own] += b[:, 3:].sum(axis=0)
+        terms = [b[:, :3], A[:, :3, 3:].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)]
+        sums = sum_between_knots(first, weights, np.concatenate(terms, axis=1), count)
+        by_path, by_own, by_scanner = np.split(sums, [3, 3 + 3 * len(own)], axis=2)
+        for i in range(4):
+            rows = slice(i, count - 3 + i)
+            gradient[rows] += by_path[i]
+            border[rows, :, own] += by_own[i].reshape(-1, 3, len(own))
+            border[rows, :, columns] += by_scanner[i].reshape(-1, 3, SCANNER_UNKNOWNS)
+        pairs += sum_between_knots(
+            first, weights[:, EARLIER] * weights[:, LATER], A[:, :3, :3].reshape(-1, 9), count
+        )
+    for earlier, later, block in zip(EARLIER, LATER, pairs, strict=True):
+        band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
+    scanners = np.array([scans.scanner for scans in leg.scans], dtype=np.intp)
+    scanner_columns = (SCANNER_UNKNOWNS * scanners[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel()
+    return BodyEquations(band, gradient, border, corner, corner_gradient, scanner_columns), cost
+
+
+def _sum_over_scans(
+    residual: Array, jacobian: Array, weight: Array, first_beam: Index
+) -> tuple[Array, Array, float]:
+    """Information (V, n, n), gradient (V, n) and cost of beams with whitened residuals and jacobian (N, n)."""
+    rows = np.concatenate([jacobian.T, residual[None]])
+    weighted = weight * rows
+    total = np.empty((len(first_beam), len(rows), len(rows)))
+    # One product at a time over all beams: scans have few beams, and there are many scans.
+    for i in range(len(rows)):
+        sums = np.add.reduceat(weighted[i] * rows[i:], first_beam, axis=1).T
+        total[:, i, i:] = total[:, i:, i] = sums
+    return total[:, :-1, :-1], total[:, :-1, -1], 0.5 * float(total[:, -1, -1].sum())
+
+
+def _linearize_leg_path(leg: LegObservations, path: LegPath, settings: LegSettings) -> tuple[Array, Array, float]:
+    """Smoothness of position and heading, and the heading along the walk: band, gradient and cost."""
+    control, step = path.control, leg.knots.step
+    band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
+    smooth = compute_smoothness_information(step, settings.tracks.acceleration_density)
+    bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
+    for i in range(3):
+        gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend
+        for j in range(i, 3):
+            band[i : len(control) - 2 + i, j - i, [0, 1], [0, 1]] += smooth[i, j]
+    steady = 1 / (step * settings.body.turning_density)
+    turn = np.diff(control[:, 2])
+    gradient[:-1, 2] -= steady * turn
+    gradient[1:, 2] += steady * turn
+    band[:-1, 0, 2, 2] += steady
+    band[1:, 0, 2, 2] += steady
+    band[:-1, 1, 2, 2] -= steady
+    offset = control[:, 2] - leg.heading
+    gradient[:, 2] += leg.heading_information * offset
+    band[:, 0, 2, 2] += leg.heading_information + _HEADING_RIDGE
+    band[:, 0, [0, 1], [0, 1]] += _POSITION_RIDGE
+    squares = smooth[0, 0] * np.sum(bend**2) + steady * (turn @ turn) + leg.heading_information @ offset**2
+    return band, gradient, 0.5 * float(squares)

@@ -1,0 +1,97 @@
+"""Estimates the noise of ranges and the biases of scanners from the residuals at legs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
+from calgraph.estimation.network.leg_problem import LegObservations, LegPath
+from calgraph.estimation.network.path_equations import evaluate_at, index_scans
+from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.schur import BodyEquations, compute_path_covariance, pack_lower_band
+from calgraph.estimation.network.solver import NetworkEquations
+from calgraph.geometry import Array, Index, se_n
+
+Legs = Sequence[tuple[LegObservations, LegPath]]
+
+# Standard deviation of Gaussian noise as a multiple of its median absolute value.
+_MEDIAN_TO_SIGMA = 1.4826
+# Beams of a greater leverage determine the path: their residuals say nothing.
+_MAX_LEVERAGE = 0.7
+# Beams whose range changes faster with their offset from the centre are near the edge, and not used.
+_MAX_SLOPE = 1.0
+
+
+def estimate_range_noise_at_legs(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, legs: Legs, background: Array
+) -> Array:
+    """(S,) noise of ranges, m: median absolute residual, each divided by the root of one minus its leverage.
+
+    Args:
+        network: with the weights of its last solution.
+        state: of that solution.
+        equations: of that solution.
+        legs: of that solution.
+        background: (S,) noise of each scanner's background, m; used for scanners with few beams on legs.
+    """
+    settings = network.settings.range_noise
+    residuals: list[list[Array]] = [[] for _ in background]
+    for (leg, path), leg_equations in zip(legs, equations.bodies, strict=True):
+        path_covariance = compute_path_covariance(leg_equations.band)[..., :2, :2]
+        for scans, bias in zip(leg.scans, path.bias.tolist(), strict=True):
+            first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
+            hits = raycast_leg(network, state, path, scans, pose, rate)
+            residual, sigma = compute_leg_residuals(network, scans, hits, bias)
+            covariance = _interpolate_covariance(path_covariance, first, weights)[index_scans(scans)]
+            J = hits.jacobian[:, :2] / sigma[:, None]
+            leverage = scans.weight * np.einsum("ni,nij,nj->n", J, covariance, J)
+            used = (np.abs(hits.slope) < _MAX_SLOPE) & (leverage < _MAX_LEVERAGE)
+            residuals[scans.scanner].append(np.abs(residual * sigma)[used] / np.sqrt(1 - leverage[used]))
+    by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
+    estimated = [
+        _MEDIAN_TO_SIGMA * np.median(absolute) if len(absolute) >= settings.min_beams else stated
+        for absolute, stated in zip(by_scanner, background, strict=True)
+    ]
+    return np.asarray(
+        np.clip(estimated, settings.min_ratio * background, np.hypot(background, settings.max_excess))
+    )
+
+
+def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array) -> Array:
+    """(V, 2, 2) of the position at V scans, from those of control points (K, 4, 2, 2)."""
+    total = np.zeros((len(first), 2, 2))
+    for i in range(4):
+        for j in range(i, 4):
+            part = (weights[:, i] * weights[:, j])[:, None, None] * path_covariance[first + i, j - i]
+            total += part if i == j else part + se_n.transpose(part)
+    return total
+
+
+def estimate_bias_variance(equations: NetworkEquations, legs: Legs, min_sigma: float) -> float:
+    """Variance of the biases, m²: their sum of squares over the number of them that the data determine.
+
+    It is a step of the fixed-point iteration for restricted maximum likelihood (Harville, 1977, section 5).
+    """
+    H, _, back_substitutions = equations.eliminate_bodies()
+    covariance = np.zeros_like(equations.H)
+    covariance[np.ix_(equations.unknowns, equations.unknowns)] = np.linalg.inv(H)
+    squares = determined = 0.0
+    for (leg, path), body, K in zip(legs, equations.bodies, back_substitutions, strict=True):
+        by_scanners = K[-len(path.bias) :, :-1]
+        variance = _bias_variances(body, len(path.bias))
+        variance += np.einsum(
+            "ij,jk,ik->i", by_scanners, covariance[np.ix_(body.columns, body.columns)], by_scanners
+        )
+        squares += float(path.bias @ path.bias)
+        determined += float(np.sum(1 - np.minimum(variance / leg.bias_variance, 1)))
+    return max(squares / max(determined, 1.0), min_sigma**2)
+
+
+def _bias_variances(equations: BodyEquations, count: int) -> Array:
+    """(L,) variances of the biases, which are last in the shape, for given scanners."""
+    shapes, size = equations.shape_count, 3 * len(equations.band)
+    factor = cholesky_banded(pack_lower_band(equations.band), lower=True)
+    border = equations.border.reshape(size, -1)[:, :shapes]
+    information = equations.corner[:shapes, :shapes] - border.T @ cho_solve_banded((factor, True), border)
+    return np.asarray(np.diagonal(np.linalg.inv(information))[-count:]).copy()

@@ -1,0 +1,142 @@
+"""The joint solution of a network whose scanners measure people's legs.
+
+Each leg is a body of its own. Legs are tracked through the views of all scanners under approximate poses; in every
+round, beams are associated anew with the nearest leg, under the poses and clocks of the round before.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.config.settings import LegSettings
+from calgraph.estimation.network.leg_association import LegCandidate, ScannerBeams, associate_beams
+from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
+from calgraph.estimation.network.leg_noise import Legs, estimate_bias_variance, estimate_range_noise_at_legs
+from calgraph.estimation.network.leg_problem import LegObservations, LegPath, compute_shape_prior
+from calgraph.estimation.network.leg_start import initialize_leg, predict_headings
+from calgraph.estimation.network.leg_tracks import track_legs
+from calgraph.estimation.network.path_equations import evaluate_at
+from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.solver import NetworkEquations, optimize_network
+from calgraph.estimation.network.tukey_loss import TukeyLoss
+from calgraph.geometry import Array
+from calgraph.tracking import Foreground, cluster_legs
+
+AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
+"""Replaces the wall constraints of a problem by those at a state."""
+
+
+def solve_legs(
+    network: NetworkProblem, state: NetworkState, foregrounds: Sequence[Foreground], add_walls: AddWalls
+) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+    """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
+
+    Args:
+        network: whose bodies are replaced; its noise is that of the background.
+        state: with start poses and clocks.
+        foregrounds: of each scanner.
+        add_walls: registers the static backgrounds.
+
+    Returns:
+        The problem of the last round, with its minimum and the normal equations there.
+    """
+    settings, background = network.settings.legs, network.range_sigma
+    clusters = [cluster_legs(*pair, settings.clusters) for pair in zip(foregrounds, background, strict=True)]
+    tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset, settings.tracks)
+    candidates = [initialize_leg(track, settings) for track in tracks]
+    beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
+    network = replace(network, range_sigma=np.hypot(background, network.settings.second_path_sigma))
+    network, state, candidates = _associate(network, state, candidates, beams, settings.body.initial_bias_sigma**2)
+    state, equations = optimize_network(network, state, iterations=network.settings.iterations)
+    for _ in range(settings.rounds - 1):
+        legs = _list_legs(network, state)
+        sigma = estimate_range_noise_at_legs(network, state, equations, legs, background)
+        variance = estimate_bias_variance(equations, legs, settings.body.min_bias_sigma)
+        candidates = [replace(candidate, path=path) for candidate, (_, path) in zip(candidates, legs, strict=True)]
+        network = replace(network, range_sigma=sigma)
+        network, state, candidates = _associate(network, state, candidates, beams, variance)
+        # The averaged poses may have been too far off for the registration of walls.
+        network = add_walls(network, state)
+        state, equations = optimize_network(network, state, iterations=network.settings.iterations)
+    return network, state, equations
+
+
+def _list_legs(network: NetworkProblem, state: NetworkState) -> Legs:
+    return [
+        (leg, path)
+        for leg, path in zip(network.bodies, state.paths, strict=True)
+        if isinstance(leg, LegObservations) and isinstance(path, LegPath)
+    ]
+
+
+def _associate(
+    network: NetworkProblem,
+    state: NetworkState,
+    candidates: Sequence[LegCandidate],
+    beams: Sequence[ScannerBeams],
+    bias_variance: float,
+) -> tuple[NetworkProblem, NetworkState, list[LegCandidate]]:
+    """The problem of the legs that at least two scanners measure, with robust weights, and its start values."""
+    settings = network.settings.legs
+    by_scanner = [
+        associate_beams(
+            one,
+            s,
+            state.T_root_scanner[s],
+            float(state.clock_offset[s]),
+            float(network.range_sigma[s]),
+            candidates,
+            settings.association,
+        )
+        for s, one in enumerate(beams)
+    ]
+    measured, bodies, paths = [], [], []
+    for candidate, of_scanners in zip(candidates, zip(*by_scanner, strict=True), strict=True):
+        scans = tuple(one for one in of_scanners if one and len(one.ranges) >= settings.association.min_beams)
+        if len(scans) >= 2:
+            leg, path = _observe_leg(candidate, scans, bias_variance, settings)
+            measured.append(candidate)
+            bodies.append(leg)
+            paths.append(path)
+    state = replace(state, paths=tuple(paths))
+    return _update_weights(replace(network, bodies=tuple(bodies)), state), state, measured
+
+
+def _observe_leg(
+    leg: LegCandidate, scans: tuple[BodyScans, ...], bias_variance: float, settings: LegSettings
+) -> tuple[LegObservations, LegPath]:
+    """A leg with its beams; biases start at zero, as the scanners that measure it change."""
+    heading, information = predict_headings(leg.path.control[:, :2], leg.knots.step, settings.body)
+    # Headings of the path and of its prior differ by whole turns if the person turned while standing.
+    turns = np.round((leg.path.control[:, 2] - heading) / (2 * np.pi))
+    (mean, *_), (sigma, *_) = compute_shape_prior(settings.body)
+    observations = LegObservations(
+        leg.knots,
+        scans,
+        np.full(2, mean),
+        np.full(2, sigma),
+        faces_forward=True,
+        heading=heading + 2 * np.pi * turns,
+        heading_information=information,
+        bias_variance=bias_variance,
+    )
+    return observations, LegPath.from_shape(leg.path.control, leg.path.shape, np.zeros(len(scans)))
+
+
+def _update_weights(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
+    """The network with robust weights of beams at a state."""
+    loss = TukeyLoss(network.settings.beams.tukey_limit)
+
+    def compute_weights(leg: LegObservations, path: LegPath, k: int) -> Array:
+        scans = leg.scans[k]
+        _, _, pose, rate = evaluate_at(network, state, leg, path, scans)
+        hits = raycast_leg(network, state, path, scans, pose, rate)
+        residual, _ = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+        return loss.compute_weights(residual, np.ones(len(residual), dtype=np.bool_))
+
+    bodies = []
+    for leg, path in _list_legs(network, state):
+        scans = [replace(one, weight=compute_weights(leg, path, k)) for k, one in enumerate(leg.scans)]
+        bodies.append(replace(leg, scans=tuple(scans)))
+    return replace(network, bodies=tuple(bodies))
