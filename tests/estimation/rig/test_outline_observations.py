@@ -13,13 +13,13 @@ from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.outline_observations import OUTLINE_PARAMETERS, OutlineObservations
+from calgraph.estimation.rig.outline_observations import FOOTPRINTS, OUTLINE_PARAMETERS, OutlineObservations
 from calgraph.geometry import Array, se3, so3
 
 HALF = np.array([WIDTH, HEIGHT]) / 2
 BEFORE = se3.pose(so3.exp(np.array([2.8, 0.3, -0.2])), np.array([0.2, -0.1, 2.0]))
 STEP = 0.02
-FOOTPRINTS = [i for i, quantity in enumerate(OUTLINE_PARAMETERS) if quantity.endswith("footprint")]
+OF_FOOTPRINTS = [OUTLINE_PARAMETERS.index(quantity) for quantity in FOOTPRINTS]
 # Number of edges on each side of a board.
 EACH = 6
 
@@ -52,7 +52,7 @@ def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
         range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)), OutlineSettings()
     )
     local = np.full((len(edges), len(OUTLINE_PARAMETERS)), -1, dtype=np.intp)
-    local[:, FOOTPRINTS] = 0
+    local[:, OF_FOOTPRINTS] = 0
     return replace(views, extra_of_local=local, extra_count=1).update_noise(T_sensor_board, 1.0)
 
 

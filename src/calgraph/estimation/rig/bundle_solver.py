@@ -239,7 +239,7 @@ def linearize_bundle(
             at = cached.equations
         linearizations.append(cached)
         A, b, costs = at.marginalize_bias(bias)
-        J_sensor, J_board = (at.local_jacobian @ J for J in view_jacobians(bundle, state, k))
+        J_sensor, J_board = _chain_jacobians(at.local_jacobian, *_pose_jacobians(bundle, state, k))
         equations.append(MarginalizedViews(A, b, at.local_jacobian, J_sensor, J_board))
         cost += float(costs.sum())
         columns, n = bundle.columns(k), J_sensor.shape[-1]
@@ -311,16 +311,23 @@ def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, A
     Returns:
         (V, 6 + e, n) by the parameters ``bundle.columns(k)``, and (V, 6 + e, 6) by the boards' poses.
     """
+    by_sensor, by_board = _pose_jacobians(bundle, state, k)
+    every = np.eye(6 + bundle.all_views[k].extra_count)
+    return _chain_jacobians(np.broadcast_to(every, (len(by_board), *every.shape)), by_sensor, by_board)
+
+
+def _pose_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+    """Derivatives (V, 6, 6) of the boards' poses before a sensor by its body, none if fixed, and by the boards."""
     views, sensor = bundle.all_views[k], bundle.sensor_of(k)
-    count, extra = len(views.board), views.extra_count
-    T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (count, 4, 4))
-    by_sensor_pose, by_board_pose = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
-    pose_size = len(bundle.pose_columns(sensor))
-    J_sensor, J_board = np.zeros((count, 6 + extra, pose_size + extra)), np.zeros((count, 6 + extra, 6))
-    J_sensor[:, :6, :pose_size] = (by_sensor_pose @ body_jacobian(bundle, state, sensor))[..., :pose_size]
-    J_sensor[:, 6:, pose_size:] = np.eye(extra)
-    J_board[:, :6] = by_board_pose
-    return J_sensor, J_board
+    T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (len(views.board), 4, 4))
+    by_sensor, by_board = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
+    return by_sensor @ body_jacobian(bundle, state, sensor)[:, : len(bundle.pose_columns(sensor))], by_board
+
+
+def _chain_jacobians(local_jacobian: Array, by_sensor: Array, by_board: Array) -> tuple[Array, Array]:
+    """Derivatives of local parameters by ``bundle.columns(k)`` and by boards, from those of poses (V, 6, n)."""
+    by_pose, by_extra = local_jacobian[..., :6], local_jacobian[..., 6:]
+    return np.concatenate([by_pose @ by_sensor, by_extra], axis=-1), by_pose @ by_board
 
 
 def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array) -> BundleState:

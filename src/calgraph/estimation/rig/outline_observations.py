@@ -29,10 +29,9 @@ from calgraph.geometry import Array, Index, se3, se_n, so3
 _MIN_COSINE = 1e-3
 
 
-OUTLINE_PARAMETERS = (
-    "width", "height", "print x", "print y", "print rotation", "angle scale", "azimuth footprint",
-    "elevation footprint"
-)  # fmt: skip
+FOOTPRINTS = ("azimuth footprint", "elevation footprint")
+"""Systematic parameters of outlines that also vary from view to view, the last local parameters."""
+OUTLINE_PARAMETERS = ("width", "height", "print x", "print y", "print rotation", "angle scale", *FOOTPRINTS)
 """Systematic parameters of outlines, in the order of a view's local parameters after the pose: errors of the
 board's size, the position of the print on the board (m, rad), the relative scale of azimuths, and how far outwards
 the scanner measures sides between beams of different azimuth and elevation, which also varies from view to

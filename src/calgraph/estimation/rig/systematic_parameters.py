@@ -16,7 +16,7 @@ from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, Bundl
 from calgraph.estimation.rig.corner_observations import CornerObservations, PrintedCorners
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.observations import BoardViews, view_indices
-from calgraph.estimation.rig.outline_observations import OUTLINE_PARAMETERS, OutlineObservations
+from calgraph.estimation.rig.outline_observations import FOOTPRINTS, OutlineObservations
 from calgraph.estimation.rig.range_observations import RangeObservations, bow_shape
 from calgraph.geometry import Array, Index
 from calgraph.result import EstimatedParameter
@@ -131,7 +131,7 @@ def add_outline_parameters(
     for i, (outline, sensor) in enumerate(zip(outlines, scanners, strict=True)):
         footprints: list[_Candidate | None] = [
             _Candidate(bundle.sensors[sensor], quantity, "m", bundle.settings.outlines.offset_stddev)
-            for quantity in OUTLINE_PARAMETERS[6:]
+            for quantity in FOOTPRINTS
         ]
         azimuths: _Candidate | None = None
         if isinstance(spec := rig.sensors[bundle.sensors[sensor]], Lidar2dSpec):
