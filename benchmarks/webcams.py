@@ -148,6 +148,11 @@ def fit_frames(rig: Rig, detections: Mapping[str, Mapping[int, Detection]], fram
     return Fit(captures, solve_jointly(problem)[0], solve_problem(problem))
 
 
+def stated_covariance(fit: Fit, name: str) -> Array:
+    """(6, 6) of a camera that has a pose."""
+    return next(sensor.covariance for sensor in fit.calibration.sensors if sensor.name == name)
+
+
 def fit_by_least_squares(rig: Rig, captures: CaptureSet, start: Mapping[str, Array]) -> dict[str, Array]:
     """``T_root_camera`` by plain least squares over all corners, cameras and boards."""
     names = [name for name in start if name != rig.root]
@@ -253,7 +258,7 @@ def show_deviations(
             print(f"{title:22} {name:9} lost")
             continue
         d = se3.difference(poses[name], T)
-        P = covariance(name) if covariance else fit.joint.covariance[name]
+        P = covariance(name) if covariance else stated_covariance(fit, name)
         worst, mahalanobis = np.max(np.abs(d) / np.sqrt(np.diag(P))), np.sqrt(d @ np.linalg.solve(P, d) / 6)
         print(
             f"{title:22} {name:9} {1000 * np.linalg.norm(d[:3]):7.1f} mm {np.degrees(np.linalg.norm(d[3:])):6.2f}°"
@@ -295,7 +300,7 @@ def main() -> None:
 
         def covariance(name: str, a: Fit = a, b: Fit = b) -> Array:
             cross = cross_covariance(a.joint, b.joint, name)
-            return np.asarray(a.joint.covariance[name] + b.joint.covariance[name] - cross - cross.T)
+            return np.asarray(stated_covariance(a, name) + stated_covariance(b, name) - cross - cross.T)
 
         show_deviations(title, a.joint.T_root_sensor, b, covariance)
         for half in (a, b):

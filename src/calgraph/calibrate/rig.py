@@ -189,7 +189,7 @@ def solve_problem(problem: Problem) -> Calibration:
     rig, folds, solved = problem.rig, problem.solver.folds, joint.solved_bundle
     settings = rig.settings.diagnostics
     held_out = cross_validate(solved, folds, settings.rig) if folds else {}
-    joint = include_drifts(joint, solved, settings.drifts)
+    joint = include_drifts(joint, solved, settings)
     # Candidate board poses are sampled with a fixed seed: the result hardly depends on the sample.
     return add_suggestions(
         assemble_rig(problem, tree, joint, held_out),

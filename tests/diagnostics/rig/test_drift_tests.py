@@ -7,14 +7,14 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from bundle_scenes import bias_variances, remeasured, scene
-from calgraph.config.settings import DriftTestSettings
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.rig.drift_tests import find_drifts, include_drifts, measure_drifts
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
 
-SETTINGS = DriftTestSettings()
+SETTINGS = DiagnosticsSettings()
 BOARDS = 30
 SCENE = scene(boards=BOARDS)
 SENSORS = SCENE.bundle.sensors
@@ -60,14 +60,14 @@ def test_the_statistic_without_a_drift_is_chi_squared() -> None:
 
 
 def test_right_recordings_have_no_drift() -> None:
-    found = [list(find_drifts(measure_drifts(drifting(seed), SETTINGS), SETTINGS)) for seed in range(60)]
+    found = [list(find_drifts(measure_drifts(drifting(seed), SETTINGS), SETTINGS.drifts)) for seed in range(60)]
     assert found.count([]) >= 59
 
 
 @pytest.mark.parametrize("sensor", [0, 1, 2])
 def test_a_drift_is_named(sensor: int) -> None:
     statistics = measure_drifts(drifting(0, sensor, 5 * DIRECTION), SETTINGS)
-    first, *others = find_drifts(statistics, SETTINGS)
+    first, *others = find_drifts(statistics, SETTINGS.drifts)
     assert SENSORS[sensor] in first.sensors
     assert not others
     if sensor == 1:
@@ -77,7 +77,7 @@ def test_a_drift_is_named(sensor: int) -> None:
 
 
 def test_a_drift_of_the_root_makes_all_weak() -> None:
-    first, *_ = find_drifts(measure_drifts(drifting(0, 0, 5 * DIRECTION), SETTINGS), SETTINGS)
+    first, *_ = find_drifts(measure_drifts(drifting(0, 0, 5 * DIRECTION), SETTINGS), SETTINGS.drifts)
     assert set(first.sensors) == set(SENSORS)
 
 
@@ -98,7 +98,7 @@ def test_covariances_hold_at_the_end_of_drifts_that_are_not_found() -> None:
         for size in (0.3, 0.6, 1.0):
             for sensor in (0, 1):
                 solved = drifting(seed, sensor, size * DIRECTION)
-                if list(find_drifts(measure_drifts(solved, SETTINGS), SETTINGS)):
+                if list(find_drifts(measure_drifts(solved, SETTINGS), SETTINGS.drifts)):
                     continue
                 _, covariance = covariances(solved)
                 end = SCENE.truth.T_root_sensor.copy()

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import beta, chi2, kstest
 
 from bundle_scenes import remeasured, scene
-from calgraph.config.settings import BumpTestSettings
+from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.diagnostics.rig.pose_steps import PoseStep, find_pose_steps, release_poses
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -15,6 +15,7 @@ from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, se3
 
 SETTINGS = BumpTestSettings()
+CORRELATION = SerialCorrelationSettings()
 BOARDS = 20
 SCENE = scene(boards=BOARDS)
 SENSORS = SCENE.bundle.sensors
@@ -41,7 +42,7 @@ def measured(rng: np.random.Generator, sensor: int = 0, step: Array | None = Non
 
 def find(bundle: Bundle, settings: BumpTestSettings = SETTINGS) -> list[PoseStep]:
     """The steps that are found."""
-    return find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth), settings)
+    return find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth), settings, CORRELATION)
 
 
 def is_between(step: PoseStep, first: int) -> bool:
@@ -121,7 +122,7 @@ def test_of_two_sensors_either_may_have_moved() -> None:
         bias_variance=bundle.bias_variance[:2],
     )
     state = replace(SCENE.truth, T_root_sensor=SCENE.truth.T_root_sensor[:2])
-    (step,) = find_pose_steps(pair, minimize_bundle(pair, state), SETTINGS)
+    (step,) = find_pose_steps(pair, minimize_bundle(pair, state), SETTINGS, CORRELATION)
     assert set(step.sensors) == set(SENSORS[:2])
 
 

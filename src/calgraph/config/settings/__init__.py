@@ -29,6 +29,7 @@ from calgraph.config.settings.diagnostics import (
     DriftTestSettings,
     NetworkDiagnosticsSettings,
     RigDiagnosticsSettings,
+    SerialCorrelationSettings,
     VerdictSettings,
 )
 from calgraph.config.settings.estimation import EstimationSettings
@@ -134,6 +135,7 @@ __all__ = [
     "ScanBackgroundSettings",
     "ScannerDetectionSettings",
     "ScannerPairSettings",
+    "SerialCorrelationSettings",
     "Settings",
     "SmoothingSettings",
     "StaticSceneSettings",

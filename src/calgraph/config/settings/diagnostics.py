@@ -138,6 +138,17 @@ class BumpTestSettings(StrictModel):
     """Most steps found in a recording; 0 does not search."""
 
 
+class SerialCorrelationSettings(StrictModel):
+    """Errors that successive captures of a rig have in common."""
+
+    lags: int = Field(default=6, ge=2)
+    """Captures until correlations are taken to end, by Bartlett's weights: twice the cube root of the usual 30 to
+    60 captures is 6 to 8, and more would leave few independent sums."""
+    permutations: int = Field(default=99, ge=1)
+    """Random orders of the captures, all of which have less correlation than that of time if it is significant: a
+    false-alarm probability of 1 %, which costs 20 to 50 % of variance."""
+
+
 class DriftTestSettings(StrictModel):
     """Linear changes of the poses of a rig's sensors in the course of the captures."""
 
@@ -182,5 +193,6 @@ class DiagnosticsSettings(StrictModel):
     verdict: VerdictSettings = VerdictSettings()
     bumps: BumpTestSettings = BumpTestSettings()
     drifts: DriftTestSettings = DriftTestSettings()
+    serial_correlation: SerialCorrelationSettings = SerialCorrelationSettings()
     rig: RigDiagnosticsSettings = RigDiagnosticsSettings()
     network: NetworkDiagnosticsSettings = NetworkDiagnosticsSettings()

@@ -42,7 +42,8 @@ def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterato
     count = int(order.max(initial=-1)) + 1
     axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
     named: set[str] = set()
-    for drift in find_drifts(measure_drifts(solved, settings.drifts), settings.drifts):
+    drifts = measure_drifts(solved, settings)
+    for drift in find_drifts(drifts, settings.drifts):
         named.update(drift.sensors)
         yield drift
     halves: Mapping[str, NDArray[np.bool_]] = {
@@ -54,7 +55,7 @@ def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterato
         for name, J in zip(bundle.sensors, axes, strict=True):
             if name in named or not J.any():
                 continue
-            off, C = J @ difference, J @ covariance @ J.T
+            off, C = J @ difference, drifts.serial_correlation * J @ covariance @ J.T
             squared, freedom = _squared_distance(off, C)
             # The variances of view biases have about as many degrees of freedom as there are captures.
             if squared > freedom * fdtri(freedom, count, confidence):

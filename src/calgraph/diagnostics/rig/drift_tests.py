@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from calgraph.config.settings import DriftTestSettings
+from calgraph.config.settings import DiagnosticsSettings, DriftTestSettings
 from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import (
     Bundle,
@@ -62,13 +63,15 @@ class DriftStatistics:
     """(B·6, G) derivatives of the parameters of a bundle, estimated without drifts, by drifts."""
     captures: int
     """Number of captures."""
+    serial_correlation: float = 1.0
+    """Factor of all variances, for errors that successive captures have in common."""
 
     def drift(self, body: int) -> Drift:
         """The drift of a body."""
         rows = slice(6 * body, 6 * body + 6)
         covariance = np.asarray(np.linalg.inv(self.information[rows, rows]), dtype=np.float64)
-        change = -covariance @ self.score[rows]
-        return Drift(change, covariance, -float(self.score[rows] @ change))
+        change, factor = -covariance @ self.score[rows], self.serial_correlation
+        return Drift(change, factor * covariance, -float(self.score[rows] @ change) / factor)
 
     def beside(self, body: int) -> "DriftStatistics":
         """The statistics beside the drift of a body, which has none any more."""
@@ -83,7 +86,7 @@ class DriftStatistics:
         return 6 * float(fdtri(6, self.captures, 1 - false_alarm_probability))
 
 
-def measure_drifts(solved: SolvedBundle, settings: DriftTestSettings) -> DriftStatistics:
+def measure_drifts(solved: SolvedBundle, settings: DiagnosticsSettings) -> DriftStatistics:
     """The statistics of a solution.
 
     Its variances contain the effect of drifts: where one may be significant, they are estimated anew beside them.
@@ -91,16 +94,17 @@ def measure_drifts(solved: SolvedBundle, settings: DriftTestSettings) -> DriftSt
     bundle, state = solved.bundle, solved.minimized.state
     order = np.unique(solved.captures, return_inverse=True)[1]
     time = order / max(int(order.max(initial=0)), 1) - 0.5
-    statistics = _score_drifts(bundle, solved.minimized, time)
+    factor = measure_serial_correlation(bundle, solved.minimized, order, settings.serial_correlation)
+    statistics = replace(_score_drifts(bundle, solved.minimized, time), serial_correlation=factor)
     bodies = range(len(statistics.bodies))
-    trigger = chdtri(6, settings.trigger_probability / len(bodies))
+    trigger = chdtri(6, settings.drifts.trigger_probability / len(bodies))
     if max(statistics.drift(body).squared for body in bodies) <= trigger:
         return statistics
-    for _ in range(settings.max_rounds):
+    for _ in range(settings.drifts.max_rounds):
         bundle, change = _update_variances_beside_drifts(bundle, state, time)
         if change < bundle.settings.variances.max_settled_change:
             break
-    return _score_drifts(bundle, _linearize(bundle, state), time)
+    return replace(_score_drifts(bundle, _linearize(bundle, state), time), serial_correlation=factor)
 
 
 def find_drifts(statistics: DriftStatistics, settings: DriftTestSettings) -> Iterator[Finding]:
@@ -124,8 +128,10 @@ def find_drifts(statistics: DriftStatistics, settings: DriftTestSettings) -> Ite
         statistics = statistics.beside(drifts.index(largest))
 
 
-def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: DriftTestSettings) -> RigSolution:
+def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: DiagnosticsSettings) -> RigSolution:
     """The solution with covariances of the poses at the end of the recording, after drifts of all bodies.
+
+    Errors that successive captures have in common increase variances before.
 
     Drifts of a body have a normal prior of mean zero. Its standard deviations are those of the settings or, if
     the recording makes larger ones more likely, the most likely multiple of them. Their second moments, given the
@@ -136,8 +142,9 @@ def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: DriftT
     Source: Efron and Morris, "Stein's estimation rule and its competitors: an empirical Bayes approach", 1973.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    prior = np.diag(np.repeat([settings.translation**2, settings.rotation**2], 3))
-    covariance, statistics = solution.joint_covariance.copy(), measure_drifts(solved, settings)
+    prior = np.diag(np.repeat([settings.drifts.translation**2, settings.drifts.rotation**2], 3))
+    statistics = measure_drifts(solved, settings)
+    covariance = statistics.serial_correlation * solution.joint_covariance
     of_estimate = pose_jacobian(bundle, state) @ statistics.influence.T
     for body in range(len(statistics.bodies)):
         at_end = np.zeros((len(bundle.sensors), 6, 6))

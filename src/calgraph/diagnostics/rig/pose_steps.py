@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from calgraph.config.settings import BumpTestSettings
+from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
+from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_setup import set_noise
 from calgraph.estimation.rig.bundle_solver import (
@@ -43,6 +44,8 @@ class PoseStep:
     """(6,) in the root's fixed axes."""
     squared: float
     """Squared Mahalanobis distance from no step."""
+    serial_correlation: float
+    """Factor of variances by errors that successive boards have in common, beside it and the steps before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,25 +88,35 @@ class ReleasedPose:
         return StepStatistics(first_after, np.asarray(-np.sum(score * step, axis=-1)), step)
 
 
-def find_pose_steps(bundle: Bundle, solution: MinimizedBundle, settings: BumpTestSettings) -> list[PoseStep]:
+def find_pose_steps(
+    bundle: Bundle,
+    solution: MinimizedBundle,
+    settings: BumpTestSettings,
+    correlation_settings: SerialCorrelationSettings,
+) -> list[PoseStep]:
     """The significant steps in the poses of sensors, each searched beside those before it.
+
+    None if successive boards have errors in common beside these steps.
 
     Args:
         bundle: all views, also outliers, in order of time; without outlines and priors of poses.
         solution: its solution.
         settings: of the tests.
+        correlation_settings: of errors that successive boards have in common.
     """
     steps: list[PoseStep] = []
     while len(steps) < settings.max_bumps:
         try:
-            found = _find_step(bundle, solution, settings)
+            found = _find_step(bundle, solution, settings, correlation_settings)
         except (CalibrationError, np.linalg.LinAlgError):
             break
         if found is None:
             break
         step, bundle, solution = found
         steps.append(step)
-    return steps
+    # Errors that depend on the board's pose, and those of moving boards, change with time as well. They remain
+    # beside steps.
+    return [] if steps and steps[-1].serial_correlation > 1 else steps
 
 
 def release_poses(
@@ -166,7 +179,10 @@ def _sum_from(of_views: Array) -> Array:
 
 
 def _find_step(
-    bundle: Bundle, solution: MinimizedBundle, settings: BumpTestSettings
+    bundle: Bundle,
+    solution: MinimizedBundle,
+    settings: BumpTestSettings,
+    correlation_settings: SerialCorrelationSettings,
 ) -> tuple[PoseStep, Bundle, MinimizedBundle] | None:
     """The most significant step, the bundle with it and its solution; None if none is significant."""
     state, weights = solution.state, _downweight_outliers(bundle, solution)
@@ -189,10 +205,10 @@ def _find_step(
     k, _ = best
     if split.bundle.bias_variance[:, 0].max() > settings.max_view_bias**2:
         return None
-    step, covariance, freedom = _measure_step(split, k)
+    step, covariance, freedom, factor = _measure_step(split, k, correlation_settings)
     largest = [float(one.squared.max(initial=0.0)) for one in scores]
     # A few lines on boards determine a pose poorly, and may have a far solution that its covariance does not span.
-    squared = min(float(step @ np.linalg.solve(covariance, step)), largest[k])
+    squared = min(float(step @ np.linalg.solve(covariance, step)), largest[k]) / factor
     significant = squared > 6 * fdtri(6, freedom, 1 - settings.false_alarm_probability / tests)
     if not significant or not _depends_on_order(released[k], largest[k], settings):
         return None
@@ -200,7 +216,7 @@ def _find_step(
     names = dict.fromkeys(bundle.sensors[j] for j in range(len(scores)) if largest[j] >= largest[k] - margin)
     likely = scores[k].first_after[scores[k].squared >= largest[k] - 2 * np.log(settings.min_time_likelihood)]
     boards = bundle.views[k].board
-    found = PoseStep(tuple(names), boards[: likely[0]], boards[likely[-1] :], step, squared)
+    found = PoseStep(tuple(names), boards[: likely[0]], boards[likely[-1] :], step, squared, factor)
     return found, split.complete, split.solution
 
 
@@ -266,8 +282,13 @@ def _set_variances(bundle: Bundle, state: BundleState, split: _Split) -> Bundle:
     return set_noise(replace(bundle, bias_variance=split.bundle.bias_variance[:sensors]), state, scales)
 
 
-def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float]:
-    """The step (6,) between views k and those added last, its covariance, and the freedom of its variances."""
+def _measure_step(
+    split: _Split, k: int, correlation_settings: SerialCorrelationSettings
+) -> tuple[Array, Array, float, float]:
+    """The step (6,) between views k and those added last, its covariance, and the freedom of its variances.
+
+    The last is the factor of the covariance by errors that successive boards have in common beside the step.
+    """
     bundle = split.bundle
     solution = minimize_bundle(bundle, split.state, tolerance=COARSE_TOLERANCE)
     state, added = solution.state, len(bundle.sensors) - 1
@@ -279,7 +300,9 @@ def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float]:
         A = solution.equations.views[j].information
         whiten, measured = whitening(A)
         freedom += float(measured.sum() - np.sum((whiten @ A @ factors[j]) ** 2))
-    return se3.difference(state.T_root_sensor[added], state.T_root_sensor[k]), covariance, max(freedom, 1.0)
+    step = se3.difference(state.T_root_sensor[added], state.T_root_sensor[k])
+    factor = measure_serial_correlation(bundle, solution, np.arange(len(state.T_root_board)), correlation_settings)
+    return step, covariance, max(freedom, 1.0), factor
 
 
 def _depends_on_order(released: ReleasedPose, largest: float, settings: BumpTestSettings) -> bool:

@@ -1,0 +1,52 @@
+"""Serial correlation: errors that successive captures have in common.
+
+Variances of noise and view bias assume captures that err independently. A board that hardly moves between captures
+looks the same to lenses, clocks and shutters, whose errors are then the same as well.
+"""
+
+import numpy as np
+
+from calgraph.config.settings import SerialCorrelationSettings
+from calgraph.estimation.rig.board_information import gradient_by_board
+from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle
+from calgraph.geometry import Array, Index
+
+
+def measure_serial_correlation(
+    bundle: Bundle, solution: MinimizedBundle, order: Index, settings: SerialCorrelationSettings
+) -> float:
+    """The factor by which serial correlation increases the variances of poses; 1 where it is not significant.
+
+    What each board adds to the poses has a long-run variance, the mean over all parameters of poses, with lags
+    weighted as by Bartlett, after removal of a linear trend. Its ratio to that of random orders of the boards is
+    the factor if it is larger than in all of them.
+
+    Source: Newey and West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
+    covariance matrix", Econometrica 1987.
+
+    Args:
+        bundle: the observations.
+        solution: its solution.
+        order: (C,) of the boards in time.
+        settings: lags and random orders.
+    """
+    if len(order) < 2 * settings.lags or not bundle.body_count:
+        return 1.0
+    H, _, _ = solution.equations.eliminate_boards()
+    steps = gradient_by_board(bundle, solution.equations) @ np.linalg.inv(H)[:, : 6 * bundle.body_count]
+    steps = steps[np.argsort(order, kind="stable")]
+    rng = np.random.default_rng(0)
+    random_orders = [
+        _long_run_variance(rng.permutation(steps), settings.lags) for _ in range(settings.permutations)
+    ]
+    variance = _long_run_variance(steps, settings.lags)
+    return variance / float(np.median(random_orders)) if variance > max(random_orders) else 1.0
+
+
+def _long_run_variance(steps: Array, lags: int) -> float:
+    """Of a series (C, n) without its linear trend, over its variance; mean over columns."""
+    trend = np.stack([np.ones(len(steps)), np.linspace(-1, 1, len(steps))], axis=1)
+    left = steps - trend @ np.linalg.lstsq(trend, steps, rcond=None)[0]
+    left = left / np.maximum(np.linalg.norm(left, axis=0), np.finfo(float).tiny)
+    products = [np.sum(left[k:] * left[: len(left) - k]) for k in range(lags)]
+    return float((products[0] + sum(2 * (1 - k / lags) * products[k] for k in range(1, lags))) / steps.shape[1])

@@ -1,0 +1,59 @@
+"""Errors that successive captures have in common increase variances; others do not."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bundle_scenes import bias_variances, remeasured, scene
+from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
+from calgraph.diagnostics.rig.pose_steps import find_pose_steps
+from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
+from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
+from calgraph.estimation.rig.observations import relative_poses
+from calgraph.geometry import se3
+
+BOARDS = 40
+SCENE = scene(boards=BOARDS)
+SETTINGS = SerialCorrelationSettings()
+
+
+def measure(bundle: Bundle) -> float:
+    return measure_serial_correlation(bundle, minimize_bundle(bundle, SCENE.truth), np.arange(BOARDS), SETTINGS)
+
+
+def wandering(seed: int, stddev: float, together: int) -> Bundle:
+    """The bundle of a camera whose views are displaced, a number of successive ones in the same way."""
+    rng = np.random.default_rng(seed)
+    bundle = SCENE.measured(rng, view_bias=1e-4)
+    exact = SCENE.bundle.views[1]
+    T = relative_poses(SCENE.truth.T_root_sensor[1], SCENE.truth.T_root_board[exact.board])
+    shifts = np.repeat(rng.normal(0, stddev, (BOARDS // together, 6)), together, axis=0)
+    views = remeasured(exact, se3.retract(T, shifts), rng, 1.0)
+    bundle = bundle.with_views([bundle.views[0], views, *bundle.views[2:]])
+    return replace(bundle, bias_variance=bias_variances(3, stddev))
+
+
+def test_independent_captures_keep_their_variances() -> None:
+    factors = [measure(wandering(seed, 0.003, 1)) for seed in range(40)]
+    assert sum(factor > 1 for factor in factors) <= 2
+
+
+def test_common_errors_of_successive_captures_increase_variances() -> None:
+    factors = [measure(wandering(seed, 0.02, 8)) for seed in range(10)]
+    # With a false-alarm probability of 1 %, three of ten are no chance.
+    assert sum(factor > 1.2 for factor in factors) >= 3
+
+
+def test_few_captures_are_not_tested() -> None:
+    bundle = SCENE.measured(np.random.default_rng(0))
+    few = bundle.with_views([views.select(views.board < 8) for views in bundle.views])
+    solution = minimize_bundle(few, SCENE.truth)
+    assert measure_serial_correlation(few, solution, np.arange(8), SETTINGS) == 1.0
+
+
+def test_no_steps_beside_common_errors_of_successive_captures() -> None:
+    found = 0
+    for seed in range(6):
+        bundle = wandering(seed, 0.02, 8)
+        found += bool(find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth), BumpTestSettings(), SETTINGS))
+    assert found <= 1
