@@ -152,8 +152,7 @@ def build_problem_from_captures(
     rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
-    if options.estimator == "bundle":
-        captures = locate_boards(rig, captures)
+    captures = locate_boards(rig, captures)
     detections = captures.detections
     settings = rig.settings.pairwise.board
     pairs = estimate_pairs(
