@@ -129,6 +129,31 @@ def test_a_scanner_without_detections_is_named(tmp_path: Path) -> None:
     assert all("no object of the target's size" in reason for reason in found.evidence.unconnected.values())
 
 
+def calibrate_simulated(out: Path, seed: int, **errors: float) -> tuple[Calibration, GroundTruth]:
+    """A lab with errors of its scanners; poses of the truth are those at the end of the recording."""
+    scenario = NetworkScenario.model_validate({"layout": "lab", "duration": 40, "errors": errors})
+    simulate_network(scenario, out / "network", seed)
+    with open_recording(out / "network/recording") as recording:
+        found = calibrate(load_rig(out / "network/rig.yaml"), recording, NetworkOptions())
+    return found, load_truth(out / "network/truth.yaml")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_bumped_scanner_is_named_and_calibrated_from_afterwards(tmp_path: Path, seed: int) -> None:
+    found, truth = calibrate_simulated(tmp_path, seed, bump_rotation=3.0)
+    (remark,) = [text for text in found.evidence.remarks if " moved by " in text]
+    name = remark.split()[0]
+    error = se3.difference(found[name].T_root_sensor, truth.T_root_sensor[name])
+    assert np.linalg.norm(error[:2]) < 0.02
+    assert np.degrees(abs(error[5])) < 0.2
+
+
+def test_a_driving_scanner_is_named_and_the_others_are_calibrated(tmp_path: Path) -> None:
+    found, _ = calibrate_simulated(tmp_path, 0, driving=0.5)
+    ((_, reason),) = found.evidence.unconnected.items()
+    assert reason.startswith("it moves")
+
+
 def test_a_camera_in_a_network_is_bad_input(data_dir: Path) -> None:
     sensors = {
         "front": {"kind": "lidar2d", "topic": "/front_scan"},

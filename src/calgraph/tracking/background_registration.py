@@ -17,8 +17,8 @@ from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index, fit_local_lines
 from calgraph.sensors import find_nearest_beams
 
-# Beams of a window that take part: systematic errors limit the precision, not the number of beams.
-_MAX_BEAMS = 300
+# Beams on surfaces up to twice this many all take part: systematic errors limit the precision of more.
+_SUFFICIENT_BEAMS = 150
 # Windows that are registered in one call: bounds memory for recordings of hours.
 _WINDOWS_PER_CALL = 256
 # Prior standard deviation of a pose, m and rad: makes directions invertible that no surface determines.
@@ -147,8 +147,10 @@ def match_surfaces(reference: ReferenceScan, points: Array, poses: Array, max_di
 
 def _register_part(reference: ReferenceScan, ranges: Array, noise: float) -> WindowPoses:
     settings = reference.settings
-    stride = -(-len(reference.angles) // _MAX_BEAMS)
-    points = to_points(reference.angles[::stride], ranges[:, ::stride])
+    stride = max(1, int(np.isfinite(reference.normals[:, 0]).sum()) // _SUFFICIENT_BEAMS)
+    chosen = np.arange(0, len(reference.angles), stride)
+    chosen = chosen[np.isfinite(ranges[:, chosen]).any(axis=0)]
+    points = to_points(reference.angles[chosen], ranges[:, chosen])
     at_rest = np.zeros((len(ranges), 3))
     found = _refine(reference, points, at_rest, noise, settings.agreement_sigmas * noise)
     for guess in (_guess_rest, _search_rotations):

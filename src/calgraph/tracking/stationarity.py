@@ -230,8 +230,11 @@ def _measure_bump(
         if not _is_majority_displaced(reference, after, pose, registration.noise, settings):
             return None
         covariance = 2 * _systematic_covariance(found.information[0], settings)
-        stddev = np.sqrt([np.linalg.eigvalsh(covariance[:2, :2])[-1], covariance[2, 2]])
-        return float(np.hypot(*pose[:2])), float(pose[2]), float(stddev[0]), float(stddev[1])
+        variances, directions = np.linalg.eigh(covariance[:2, :2])
+        # Along a wall the displacement is not observable.
+        components = np.where(variances < settings.max_translation_stddev**2, directions.T @ pose[:2], 0.0)
+        stddev = np.sqrt([variances[-1], covariance[2, 2]])
+        return float(np.hypot(*components)), float(pose[2]), float(stddev[0]), float(stddev[1])
     both = np.isfinite(before) & np.isfinite(after)
     unchanged = np.abs(after[both] - before[both]) < settings.agreement_sigmas * registration.noise
     # A scanner that is displaced by far measures longer ranges in some directions, and shorter ones in others.

@@ -7,7 +7,12 @@ import pytest
 
 from calgraph.captures import InputFinding
 from calgraph.config import Rig
-from calgraph.diagnostics.network.assemble import NetworkPairs, _build_edge, assemble_network
+from calgraph.diagnostics.network.assemble import (
+    NetworkPairs,
+    _build_edge,
+    _explain_unconnected,
+    assemble_network,
+)
 from calgraph.errors import Rejected
 from calgraph.estimation import NetworkSolution
 from calgraph.geometry import se2
@@ -121,6 +126,11 @@ def test_an_outlier_pair_has_no_inliers() -> None:
 
 def test_an_unconnected_scanner_has_the_reasons_of_its_pairs() -> None:
     assert assemble().evidence.unconnected == {"cellar": "has 1 tracks, but west, east: too few"}
+
+
+def test_scanners_without_a_pose_have_the_reason_of_a_root_without_tracks() -> None:
+    followed: dict[str, ScannerTracks | Rejected] = {"west": Rejected("it moves"), "east": build_tracks(1)}
+    assert _explain_unconnected("east", "west", followed, {}) == "the root west is not calibrated: it moves"
 
 
 def test_initial_poses_are_those_of_averaging_where_a_joint_solution_follows() -> None:

@@ -251,6 +251,9 @@ class StationaritySettings(StrictModel):
     max_inflation: float = Field(default=9.0, ge=1)
     """Largest factor on the variances of poses for the scatter from window to window, which people who pass
     increase; a moving scanner has a larger one, which is not noise."""
+    max_translation_stddev: float = Field(default=0.05, gt=0)
+    """Standard deviation of a step's translation above which its direction is not observable, m, as along a single
+    wall; the size of the step is that in the other direction."""
     informative_step: float = Field(default=0.003, gt=0)
     """Points that a step moves by at least this from their surfaces, m, vote on it: three standard deviations of a
     median over ten windows."""
