@@ -82,7 +82,8 @@ def bootstrap_poses(
     Returns:
         By sensor; none for those whose pose is not estimated.
     """
-    bundle, state, equations = solved.bundle, solved.minimized.state, solved.minimized.equations
+    state, equations = solved.minimized.state, solved.minimized.equations
+    bundle = _without_tails(solved.bundle, state)
     captures, capture = np.unique(solved.captures, return_inverse=True)
     information = np.zeros((len(captures), bundle.parameter_count, bundle.parameter_count))
     np.add.at(information, capture, information_by_board(bundle, equations))
@@ -114,6 +115,17 @@ def bootstrap_poses(
         bundle.sensors[s]: BootstrapScatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
         for i, s in enumerate(np.flatnonzero(free))
     }
+
+
+def _without_tails(bundle: Bundle, state: BundleState) -> Bundle:
+    """The bundle with Gaussian priors: in their tails, samples of few captures move parameters far away."""
+    stddev = (bundle.prior_stddev / np.sqrt(bundle.prior_weights(state.extra)))[6 * bundle.body_count :]
+    parameters = [
+        replace(one, prior_stddev=s) for one, s in zip(bundle.extra_parameters, stddev.tolist(), strict=True)
+    ]
+    systematic = bundle.settings.systematic.model_copy(update={"prior_tail": 1e9})
+    settings = bundle.settings.model_copy(update={"systematic": systematic})
+    return replace(bundle, extra_parameters=tuple(parameters), settings=settings)
 
 
 def _solve_sample(
