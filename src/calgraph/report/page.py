@@ -17,10 +17,11 @@ from calgraph.report.fused_view import render_fused_cloud
 from calgraph.report.gallery import render_gallery
 from calgraph.report.graph_view import render_edge_table, render_graph
 from calgraph.report.image_view import render_camera_images
-from calgraph.report.pose_table import render_estimated_parameters, render_pose_table
+from calgraph.report.pose_table import render_pose_table
 from calgraph.report.provenance_view import render_provenance
 from calgraph.report.residual_view import render_distances, render_histograms
 from calgraph.report.rig_view import render_rig_view
+from calgraph.report.systematic_view import render_systematic_parameters
 from calgraph.report.verdict_cards import describe_good, render_cards, render_remarks, summarize_verdicts
 from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration
@@ -44,6 +45,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
 def render_report(calibration: Calibration, rig: Rig) -> str:
     """The text of the report."""
     words = select_vocabulary(rig)
+    systematic = render_systematic_parameters(calibration)
     sections = {
         "images": ("Camera images", render_camera_images(calibration, rig)),
         "cloud": ("Fused cloud", render_fused_cloud(calibration, rig)),
@@ -58,7 +60,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         about_graph=words.graph_caption,
         graph=render_graph(calibration, words),
         edges=render_edge_table(calibration, words),
-        poses=render_pose_table(calibration) + render_estimated_parameters(calibration),
+        poses=render_pose_table(calibration),
         about_residuals=words.residuals_caption,
         residuals=render_histograms(calibration)
         + render_distances(calibration, words)
@@ -73,6 +75,8 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         coverage=render_coverage(calibration, rig, words),
         captures_title=words.items_title,
         captures=render_captures(calibration, words) + render_gallery(calibration),
+        systematic=systematic,
+        systematic_link='<a href="#systematic">Systematic parameters</a>' if systematic else "",
         provenance=render_provenance(calibration),
         style=_read_asset("style.css"),
         plotly=get_plotlyjs(),

@@ -32,26 +32,6 @@ def render_pose_table(calibration: Calibration) -> str:
     )
 
 
-def render_estimated_parameters(calibration: Calibration) -> str:
-    """Systematic parameters with their priors and estimates; empty if there are none."""
-    if not calibration.systematic:
-        return ""
-    head = "".join(
-        f"<th>{name}</th>"
-        for name in ("of", "quantity", "stated", "prior σ", "estimate", "σ", "unit", "deviation")
-    )
-    rows = "".join(
-        f"<tr><th scope='row'>{escape_html(one.of)}</th><td>{escape_html(one.quantity)}</td>"
-        f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted)}"
-        f"<td>{one.deviation:+.1f} prior σ</td></tr>"
-        for one in calibration.systematic
-    )
-    return (
-        "<p>Systematic parameters, estimated jointly with the poses from the data and their priors:</p>"
-        f'<div class="wide"><table class="poses"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
-    )
-
-
 def _describe_frame(root: str, planar: bool) -> str:
     if planar:
         return (

@@ -59,7 +59,8 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
         *(_render_card("unconnected", name, "no pose", f"{why}. {lost}" if why else lost)
           for name, why in calibration.evidence.unconnected.items()),
         *(_render_card(
-            s.verdict.grade, s.name, _describe_uncertainty(s), s.verdict.reason or advice.get(s.verdict.grade, ""))
+            s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
+            s.verdict.reason or advice.get(s.verdict.grade, ""))
           for s in sensors),
     ]  # fmt: skip
     return f'<div class="cards">{"".join(shown)}</div>'
@@ -84,6 +85,17 @@ def max_std_deviation(covariance: Array) -> float:
     if not np.isfinite(covariance).all():
         return float("nan") if np.isnan(covariance).any() else float("inf")
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> str:
+    """Uncertainty of a sensor's pose, the number of captures that it rests on, and its error on held-out ones."""
+    rows = [row for row in calibration.evidence.captures if row.sensor == sensor.name]
+    facts = [_describe_uncertainty(sensor)]
+    if rows:
+        facts.append(f"{sum(row.used for row in rows)} of {format_count(len(rows), words.item)} used")
+    if held_out := calibration.evidence.cross_validation.get(sensor.name):
+        facts.append(f"held-out error {held_out.formatted[0]} RMS")
+    return " · ".join(facts)
 
 
 def _describe_uncertainty(sensor: SensorPose) -> str:

@@ -1,0 +1,49 @@
+"""Systematic parameters: what is stated of each, and what the data say."""
+
+from calgraph.report.formatting import escape_html
+from calgraph.result import Calibration, EstimatedParameter
+
+# Deviation at the ends of the axis, prior standard deviations: more is drawn at the end.
+_END = 4.0
+_WIDTH, _HEIGHT = 132.0, 16.0
+
+
+def render_systematic_parameters(calibration: Calibration) -> str:
+    """A section with all systematic parameters, their priors and estimates; empty if there are none."""
+    if not calibration.systematic:
+        return ""
+    names = ("of", "quantity", "stated", "prior σ", "estimate", "σ", "unit", "deviation", "against the prior")
+    head = "".join(f"<th>{name}</th>" for name in names)
+    rows = "".join(
+        f"<tr><th scope='row'>{escape_html(one.of)}</th><td>{escape_html(one.quantity)}</td>"
+        f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted)}"
+        f"<td>{one.deviation:+.1f} prior σ</td><td>{_draw(one)}</td></tr>"
+        for one in calibration.systematic
+    )
+    return (
+        '<section id="systematic"><h2>Systematic parameters</h2>'
+        "<p>Errors of sensors and target that are estimated jointly with the poses, from the data and from the "
+        "priors of <code>uncertainty</code> in rig.yaml. On the right, in prior standard deviations: the shaded "
+        f"band is the prior (±1 σ), the bar the estimate (±1 σ); the axis ends at ±{_END:g}.</p>"
+        f'<div class="wide"><table class="poses"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+        "</section>"
+    )
+
+
+def _draw(one: EstimatedParameter) -> str:
+    """The estimate with its standard deviation on an axis in prior standard deviations, as SVG."""
+
+    def place(deviation: float) -> float:
+        return _WIDTH / 2 * (1 + min(max(deviation / _END, -1.0), 1.0))
+
+    spread = one.stddev / one.prior
+    middle = _HEIGHT / 2
+    low, center, high = (place(one.deviation + k * spread) for k in (-1, 0, 1))
+    return (
+        f'<svg class="against" width="{_WIDTH:g}" height="{_HEIGHT:g}" role="img" '
+        f'aria-label="{one.deviation:+.1f} ± {spread:.1f} prior standard deviations">'
+        f'<rect x="{place(-1):.1f}" y="0" width="{place(1) - place(-1):.1f}" height="{_HEIGHT:g}"/>'
+        f'<line class="axis" x1="{place(0):.1f}" x2="{place(0):.1f}" y1="0" y2="{_HEIGHT:g}"/>'
+        f'<line x1="{low:.1f}" x2="{high:.1f}" y1="{middle:g}" y2="{middle:g}"/>'
+        f'<circle cx="{center:.1f}" cy="{middle:g}" r="3"/></svg>'
+    )
