@@ -12,7 +12,9 @@ from calgraph.calibrate.track_recording import moving_target, scanner_noise, tra
 from calgraph.captures import InputFinding, InputMonitor
 from calgraph.config import Rig
 from calgraph.diagnostics import (
+    Finding,
     assemble_network,
+    assess_network_model,
     build_consistent_prior,
     describe_bumps,
     extract_earlier_poses,
@@ -89,6 +91,7 @@ def calibrate_tracks(
     )
     graph, names, averaged = initialization.graph, initialization.names, initialization.solution
     joint = prior = None
+    contradictions: Sequence[Finding] = ()
     # A root without connections may have no tracks.
     if options.estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
@@ -109,6 +112,17 @@ def calibrate_tracks(
             )
             joint = solution(prior=prior)
         progress("solving", 1.0)
+        assessment = assess_network_model(
+            moving_target(rig),
+            joint,
+            [tracked[name] for name in names],
+            averaged,
+            graph,
+            names,
+            rig.settings.diagnostics.network.model,
+            replaceable=earlier is None,  # averaged poses do not contain the earlier ones
+        )
+        joint, contradictions = assessment.joint, assessment.findings
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first_time(tracked) if start is None else start
     findings = [*findings, *describe_bumps(rig.root, tracks, start)]
@@ -122,7 +136,7 @@ def calibrate_tracks(
         averaged,
         start,
         joint,
-        (*findings, *corrected.findings),
+        (*findings, *corrected.findings, *contradictions),
         clock_offset=corrected.clock_offset,
         inverted=corrected.inverted,
     )

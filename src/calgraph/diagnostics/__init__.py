@@ -6,6 +6,7 @@ from calgraph.diagnostics.comparison import (
     ResidualComparison,
     SensorComparison,
 )
+from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
 from calgraph.diagnostics.network.extension import (
     build_consistent_prior,
@@ -14,6 +15,7 @@ from calgraph.diagnostics.network.extension import (
     remove_scanners,
 )
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
+from calgraph.diagnostics.network.model_assessment import ModelAssessment, assess_network_model
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
@@ -25,10 +27,9 @@ from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.diagnostics.verdict import axis_names
 
 __all__ = [
-    "AxisComparison", "BootstrapScatter", "Bump", "ExtrinsicsComparison", "NetworkPairs", "ResidualComparison",
-    "SensorComparison", "add_suggestions", "assemble_network", "assemble_rig", "axis_names",
-    "bootstrap_poses", "build_consistent_prior", "compare_network_poses", "compare_rig_poses",
-    "cross_validate",
-    "describe_bumps", "extract_earlier_poses", "find_bumps", "include_drifts", "merge_calibrations",
-    "remove_scanners",
+    "AxisComparison", "BootstrapScatter", "Bump", "ExtrinsicsComparison", "Finding", "ModelAssessment",
+    "NetworkPairs", "ResidualComparison", "SensorComparison", "add_suggestions", "assemble_network",
+    "assemble_rig", "assess_network_model", "axis_names", "bootstrap_poses", "build_consistent_prior",
+    "compare_network_poses", "compare_rig_poses", "cross_validate", "describe_bumps", "extract_earlier_poses",
+    "find_bumps", "include_drifts", "merge_calibrations", "remove_scanners",
 ]  # fmt: skip

@@ -11,3 +11,5 @@ class Finding:
     """Cause, size, and what to do, in one sentence."""
     sensors: tuple[str, ...] = ()
     """Sensors whose poses it makes weak."""
+    refutes: bool = False
+    """Whether it refutes the model of the joint solution, so that another estimate has to replace it."""

@@ -1,6 +1,6 @@
 """Joint estimators over all sensors, and the problem that they solve."""
 
-from calgraph.estimation.network.estimate import NetworkSolution, solve_network
+from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.rig.camera_boards import locate_boards
 from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle, solve_poses
@@ -11,7 +11,7 @@ from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedB
 
 __all__ = [
     "Estimator", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
-    "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolverOptions", "attach_by_priors",
-    "check_problem", "cramer_rao", "load_problem", "locate_boards", "round_trip", "save_problem", "solve_bundle",
-    "solve_network", "solve_poses", "with_prior_poses",
+    "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolvedNetwork", "SolverOptions",
+    "attach_by_priors", "check_problem", "cramer_rao", "load_problem", "locate_boards", "round_trip",
+    "save_problem", "solve_bundle", "solve_network", "solve_poses", "with_prior_poses",
 ]  # fmt: skip

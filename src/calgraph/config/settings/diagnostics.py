@@ -171,8 +171,41 @@ class DriftTestSettings(StrictModel):
     with bumps."""
 
 
+class NetworkModelSettings(StrictModel):
+    """Tests of the model of a network's joint solution: bodies of one shape on smooth paths, and their beams."""
+
+    limit_share: float = Field(default=0.95, gt=0, lt=1)
+    """A range noise or model error of more than this share of its limit counts as at the limit: an estimate that
+    is cut off there. Right models reach 0.3 of them, also with swinging arms."""
+    min_weighted_share: float = Field(default=0.6, gt=0, lt=1)
+    """Least share of a scanner's beams on bodies that have a weight: robust estimates hold up to about half of
+    outliers. 0.89 to 0.95 in simulation, 0.63 and more where arms swing by 0.15 m; 0.4 to 0.56 where ellipses are
+    fitted to two people's legs."""
+    max_beam_correlation: float = Field(default=0.2, gt=0, lt=1)
+    """Largest correlation of the residuals of a scanner's adjacent beams on a body: a body of another shape has
+    residuals of one sign along its outline. In simulation it is below 0.01, below 0.1 where arms swing, and 0.5
+    to 0.9 where ellipses are fitted to legs or a clock is wrong."""
+    refuting_beam_correlation: float = Field(default=0.5, gt=0, lt=1)
+    """The same beyond which the model is refuted: beams then have a third of the information that is assumed."""
+    refuting_scatter: float = Field(default=4.0, gt=1)
+    """Ratio of the observed to the expected variance of contributions to the poses beyond which the model is
+    refuted: parts of the recording that contradict each other by twice what noise explains."""
+    false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
+    """Probability with which each of the tests of halves, groups of bodies, scatter and averaging rejects a right
+    recording. On 96 simulated ones, halves have p < 0.01 in none, and groups in two."""
+    interval: float = Field(default=5.0, gt=0)
+    """Length of the intervals whose contributions are compared, s: several strides, over which the deviations of
+    walking people average out, and a tenth of a short recording."""
+    max_radius_deviation: float = Field(default=0.15, gt=0)
+    """Averaging is not compared with the joint solution where the estimated radii of bodies differ from those of
+    rig.yaml by more than this on average, relatively: averaging keeps the radii of rig.yaml, whose error its
+    covariance does not contain."""
+
+
 class NetworkDiagnosticsSettings(StrictModel):
     """Tests of a network's calibration."""
+
+    model: NetworkModelSettings = NetworkModelSettings()
 
     min_shared_ticks: int = Field(default=5, ge=1)
     """Ticks (``tick_period`` of pairs) at which another scanner has to track a walk for the report to call it

@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.captures import InputFinding
 from calgraph.config import Rig
+from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.diagnostics.verdict import collect_findings, grade_pose
 from calgraph.errors import Rejected
@@ -35,7 +36,7 @@ def assemble_network(
     averaged: PoseGraphSolution,
     start: float,
     joint: NetworkSolution | None = None,
-    findings: Sequence[InputFinding] = (),
+    findings: Sequence[InputFinding | Finding] = (),
     *,
     clock_offset: Mapping[str, float] = MappingProxyType({}),
     inverted: Collection[str] = (),
@@ -52,7 +53,7 @@ def assemble_network(
         averaged: their averaged poses, and the hypotheses that are inliers.
         start: of the recording, s.
         joint: the joint solution, if there is one; its poses replace the averaged ones.
-        findings: what does not fit the rig in the messages of the recording.
+        findings: what does not fit the rig in the messages of the recording, and what contradicts the solution.
         clock_offset: by which the times of tracks were corrected, s.
         inverted: scanners whose tracks were mirrored, as they are mounted the other way up than the root.
     """

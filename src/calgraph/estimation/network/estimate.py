@@ -88,6 +88,10 @@ class NetworkSolution:
         poses = np.arange(len(self.covariance)) % 4 < 3
         return self.covariance[np.ix_(poses, poses)]
 
+    def scale_covariance(self, factor: float) -> "NetworkSolution":
+        """The solution with a covariance that is larger by a factor."""
+        return replace(self, covariance=factor * self.covariance)
+
     @property
     def clocks(self) -> Array:
         """(S, 2) offsets and their standard deviations, s; NaN where they were not estimated, and for the root."""

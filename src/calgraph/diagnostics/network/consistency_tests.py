@@ -1,0 +1,161 @@
+"""Tests of a network's joint solution by parts of its data: halves, groups of people, intervals, pairs alone.
+
+A model error that is the same in all parts shows in none of these tests but the last; it shows in the fit.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calgraph.config.settings import NetworkModelSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.estimation import NetworkSolution
+from calgraph.estimation.network.contributions import Contributions
+from calgraph.geometry import Array, se2
+
+# Directions with a smaller share of the largest eigenvalue of a covariance are without error.
+_RANK_TOLERANCE = 1e-10
+# Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:
+# standard deviations of 1 m, 1 rad and 1 s.
+_DIFFERENCE_RIDGE = 1.0
+
+
+def find_inconsistent_parts(
+    parts: Contributions, names: Sequence[str], settings: NetworkModelSettings
+) -> Iterator[Finding]:
+    """Halves of the recording, or groups of people, that give other poses.
+
+    Args:
+        parts: of the joint solution.
+        names: of its scanners, the root first.
+        settings: probability of a false alarm.
+    """
+    halves: Mapping[str, NDArray[np.bool_]] = {
+        "the first and the second half of the recording": _split_by_time(parts),
+        "two groups of people, each over the whole recording,": _split_by_body(parts),
+    }
+    for description, first in halves.items():
+        yield from _test_halves(parts, first, description, names, settings)
+
+
+def _split_by_time(parts: Contributions) -> NDArray[np.bool_]:
+    """(C,) the parts of the first half of the information."""
+    order = np.argsort(parts.time, kind="stable")
+    share = np.cumsum(np.trace(parts.information[order], axis1=1, axis2=2))
+    first = np.empty(len(order), dtype=np.bool_)
+    first[order] = share <= share[-1] / 2
+    return first
+
+
+def _split_by_body(parts: Contributions) -> NDArray[np.bool_]:
+    """(C,) the parts of one of two groups of bodies with about the same information."""
+    information = np.bincount(parts.body, np.trace(parts.information, axis1=1, axis2=2))
+    total, in_first = np.zeros(2), np.zeros(len(information), dtype=np.bool_)
+    for body in np.argsort(-information, kind="stable"):
+        group = int(total[1] < total[0])
+        total[group] += information[body]
+        in_first[body] = group == 0
+    return np.asarray(in_first[parts.body])
+
+
+def _test_halves(
+    parts: Contributions,
+    first: NDArray[np.bool_],
+    description: str,
+    names: Sequence[str],
+    settings: NetworkModelSettings,
+) -> Iterator[Finding]:
+    """Score tests of a difference of poses and clocks between two halves: of each scanner alone, and of all.
+
+    Everything else is the same in both halves, so that small differences show. Source: Rao, "Large sample tests of
+    statistical hypotheses concerning several parameters", 1948.
+    """
+    if first.all() or not first.any():
+        return
+    score, information = parts.test_difference(first)
+    scanners = np.unique(parts.scanner[parts.scanner > 0]).tolist()
+    columns = [np.flatnonzero(parts.is_placement & (parts.scanner == s)) for s in scanners]
+    p_each = len(scanners) * np.array([compute_p_value(score[c], information[np.ix_(c, c)]) for c in columns])
+    together = np.concatenate(columns)
+    p_all = compute_p_value(score[together], information[np.ix_(together, together)])
+    if (p := min(p_all, float(p_each.min()))) >= settings.false_alarm_probability:
+        return
+    worst = int(np.argmin(p_each))
+    of_worst = information[np.ix_(columns[worst], columns[worst])]
+    difference = np.linalg.solve(of_worst + _DIFFERENCE_RIDGE * np.eye(len(of_worst)), -score[columns[worst]])
+    mm, degrees = 1000 * np.hypot(difference[0], difference[1]), np.degrees(abs(difference[2]))
+    wrong = tuple(names[scanners[k]] for k in np.flatnonzero(p_each < settings.false_alarm_probability))
+    yield Finding(
+        f"{description} give poses of {names[scanners[worst]]} that differ by {mm:.1f} mm and {degrees:.2f}°, "
+        f"more than noise explains (p = {p:.0e}): it moved, its clock drifts, or people are not as modelled; "
+        "fix the scanners, set their clocks, and record again",
+        wrong or tuple(names),
+    )
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How far the contributions of parts scatter."""
+
+    ratio: float
+    """Observed over expected variance."""
+    p: float
+    """Probability of a larger ratio."""
+
+
+def measure_scatter(parts: Contributions) -> Scatter:
+    """Compares the scatter of the gradients of parts with their information (White, 1982).
+
+    The sum of ``b C b`` over the parts, with the covariance C of the solution, has the mean ``Σ tr(C A)`` and the
+    variance ``2 Σ tr(C A C A)``, and about the distribution of a multiple of χ² (Satterthwaite, 1946).
+    """
+    C = parts.covariance
+    CA = C @ parts.information
+    mean = float(np.sum(np.trace(CA, axis1=1, axis2=2)))
+    freedom = mean**2 / float(np.einsum("cij,cji->", CA, CA))
+    ratio = float(np.einsum("ci,ij,cj->", parts.gradient, C, parts.gradient)) / mean
+    return Scatter(ratio, float(chdtrc(freedom, freedom * ratio)))
+
+
+def find_disagreement(
+    joint: NetworkSolution,
+    T_root_averaged: Array,
+    averaged_covariance: Array,
+    names: Sequence[str],
+    settings: NetworkModelSettings,
+) -> Iterator[Finding]:
+    """Whether the joint solution is farther from the averaged pairs than their covariance allows.
+
+    The joint solution is the more precise one by far, so that the covariance of the difference is at most that of
+    averaging (Hausman, "Specification tests in econometrics", 1978).
+
+    Args:
+        joint: the joint solution.
+        T_root_averaged: (S, 3, 3) averaged poses.
+        averaged_covariance: (3S, 3S) of these, zero for the root.
+        names: of the scanners, the root first.
+        settings: probability of a false alarm.
+    """
+    difference = se2.difference(joint.T_root_scanner, T_root_averaged)
+    p = compute_p_value(difference[1:].ravel(), averaged_covariance[3:, 3:])
+    if p < settings.false_alarm_probability:
+        distance = np.hypot(difference[:, 0], difference[:, 1])
+        farthest = int(np.argmax(distance))
+        yield Finding(
+            f"the joint solution is up to {1000 * distance[farthest]:.0f} mm ({names[farthest]}) from averaged "
+            f"pairs, more than their covariance allows (p = {p:.0e}): one of the two is wrong; check the axes of "
+            "target in rig.yaml, that clocks agree, and ranges against a tape",
+            tuple(names),
+        )
+
+
+def compute_p_value(error: Array, covariance: Array) -> float:
+    """Probability of a larger squared Mahalanobis distance, along directions whose variance is not zero."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    regular = values > _RANK_TOLERANCE * values[-1]
+    along = vectors.T @ (error / scale)
+    return float(chdtrc(regular.sum(), np.sum(along[regular] ** 2 / values[regular])))

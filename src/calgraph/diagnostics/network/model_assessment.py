@@ -1,0 +1,104 @@
+"""Whether the model of a network's joint solution holds, or the averaged pairs have to replace it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calgraph.config import Cylinder, People
+from calgraph.config.settings import NetworkModelSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.network.consistency_tests import (
+    find_disagreement,
+    find_inconsistent_parts,
+    measure_scatter,
+)
+from calgraph.diagnostics.network.fit_tests import find_poor_fit
+from calgraph.estimation import NetworkSolution, SolvedNetwork
+from calgraph.estimation.network.contributions import split_contributions
+from calgraph.geometry import Array
+from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
+from calgraph.tracking import ScannerTracks
+
+
+@dataclass(frozen=True, eq=False)
+class ModelAssessment:
+    """What the tests of a joint solution leave of it."""
+
+    joint: NetworkSolution | None
+    """The joint solution, with a covariance that contains the scatter of its parts; None where averaged poses
+    have to replace it."""
+    findings: tuple[Finding, ...] = ()
+    """What contradicts it."""
+
+
+def assess_network_model(
+    target: People | Cylinder,
+    joint: NetworkSolution,
+    tracked: Sequence[ScannerTracks],
+    averaged: PoseGraphSolution,
+    graph: PoseGraph,
+    names: Sequence[str],
+    settings: NetworkModelSettings,
+    *,
+    replaceable: bool = True,
+) -> ModelAssessment:
+    """Tests the model of a joint solution on the recording that it was fitted to.
+
+    The model is refuted where an estimate is at its limit or residuals are strongly correlated; and where parts of
+    the data contradict each other, and the averaged pairs contradict the whole.
+
+    Args:
+        target: the kind of bodies, with their stated size.
+        joint: the joint solution.
+        tracked: the tracks of each of its scanners.
+        averaged: poses of the same from the pairs alone, and the pairs that are inliers.
+        graph: of these pairs.
+        names: of the scanners, the root first.
+        settings: of the tests.
+        replaceable: whether averaged poses may replace the joint solution.
+    """
+    if (solved := joint.solved) is None or not solved.problem.bodies:
+        return ModelAssessment(joint)
+    parts = split_contributions(solved, settings.interval)
+    scatter = measure_scatter(parts)
+    findings = [
+        *find_poor_fit(solved, names, np.array([one.sigma for one in tracked]), settings),
+        *find_inconsistent_parts(parts, names, settings),
+    ]
+    if scatter.p < settings.false_alarm_probability:
+        joint = joint.scale_covariance(scatter.ratio)
+        findings.append(
+            Finding(
+                f"what parts of the recording contribute to the poses scatters {np.sqrt(scatter.ratio):.1f} times "
+                f"as much as noise explains (p = {scatter.p:.0e}), by which standard deviations are enlarged: "
+                "people are not as modelled, or clocks or ranges are wrong",
+                tuple(names),
+                refutes=scatter.ratio > settings.refuting_scatter,
+            )
+        )
+    refuted = any(finding.refutes for finding in findings)
+    if _measure_radius_deviation(target, solved) < settings.max_radius_deviation:
+        covariance = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
+        disagreement = [*find_disagreement(joint, averaged.T_root_node, covariance, names, settings)]
+        refuted |= bool(findings and disagreement)
+        findings += disagreement
+    if not refuted:
+        return ModelAssessment(joint, tuple(findings))
+    consequence = "poses are averages of pairs instead, less precise" if replaceable else "its poses may be wrong"
+    summary = Finding(
+        f"the model of the joint solution does not hold (see the remarks): {consequence}; state in rig.yaml what "
+        "the scanners measure of people (target: height, axes), set clocks, or record people who carry nothing",
+        tuple(names),
+    )
+    # One reason is enough for the verdicts; what led to it are remarks.
+    causes = [replace(finding, sensors=()) for finding in findings]
+    return ModelAssessment(None if replaceable else joint, (summary, *causes))
+
+
+def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) -> float:
+    """Largest relative deviation of the mean radii of all bodies from the stated ones."""
+    stated: Array = np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
+    beams = [sum(len(scans.ranges) for scans in body.scans) for body in solved.problem.bodies]
+    radii = np.average([path.radii for path in solved.state.paths], axis=0, weights=beams)
+    return float(np.max(np.abs(radii / stated - 1)))

@@ -1,0 +1,173 @@
+"""Parts of a network's normal equations, by body and interval of time: what each says about the scanners.
+
+Paths and shapes of bodies are eliminated by the back substitution K of the whole solution. A scan with the
+derivatives G of a body's pose and shape by the scanners, and B by path and shape, has the information of its beams
+along ``J = G - B K``: the sum over all scans and the priors of paths is the Schur complement.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.estimation.network.estimate import SolvedNetwork
+from calgraph.estimation.network.leg_problem import LegPath
+from calgraph.estimation.network.path_equations import evaluate_at
+from calgraph.estimation.network.problem import BodyScans
+from calgraph.estimation.network.scanner_unknowns import (
+    CLOCK,
+    SCANNER_UNKNOWNS,
+    compute_root_times,
+    compute_scanner_jacobian,
+)
+from calgraph.estimation.network.schur import eliminate_path
+from calgraph.estimation.network.solver import build_scan_equations
+from calgraph.estimation.network.tukey_loss import TukeyLoss
+from calgraph.geometry import Array, Index
+
+
+@dataclass(frozen=True, eq=False)
+class Contributions:
+    """C parts of normal equations over the n estimated unknowns of all scanners."""
+
+    body: Index
+    """(C,) whose scans a part has."""
+    time: Array
+    """(C,) s, of the middle of its interval by the root's clock."""
+    information: Array
+    """(C, n, n)."""
+    gradient: Array
+    """(C, n), scaled such that its covariance is the information."""
+    prior: Array
+    """(n, n) weight of walls and priors, which all parts share, beside that of the parts."""
+    prior_covariance: Array
+    """(n, n) of their gradient."""
+    unknowns: Index
+    """(n,) columns among the unknowns of all scanners."""
+
+    @property
+    def scanner(self) -> Index:
+        """(n,) of each unknown."""
+        return self.unknowns // SCANNER_UNKNOWNS
+
+    @property
+    def is_placement(self) -> NDArray[np.bool_]:
+        """(n,) whether an unknown is of a pose or a clock offset."""
+        return np.asarray(self.unknowns % SCANNER_UNKNOWNS <= CLOCK)
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) inverse of the matrix of all parts and priors."""
+        return np.asarray(np.linalg.inv(self.prior + self.information.sum(axis=0)))
+
+    def test_difference(self, first: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Score and information of a difference between two halves of the parts.
+
+        Args:
+            first: (C,) whether a part is in the first half.
+
+        Returns:
+            The gradient (n,) by the second half's unknowns minus the first's, their mean being that of the
+            solution, and the covariance (n, n) of the gradient.
+        """
+        weight = np.where(first, -0.5, 0.5)
+        total = self.information.sum(axis=0)
+        difference = np.tensordot(weight, self.information, axes=1)
+        by_total = difference @ self.covariance
+        covariance = 0.25 * total + by_total @ (total + self.prior_covariance) @ by_total.T
+        crossed = by_total @ difference
+        return weight @ self.gradient, covariance - crossed - crossed.T
+
+
+def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions:
+    """Splits the normal equations of a solution by body and interval of time, s."""
+    network, equations = solved.problem, solved.equations
+    unknowns = equations.unknowns
+    column = np.full(len(equations.H), -1)
+    column[unknowns] = np.arange(len(unknowns))
+    bodies, times, information, gradient = [], [], [], []
+    for index, body in enumerate(equations.bodies):
+        for time, A, b in _split_body(solved, index, interval):
+            own = column[body.columns]
+            kept = own >= 0
+            information.append(np.zeros((len(unknowns), len(unknowns))))
+            information[-1][np.ix_(own[kept], own[kept])] = A[np.ix_(kept, kept)]
+            gradient.append(np.zeros(len(unknowns)))
+            gradient[-1][own[kept]] = b[kept]
+            bodies.append(index)
+            times.append(time)
+    # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
+    # in its weights lets expect. Scaled to that information, priors weigh more.
+    scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
+    prior = (equations.H + np.diag(equations.regularizer))[np.ix_(unknowns, unknowns)]
+    count = len(unknowns)
+    return Contributions(
+        np.array(bodies, dtype=np.intp),
+        np.array(times),
+        np.reshape(information, (-1, count, count)),
+        scale * np.reshape(gradient, (-1, count)),
+        scale * prior,
+        scale**2 * prior,
+        unknowns,
+    )
+
+
+def _split_body(solved: SolvedNetwork, index: int, interval: float) -> Iterator[tuple[float, Array, Array]]:
+    """Time, information (UL, UL) and gradient (UL,) of each interval of a body; U, L as for its equations.
+
+    A leg is one part: the biases of scanners make its intervals depend on each other.
+    """
+    network, state = solved.problem, solved.state
+    body, path, equations = network.bodies[index], state.paths[index], solved.equations.bodies[index]
+    size = len(equations.columns)
+    H, g, K = eliminate_path(equations, 0.0)
+    if isinstance(path, LegPath):
+        yield body.knots.start + (body.knots.count - 3) * body.knots.step / 2, H, g
+        return
+    by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
+    by_shape = K[3 * body.knots.count :, :-1]
+    count = int((body.knots.count - 3) * body.knots.step / interval) + 1
+    information, gradient = np.zeros((count, size, size)), np.zeros((count, size))
+    prior_gradient = equations.gradient.copy()
+
+    def part_of(times: Array) -> Index:
+        return np.clip((times - body.knots.start) / interval, 0, count - 1).astype(np.intp)
+
+    for k, scans in enumerate(body.scans):
+        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
+        sums = build_scan_equations(network, state, path, scans, pose, rate)
+        sums = sums.marginalize_model_error(network.model_error_variance[[0, 0, 1]])
+        J = _total_jacobian(solved, scans, k, (first, weights, pose, rate), by_path, by_shape)
+        part = part_of(compute_root_times(network, state, scans))
+        np.add.at(information, part, np.swapaxes(J, 1, 2) @ sums.information @ J)
+        np.add.at(gradient, part, np.einsum("vpq,vp->vq", J, sums.gradient))
+        for i in range(4):
+            np.add.at(prior_gradient, first + i, -weights[:, i, None] * sums.gradient[:, :3])
+    # What is left of the gradient of the path is that of its prior.
+    of_knot = part_of(body.knots.control_times())
+    np.add.at(gradient, of_knot, -np.einsum("kpq,kp->kq", by_path, prior_gradient))
+    share = np.trace(information, axis1=1, axis2=2)
+    rest = H - information.sum(axis=0)
+    for n in np.flatnonzero(share).tolist():
+        time = body.knots.start + (n + 0.5) * interval
+        yield time, information[n] + share[n] / share.sum() * rest, gradient[n]
+
+
+def _total_jacobian(
+    solved: SolvedNetwork,
+    scans: BodyScans,
+    k: int,
+    evaluated: tuple[Index, Array, Array, Array],
+    by_path: Array,
+    by_shape: Array,
+) -> Array:
+    """(V, 6, UL) derivatives of a body's pose, radii and range error in the scans of its k-th scanner."""
+    first, weights, pose, rate = evaluated
+    J = np.zeros((len(pose), 6, by_shape.shape[1]))
+    columns = slice(SCANNER_UNKNOWNS * k, SCANNER_UNKNOWNS * (k + 1))
+    J[..., columns] = compute_scanner_jacobian(solved.problem, solved.state, scans, pose, rate)
+    for i in range(4):
+        J[:, :3] -= weights[:, i, None, None] * by_path[first + i]
+    J[:, 3:5] -= by_shape
+    return J

@@ -1,0 +1,112 @@
+"""Findings about the fit of a joint solution: limits, unused beams, and residuals that are correlated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.config.settings import NetworkModelSettings
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.network.fit_tests import correlate_adjacent_beams, find_poor_fit
+from calgraph.estimation import SolvedNetwork
+from calgraph.estimation.network.problem import BodyScans
+from calgraph.geometry import Array
+from network_scenes import SETTINGS, SIGMA
+from solved_networks import solve_two_walks
+
+NAMES = ("west", "east", "north")
+BACKGROUND = np.full(3, SIGMA)
+NOISE_LIMIT = np.hypot(SIGMA, SETTINGS.range_noise.max_excess)
+
+
+@pytest.fixture(scope="module")
+def solved() -> SolvedNetwork:
+    return solve_two_walks(np.random.default_rng(0))
+
+
+def find(solved: SolvedNetwork) -> list[Finding]:
+    return list(find_poor_fit(solved, NAMES, BACKGROUND, NetworkModelSettings()))
+
+
+def with_noise(solved: SolvedNetwork, sigma: Array) -> SolvedNetwork:
+    return replace(solved, problem=replace(solved.problem, range_sigma=sigma))
+
+
+def with_model_error(solved: SolvedNetwork, position: float, heading: float) -> SolvedNetwork:
+    variance = np.array([position, heading]) ** 2
+    return replace(solved, problem=replace(solved.problem, model_error_variance=variance))
+
+
+def test_a_right_model_fits(solved: SolvedNetwork) -> None:
+    assert find(solved) == []
+
+
+def test_noise_at_its_limit_refutes_the_model_and_makes_its_scanner_weak(solved: SolvedNetwork) -> None:
+    (found,) = find(with_noise(solved, np.array([SIGMA, NOISE_LIMIT, SIGMA])))
+    assert found.text.startswith("the range noise of east at people is at its limit, 5 times that at walls")
+    assert (found.sensors, found.refutes) == (("east",), True)
+
+
+def test_noise_of_the_root_at_its_limit_makes_all_scanners_weak(solved: SolvedNetwork) -> None:
+    (found,) = find(with_noise(solved, np.array([NOISE_LIMIT, SIGMA, SIGMA])))
+    assert found.sensors == NAMES
+
+
+def test_a_position_error_at_its_limit_refutes_the_model(solved: SolvedNetwork) -> None:
+    (found,) = find(with_model_error(solved, SETTINGS.model_error.max_position_sigma, 0.1))
+    assert found.text.startswith("scanners disagree about people by 100 mm in each scan")
+    assert (found.sensors, found.refutes) == (NAMES, True)
+
+
+def test_a_heading_error_at_its_limit_does_not_refute_the_model(solved: SolvedNetwork) -> None:
+    (found,) = find(with_model_error(solved, 0.001, SETTINGS.model_error.max_heading_sigma))
+    assert found.text.startswith("scanners disagree about people by 29° in each scan")
+    assert (found.sensors, found.refutes) == (NAMES, False)
+
+
+def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: SolvedNetwork) -> None:
+    def drop_half(scans: BodyScans) -> BodyScans:
+        kept = np.arange(len(scans.weight)) % 2 == 0
+        return replace(scans, weight=scans.weight * (kept | (scans.scanner != 2)))
+
+    bodies = tuple(
+        replace(body, scans=tuple(drop_half(scans) for scans in body.scans)) for body in solved.problem.bodies
+    )
+    (found,) = find(replace(solved, problem=replace(solved.problem, bodies=bodies)))
+    assert found.text.startswith("only 4")
+    assert "beams of north at people agree" in found.text
+    assert (found.sensors, found.refutes) == (("north",), False)
+
+
+def test_bodies_of_another_shape_give_correlated_residuals() -> None:
+    rng = np.random.default_rng(1)
+
+    def fold(_body: int, scans: BodyScans) -> BodyScans:
+        # Folds as wide as half of the nine beams of a scan.
+        folds = np.repeat(rng.normal(0, 0.02, (len(scans.ranges) // 9, 2)), [4, 5], axis=1)
+        return replace(scans, ranges=scans.ranges + folds.ravel())
+
+    solved = solve_two_walks(rng, fold)
+    (found,) = find_poor_fit(solved, NAMES, BACKGROUND, NetworkModelSettings(max_beam_correlation=0.1))
+    assert "beams of west, east, north at people have a correlation of 0.2" in found.text
+    assert (found.sensors, found.refutes) == (NAMES, False)
+
+
+def test_residuals_of_white_noise_are_not_correlated(solved: SolvedNetwork) -> None:
+    np.testing.assert_array_less(np.abs(correlate_adjacent_beams(solved)), 0.12)
+
+
+def test_beams_of_different_scans_are_not_adjacent(solved: SolvedNetwork) -> None:
+    # One beam a scan: there are no adjacent ones.
+    bodies = tuple(
+        replace(
+            body,
+            scans=tuple(
+                replace(scans, weight=scans.weight * (np.arange(len(scans.weight)) % 9 == 0))
+                for scans in body.scans
+            ),
+        )
+        for body in solved.problem.bodies
+    )
+    alone = replace(solved, problem=replace(solved.problem, bodies=bodies))
+    np.testing.assert_array_equal(correlate_adjacent_beams(alone), 0)

@@ -1,0 +1,135 @@
+"""What the tests of a joint solution leave of it: a wider covariance, or the averaged pairs in its place."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calgraph.config import People
+from calgraph.config.settings import NetworkModelSettings
+from calgraph.diagnostics import ModelAssessment, assess_network_model
+from calgraph.estimation import NetworkSolution, SolvedNetwork
+from calgraph.estimation.network.problem import BodyScans
+from calgraph.geometry import Array, se2
+from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.tracking import ScannerTracks
+from network_scenes import OFFSET, SETTINGS, SIGMA, T_ROOT
+from solved_networks import no_change, solve_two_walks
+
+NAMES = ("west", "east", "north")
+TRACKED = [ScannerTracks((), np.zeros((0, 2)), SIGMA)] * 3
+EDGES = np.array([[0, 1], [0, 2]])
+AXES = (0.25, 0.15)
+PAIR_SIGMA = 0.02
+"""Of averaged poses, m and rad."""
+
+
+@cache
+def solve(alternating: bool = False) -> SolvedNetwork:
+    """The solution of a right recording, or of one in which errors change every five seconds."""
+
+    def alternate(_body: int, scans: BodyScans) -> BodyScans:
+        when = (np.floor(scans.times / 5) % 2 == 1) & (scans.scanner == 1)
+        R = se2.pose(0.005, np.zeros(2))[:2, :2]
+        turned = np.repeat(when, np.diff(scans.first_beam, append=len(scans.ranges)))[:, None]
+        return replace(scans, direction=np.where(turned, scans.direction @ R.T, scans.direction))
+
+    return solve_two_walks(np.random.default_rng(0), alternate if alternating else no_change)
+
+
+def with_noise_at_limit() -> SolvedNetwork:
+    limit = np.hypot(SIGMA, SETTINGS.range_noise.max_excess)
+    return replace(solve(), problem=replace(solve().problem, range_sigma=np.full(3, limit)))
+
+
+def assess(
+    solved: SolvedNetwork | None,
+    averaging_error: float = 0.0,
+    axes: tuple[float, float] = AXES,
+    *,
+    replaceable: bool = True,
+) -> ModelAssessment:
+    """With averaged poses of which the last is off by ``averaging_error``, m."""
+    joint = NetworkSolution(T_ROOT, OFFSET, 1e-6 * np.eye(12), True, 0.005, solved)
+    averaged = T_ROOT.copy()
+    averaged[2, 0, 2] += averaging_error
+    T_i_j = np.array([se2.inverse(averaged[i]) @ averaged[j] for i, j in EDGES])
+    graph = PoseGraph(3, EDGES, T_i_j, np.tile(np.eye(3) / PAIR_SIGMA**2, (2, 1, 1)))
+    return assess_network_model(
+        People(kind="people", axes=axes),
+        joint,
+        TRACKED,
+        PoseGraphSolution(averaged, np.array([True, True])),
+        graph,
+        NAMES,
+        NetworkModelSettings(),
+        replaceable=replaceable,
+    )
+
+
+def covariance_of(assessment: ModelAssessment) -> Array:
+    assert assessment.joint is not None
+    return assessment.joint.covariance
+
+
+def test_a_right_solution_stays_as_it_is() -> None:
+    found = assess(solve())
+    assert found.findings == ()
+    np.testing.assert_array_equal(covariance_of(found), 1e-6 * np.eye(12))
+
+
+def test_a_solution_without_its_problem_is_not_tested() -> None:
+    found = assess(None, averaging_error=1.0)
+    assert found.findings == ()
+    assert found.joint is not None
+
+
+def test_a_solution_without_bodies_is_not_tested() -> None:
+    nothing = replace(
+        solve(),
+        problem=replace(solve().problem, bodies=()),
+        state=replace(solve().state, paths=()),
+        equations=replace(solve().equations, bodies=()),
+    )
+    assert assess(nothing, averaging_error=1.0).findings == ()
+
+
+def test_a_refuted_solution_is_replaced_and_all_verdicts_state_one_reason() -> None:
+    found = assess(with_noise_at_limit())
+    assert found.joint is None
+    assert found.findings[0].text.startswith("the model of the joint solution does not hold (see the remarks)")
+    assert "poses are averages of pairs instead" in found.findings[0].text
+    assert [finding.sensors for finding in found.findings] == [NAMES, ()]
+    assert "range noise" in found.findings[1].text
+
+
+def test_a_refuted_solution_that_nothing_can_replace_stays() -> None:
+    found = assess(with_noise_at_limit(), replaceable=False)
+    assert found.joint is not None
+    assert "its poses may be wrong" in found.findings[0].text
+    assert found.findings[0].sensors == NAMES
+
+
+def test_scatter_widens_the_covariance_and_makes_all_poses_weak() -> None:
+    found = assess(solve(alternating=True))
+    (scatter,) = (one for one in found.findings if "contribute to the poses scatters" in one.text)
+    assert scatter.sensors == NAMES
+    ratio = float(scatter.text.split(" times")[0].split()[-1])
+    np.testing.assert_allclose(np.diag(covariance_of(found)), 1e-6 * ratio**2, rtol=0.1)
+
+
+def test_averaged_pairs_that_disagree_make_all_poses_weak() -> None:
+    # Far beyond 3 cm, the standard deviation of the average.
+    found = assess(solve(), averaging_error=0.2)
+    assert found.joint is not None
+    assert [finding.sensors for finding in found.findings] == [NAMES]
+
+
+def test_parts_and_averaged_pairs_that_both_disagree_refute_the_model() -> None:
+    assert assess(solve(alternating=True), averaging_error=0.2).joint is None
+
+
+@pytest.mark.parametrize("axes", [(0.18, 0.15), (0.25, 0.19)])
+def test_averages_with_stated_radii_that_are_wrong_are_no_evidence(axes: tuple[float, float]) -> None:
+    assert assess(solve(), averaging_error=0.2, axes=axes).findings == ()

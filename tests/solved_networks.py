@@ -1,0 +1,73 @@
+"""Joint solutions of three scanners and two people, from scans that a test may change."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.estimation import SolvedNetwork
+from calgraph.estimation.network.path_equations import evaluate_at
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.solver import compute_residuals, optimize_network, raycast_body
+from calgraph.estimation.network.splines import Knots
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+
+SECONDS = 24.0
+MIDDLE = SECONDS / 2
+Change = Callable[[int, BodyScans], BodyScans]
+"""From the index of a body and one scanner's scans of it to what the test has instead."""
+
+
+def no_change(_body: int, scans: BodyScans) -> BodyScans:
+    """The scans as they are."""
+    return scans
+
+
+def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> SolvedNetwork:
+    """The solution of two people's walks, with robust weights."""
+    paths = [_simulate_path(phase) for phase in (0.0, 2.0)]
+    bodies = []
+    for index, (knots, path) in enumerate(paths):
+        times = np.arange(0.05, SECONDS, 0.08)
+        scans = tuple(change(index, simulate_scans(k, knots, path, times + 0.02 * k, rng)) for k in range(3))
+        bodies.append(BodyObservations(knots, scans, path.radii, 0.3 * path.radii, faces_forward=True))
+    network = NetworkProblem(
+        3,
+        tuple(bodies),
+        (),
+        np.full(3, SIGMA),
+        np.array([0.0005, 0.002]) ** 2,
+        SETTINGS.clock_sigma,
+        EXACT,
+        MIDDLE,
+        DENSITY,
+        SETTINGS,
+    )
+    state = NetworkState(T_ROOT, OFFSET, EXACT, tuple(path for _, path in paths))
+    for _ in range(6):
+        network = replace(network, bodies=tuple(update_weights(network, state)))
+        state, equations = optimize_network(network, state, iterations=6)
+    return SolvedNetwork(network, state, equations)
+
+
+def _simulate_path(phase: float) -> tuple[Knots, BodyPath]:
+    knots = Knots.spanning(-0.5, SECONDS + 0.5, 0.2)
+    t = 0.9 * knots.control_times() + phase
+    position = np.column_stack([3 + 1.4 * np.sin(t), 2.2 + 0.9 * np.sin(1.5 * t + 0.4)])
+    heading = np.unwrap(np.arctan2(1.35 * np.cos(1.5 * t + 0.4), 1.4 * np.cos(t)))
+    return knots, BodyPath(np.column_stack([position, heading]), np.array([0.25, 0.15]))
+
+
+def update_weights(network: NetworkProblem, state: NetworkState) -> list[BodyObservations]:
+    """The bodies with robust weights at a state."""
+    bodies = []
+    for body, path in zip(network.bodies, state.paths, strict=True):
+        scans = []
+        for one in body.scans:
+            _, _, pose, rate = evaluate_at(network, state, body, path, one)
+            hits = raycast_body(state, path, one, pose, rate)
+            used = hits.cos_incidence > SETTINGS.beams.min_cos_incidence
+            weight = LOSS.compute_weights(compute_residuals(network, one, hits)[0], used)
+            scans.append(replace(one, weight=weight))
+        bodies.append(replace(body, scans=tuple(scans)))
+    return bodies
