@@ -73,6 +73,10 @@ _HEAVY: dict[str, Any] = {
 KINDS: Mapping[str, Kind] = {
     "right": Kind(lambda _: {}),
     "legs": Kind(lambda n: {"people": {"shape": "legs", "count": int(n)}}, (2, 4), "people"),
+    "legs_height": Kind(
+        lambda cm: {"people": {"shape": "legs"}, "scanner": {"height": cm / 100}}, (15, 45, 60), "cm"
+    ),
+    "legs_square": Kind(lambda n: {"people": {"shape": "legs", "leg_squareness": n}}, (4,), "exp."),
     "heavy": Kind(lambda _: _HEAVY),
     "couples": Kind(lambda n: {"people": {"count": int(n), "couples": 1}}, (2, 4), "people"),
     "couples_legs": Kind(lambda _: {"people": {"shape": "legs", "count": 4, "couples": 1}}),

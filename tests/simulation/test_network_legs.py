@@ -19,7 +19,7 @@ from calgraph.simulation import (
 from calgraph.simulation.network_legs import Gait, add_legs, draw_gait, leg_size, shin_outline
 from calgraph.simulation.network_walks import SimulatedWalk
 
-GAIT = Gait(step_length=0.68, foot_offset=0.08, toe_out=0.1, radii=(0.058, 0.066))
+GAIT = Gait(step_length=0.68, foot_offset=0.08, toe_out=0.1, radii=(0.058, 0.066), squareness=2.5)
 LEGS = PeopleOptions(shape="legs")
 EXACT = ScannerOptions(range_noise=0, quantisation=0, mixed_pixels=0, dropout=0, resolution=0.5)
 
@@ -123,7 +123,7 @@ def test_legs_do_not_reach_into_walls(office: SimulatedNetwork) -> None:
 
 
 def test_a_shin_is_deeper_than_wide_with_a_flat_front() -> None:
-    outline = shin_outline(0.058, 0.066)
+    outline = shin_outline(0.058, 0.066, 2.5)
     width, depth = np.ptp(outline[:, 1]), np.ptp(outline[:, 0])
     flat = outline[outline[:, 0] > outline[:, 0].max() - 1e-9]
     assert (width / 2, depth / 2) == pytest.approx((0.058, 0.066), abs=1e-3)
@@ -131,15 +131,17 @@ def test_a_shin_is_deeper_than_wide_with_a_flat_front() -> None:
 
 
 def test_a_shin_is_neither_a_circle_nor_a_circle_with_a_second_harmonic() -> None:
-    outline = shin_outline(0.058, 0.066)
+    outline = shin_outline(0.058, 0.066, 2.5)
     angle, radius = np.arctan2(outline[:, 1], outline[:, 0]), np.linalg.norm(outline, axis=1)
     model = np.column_stack([np.ones_like(angle), np.cos(2 * angle)])
     residual = radius - model @ np.linalg.lstsq(model, radius, rcond=None)[0]
     assert residual.std() > 0.002
 
 
-def test_outlines_are_convex() -> None:
-    sides = np.diff(shin_outline(0.058, 0.066), axis=0, append=shin_outline(0.058, 0.066)[:1])
+@pytest.mark.parametrize("squareness", [2.0, 2.5, 6.0])
+def test_outlines_are_convex(squareness: float) -> None:
+    outline = shin_outline(0.058, 0.066, squareness)
+    sides = np.diff(outline, axis=0, append=outline[:1])
     turn = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
     assert turn.min() > -1e-12
 

@@ -54,9 +54,9 @@ _MIN_LEG_GAP = 0.004
 """Minimum distance of two legs side by side, m."""
 _LEAD_SAMPLES = 12
 """Samples of a walk over which a leg is led around the other."""
-_FLATTENING, _SQUARENESS = 0.88, 2.5
-"""Where the front is cut off, over the half depth, and exponent of the superellipse; real shins have 58 mm of
-half width and 86 to 115 mm of radius of curvature."""
+_FLATTENING = 0.88
+"""Where the front is cut off, over the half depth; real shins have 58 mm of half width and 86 to 115 mm of radius of
+curvature."""
 _CORNERS = 72
 """Of the polygon that approximates a cross section: within 0.1 mm."""
 _SIDES = 1.0, -1.0
@@ -81,6 +81,8 @@ class Gait:
     """Outward rotation of the feet, rad."""
     radii: tuple[float, float]
     """Half width and half depth of the calf, m."""
+    squareness: float
+    """Exponent of the superellipse."""
 
 
 @dataclass
@@ -114,6 +116,7 @@ def draw_gait(people: PeopleOptions, rng: np.random.Generator) -> Gait:
         foot_offset=max(float(rng.uniform(low, high)), width + _MIN_LEG_GAP / 2),
         toe_out=float(rng.uniform(*_TOE_OUT)),
         radii=(float(width), float(depth)),
+        squareness=people.leg_squareness,
     )
 
 
@@ -126,7 +129,7 @@ def add_legs(walk: SimulatedWalk, gait: Gait, height: float) -> tuple[SimulatedW
         height: of the scan plane above the floor, m.
     """
     times: Array = SAMPLE_INTERVAL * np.arange(len(walk.positions), dtype=np.float64)
-    outline = leg_size(height) * shin_outline(*gait.radii)
+    outline = leg_size(height) * shin_outline(*gait.radii, gait.squareness)
     pelvis = np.column_stack([walk.positions, walk.headings])
     feet = [steps.sample(times) for steps in _plan_steps(pelvis, gait)]
     hips = [_beside(pelvis, side * gait.foot_offset)[:, :2] for side in _SIDES]
@@ -189,12 +192,12 @@ def leg_size(height: float) -> float:
     return float(np.interp(height, _PROFILE_HEIGHTS, _PROFILE_SIZES))
 
 
-def shin_outline(half_width: float, half_depth: float) -> Array:
+def shin_outline(half_width: float, half_depth: float, squareness: float) -> Array:
     """(K, 2) corners of the cross section of a shin that faces x, counter-clockwise and convex, m."""
     angle = 2 * np.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
     c, s = np.cos(angle), np.sin(angle)
-    x = np.minimum(np.sign(c) * np.abs(c) ** (2 / _SQUARENESS), _FLATTENING)
-    y = half_width * np.sign(s) * np.abs(s) ** (2 / _SQUARENESS)
+    x = np.minimum(np.sign(c) * np.abs(c) ** (2 / squareness), _FLATTENING)
+    y = half_width * np.sign(s) * np.abs(s) ** (2 / squareness)
     # From -1 to the flat front, stretched to the stated depth about its middle.
     return np.column_stack([half_depth * (2 * x + 1 - _FLATTENING) / (1 + _FLATTENING), y])
 

@@ -90,6 +90,8 @@ class PeopleOptions(StrictModel):
     """Half width and half depth of people's shins at the calf, m."""
     leg_spread: Annotated[float, Field(ge=0, lt=0.5)] = 0.15
     """Largest relative difference of a person's shins from these."""
+    leg_squareness: Annotated[float, Field(ge=2, le=6)] = 2.5
+    """Exponent of the superellipse that shins are; 2 is an ellipse. Their front is flat in any case."""
     foot_offset: tuple[Positive, Positive] = (0.06, 0.1)
     """Range of the distance of feet from the centre line, m; wide legs have theirs farther apart."""
     step_length: Positive = 0.68
