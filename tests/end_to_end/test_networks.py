@@ -140,7 +140,7 @@ def calibrate_simulated(out: Path, seed: int, **errors: float) -> tuple[Calibrat
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_bumped_scanner_is_named_and_calibrated_from_afterwards(tmp_path: Path, seed: int) -> None:
-    found, truth = calibrate_simulated(tmp_path, seed, bump_rotation=3.0)
+    found, truth = calibrate_simulated(tmp_path, seed, bump_turn=3.0)
     (remark,) = [text for text in found.evidence.remarks if " moved by " in text]
     name = remark.split()[0]
     error = se3.difference(found[name].T_root_sensor, truth.T_root_sensor[name])

@@ -126,7 +126,7 @@ def test_the_root_is_never_inverted() -> None:
 
 
 def test_an_inverted_root_has_the_others_upside_down() -> None:
-    network = build_network(scenario(inverted_root=True), 2)
+    network = build_network(scenario(flip_root=True), 2)
     truth = network_truth(network)
     assert [T[2, 2] for T in truth.T_root_sensor.values()] == pytest.approx([1, -1, -1, -1, -1, -1])
     scans, _ = simulate_network_scans(network.scenario, 2)
@@ -165,7 +165,7 @@ def test_mixed_scanners_differ() -> None:
 
 
 def test_after_a_bump_the_truth_is_the_new_pose() -> None:
-    scans, truth = simulate(bump_rotation=3.0, bump_shift=0.03)
+    scans, truth = simulate(bump_turn=3.0, bump_shift=0.03)
     [name] = truth.errors
     bump = truth.errors[name]["bump"]
     assert np.degrees(abs(bump["rotation"])) == pytest.approx(3.0)
@@ -178,7 +178,7 @@ def test_after_a_bump_the_truth_is_the_new_pose() -> None:
 
 
 def test_the_pose_before_a_bump_and_its_motion_give_the_pose_after_it() -> None:
-    still, bumped = (network_truth(build_network(scenario(bump_rotation=x), 2)) for x in (0.0, 10.0))
+    still, bumped = (network_truth(build_network(scenario(bump_turn=x), 2)) for x in (0.0, 10.0))
     [name] = bumped.errors
     motion = still.T_root_sensor[name][:3, :3].T @ bumped.T_root_sensor[name][:3, :3]
     if name != bumped.root:
@@ -202,7 +202,7 @@ def test_errors_do_not_change_the_building_or_the_walks() -> None:
 
 
 def test_truth_yaml_holds_the_errors(tmp_path: Any) -> None:
-    wrong = scenario(range_bias=0.02, tilt=1.0, bump_rotation=3.0, inverted=1, clock_drift=20.0)
+    wrong = scenario(range_bias=0.02, tilt=1.0, bump_turn=3.0, inverted=1, clock_drift=20.0)
     simulate_network(wrong, tmp_path, 2)
     assert load_truth(tmp_path / "truth.yaml").errors == network_truth(build_network(wrong, 2)).errors
 

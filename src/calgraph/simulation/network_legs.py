@@ -55,8 +55,8 @@ _MIN_LEG_GAP = 0.004
 _LEAD_SAMPLES = 12
 """Samples of a walk over which a leg is led around the other."""
 _FLATTENING = 0.88
-"""Where the front is cut off, over the half depth; real shins have 58 mm of half width and 86 to 115 mm of radius of
-curvature."""
+"""Where the front is cut off, over the half depth; real shins have 58 mm of half width and a radius of
+curvature of 86 to 115 mm."""
 _CORNERS = 72
 """Of the polygon that approximates a cross section: within 0.1 mm."""
 _SIDES = 1.0, -1.0

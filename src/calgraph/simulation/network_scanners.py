@@ -203,7 +203,7 @@ def _add_errors(
             clock_drift=float(_PPM * errors.clock_drift * drift[k]),
             tilt=(float(np.radians(errors.tilt) * tilts[0][k]), float(np.radians(errors.tilt) * tilts[1][k])),
             height=float(scanner.height + errors.height * heights[k]),
-            inverted=errors.inverted_root if scanner.name == root else k in inverted,
+            inverted=errors.flip_root if scanner.name == root else k in inverted,
         )
         for k, scanner in enumerate(scanners)
     ]
@@ -218,4 +218,4 @@ def _draw_step(errors: NetworkErrors, rng: np.random.Generator) -> Array:
     """(3, 3) the motion of a bump, in the scanner's frame."""
     direction, sign = rng.uniform(0, 2 * np.pi), float(rng.choice([-1.0, 1.0]))
     shift = errors.bump_shift * np.array([np.cos(direction), np.sin(direction)])
-    return se2.pose(sign * np.radians(errors.bump_rotation), shift)
+    return se2.pose(sign * np.radians(errors.bump_turn), shift)

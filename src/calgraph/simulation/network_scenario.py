@@ -164,9 +164,9 @@ class NetworkErrors(StrictModel):
     """Whether scanners differ in rate, resolution and range: three models in turn."""
     inverted: Annotated[int, Field(ge=0)] = 0
     """Number of scanners besides the root that are mounted upside-down."""
-    inverted_root: bool = False
+    flip_root: bool = False
     """Whether the root is mounted upside-down."""
-    bump_rotation: Annotated[float, Field(ge=0, le=180)] = 0.0
+    bump_turn: Annotated[float, Field(ge=0, le=180)] = 0.0
     """By which one scanner is turned during the recording, degrees, in either direction."""
     bump_shift: NotNegative = 0.0
     """By which the same scanner is shifted, m, in any direction."""
@@ -178,7 +178,7 @@ class NetworkErrors(StrictModel):
     @property
     def bumps(self) -> bool:
         """Whether a scanner is bumped."""
-        return self.bump_rotation > 0 or self.bump_shift > 0
+        return self.bump_turn > 0 or self.bump_shift > 0
 
 
 class NetworkScenario(StrictModel):
