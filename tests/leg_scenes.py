@@ -96,6 +96,7 @@ def build_network() -> tuple[NetworkProblem, NetworkState]:
                 control,
                 np.full(len(control), 10.0),
                 1e-5,
+                30.0,
             )
         )
         paths.append(path)

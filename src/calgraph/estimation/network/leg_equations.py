@@ -18,6 +18,7 @@ from calgraph.estimation.network.path_equations import (
     sum_between_knots,
 )
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.scan_equations import ScanEquations, ScanTerms
 from calgraph.estimation.network.scanner_unknowns import (
     SCANNER_UNKNOWNS,
     compute_scan_errors,
@@ -54,12 +55,28 @@ def compute_leg_residuals(
     return (hits.ranges + bias - scans.ranges) / sigma, sigma
 
 
+def linearize_leg_scans(
+    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath, k: int
+) -> ScanTerms:
+    """The equations of the scans of a leg's k-th scanner; the error of all its ranges is its bias."""
+    scans, shapes = leg.scans[k], len(path.shape)
+    first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
+    hits = raycast_leg(network, state, path, scans, pose, rate)
+    residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+    jacobian = np.column_stack([hits.jacobian, np.ones(len(residual))]) / sigma[:, None]
+    G = np.zeros((len(pose), 4 + shapes, SCANNER_UNKNOWNS))
+    G[:, [0, 1, 2, -1]] = compute_scanner_jacobian(network, state, scans, pose, rate)[:, [0, 1, 2, 5]]
+    equations = _sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
+    shape_columns = np.concatenate([np.arange(shapes), [shapes + k]])
+    return ScanTerms(first, weights, equations, G, 3 + np.arange(shapes + 1), shape_columns)
+
+
 def linearize_leg(
     network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath
 ) -> tuple[BodyEquations, float]:
     """A leg's equations and its cost; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
     settings = network.settings.legs
-    count, shapes, local = leg.knots.count, len(path.shape), len(path.shape) + len(leg.scans)
+    count, local = leg.knots.count, len(path.shape) + len(leg.scans)
     size = local + SCANNER_UNKNOWNS * len(leg.scans)
     band, gradient, cost = _linearize_leg_path(leg, path, settings)
     border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
@@ -70,19 +87,13 @@ def linearize_leg(
     corner_gradient[:local] = information * deviation
     cost += 0.5 * float(information @ deviation**2)
     pairs = np.zeros((len(EARLIER), count - 3, 9))
-    for k, scans in enumerate(leg.scans):
-        first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
-        hits = raycast_leg(network, state, path, scans, pose, rate)
-        residual, beam_sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
-        # Derivatives by pose (3), shape (B) and the bias, which all ranges share.
-        jacobian = np.column_stack([hits.jacobian, np.ones(len(residual))]) / beam_sigma[:, None]
-        A, b, scan_cost = _sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
-        cost += scan_cost
-        G = np.zeros((len(pose), 4 + shapes, SCANNER_UNKNOWNS))
-        G[:, [0, 1, 2, -1]] = compute_scanner_jacobian(network, state, scans, pose, rate)[:, [0, 1, 2, 5]]
+    for k in range(len(leg.scans)):
+        terms = linearize_leg_scans(network, state, leg, path, k)
+        A, b, G = terms.equations.information, terms.equations.gradient, terms.scanner_jacobian
+        cost += float(terms.equations.cost.sum())
         AG = A @ G
         columns = slice(local + SCANNER_UNKNOWNS * k, local + SCANNER_UNKNOWNS * (k + 1))
-        own = np.concatenate([np.arange(shapes), [shapes + k]])
+        own = terms.shape_columns
         flat = G.reshape(-1, SCANNER_UNKNOWNS)
         corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
         corner[np.ix_(own, own)] += A[:, 3:, 3:].sum(axis=0)
@@ -91,17 +102,16 @@ def linearize_leg(
         corner[columns, own] += mixed.T
         corner_gradient[columns] += flat.T @ b.ravel()
         corner_gradient[own] += b[:, 3:].sum(axis=0)
-        terms = [b[:, :3], A[:, :3, 3:].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)]
-        sums = sum_between_knots(first, weights, np.concatenate(terms, axis=1), count)
+        values = [b[:, :3], A[:, :3, 3:].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)]
+        sums = sum_between_knots(terms.first, terms.weights, np.concatenate(values, axis=1), count)
         by_path, by_own, by_scanner = np.split(sums, [3, 3 + 3 * len(own)], axis=2)
         for i in range(4):
             rows = slice(i, count - 3 + i)
             gradient[rows] += by_path[i]
             border[rows, :, own] += by_own[i].reshape(-1, 3, len(own))
             border[rows, :, columns] += by_scanner[i].reshape(-1, 3, SCANNER_UNKNOWNS)
-        pairs += sum_between_knots(
-            first, weights[:, EARLIER] * weights[:, LATER], A[:, :3, :3].reshape(-1, 9), count
-        )
+        products = terms.weights[:, EARLIER] * terms.weights[:, LATER]
+        pairs += sum_between_knots(terms.first, products, A[:, :3, :3].reshape(-1, 9), count)
     for earlier, later, block in zip(EARLIER, LATER, pairs, strict=True):
         band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
     scanners = np.array([scans.scanner for scans in leg.scans], dtype=np.intp)
@@ -109,10 +119,8 @@ def linearize_leg(
     return BodyEquations(band, gradient, border, corner, corner_gradient, scanner_columns), cost
 
 
-def _sum_over_scans(
-    residual: Array, jacobian: Array, weight: Array, first_beam: Index
-) -> tuple[Array, Array, float]:
-    """Information (V, n, n), gradient (V, n) and cost of beams with whitened residuals and jacobian (N, n)."""
+def _sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:
+    """The equations of beams with whitened residuals (N,) and derivatives (N, q)."""
     rows = np.concatenate([jacobian.T, residual[None]])
     weighted = weight * rows
     total = np.empty((len(first_beam), len(rows), len(rows)))
@@ -120,14 +128,14 @@ def _sum_over_scans(
     for i in range(len(rows)):
         sums = np.add.reduceat(weighted[i] * rows[i:], first_beam, axis=1).T
         total[:, i, i:] = total[:, i:, i] = sums
-    return total[:, :-1, :-1], total[:, :-1, -1], 0.5 * float(total[:, -1, -1].sum())
+    return ScanEquations(total[:, :-1, :-1], total[:, :-1, -1], 0.5 * total[:, -1, -1])
 
 
 def _linearize_leg_path(leg: LegObservations, path: LegPath, settings: LegSettings) -> tuple[Array, Array, float]:
     """Smoothness of position and heading, and the heading along the walk: band, gradient and cost."""
     control, step = path.control, leg.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
-    smooth = compute_smoothness_information(step, settings.tracks.acceleration_density)
+    smooth = compute_smoothness_information(step, leg.acceleration_density)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
     for i in range(3):
         gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend

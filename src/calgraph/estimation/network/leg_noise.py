@@ -1,6 +1,7 @@
 """Estimates the noise of ranges and the biases of scanners from the residuals at legs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -23,7 +24,57 @@ _MAX_LEVERAGE = 0.7
 _MAX_SLOPE = 1.0
 
 
-def estimate_range_noise_at_legs(
+@dataclass(frozen=True, eq=False)
+class LegNoise:
+    """Variances of the models of legs and scanners."""
+
+    range_sigma: Array
+    """(S,) noise of ranges, m."""
+    bias_variance: float
+    """Variance of the bias of a scanner's ranges to a leg, m²."""
+    acceleration_density: float
+    """Spectral density of the acceleration of legs, m²/s³."""
+
+
+def estimate_noise(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, legs: Legs, background: Array
+) -> LegNoise:
+    """Estimates all variances from a solution.
+
+    Args:
+        network: with the weights of its last solution.
+        state: of that solution.
+        equations: of that solution.
+        legs: of that solution.
+        background: (S,) noise of each scanner's background, m.
+    """
+    settings = network.settings.legs.body
+    return LegNoise(
+        _estimate_range_noise(network, state, equations, legs, background),
+        _estimate_bias_variance(equations, legs, settings.min_bias_sigma),
+        _estimate_acceleration_density(equations, legs, settings.acceleration_density_range),
+    )
+
+
+def _estimate_acceleration_density(equations: NetworkEquations, legs: Legs, limits: tuple[float, float]) -> float:
+    """Squared second differences of the control points, over the number of them that the data determine.
+
+    As for the biases, it is a step of the fixed-point iteration for restricted maximum likelihood, for given
+    scanners and shapes.
+    """
+    squares = determined = 0.0
+    for (leg, path), body in zip(legs, equations.bodies, strict=True):
+        bend = np.diff(path.control[:, :2], 2, axis=0)
+        covariance = np.trace(compute_path_covariance(body.band)[..., :2, :2], axis1=2, axis2=3)
+        at, next_, after = covariance[:, 0], covariance[:, 1], covariance[:, 2]
+        variance = at[:-2] + 4 * at[1:-1] + at[2:] - 4 * next_[:-2] - 4 * next_[1:-1] + 2 * after[:-2]
+        prior = leg.knots.step**3 * leg.acceleration_density
+        squares += float(np.sum(bend**2)) / leg.knots.step**3
+        determined += float(np.sum(2 - np.minimum(variance / prior, 2)))
+    return float(np.clip(squares / max(determined, 1.0), *limits)) if legs else limits[1]
+
+
+def _estimate_range_noise(
     network: NetworkProblem, state: NetworkState, equations: NetworkEquations, legs: Legs, background: Array
 ) -> Array:
     """(S,) noise of ranges, m: median absolute residual, each divided by the root of one minus its leverage.
@@ -68,7 +119,7 @@ def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array
     return total
 
 
-def estimate_bias_variance(equations: NetworkEquations, legs: Legs, min_sigma: float) -> float:
+def _estimate_bias_variance(equations: NetworkEquations, legs: Legs, min_sigma: float) -> float:
     """Variance of the biases, m²: their sum of squares over the number of them that the data determine.
 
     It is a step of the fixed-point iteration for restricted maximum likelihood (Harville, 1977, section 5).

@@ -19,6 +19,8 @@ class LegObservations(BodyObservations):
     """(K,) information of this prior, 1/rad²; 0 where the person stands."""
     bias_variance: float
     """Variance of the bias of each scanner's ranges to this leg, m²."""
+    acceleration_density: float
+    """Spectral density of its acceleration, m²/s³."""
 
 
 @dataclass(frozen=True, eq=False)

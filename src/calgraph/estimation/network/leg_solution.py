@@ -12,7 +12,7 @@ import numpy as np
 from calgraph.config.settings import LegSettings
 from calgraph.estimation.network.leg_association import LegCandidate, ScannerBeams, associate_beams
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
-from calgraph.estimation.network.leg_noise import Legs, estimate_bias_variance, estimate_range_noise_at_legs
+from calgraph.estimation.network.leg_noise import LegNoise, Legs, estimate_noise
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath, compute_shape_prior
 from calgraph.estimation.network.leg_start import initialize_leg, predict_headings
 from calgraph.estimation.network.leg_tracks import track_legs
@@ -43,22 +43,29 @@ def solve_legs(
     """
     settings, background = network.settings.legs, network.range_sigma
     clusters = [cluster_legs(*pair, settings.clusters) for pair in zip(foregrounds, background, strict=True)]
-    tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset, settings.tracks)
-    candidates = [initialize_leg(track, settings) for track in tracks]
     beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
-    network = replace(network, range_sigma=np.hypot(background, network.settings.second_path_sigma))
-    network, state, candidates = _associate(network, state, candidates, beams, settings.body.initial_bias_sigma**2)
-    state, equations = optimize_network(network, state, iterations=network.settings.iterations)
-    for _ in range(settings.rounds - 1):
-        legs = _list_legs(network, state)
-        sigma = estimate_range_noise_at_legs(network, state, equations, legs, background)
-        variance = estimate_bias_variance(equations, legs, settings.body.min_bias_sigma)
-        candidates = [replace(candidate, path=path) for candidate, (_, path) in zip(candidates, legs, strict=True)]
-        network = replace(network, range_sigma=sigma)
-        network, state, candidates = _associate(network, state, candidates, beams, variance)
-        # The averaged poses may have been too far off for the registration of walls.
-        network = add_walls(network, state)
-        state, equations = optimize_network(network, state, iterations=network.settings.iterations)
+    noise = LegNoise(
+        np.hypot(background, network.settings.second_path_sigma),
+        settings.body.initial_bias_sigma**2,
+        settings.tracks.acceleration_density,
+    )
+    for tracking in range(settings.max_trackings):
+        tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset, settings.tracks)
+        candidates = [initialize_leg(track, settings) for track in tracks]
+        clocks = state.clock_offset
+        for round_ in range(settings.rounds):
+            network, state, candidates = _associate(network, state, candidates, beams, noise)
+            # The averaged poses may be too far off for the registration of walls.
+            if tracking + round_ > 0:
+                network = add_walls(network, state)
+            state, equations = optimize_network(network, state, iterations=settings.iterations)
+            legs = _list_legs(network, state)
+            candidates = [
+                replace(candidate, path=path) for candidate, (_, path) in zip(candidates, legs, strict=True)
+            ]
+            noise = estimate_noise(network, state, equations, legs, background)
+        if tracking > 0 and np.abs(state.clock_offset - clocks).max() < settings.clock_tolerance:
+            break
     return network, state, equations
 
 
@@ -75,10 +82,10 @@ def _associate(
     state: NetworkState,
     candidates: Sequence[LegCandidate],
     beams: Sequence[ScannerBeams],
-    bias_variance: float,
+    noise: LegNoise,
 ) -> tuple[NetworkProblem, NetworkState, list[LegCandidate]]:
     """The problem of the legs that at least two scanners measure, with robust weights, and its start values."""
-    settings = network.settings.legs
+    settings, network = network.settings.legs, replace(network, range_sigma=noise.range_sigma)
     by_scanner = [
         associate_beams(
             one,
@@ -95,7 +102,7 @@ def _associate(
     for candidate, of_scanners in zip(candidates, zip(*by_scanner, strict=True), strict=True):
         scans = tuple(one for one in of_scanners if one and len(one.ranges) >= settings.association.min_beams)
         if len(scans) >= 2:
-            leg, path = _observe_leg(candidate, scans, bias_variance, settings)
+            leg, path = _observe_leg(candidate, scans, noise, settings)
             measured.append(candidate)
             bodies.append(leg)
             paths.append(path)
@@ -104,7 +111,7 @@ def _associate(
 
 
 def _observe_leg(
-    leg: LegCandidate, scans: tuple[BodyScans, ...], bias_variance: float, settings: LegSettings
+    leg: LegCandidate, scans: tuple[BodyScans, ...], noise: LegNoise, settings: LegSettings
 ) -> tuple[LegObservations, LegPath]:
     """A leg with its beams; biases start at zero, as the scanners that measure it change."""
     heading, information = predict_headings(leg.path.control[:, :2], leg.knots.step, settings.body)
@@ -119,7 +126,8 @@ def _observe_leg(
         faces_forward=True,
         heading=heading + 2 * np.pi * turns,
         heading_information=information,
-        bias_variance=bias_variance,
+        bias_variance=noise.bias_variance,
+        acceleration_density=noise.acceleration_density,
     )
     return observations, LegPath.from_shape(leg.path.control, leg.path.shape, np.zeros(len(scans)))
 

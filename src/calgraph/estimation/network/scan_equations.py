@@ -32,6 +32,24 @@ class ScanEquations:
         return ScanEquations(*marginalize_bias(self.information, self.gradient, self.cost, np.diag(variance)))
 
 
+@dataclass(frozen=True, eq=False)
+class ScanTerms:
+    """What V scans of one scanner contribute to the normal equations of a body."""
+
+    first: Index
+    """(V,) the first of the four control points that each scan depends on."""
+    weights: Array
+    """(V, 4) of these control points."""
+    equations: ScanEquations
+    """Over the body's pose (3), parameters of its shape, and an error of all ranges, which may be one of these."""
+    scanner_jacobian: Array
+    """(V, q, U) of these q parameters, relative to the scanner, by the scanner's unknowns."""
+    shape_rows: Index
+    """Those of the q parameters that are unknowns of the body's shape."""
+    shape_columns: Index
+    """Their places among all unknowns of its shape."""
+
+
 def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:
     """Sums the normal equations of beams over scans.
 
