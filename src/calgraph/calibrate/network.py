@@ -1,6 +1,7 @@
 """Networks: from one recording of people walking through a building to the poses of its scanners."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,6 +12,7 @@ from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.captures import InputFinding, InputMonitor
 from calgraph.config import Rig
+from calgraph.config.settings import StationaritySettings
 from calgraph.diagnostics import (
     Finding,
     assemble_network,
@@ -18,6 +20,7 @@ from calgraph.diagnostics import (
     build_consistent_prior,
     describe_bumps,
     extract_earlier_poses,
+    find_track_bump,
     merge_calibrations,
     remove_scanners,
 )
@@ -27,7 +30,7 @@ from calgraph.graph import initialize_network
 from calgraph.pairwise import ScannerObservations
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking import ScannerBump, ScannerTracks, select_interval
 
 
 def calibrate_network(
@@ -112,6 +115,21 @@ def calibrate_tracks(
             )
             joint = solution(prior=prior)
         progress("solving", 1.0)
+    if len(names) > 1:
+        bump = find_track_bump(
+            tracked,
+            names,
+            averaged.T_root_node if joint is None else joint.T_root_scanner,
+            np.zeros(len(names)) if joint is None else joint.clock_offset,
+            rig.settings.diagnostics.network.track_bumps,
+            settings.resampling,
+        )
+        if bump:
+            name, step = bump
+            offset = corrected.clock_offset.get(name, 0.0)
+            later = {**tracks, name: _select_after(tracks[name], step, offset, rig.settings.tracking.stationarity)}
+            return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
+    if joint is not None:
         assessment = assess_network_model(
             moving_target(rig),
             joint,
@@ -161,6 +179,20 @@ def _complete_tracks(
     for name, spec in rig.sensors.items():
         scanner_noise(name, spec)
     return {name: tracks.get(name, Rejected("no tracks were given")) for name in rig.sensors}
+
+
+def _select_after(
+    tracks: ScannerTracks | Rejected, bump: ScannerBump, clock_offset: float, settings: StationaritySettings
+) -> ScannerTracks | Rejected:
+    """The tracks of a scanner after a bump, whose times are of a clock with an offset, s; or before, if longer."""
+    if isinstance(tracks, Rejected):
+        return tracks
+    bump = replace(bump, interval=(bump.interval[0] + clock_offset, bump.interval[1] + clock_offset))
+    times = [track.times for track in tracks.tracks]
+    stamps = float(min(t[0] for t in times)), float(max(t[-1] for t in times))
+    selected = tracks.select(select_interval(stamps, [bump], settings))
+    # The background is of both poses.
+    return replace(selected, background=np.zeros((0, 2)), bumps=(bump,))
 
 
 def _first_time(tracked: Mapping[str, ScannerTracks]) -> float:

@@ -67,6 +67,13 @@ class Foreground:
     spacing: Array
     """(S,) angle between neighbouring beams of each scan, rad."""
 
+    def select(self, rows: NDArray[np.bool_]) -> "Foreground":
+        """Some of the beams (P,), of the same scans."""
+        return Foreground(
+            self.scan[rows], self.beam[rows], self.angles[rows], self.ranges[rows], self.times[rows],
+            self.at_occlusion[rows], self.spacing,
+        )  # fmt: skip
+
 
 def subtract_background(runs: Sequence[ScanRun], scene: StaticScene, settings: ClusterSettings) -> Foreground:
     """Keeps the beams that end before the static background."""

@@ -39,8 +39,9 @@ class Stationarity:
     bumps: tuple[ScannerBump, ...] = ()
     """In order of time."""
     rest_share: float = 1.0
-    """Share of the time in which it stood still for long enough; 1 if there is too little background to test
-    it."""
+    """Share of the time in which it stood still for long enough, 1 if that cannot be tested;"""
+    tested: bool = False
+    """whether there is enough background for that most of the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +79,26 @@ def analyze_stationarity(runs: Sequence[ScanRun], settings: StationaritySettings
         return Stationarity()
     duration = min(settings.min_duration, float(windows.end[-1] - windows.start[0]) / 2) - settings.window
     at_rest = sum(len(piece) for piece in pieces if windows.end[piece[-1]] - windows.start[piece[0]] > duration)
-    return Stationarity(tuple(bumps), min(1.0, at_rest / int(testable.sum())))
+    rest_share = min(1.0, at_rest / int(testable.sum()))
+    return Stationarity(tuple(bumps), rest_share, tested=bool(testable.mean() >= settings.min_rest_share))
 
 
 def select_interval(
-    runs: Sequence[ScanRun], bumps: Sequence[ScannerBump], settings: StationaritySettings
+    stamps: tuple[float, float], bumps: Sequence[ScannerBump], settings: StationaritySettings
 ) -> tuple[float, float]:
     """The stamps (s) between which a scanner is calibrated: after its last bump, if these data are long enough.
 
     Otherwise the longest interval between bumps. Without bumps all times.
+
+    Args:
+        stamps: of the first and the last scan, s.
+        bumps: in order of time.
+        settings: the shortest time that is long enough.
     """
     if not bumps:
         return -np.inf, np.inf
-    starts = [float(runs[0].stamps[0]), *(bump.interval[1] + settings.settling_time for bump in bumps)]
-    ends = [*(bump.interval[0] - settings.settling_time for bump in bumps), float(runs[-1].stamps[-1])]
+    starts = [stamps[0], *(bump.interval[1] + settings.settling_time for bump in bumps)]
+    ends = [*(bump.interval[0] - settings.settling_time for bump in bumps), stamps[1]]
     if ends[-1] - starts[-1] >= min(settings.min_duration, (ends[-1] - starts[0]) / 2):
         return starts[-1], np.inf
     return max(zip(starts, ends, strict=True), key=lambda interval: interval[1] - interval[0])

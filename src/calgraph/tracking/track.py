@@ -1,6 +1,6 @@
 """The result of tracking in one scanner: tracks of moving objects, and the static background."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,3 +76,31 @@ class ScannerTracks:
     """tracks and background are from scans between these stamps only, s, in which it stood still."""
     foreground: Foreground | None = None
     """The beams that end before the static background, tracked or not; None where only tracks are given."""
+    background_tested: bool = False
+    """Whether it measured enough static background to find bumps."""
+
+    def select(self, interval: tuple[float, float]) -> "ScannerTracks":
+        """The same with positions and beams between two stamps only, s."""
+        tracks = (_select_times(track, interval) for track in self.tracks)
+        kept = tuple(track for track in tracks if len(track.times))
+        coverage, beams = self.coverage, self.foreground
+        if coverage is not None:
+            coverage = np.clip(coverage, *interval)
+            coverage = coverage[coverage[:, 1] > coverage[:, 0]]
+        if beams is not None:
+            beams = beams.select((beams.times >= interval[0]) & (beams.times <= interval[1]))
+        return replace(self, tracks=kept, coverage=coverage, foreground=beams, interval=interval)
+
+
+def _select_times(track: Track, interval: tuple[float, float]) -> Track:
+    first, end = np.searchsorted(track.times, interval[0]), np.searchsorted(track.times, interval[1], "right")
+    hits = slice(*np.searchsorted(track.hits.time_index, [first, end]))
+    chosen = slice(first, end)
+    return replace(
+        track,
+        times=track.times[chosen],
+        positions=track.positions[chosen],
+        velocities=track.velocities[chosen],
+        covariances=track.covariances[chosen],
+        hits=Hits(track.hits.points[hits], track.hits.times[hits], track.hits.time_index[hits] - first),
+    )

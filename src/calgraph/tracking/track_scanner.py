@@ -68,8 +68,11 @@ def track_runs(
             f"it moves: its static background stays in place for {stationarity.rest_share:.0%} of the time only, "
             "but scanners of a network have to be stationary; a robot's are calibrated with a board"
         )
-    interval = select_interval(runs, stationarity.bumps, settings.stationarity)
-    runs = select_scans(runs, interval)
+    interval = (-np.inf, np.inf)
+    if stationarity.bumps:
+        stamps = float(runs[0].stamps[0]), float(runs[-1].stamps[-1])
+        interval = select_interval(stamps, stationarity.bumps, settings.stationarity)
+        runs = select_scans(runs, interval)
     scene = learn_static_scene(runs, settings.static_scene)
     if scene is None:
         return Rejected("no scan has any beam")
@@ -102,7 +105,16 @@ def track_runs(
         )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
     coverage = coverage_intervals(runs, settings.motion.max_scan_gap)
-    return ScannerTracks(tracks, scene.points, sigma, coverage, stationarity.bumps, interval, beams)
+    return ScannerTracks(
+        tracks,
+        scene.points,
+        sigma,
+        coverage,
+        stationarity.bumps,
+        interval,
+        beams,
+        background_tested=stationarity.tested,
+    )
 
 
 def _is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:

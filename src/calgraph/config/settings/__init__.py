@@ -31,6 +31,7 @@ from calgraph.config.settings.diagnostics import (
     NetworkModelSettings,
     RigDiagnosticsSettings,
     SerialCorrelationSettings,
+    TrackBumpSettings,
     VerdictSettings,
 )
 from calgraph.config.settings.estimation import EstimationSettings
@@ -145,6 +146,7 @@ __all__ = [
     "SurfaceFitSettings",
     "SystematicParameterSettings",
     "TagSettings",
+    "TrackBumpSettings",
     "TrackGroupingSettings",
     "TrackingSettings",
     "VarianceComponentSettings",

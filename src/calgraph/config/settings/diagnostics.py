@@ -202,6 +202,44 @@ class NetworkModelSettings(StrictModel):
     covariance does not contain."""
 
 
+class TrackBumpSettings(StrictModel):
+    """Tests of steps in the poses of a network's scanners that measure too little static background."""
+
+    block_ticks: int = Field(default=20, ge=1)
+    """Ticks (``tick_period`` of pairs) within which errors of positions may depend on each other: 2 s, in which
+    people turn by less than a right angle to a scanner and one side of them is measured."""
+    min_blocks: int = Field(default=5, ge=4)
+    """Least number of such blocks with common positions on either side of a step: the three components of a pose
+    leave two for its variance."""
+    initial_scale: float = Field(default=3.0, gt=0)
+    """Distance of simultaneous positions at which the loss has a quarter of its weight in the first step, m: a
+    scanner turned by 10° displaces people at 15 m by 2.6 m."""
+    final_scale: float = Field(default=0.1, gt=0)
+    """The same in the last step, m: twice the errors of centres."""
+    scale_factor: float = Field(default=0.7, gt=0, lt=1)
+    """Factor of this distance from one step to the next."""
+    max_distance: float = Field(default=0.3, gt=0)
+    """Distance of simultaneous positions of one person, m: more than their errors, less than people keep."""
+    max_excess: float = Field(default=6.0, gt=0)
+    """Times whose sum of squared distances exceeds the least one by up to this, in squares of ``final_scale``, are
+    possible times of a step: twice the logarithm of 20 (95 %)."""
+    min_difference: float = Field(default=0.03, gt=0)
+    """Positions can tell two poses if their distances differ by this, m: half of the errors of centres."""
+    min_votes: int = Field(default=20, ge=1)
+    """Least number of such positions on either side of a step: 2 s of one person."""
+    min_vote_share: float = Field(default=0.85, gt=0.5, le=1)
+    """Least share of them that agree with the step on either side: in simulated rooms at least 0.89 with steps of
+    1° and 3°, and 0.77 at most where four people who walk as legs are mistaken for each other."""
+    translation_error: float = Field(default=0.01, gt=0)
+    """m; standard deviation of a step by errors of positions that depend on the paths: sides of people that are
+    measured before and after it differ."""
+    rotation_error: float = Field(default=1.75e-3, gt=0)
+    """rad (0.1°); the same of its angle: a centimetre at 6 m."""
+    false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
+    """Bound on the probability with which a recording without bumps has one reported, for all scanners and times
+    together (Bonferroni)."""
+
+
 class NetworkDiagnosticsSettings(StrictModel):
     """Tests of a network's calibration."""
 
@@ -218,6 +256,7 @@ class NetworkDiagnosticsSettings(StrictModel):
     often written by hand with four decimals."""
     rotation_rounding: float = Field(default=1e-5, gt=0)
     """rad; the same of angles, of which files have about five decimals."""
+    track_bumps: TrackBumpSettings = TrackBumpSettings()
 
 
 class DiagnosticsSettings(StrictModel):

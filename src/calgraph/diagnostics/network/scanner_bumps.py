@@ -8,6 +8,9 @@ from calgraph.captures import InputFinding
 from calgraph.errors import Rejected
 from calgraph.tracking import ScannerBump, ScannerTracks
 
+# Intervals shorter than this are stated as one time, s.
+_MAX_INSTANT = 1.5
+
 
 def describe_bumps(
     root: str, followed: Mapping[str, ScannerTracks | Rejected], start: float
@@ -47,7 +50,10 @@ def _describe(
 
 
 def _describe_step(bump: ScannerBump, start: float) -> str:
-    time = f"at {(bump.interval[0] + bump.interval[1]) / 2 - start:.1f} s"
+    begin, end = bump.interval[0] - start, bump.interval[1] - start
+    time = (
+        f"at {(begin + end) / 2:.1f} s" if end - begin < _MAX_INSTANT else f"between {begin:.1f} and {end:.1f} s"
+    )
     if np.isnan(bump.translation):
         return f"{time}, so far that its backgrounds before and after have little in common"
     translation = f"{1000 * bump.translation:.0f} ± {1000 * bump.translation_stddev:.0f} mm"
