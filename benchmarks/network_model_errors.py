@@ -33,7 +33,7 @@ from scipy.stats import chi2
 from calgraph.calibrate import NetworkOptions
 from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import NetworkEstimator
-from calgraph.config import Tolerance
+from calgraph.config import People, Tolerance
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
 from calgraph.processes import parallel_map
@@ -107,6 +107,7 @@ class Setup(NamedTuple):
     estimator: NetworkEstimator
     tolerance: tuple[float, ...]
     """m, degrees."""
+    state_height: bool
 
 
 def main() -> None:
@@ -118,13 +119,20 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(5)))
     parser.add_argument("--duration", type=float, default=60.0, help="s")
     parser.add_argument("--shape", choices=["ellipse", "legs"], default="ellipse", help="of people")
+    parser.add_argument("--state-height", action="store_true", help="rig.yaml states the height of the scan plane")
     parser.add_argument("--tolerance", nargs=2, type=float, default=[0.01, 0.3], help="m, degrees")
     parser.add_argument("--estimator", choices=["joint", "averaging"], default="joint")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--csv", type=Path, help="file to write all scanners to")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
-    setup = Setup(arguments.duration, arguments.shape, arguments.estimator, tuple(arguments.tolerance))
+    setup = Setup(
+        arguments.duration,
+        arguments.shape,
+        arguments.estimator,
+        tuple(arguments.tolerance),
+        arguments.state_height,
+    )
     work = [
         (kind, size, room, seed, setup)
         for kind, size in list_cases(arguments.kinds, arguments.sizes)
@@ -148,6 +156,10 @@ def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Out
     metres, degrees = setup.tolerance
     rig = KINDS[kind].rig(network_rig(network), size)
     rig = rig.model_copy(update={"tolerance": Tolerance(translation=metres, rotation=degrees)})
+    if setup.state_height:
+        assert isinstance(rig.target, People)
+        target = rig.target.model_copy(update={"height": network.scenario.scanner.height})
+        rig = rig.model_copy(update={"target": target})
     scans = {rig.topics[one.name]: list(simulate_scans(network, one)) for one in network.scanners}
     options = NetworkOptions(estimator=setup.estimator, seed=seed)
     began = time.perf_counter()
