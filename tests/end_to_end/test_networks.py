@@ -62,6 +62,21 @@ def test_deviations_of_a_real_recording_cover_its_errors(data_dir: Path) -> None
     assert spread[0] < 0.06
 
 
+def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(data_dir: Path) -> None:
+    """Legs are no circles: with a lower limit of the correlation of beams, the real recording refutes them."""
+    settings = {"diagnostics": {"network": {"model": {"refuting_beam_correlation": 0.3}}}}
+    rig = Rig.model_validate({**TWO, "settings": settings})
+    with open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording:
+        found = calibrate(rig, recording, NetworkOptions())
+        averaged = calibrate(rig, recording, NetworkOptions(estimator="averaging"))
+    assert found.evidence.estimator == "averaging"
+    np.testing.assert_array_equal(found["rear"].T_root_sensor, averaged["rear"].T_root_sensor)
+    np.testing.assert_array_equal(found.joint_covariance, averaged.joint_covariance)
+    assert found["rear"].verdict.grade == "weak"
+    assert found["rear"].verdict.reason.startswith("the model of the joint solution does not hold")
+    assert any("residuals of adjacent beams" in remark for remark in found.evidence.remarks)
+
+
 def test_all_formats_of_a_recording_give_the_same_network(data_dir: Path) -> None:
     folder = data_dir / "two-static-2d-lidars-moving-object"
     poses = [two_scanners(folder / name)["rear"].T_root_sensor for name in FORMATS]

@@ -11,9 +11,11 @@ from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics import ModelAssessment, assess_network_model
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
+from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks
+from leg_scenes import build_network
 from network_scenes import OFFSET, SETTINGS, SIGMA, T_ROOT
 from solved_networks import no_change, solve_two_walks
 
@@ -128,6 +130,12 @@ def test_averaged_pairs_that_disagree_make_all_poses_weak() -> None:
 
 def test_parts_and_averaged_pairs_that_both_disagree_refute_the_model() -> None:
     assert assess(solve(alternating=True), averaging_error=0.2).joint is None
+
+
+def test_averages_are_evidence_against_legs_whatever_their_radii() -> None:
+    problem, state = build_network()
+    legs = SolvedNetwork(problem, state, linearize_network(problem, state))
+    assert any("from averaged pairs" in finding.text for finding in assess(legs, averaging_error=0.2).findings)
 
 
 @pytest.mark.parametrize("axes", [(0.18, 0.15), (0.25, 0.19)])

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+from calgraph.estimation import SolvedNetwork
+from calgraph.estimation.network.beam_residuals import list_beam_residuals
 from calgraph.estimation.network.contributions import Contributions, split_contributions
+from calgraph.estimation.network.solver import linearize_network
 from calgraph.estimation.network.tukey_loss import TukeyLoss
+from leg_scenes import build_network
 from network_scenes import SETTINGS
 from solved_networks import SECONDS, solve_two_walks
 
@@ -56,3 +60,20 @@ def test_unknowns_are_named_by_scanner_and_kind(parts: Contributions) -> None:
     # The root's pose and clock are known, and all systematic errors zero.
     np.testing.assert_array_equal(parts.scanner, np.repeat([1, 2], 4))
     assert parts.is_placement.all()
+
+
+def test_a_leg_is_one_part() -> None:
+    problem, state = build_network()
+    solved = SolvedNetwork(problem, state, linearize_network(problem, state))
+    parts = split_contributions(solved, 1.0)
+    np.testing.assert_array_equal(parts.body, [0, 1])
+    H, _, _ = solved.equations.eliminate_bodies()
+    np.testing.assert_allclose(parts.information.sum(axis=0) + SHRINKAGE * parts.prior, H, rtol=1e-9, atol=1e-3)
+
+
+def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> None:
+    beams = list(list_beam_residuals(*build_network()))
+    assert [one.scanner for one in beams] == [0, 1, 2, 0, 1, 2]
+    for one in beams:
+        np.testing.assert_allclose(one.residual, 0, atol=1e-6)
+        assert len(one.scan) == len(one.weight) == len(one.residual)

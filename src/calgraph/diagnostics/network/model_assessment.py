@@ -16,6 +16,7 @@ from calgraph.diagnostics.network.consistency_tests import (
 from calgraph.diagnostics.network.fit_tests import find_poor_fit
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.contributions import split_contributions
+from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
 from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
 from calgraph.tracking import ScannerTracks
@@ -97,7 +98,9 @@ def assess_network_model(
 
 
 def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) -> float:
-    """Largest relative deviation of the mean radii of all bodies from the stated ones."""
+    """Largest relative deviation of the mean radii of all bodies from the stated ones; 0 for legs without any."""
+    if isinstance(solved.problem.bodies[0], LegObservations):
+        return 0.0
     stated: Array = np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
     beams = [sum(len(scans.ranges) for scans in body.scans) for body in solved.problem.bodies]
     radii = np.average([path.radii for path in solved.state.paths], axis=0, weights=beams)

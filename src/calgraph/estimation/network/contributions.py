@@ -147,11 +147,13 @@ def _split_body(solved: SolvedNetwork, index: int, interval: float) -> Iterator[
     # What is left of the gradient of the path is that of its prior.
     of_knot = part_of(body.knots.control_times())
     np.add.at(gradient, of_knot, -np.einsum("kpq,kp->kq", by_path, prior_gradient))
+    # Priors of path and shape are of no scan: intervals share their information, and the rest of their gradient.
     share = np.trace(information, axis1=1, axis2=2)
-    rest = H - information.sum(axis=0)
+    share /= share.sum()
+    information += share[:, None, None] * (H - information.sum(axis=0))
+    gradient += share[:, None] * (g - gradient.sum(axis=0))
     for n in np.flatnonzero(share).tolist():
-        time = body.knots.start + (n + 0.5) * interval
-        yield time, information[n] + share[n] / share.sum() * rest, gradient[n]
+        yield body.knots.start + (n + 0.5) * interval, information[n], gradient[n]
 
 
 def _total_jacobian(
