@@ -19,8 +19,8 @@ from calgraph.graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,
-    edge_weights,
     initialize_network,
+    published_weights,
 )
 from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, estimate_scanner_pairs
@@ -221,7 +221,7 @@ def solve_poses(
         if setup.average == "none":
             averaged = chain_pairs(graph, pairs, names)
         else:
-            weights = edge_weights(names, pairs) if setup.weighted else None
+            weights = published_weights(names, pairs) if setup.weighted else None
             averaged, graph = average_network(
                 graph, rng, weights, select_averaging(setup.average, BaselineSettings())
             )

@@ -89,6 +89,12 @@ def test_clocks_beyond_the_search_are_named() -> None:
     assert resolve([pair("a", "b", clock=1.2)]).distant_clocks == {"b": pytest.approx(1.2)}
 
 
+def test_clocks_are_corrected_where_they_differ_significantly() -> None:
+    """Offsets of 0.17 s with standard deviations of 0.06 and 0.03 s."""
+    assert resolve([pair("a", "b", clock=0.17, stddev=0.06)]).clock_offset["b"] == 0.0
+    assert resolve([pair("a", "b", clock=0.17, stddev=0.03)]).clock_offset["b"] == pytest.approx(0.17)
+
+
 def test_uncertain_clocks_have_little_weight() -> None:
     """Of two ways to c, the uncertain one changes its clock by its share of the information."""
     found = resolve([pair("a", "b"), pair("b", "c", clock=0.1), pair("a", "c", clock=0.16, stddev=0.05)])

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, diagonal_blocks, se2
-from calgraph.graph import average_network, build_network_graph, compute_joint_covariance, edge_weights
-from calgraph.graph.network_graph import edge_evidence
+from calgraph.graph import (
+    average_network,
+    build_network_graph,
+    compute_joint_covariance,
+    edge_evidence,
+    edge_weights,
+    published_weights,
+)
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
@@ -46,7 +52,7 @@ def test_only_what_is_connected_to_the_root_is_in_the_graph() -> None:
     assert len(graph.edges) == 0
 
 
-def test_trust_grows_with_the_seconds_that_agree_and_with_their_share() -> None:
+def test_published_weights_grow_with_the_matched_time_and_share() -> None:
     pairs = [
         ScannerPairEstimate(
             "a", "b", (hypothesis(1, observations=50), hypothesis(2, observations=150, share=0.5))
@@ -55,14 +61,27 @@ def test_trust_grows_with_the_seconds_that_agree_and_with_their_share() -> None:
         ScannerPairEstimate("b", "c", (hypothesis(1, observations=450),)),
     ]
     _, names = build_network_graph("a", pairs)
-    # Five seconds that agree are trusted by half; what is not connected to the root has no edge.
-    np.testing.assert_allclose(edge_weights(names, pairs), [0.5, 0.6, 0.9])
+    # Five seconds have half the full weight; what is not connected to the root has no edge.
+    np.testing.assert_allclose(published_weights(names, pairs), [0.5, 0.6, 0.9])
 
 
-def test_matching_walls_are_evidence_of_ten_seconds() -> None:
-    walls = replace(hypothesis(1, observations=20, share=0.5), uses_background=True)
-    pairs = [ScannerPairEstimate("a", "b", (walls, hypothesis(1, observations=20, share=0.5)))]
-    np.testing.assert_allclose(edge_evidence(("a", "b"), pairs), [10 + 100, 10])
+def test_walls_count_as_positions_in_published_weights() -> None:
+    pairs = [ScannerPairEstimate("a", "b", (replace(hypothesis(1, observations=100), uses_background=True),))]
+    np.testing.assert_allclose(published_weights(("a", "b"), pairs), [200 / 250])
+
+
+def test_evidence_grows_with_matches_and_with_their_accuracy() -> None:
+    """A log likelihood ratio for each match, and a constant for walls."""
+    precise, coarse = hypothesis(1, observations=20, share=0.5), replace(hypothesis(1), model_error=0.1)
+    walls = replace(precise, uses_background=True)
+    pairs = [ScannerPairEstimate("a", "b", (precise, walls, coarse))]
+    per_match = np.log(0.15 / np.hypot([0.01, 0.1], 0.01))
+    expected = [10 * per_match[0], 10 * per_match[0] + 260, 100 * per_match[1]]
+    np.testing.assert_allclose(edge_evidence(("a", "b"), pairs), expected)
+
+
+def test_weights_are_half_at_the_evidence_of_a_perfect_fit_of_five_seconds() -> None:
+    np.testing.assert_allclose(edge_weights(np.array([0.0, 130.0, 390.0])), [0.0, 0.5, 0.75])
 
 
 def chain(sigma_x: float, sigma_theta: float) -> tuple[PoseGraph, np.ndarray]:

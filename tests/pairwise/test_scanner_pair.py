@@ -353,13 +353,13 @@ def test_hypotheses_are_distinct_beyond_half_a_metre_or_eight_degrees(
 ) -> None:
     best = se2.pose(3.1, np.array([2.0, -1.0]))
     T = np.array([se2.retract(best, np.array(step)), best])
-    found = select_distinct(T, np.array([0.4, 0.3]), 5, HypothesisSettings())
+    found = select_distinct(T, np.array([0.4, 0.3]), 5, 0.5, np.radians(8))
     np.testing.assert_array_equal(found, T[[1, 0] if distinct else [1]])
 
 
 def test_the_distinct_hypotheses_of_least_cost_are_kept() -> None:
     T = se2.pose(np.zeros(4), np.array([[0.0, 0], [1, 0], [2, 0], [3, 0]]))
-    found = select_distinct(T, np.array([0.4, 0.1, 0.3, 0.2]), 2, HypothesisSettings())
+    found = select_distinct(T, np.array([0.4, 0.1, 0.3, 0.2]), 2, 0.5, np.radians(8))
     np.testing.assert_array_equal(found, T[[1, 3]])
 
 
@@ -435,3 +435,35 @@ def test_a_pair_without_a_credible_pose_states_the_time_that_its_best_pose_match
     assert isinstance(found, Rejected)
     seconds = float(found.reason.split("the best one matches ")[1].split(" s")[0])
     assert 50 < seconds < 120
+
+
+def test_a_couple_is_not_matched_crosswise(rng: np.random.Generator) -> None:
+    """Scanners on opposite sides detect mostly the nearer one of two who walk side by side, half a metre apart."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        x, v = wander(rng, 40.0, 6.0)
+        aside = 0.28 * np.column_stack([-v[:, 1], v[:, 0]]) / np.linalg.norm(v, axis=1, keepdims=True)
+        left, right = (x + aside, v), (x - aside, v)
+        A, B = se2.pose(0.0, np.array([-5.0, 0.0])), se2.pose(np.pi, np.array([5.0, 0.0]))
+        a, b = observe([left, right], A, rng, sigma=0.01), observe([left, right], B, rng, sigma=0.01)
+        # Each loses two of three tracks of the person who is farther away.
+        found = estimate_scanner_pair("a", "b", keep_nearer(a, rng), keep_nearer(b, rng), rng)
+        metres, degrees = error(found, se2.inverse(A) @ B)
+        assert metres < 0.15
+        assert degrees < 2
+
+
+def keep_nearer(tracked: ScannerTracks, rng: np.random.Generator) -> ScannerTracks:
+    """The scanner's tracks without two of three of those that another one hides."""
+    kept = []
+    for track in tracked.tracks:
+        others = [
+            float(np.linalg.norm(other.positions, axis=1).mean())
+            for other in tracked.tracks
+            if other is not track
+            and min(other.times[-1], track.times[-1]) - max(other.times[0], track.times[0]) > 0.5
+        ]
+        hidden = any(distance < np.linalg.norm(track.positions, axis=1).mean() for distance in others)
+        if not hidden or rng.random() < 1 / 3:
+            kept.append(track)
+    return replace(tracked, tracks=tuple(kept))

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
-from calgraph.calibrate.scanner_pairs import pair_scanners
+from calgraph.calibrate.scanner_pairs import describe_ambiguous_parts, pair_scanners
 from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
 from calgraph.captures import InputFinding, InputMonitor
@@ -144,6 +144,7 @@ def calibrate_tracks(
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first_time(tracked) if start is None else start
     findings = [*findings, *describe_bumps(rig.root, tracks, start)]
+    ambiguous = describe_ambiguous_parts(names, initialization.ambiguous)
     calibration = assemble_network(
         rig,
         stated_frames,
@@ -154,7 +155,7 @@ def calibrate_tracks(
         averaged,
         start,
         joint,
-        (*findings, *corrected.findings, *contradictions),
+        (*findings, *corrected.findings, *ambiguous, *contradictions),
         clock_offset=corrected.clock_offset,
         inverted=corrected.inverted,
     )

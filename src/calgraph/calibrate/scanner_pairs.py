@@ -1,6 +1,6 @@
 """Pairs of a network's scanners, with clocks that differ and scanners mounted upside-down corrected."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -13,7 +13,7 @@ from calgraph.calibrate.strategies import select_depth_stddev
 from calgraph.captures import InputFinding
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.errors import Rejected
-from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.graph import AmbiguousPart, ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.pairwise import (
     ScannerObservations,
     ScannerPairEstimate,
@@ -55,8 +55,7 @@ def pair_scanners(
     tracked = {name: correct_tracks(one, inverted=name in inverted) for name, one in tracked.items()}
     pairs = _estimate_pairs(rig, tracked, options, rng, progress)
     solution = _find_differences(rig, tracked, pairs, frozenset(stated), options)
-    least = rig.settings.pairwise.scanners.clock_mounting.min_clock_offset
-    clocks = solution.clock_offset if max(map(abs, solution.clock_offset.values()), default=0.0) > least else {}
+    clocks = {name: offset for name, offset in solution.clock_offset.items() if offset}
     if clocks or solution.inverted:
         tracked = {
             name: correct_tracks(one, clock_offset=clocks.get(name, 0.0), inverted=name in solution.inverted)
@@ -123,6 +122,19 @@ def _find_differences(
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
 
 
+def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart]) -> list[InputFinding]:
+    """Reasons why scanners are weak that may as well be elsewhere."""
+    return [
+        InputFinding(
+            f"another pose of {' and '.join(names[k] for k in part.pair)}, {part.distance:.1f} m and "
+            f"{np.degrees(part.rotation):.0f}° off, matches the tracks nearly as well, as where people walk "
+            "side by side: let people walk alone or apart",
+            tuple(names[k] for k in part.nodes),
+        )
+        for part in parts
+    ]
+
+
 def _report_findings(
     rig: Rig, solution: ClockMountingSolution, clocks: Mapping[str, float]
 ) -> tuple[InputFinding, ...]:
@@ -134,7 +146,7 @@ def _report_findings(
             "found from the tracks, and corrected"
         )
         for name, offset in clocks.items()
-        if abs(offset) > limits.min_clock_offset and name not in solution.distant_clocks
+        if name not in solution.distant_clocks
     ]
     findings += [
         InputFinding(

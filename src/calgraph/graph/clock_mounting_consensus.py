@@ -24,7 +24,7 @@ class ClockMountingSolution:
     """Clocks and mountings of scanners, and what the tracks do not determine of them."""
 
     clock_offset: Mapping[str, float]
-    """Clock of each scanner minus the root's, s; 0 for scanners without pairs."""
+    """Clock of each scanner minus the root's, s; 0 where the pairs do not show that it differs."""
     inverted: frozenset[str]
     """Scanners whose tracks are mirrored relative to those of the root."""
     ambiguous: tuple[str, ...]
@@ -65,8 +65,10 @@ def resolve_clocks_and_mountings(
     contradicted = (freely < 0) & ~unsure
     used = [h for h in hypotheses if h.mirrored == (signs[node[h.sensor_a]] != signs[node[h.sensor_b]])]
     used = [h for h in used if h.evidence > settings.hypotheses.min_weight_of_evidence]
-    offsets = _average_clocks(len(node), node, used, settings)
-    clock_offset = {name: float(offsets[k]) for name, k in node.items()}
+    offsets, stddev = _average_clocks(len(node), node, used, settings)
+    limits = settings.clock_mounting
+    differs = (np.abs(offsets) > limits.min_clock_offset) & (np.abs(offsets) > limits.min_clock_ratio * stddev)
+    clock_offset = {name: float(offsets[k]) if differs[k] else 0.0 for name, k in node.items()}
     farthest = settings.clock_mounting.max_clock_offset
     return ClockMountingSolution(
         clock_offset,
@@ -123,8 +125,11 @@ def _evidence_across(evidence: Array, signs: NDArray[np.intp], part: NDArray[np.
 
 def _average_clocks(
     count: int, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis], settings: ScannerPairSettings
-) -> Array:
-    """(N,) offsets from node 0, s: least squares with Cauchy weights, from those of the pairs of most evidence."""
+) -> tuple[Array, Array]:
+    """(N,) offsets from node 0 and their standard deviations, s.
+
+    Least squares with Cauchy weights, which start at the offsets along the tree of most evidence.
+    """
     offsets = np.zeros(count)
     ends = np.array([(node[h.sensor_a], node[h.sensor_b]) for h in used], dtype=np.intp).reshape(-1, 2)
     measured = np.array([h.clock_offset for h in used])
@@ -143,10 +148,12 @@ def _average_clocks(
     J[np.arange(len(used)), ends[:, 0]] = -1
     free = sorted(reached - {0})
     if not free:
-        return offsets
+        return offsets, offsets
     for _ in range(_ROUNDS):
         r = (measured - J @ offsets) / sigma
         w = 1 / (1 + r**2) / sigma**2
         H = J[:, free].T @ (w[:, None] * J[:, free])
         offsets[free] = np.linalg.solve(H, J[:, free].T @ (w * measured))
-    return offsets
+    stddev = np.zeros(count)
+    stddev[free] = np.sqrt(np.diag(np.linalg.inv(H)))
+    return offsets, stddev

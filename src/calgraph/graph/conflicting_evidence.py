@@ -55,7 +55,7 @@ def find_conflicting_evidence(
         settings: of the evidence.
         hypothesis_settings: differences up to which two poses are the same.
     """
-    evidence = edge_evidence(names, pairs, settings)
+    evidence = edge_evidence(names, pairs, settings, hypothesis_settings)
     i, j = graph.edges.T
     contradicts, distance = _contradicting_edges(graph, solution.T_root_node, hypothesis_settings)
     conflicting = ~solution.inliers & contradicts
@@ -66,7 +66,7 @@ def find_conflicting_evidence(
         if not len(stronger):
             continue
         best = stronger[np.argmax(evidence[stronger])]
-        T = _move_part(graph, solution.T_root_node, part, int(best))
+        T = move_part(graph, solution.T_root_node, part, int(best))
         against, supporting = (" and ".join(names[int(k)] for k in graph.edges[e]) for e in (best, tree_edge))
         reason = f"{against} put it {distance[best]:.1f} m elsewhere, with better evidence than {supporting} have"
         weaker = across & _contradicting_edges(graph, T, hypothesis_settings)[0] & (evidence < evidence[best])
@@ -87,7 +87,7 @@ def _contradicting_edges(
     ), distance
 
 
-def _move_part(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: int) -> Array:
+def move_part(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: int) -> Array:
     """The poses (N, 3, 3) with a part moved as a whole to where an edge puts it."""
     i, j = graph.edges[edge]
     T_i_j = graph.T_i_j[edge]

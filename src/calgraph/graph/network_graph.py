@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calgraph.config.settings import GraphSettings
+from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array
 from calgraph.graph.graph_optimization import build_normal_equations, optimize_poses
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.tree_consensus import average_poses
-from calgraph.pairwise import ScannerPairEstimate
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 
 # Bisections of the scale of the floor, which give it to 0.01 %.
 _BISECTIONS = 16
@@ -83,38 +83,56 @@ def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array, settings: Grap
     return float(np.sqrt(low * high))
 
 
-def edge_weights(
+def published_weights(
     names: Sequence[str], pairs: Sequence[ScannerPairEstimate], settings: GraphSettings = GraphSettings()
 ) -> Array:
-    """Weights (E,) of the edges of :func:`build_network_graph`, 0..1, from the evidence of each.
+    """Weights (E,) of the edges of :func:`build_network_graph`, 0..1, for the published averages.
 
-    Wrong estimates arise where two people were associated as one. These agree for seconds only, and most of what
-    both scanners observe does not agree. Quenzel et al. weight likewise, after Schenk et al., "Automatic
+    Agreeing positions times the share that agrees, as Quenzel et al. weight after Schenk et al., "Automatic
     calibration of a stationary network of laser range finders by matching movement trajectories", IROS 2012.
+    Matching walls count as positions.
 
     Args:
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
-        settings: of weights and evidence.
+        settings: of weights.
     """
-    evidence = edge_evidence(names, pairs, settings)
+    score = np.array([h.score + settings.wall_positions * h.uses_background for h in _hypotheses(names, pairs)])
+    return np.asarray(score / (score + settings.half_weight_positions))
+
+
+def edge_weights(evidence: Array, settings: GraphSettings = GraphSettings()) -> Array:
+    """Weights (E,), 0..1, of edges with evidence (E,): wrong pairs agree for seconds only, or coarsely."""
     return np.asarray(evidence / (evidence + settings.half_weight_evidence))
 
 
 def edge_evidence(
-    names: Sequence[str], pairs: Sequence[ScannerPairEstimate], settings: GraphSettings = GraphSettings()
+    names: Sequence[str],
+    pairs: Sequence[ScannerPairEstimate],
+    settings: GraphSettings = GraphSettings(),
+    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> Array:
-    """Evidence (E,) of the edges of :func:`build_network_graph`: agreeing positions times the share that agrees.
+    """Weight of evidence (E,) of the edges of :func:`build_network_graph`.
 
     Matching walls add a constant: hardly any wrong pose aligns them.
 
     Args:
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
-        settings: of weights and evidence.
+        settings: the evidence of walls.
+        hypothesis_settings: of the evidence of matches.
     """
-    kept = [h for p in pairs if p.sensor_a in names for h in p.hypotheses]
-    return np.array([h.observations * h.matched_share + settings.wall_evidence * h.uses_background for h in kept])
+    return np.array(
+        [
+            h.weight_of_evidence(hypothesis_settings) + settings.wall_evidence * h.uses_background
+            for h in _hypotheses(names, pairs)
+        ]
+    )
+
+
+def _hypotheses(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> list[PoseHypothesis]:
+    """That of each edge."""
+    return [h for pair in pairs if pair.sensor_a in names for h in pair.hypotheses]
 
 
 def _connected_scanners(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:

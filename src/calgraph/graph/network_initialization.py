@@ -8,8 +8,15 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.errors import Rejected
+from calgraph.graph.ambiguous_parts import AmbiguousPart, find_ambiguous_parts
 from calgraph.graph.conflicting_evidence import find_conflicting_evidence
-from calgraph.graph.network_graph import average_network, build_network_graph, edge_evidence, edge_weights
+from calgraph.graph.network_graph import (
+    average_network,
+    build_network_graph,
+    edge_evidence,
+    edge_weights,
+    published_weights,
+)
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
 from calgraph.graph.visibility_check import find_visibility_conflict, is_confirmed_by_visibility
 from calgraph.pairwise import ScannerObservations, ScannerPairEstimate
@@ -28,6 +35,8 @@ class NetworkInitialization:
     names: tuple[str, ...]
     """Scanner of each node, the root first."""
     solution: PoseGraphSolution
+    ambiguous: tuple[AmbiguousPart, ...] = ()
+    """Parts that other hypotheses put elsewhere with nearly as much evidence."""
 
 
 def initialize_network(
@@ -60,18 +69,24 @@ def initialize_network(
     while True:
         estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
         graph, names = build_network_graph(root, estimates)
-        weights = edge_weights(names, estimates, settings) if weighted else None
+        evidence = edge_evidence(names, estimates, settings, hypothesis_settings)
+        weights = None
+        if weighted:
+            weights = (
+                published_weights(names, estimates, settings) if averaging else edge_weights(evidence, settings)
+            )
         solution, graph = average_network(graph, rng, weights, averaging, settings)
         # A root without any connection may have no observations.
         of_nodes = [observations[name] for name in names if name in observations]
-        missed = find_visibility_conflict(graph, of_nodes, solution, edge_evidence(names, estimates, settings))
+        missed = find_visibility_conflict(graph, of_nodes, solution, evidence)
         if missed:
             why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
         conflict = find_conflicting_evidence(graph, names, estimates, solution, settings, hypothesis_settings)
         if not conflict:
-            return NetworkInitialization(pairs, graph, names, solution)
+            ambiguous = find_ambiguous_parts(graph, evidence, solution, settings, hypothesis_settings)
+            return NetworkInitialization(pairs, graph, names, solution, tuple(ambiguous))
         if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):
             pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))
         else:

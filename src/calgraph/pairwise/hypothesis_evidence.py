@@ -74,17 +74,22 @@ def subsample_pairs(pairs: SimultaneousPairs, wanted: int, min_samples: int) -> 
     return subsampled if len(np.unique(subsampled.row_a)) >= min_samples else pairs
 
 
-def select_distinct(T: Array, cost: Array, count: int, settings: HypothesisSettings) -> Array:
-    """Selects up to ``count`` poses (n, 3, 3) of least cost (K,) that differ from each other."""
-    kept: list[Array] = []
-    for i in np.argsort(cost):
-        d = se2.difference(np.array(kept).reshape(-1, 3, 3), T[i])
-        same = (np.hypot(d[:, 0], d[:, 1]) < settings.same_position) & (np.abs(d[:, 2]) < settings.same_angle)
+def select_distinct(T: Array, cost: Array, count: int, position: float, angle: float) -> Array:
+    """Selects up to ``count`` poses (n, 3, 3) of least cost (K,); see :func:`select_distinct_rows`."""
+    return np.asarray(T[select_distinct_rows(T, cost, count, position, angle)])
+
+
+def select_distinct_rows(T: Array, cost: Array, count: int, position: float, angle: float) -> list[int]:
+    """Rows of up to ``count`` poses (K, 3, 3) of least cost (K,) that differ from each other, m or rad."""
+    kept: list[int] = []
+    for i in np.argsort(cost, kind="stable").tolist():
+        d = se2.difference(T[kept], T[i])
+        same = (np.hypot(d[:, 0], d[:, 1]) < position) & (np.abs(d[:, 2]) < angle)
         if not same.any():
-            kept.append(T[i])
+            kept.append(i)
         if len(kept) == count:
             break
-    return np.array(kept)
+    return kept
 
 
 def build_hypothesis(

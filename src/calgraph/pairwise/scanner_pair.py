@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings
+from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.pairwise.hypothesis_evidence import (
@@ -21,6 +21,7 @@ from calgraph.pairwise.hypothesis_evidence import (
     count_expected,
     is_credible,
     select_distinct,
+    select_distinct_rows,
     subsample_pairs,
 )
 from calgraph.pairwise.icp import StaticBackground, align_backgrounds
@@ -201,7 +202,7 @@ def _evaluate_hypotheses(
     costs = compute_pose_costs(proposals, coarse, limits.proposal_stddev, settings.registration.gate)
     registrations = [
         fit
-        for T in select_distinct(proposals, costs, limits.coarse_count, settings.hypotheses)
+        for T in select_distinct(proposals, costs, limits.coarse_count, limits.same_position, limits.same_angle)
         if (fit := register(T, coarse, settings.registration.max_model_error))
     ]
     refuted = contradict(_stack_poses(registrations), coarse, 0.0)
@@ -214,25 +215,46 @@ def _evaluate_hypotheses(
     promising = shares >= limits.min_matched_share
     promising &= counts * shares >= limits.min_score_ratio * np.max(counts * shares)
     poses = _stack_poses(registrations)[promising]
-    poses = select_distinct(poses, -(counts * shares)[promising], limits.fine_count, settings.hypotheses)
+    scores = (counts * shares)[promising]
+    poses = select_distinct(poses, -scores, limits.fine_count, limits.same_position, limits.same_angle)
     hypotheses = [
         build_hypothesis(fit, fine, *samples, len(pairs), prior, settings)
         for T in poses
         if (fit := register(T, fine, settings.registration.fine_model_error))
     ]
-    hypotheses.sort(key=lambda h: -h.score)
     least = pairs.a.to_ticks(limits.min_matched_time)
     kept = [h for h in hypotheses if is_credible(h, least, settings.hypotheses)]
+    best = max((h.weight_of_evidence(settings.hypotheses) for h in kept), default=np.inf)
+    if best < limits.unambiguous_evidence:
+        # Registrations that start with a large model error settle between the two people of a couple.
+        costs = compute_pose_costs(proposals, coarse, limits.couple_stddev, settings.registration.gate)
+        distinct = select_distinct(
+            proposals, costs, limits.couple_count, limits.min_couple_shift, limits.same_turn
+        )
+        fits = [fit for T in distinct if (fit := register(T, coarse, limits.couple_stddev))]
+        fits = [fine_fit for fit in fits if (fine_fit := register(fit.T_a_b, fine, limits.couple_stddev))]
+        refuted = contradict(_stack_poses(fits), fine, 0.0)
+        fits = [fit for fit, wrong in zip(fits, refuted, strict=True) if not wrong]
+        others = [build_hypothesis(fit, fine, *samples, len(pairs), prior, settings) for fit in fits]
+        kept += [h for h in others if is_credible(h, least, settings.hypotheses)]
     if not kept:
         seconds = round(max(counts) * len(pairs) / len(coarse)) * pairs.a.tick_period
         return Rejected(
             f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
             "similar trajectories explain as well"
         )
-    kept = [h for h in kept if h.score >= limits.min_score_ratio * kept[0].score]
+    kept = _select_hypotheses(kept, settings.hypotheses)
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
+
+
+def _select_hypotheses(hypotheses: Sequence[PoseHypothesis], settings: HypothesisSettings) -> list[PoseHypothesis]:
+    """Those of comparable evidence that differ from each other, best first."""
+    evidence = np.array([h.weight_of_evidence(settings) for h in hypotheses])
+    T = np.array([h.T_a_b for h in hypotheses])
+    kept = select_distinct_rows(T, -evidence, settings.max_count, settings.min_couple_shift, settings.same_turn)
+    return [hypotheses[k] for k in kept if evidence[k] >= settings.min_score_ratio * evidence.max()]
 
 
 def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:

@@ -134,6 +134,15 @@ def test_the_strongest_links_win(rng: np.random.Generator) -> None:
     assert group(tracked) == [[(0, 0), (1, 0)], [(0, 1), (1, 1)]]
 
 
+def test_people_side_by_side_are_not_linked_crosswise(rng: np.random.Generator) -> None:
+    """All their tracks are close at all ticks: the closer ones are of one person."""
+    walks = [simulate_path(0, 8, (0, y), (1, 0)) for y in (2.0, 2.4)]
+    assert group([track_paths(s, walks, rng) for s in (0, 1, 2)]) == [
+        [(0, 0), (1, 0), (2, 0)],
+        [(0, 1), (1, 1), (2, 1)],
+    ]
+
+
 def test_a_body_of_half_a_second_is_left_out(rng: np.random.Generator) -> None:
     walk = simulate_path(0, 0.5, (1, 1), (1, 0))
     assert group([track_paths(s, [walk], rng) for s in (0, 1)]) == []

@@ -266,7 +266,22 @@ class HypothesisSettings(StrictModel):
     min_chance_ratio: Positive = 2.0
     """Least ratio of matches to those by chance, where both scanners track people all the time in one passage."""
     min_score_ratio: Share = 0.4
-    """Least ratio of a hypothesis's score to the best one's: alternatives below it are not kept."""
+    """Least ratio of a hypothesis's evidence to the best one's: alternatives below it are not kept."""
+    unambiguous_evidence: Positive = 250.0
+    """Weight of evidence below which hypotheses that match the two people of a couple crosswise are searched, too:
+    in simulated halls with nobody but a couple, wrong ones had up to 136."""
+    couple_stddev: Positive = 0.06
+    """Standard deviation of positions in that search, m: a tenth of the distance of two people who walk side by
+    side, so that poses between correct and crosswise matches are not the best."""
+    couple_count: Count = 12
+    """Proposals that are registered in that search: with 8, correct ones were missed in 2 of 44 pairs."""
+    min_couple_shift: Positive = 0.2
+    """Distance below which two registered hypotheses are one, if their angle is, too, m: half of the least
+    distance of two people."""
+    same_turn: Angle = float(np.radians(2))
+    """Angle below which two registered hypotheses are one, if their distance is, too, rad (2 degrees)."""
+    max_count: Count = 6
+    """Hypotheses of a pair that are kept at most."""
     coincidence_stddev: Positive = 0.15
     """Standard deviation of the distance between different people on similar trajectories under a wrong pose,
     m."""
@@ -311,6 +326,9 @@ class ClockMountingSettings(StrictModel):
     min_clock_offset: Positive = 0.05
     """Offset from which tracks are corrected before poses are estimated, s: smaller ones displace people by less
     than 8 cm, and both estimators find them."""
+    min_clock_ratio: Positive = 4.0
+    """Offset from which tracks are corrected, in its standard deviations: couples that are matched crosswise fit
+    best with offsets of 0.1 to 0.3 s, which have standard deviations of 0.05 to 0.1 s."""
     max_evidence_ratio: Share = 0.7
     """Ratio of the evidence of the other mounting to that of the best one from which a mounting is ambiguous: in
     those pairs it was below 0.5; it is 1 where all people walk on one line."""

@@ -91,7 +91,11 @@ def _sample_track(scanner: int, track: Track, T: Array, tick_period: float) -> _
 def _link_simultaneous(
     sampled: Sequence[_SampledTrack], settings: TrackGroupingSettings
 ) -> list[tuple[float, int, int]]:
-    """Links between tracks of two scanners; their strength is the number of ticks at which they are close."""
+    """Links between tracks of two scanners.
+
+    Their strength is the number of ticks at which they are close, the closer the more: for a minute, people who
+    walk side by side are within the distance that is close enough for one.
+    """
     owner = np.repeat(np.arange(len(sampled)), [len(one.ticks) for one in sampled])
     scanner = np.array([one.scanner for one in sampled], dtype=np.intp)
     if not len(owner):
@@ -100,15 +104,23 @@ def _link_simultaneous(
     positions = np.concatenate([one.positions for one in sampled])
     # Ticks are a third coordinate, scaled so that only samples of one tick are neighbours.
     tree = cKDTree(np.column_stack([positions, 10 * settings.max_distance * (ticks - ticks.min())]))
-    i, j = owner[tree.query_pairs(settings.max_distance, output_type="ndarray").reshape(-1, 2)].T
-    different = scanner[i] != scanner[j]
-    pairs, close_ticks = np.unique(np.sort(np.column_stack([i, j])[different], axis=1), axis=0, return_counts=True)
+    samples = tree.query_pairs(settings.max_distance, output_type="ndarray").reshape(-1, 2)
+    samples = samples[scanner[owner[samples[:, 0]]] != scanner[owner[samples[:, 1]]]]
+    distances = np.linalg.norm(positions[samples[:, 0]] - positions[samples[:, 1]], axis=1)
+    pairs, pair_of_samples, close_ticks = np.unique(
+        np.sort(owner[samples], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    closeness = np.bincount(
+        pair_of_samples.ravel(), 1 - (distances / settings.max_distance) ** 2, minlength=len(pairs)
+    )
     links = []
-    for (first, second), count in zip(pairs.tolist(), close_ticks.tolist(), strict=True):
+    for (first, second), count, strength in zip(
+        pairs.tolist(), close_ticks.tolist(), closeness.tolist(), strict=True
+    ):
         a, b = sampled[first].ticks, sampled[second].ticks
         common = min(a[-1], b[-1]) - max(a[0], b[0]) + 1
         if count >= settings.min_ticks and count >= settings.min_share * common:
-            links.append((float(count), first, second))
+            links.append((strength, first, second))
     return links
 
 

@@ -1,0 +1,78 @@
+"""Parts of a network that may as well be elsewhere: other hypotheses explain the tracks nearly alike.
+
+The two people of a couple match correctly and crosswise: a pair alone often does not tell which is right. Cycles
+do, where pairs of other scanners agree with one of both.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config.settings import GraphSettings, HypothesisSettings
+from calgraph.geometry import Array, se2
+from calgraph.graph.conflicting_evidence import move_part
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.tree_cuts import fundamental_cuts
+
+
+@dataclass(frozen=True)
+class AmbiguousPart:
+    """Scanners that may as well be elsewhere."""
+
+    nodes: tuple[int, ...]
+    """Without the root."""
+    pair: tuple[int, int]
+    """The pair that may be matched in another way."""
+    distance: float
+    """From the position of the second of that pair, relative to the first, to the other one, m."""
+    rotation: float
+    """From its angle to the other one, rad."""
+
+
+def find_ambiguous_parts(
+    graph: PoseGraph,
+    evidence: Array,
+    solution: PoseGraphSolution,
+    settings: GraphSettings = GraphSettings(),
+    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
+) -> list[AmbiguousPart]:
+    """Finds the parts of a network for which another pose has nearly as much evidence as the estimated one.
+
+    Each edge of the maximum spanning tree by evidence defines a fundamental cut. The evidence of the edges across
+    the cut that agree with the poses is compared with that of the edges that agree with the poses where the part
+    is moved to the place that an outlier across the cut implies.
+
+    Args:
+        graph: of :func:`build_network_graph`.
+        evidence: (E,) of its edges.
+        solution: the estimated poses and their inliers.
+        settings: the ratio of evidence.
+        hypothesis_settings: differences up to which two poses are the same.
+    """
+    i, j = graph.edges.T
+    found = []
+    for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
+        across = part[i] != part[j]
+        chosen = float(evidence[across & solution.inliers].sum())
+        others = np.flatnonzero(across & _differing(graph, solution.T_root_node, hypothesis_settings)[0])
+        for edge in others[np.argsort(-evidence[others], kind="stable")].tolist():
+            T = move_part(graph, solution.T_root_node, part, edge)
+            differing, _, _ = _differing(graph, T, hypothesis_settings)
+            if float(evidence[across & ~differing].sum()) <= settings.max_ambiguity * chosen:
+                continue
+            _, distance, rotation = _differing(graph, solution.T_root_node, hypothesis_settings)
+            nodes = tuple(np.flatnonzero(part).tolist())
+            found.append(AmbiguousPart(nodes, (int(i[edge]), int(j[edge])), distance[edge], rotation[edge]))
+            break
+    return found
+
+
+def _differing(
+    graph: PoseGraph, T_root_node: Array, settings: HypothesisSettings
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Which edges (E,) differ from poses by more than equal hypotheses do; distances, m, and angles, rad."""
+    i, j = graph.edges.T
+    error = se2.difference(se2.inverse(T_root_node[i]) @ T_root_node[j], graph.T_i_j)
+    distance, rotation = np.linalg.norm(error[:, :2], axis=1), np.abs(error[:, 2])
+    return (distance > settings.min_couple_shift) | (rotation > settings.same_turn), distance, rotation
