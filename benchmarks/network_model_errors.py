@@ -18,7 +18,6 @@ import argparse
 import csv
 import logging
 import re
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -44,6 +43,11 @@ from network_model_error_kinds import KINDS, ROOMS, build_scenario, list_cases
 
 Key = TypeVar("Key")
 NAN = float("nan")
+HEADER = (
+    f"{'kind':14} {'size':>9} {'room':7} {'runs':>4} {'good':>4} {'weak':>4} {'miss':>4} {'rem.':>4} "
+    f"{'mm':>7} {'max':>7} {'deg':>6} {'max':>6} {'NEES':>7} {'clock':>6} {'max ms':>6} {'out':>4} "
+    f"{'conf':>4} {'gross':>5} {'s':>5}"
+)
 MAX_METRES, MAX_DEGREES = 0.005, 0.1
 """By which a good pose may be outside of its ellipsoid."""
 GROSS_METRES, GROSS_DEGREES = 0.5, 5.0
@@ -133,19 +137,14 @@ def main() -> None:
         tuple(arguments.tolerance),
         arguments.state_height,
     )
-    work = [
-        (kind, size, room, seed, setup)
-        for kind, size in list_cases(arguments.kinds, arguments.sizes)
-        for room in arguments.rooms
-        for seed in arguments.seeds
-    ]
-
-    def progress(done: float) -> None:
-        print(f"\r{done:.0%} of {len(work)} runs", end="", file=sys.stderr, flush=True)
-
-    outcomes = [one for run_outcomes in parallel_map(run, work, arguments.jobs, progress) for one in run_outcomes]
-    print(file=sys.stderr)
-    show(outcomes)
+    print(HEADER)
+    outcomes: list[Outcome] = []
+    for kind, size in list_cases(arguments.kinds, arguments.sizes):
+        work = [(kind, size, room, seed, setup) for room in arguments.rooms for seed in arguments.seeds]
+        found = [one for of_run in parallel_map(run, work, arguments.jobs) for one in of_run]
+        show_case(found)
+        outcomes += found
+    show_totals(outcomes)
     if arguments.csv:
         save_csv(arguments.csv, outcomes)
 
@@ -212,17 +211,15 @@ def judge(
     )
 
 
-def show(outcomes: Sequence[Outcome]) -> None:
-    """Prints a line for each kind, size and room, totals, and each scanner that is confidently wrong."""
-    print(
-        f"{'kind':14} {'size':>9} {'room':7} {'runs':>4} {'good':>4} {'weak':>4} {'miss':>4} {'rem.':>4} "
-        f"{'mm':>7} {'max':>7} {'deg':>6} {'max':>6} {'NEES':>7} {'clock':>6} {'max ms':>6} {'out':>4} "
-        f"{'conf':>4} {'gross':>5} {'s':>5}"
-    )
-    for (kind, size), cases in grouped(outcomes, lambda one: (one.kind, one.size)):
-        rooms = grouped(cases, lambda one: one.room)
-        for room, group in [*rooms, *([("all", cases)] if len(rooms) > 1 else [])]:
-            show_line(f"{kind:14} {KINDS[kind].label(size):>9} {room:7}", group)
+def show_case(outcomes: Sequence[Outcome]) -> None:
+    """Prints a line for each room of one kind and size."""
+    rooms = grouped(outcomes, lambda one: one.room)
+    for room, group in [*rooms, *([("all", outcomes)] if len(rooms) > 1 else [])]:
+        show_line(f"{group[0].kind:14} {KINDS[group[0].kind].label(group[0].size):>9} {room:7}", group)
+
+
+def show_totals(outcomes: Sequence[Outcome]) -> None:
+    """Prints totals, each scanner that is confidently wrong, runs that failed, and all reasons."""
     show_line(f"{'total':14} {'':>9} {'all':7}", outcomes)
     good = [one for one in outcomes if one.grade == "good"]
     confident = [one for one in outcomes if one.confidently_wrong]
@@ -255,7 +252,8 @@ def show_line(label: str, group: Sequence[Outcome]) -> None:
         f"{median([one.degrees for one in group]):6.2f} {worst([one.degrees for one in group]):6.2f} "
         f"{mean([one.nees for one in group]):7.2f} {median(clocks):6.1f} {worst(clocks):6.1f} "
         f"{sum(one.outside for one in group):4d} {sum(one.confidently_wrong for one in group):4d} "
-        f"{sum(one.grossly_wrong for one in group):5d} {mean([one.seconds for one in runs.values()]):5.1f}"
+        f"{sum(one.grossly_wrong for one in group):5d} {mean([one.seconds for one in runs.values()]):5.1f}",
+        flush=True,
     )
 
 
