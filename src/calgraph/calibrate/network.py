@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.scanner_pairs import describe_ambiguous_parts, pair_scanners
 from calgraph.calibrate.strategies import select_averaging
-from calgraph.calibrate.track_recording import moving_target, scanner_noise, track_people
+from calgraph.calibrate.track_recording import moving_target, scanner_spec, track_people
 from calgraph.captures import InputFinding, InputMonitor
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
@@ -104,6 +104,7 @@ def calibrate_tracks(
             [tracked[name] for name in names],
             averaged,
             graph,
+            uncertainties=[scanner_spec(name, rig.sensors[name]).uncertainty for name in names],
             settings=rig.settings.estimation.network,
             acceleration_density=rig.settings.tracking.acceleration_density,
             pair_settings=settings,
@@ -178,7 +179,7 @@ def _complete_tracks(
     if unknown:
         raise InputError(f"tracks: must be of {', '.join(rig.sensors)}, got {', '.join(sorted(unknown))}")
     for name, spec in rig.sensors.items():
-        scanner_noise(name, spec)
+        scanner_spec(name, spec)
     return {name: tracks.get(name, Rejected("no tracks were given")) for name in rig.sensors}
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.captures import InputMonitor, to_scans
-from calgraph.config import Cylinder, Lidar2dSpec, People, RangeNoise, Rig, SensorSpec
+from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
 from calgraph.tracking import ScannerTracks, ScanRun, ScanStackBuilder, track_scanners
@@ -23,7 +23,7 @@ def track_people(
 ) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str]]:
     """The tracks of each scanner, and the frames that their messages state; a monitor observes the messages."""
     target = moving_target(rig)
-    noise = {name: scanner_noise(name, spec) for name, spec in rig.sensors.items()}
+    noise = {name: scanner_spec(name, spec).noise for name, spec in rig.sensors.items()}
     tracks: dict[str, ScannerTracks | Rejected] = {}
     frames: dict[str, str] = {}
     for names in _memory_batches(rig, recording):
@@ -52,11 +52,11 @@ def moving_target(rig: Rig) -> People | Cylinder:
     return rig.target
 
 
-def scanner_noise(name: str, spec: SensorSpec) -> RangeNoise:
-    """The noise of a scanner; raises InputError for any other sensor."""
+def scanner_spec(name: str, spec: SensorSpec) -> Lidar2dSpec:
+    """The same for a scanner; raises InputError for any other sensor."""
     if not isinstance(spec, Lidar2dSpec):
         raise InputError(f"sensors.{name}.kind: only 2-D scanners (lidar2d) track people, got {spec.kind}")
-    return spec.noise
+    return spec
 
 
 def _memory_batches(rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:

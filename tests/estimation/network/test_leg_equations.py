@@ -22,7 +22,6 @@ def random_step(rng: np.random.Generator, state: NetworkState) -> tuple[list[Arr
     for path in state.paths:
         steps.append(rng.normal(0, 1e-3, path.control.size + 5 + 3))
     scanners = rng.normal(0, 1e-3, (3, SCANNER))
-    scanners[:, 4:] = 0
     return steps, scanners.ravel()
 
 
@@ -47,7 +46,7 @@ def test_gradient_is_the_derivative_of_the_cost(network: tuple[NetworkProblem, N
     for _ in range(3):
         steps, scanners = random_step(rng, state)
         costs = [linearize_network(problem, move(state, steps, scanners, h)).cost for h in (1e-4, -1e-4)]
-        assert slope(equations, steps, scanners) == pytest.approx((costs[0] - costs[1]) / 2e-4, rel=1e-4)
+        assert slope(equations, steps, scanners) == pytest.approx((costs[0] - costs[1]) / 2e-4, rel=5e-4)
 
 
 def test_solution_recovers_scanners_and_shapes(network: tuple[NetworkProblem, NetworkState]) -> None:

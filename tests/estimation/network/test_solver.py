@@ -112,16 +112,14 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
         at = stamps - state.clock_offset[scans.scanner] - drift * (stamps - MID_TIME)
         pose = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2])
         T = state.T_root_scanner[scans.scanner]
-        mean = scans.direction.reshape(-1, beams, 2).mean(axis=1)
-        turn = angle_scale * np.repeat(np.arctan2(mean[:, 1], mean[:, 0]), beams)
-        angle = np.arctan2(scans.direction[:, 1], scans.direction[:, 0]) + turn
+        angle = (1 + angle_scale) * np.arctan2(scans.direction[:, 1], scans.direction[:, 0])
         direction = np.column_stack([np.cos(angle), np.sin(angle)]) @ T[:2, :2].T
         origin, radii = (np.broadcast_to(v, direction.shape) for v in (T[:2, 2], body_path.radii))
-        excess = bias + range_scale * np.repeat(scans.ranges.reshape(-1, beams).mean(axis=1), beams)
-        predicted = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges + excess
-        found.append((predicted - scans.ranges) / SIGMA)
+        true = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges
+        found.append(((1 + range_scale) * true + bias - scans.ranges) / SIGMA)
     h, path = body.knots.step, body_path.control
-    found.append((np.diff(path[:, :2], n=2, axis=0) / np.sqrt(h**3 * 0.5)).ravel())
+    stretch = 1 + np.mean(state.systematic[:, 1])
+    found.append((stretch * np.diff(path[:, :2], n=2, axis=0) / np.sqrt(h**3 * 0.5)).ravel())
     found.append(np.diff(path[:, 2]) / np.sqrt(h * 5.0))
     found.append((body_path.radii - body.radii) / body.radii_sigma)
     found.append(state.clock_offset / CLOCK_SIGMA)
@@ -382,10 +380,10 @@ def test_the_gradient_by_headings_includes_the_direction_of_motion(rng: np.rando
 
 def test_missed_beams_cost_as_stated_and_do_not_pull(rng: np.random.Generator) -> None:
     net, _ = build_network(rng)
-    hits = RaycastHits(np.array([np.nan, 2.0, 2.0]), np.array([np.nan, 0.04, 0.06]), np.ones((3, 5)))
+    hits = RaycastHits(np.array([np.nan, 2.0, 2.0]), np.array([np.nan, 0.04, 0.06]), np.ones((3, 7)))
     residual, jacobian = compute_residuals(net, replace(net.bodies[0].scans[0], ranges=np.ones(3)), hits)
     np.testing.assert_allclose(residual, [4.0, 4.0, 1.0 / SIGMA])
-    np.testing.assert_allclose(jacobian, np.outer([0.0, 0.0, 1.0 / SIGMA], np.ones(6)))
+    np.testing.assert_allclose(jacobian, np.outer([0.0, 0.0, 1.0 / SIGMA], np.ones(7)))
 
 
 def test_radii_stay_above_two_centimetres(rng: np.random.Generator) -> None:

@@ -138,7 +138,7 @@ def _split_body(solved: SolvedNetwork, index: int, interval: float) -> Iterator[
         first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
         sums = build_scan_equations(network, state, path, scans, pose, rate)
         sums = sums.marginalize_model_error(network.model_error_variance[[0, 0, 1]])
-        J = _total_jacobian(solved, scans, k, (first, weights, pose, rate), by_path, by_shape)
+        J = _total_jacobian(solved, scans, k, path.radii, (first, weights, pose, rate), by_path, by_shape)
         part = part_of(compute_root_times(network, state, scans))
         np.add.at(information, part, np.swapaxes(J, 1, 2) @ sums.information @ J)
         np.add.at(gradient, part, np.einsum("vpq,vp->vq", J, sums.gradient))
@@ -160,15 +160,16 @@ def _total_jacobian(
     solved: SolvedNetwork,
     scans: BodyScans,
     k: int,
+    radii: Array,
     evaluated: tuple[Index, Array, Array, Array],
     by_path: Array,
     by_shape: Array,
 ) -> Array:
-    """(V, 6, UL) derivatives of a body's pose, radii and range error in the scans of its k-th scanner."""
+    """(V, 7, UL) derivatives of the parameters of :class:`ScanEquations` in the scans of a body's k-th scanner."""
     first, weights, pose, rate = evaluated
-    J = np.zeros((len(pose), 6, by_shape.shape[1]))
+    J = np.zeros((len(pose), 7, by_shape.shape[1]))
     columns = slice(SCANNER_UNKNOWNS * k, SCANNER_UNKNOWNS * (k + 1))
-    J[..., columns] = compute_scanner_jacobian(solved.problem, solved.state, scans, pose, rate)
+    J[..., columns] = compute_scanner_jacobian(solved.problem, solved.state, scans, radii, pose, rate)
     for i in range(4):
         J[:, :3] -= weights[:, i, None, None] * by_path[first + i]
     J[:, 3:5] -= by_shape

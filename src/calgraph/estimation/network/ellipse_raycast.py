@@ -17,7 +17,7 @@ class RaycastHits:
     """(N,) cosines of the angles between beams and outline normals, 0..1; NaN likewise."""
     jacobian: Array
     """(N, 5) of the ranges by the ellipse's position (2, m) and heading (rad) in the beams' frame, and its radii
-    (2, m)."""
+    (2, m); predicted measurements have more columns."""
 
 
 def raycast_ellipses(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> RaycastHits:

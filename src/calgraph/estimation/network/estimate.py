@@ -44,6 +44,7 @@ from calgraph.estimation.network.solver import (
     raycast_body,
 )
 from calgraph.estimation.network.splines import Knots
+from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.track_association import BodyTracks, group_tracks_by_body
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, se2
@@ -107,7 +108,7 @@ def solve_network(
     graph: PoseGraph,
     *,
     estimate_clocks: bool = True,
-    uncertainties: Sequence[Lidar2dUncertainty] | None = None,
+    uncertainties: Sequence[Lidar2dUncertainty] = (),
     prior: ScannerPrior | None = None,
     settings: NetworkEstimationSettings = NetworkEstimationSettings(),
     acceleration_density: float = TrackingSettings().acceleration_density,
@@ -121,7 +122,7 @@ def solve_network(
         averaged: start poses, and the pairs that are inliers.
         graph: of these pairs.
         estimate_clocks: whether the scanners' clocks may differ.
-        uncertainties: prior standard deviations of systematic errors of each scanner; exact if left out.
+        uncertainties: prior standard deviations of systematic errors of each scanner; the defaults if left out.
         prior: of scanner poses, from an earlier calibration.
         settings: of the estimate.
         acceleration_density: spectral density of a body's acceleration, m²/s³.
@@ -144,6 +145,9 @@ def solve_network(
     )
     errors = settings.model_error
     background = np.array([scanner.sigma for scanner in tracked])
+    prior_sigma = collect_prior_sigma(
+        uncertainties or [Lidar2dUncertainty()] * len(tracked), estimate_clocks=estimate_clocks
+    )
     network = NetworkProblem(
         len(tracked),
         tuple(_build_observations(body, target, settings) for body in bodies),
@@ -151,9 +155,7 @@ def solve_network(
         range_sigma=background,
         model_error_variance=np.array([errors.initial_position_sigma, errors.initial_heading_sigma]) ** 2,
         clock_sigma=settings.clock_sigma if estimate_clocks else 0.0,
-        systematic_sigma=np.zeros((len(tracked), len(SYSTEMATIC_ERRORS)))
-        if uncertainties is None
-        else collect_prior_sigma(uncertainties, estimate_clocks=estimate_clocks),
+        systematic_sigma=prior_sigma,
         mid_time=(bodies[0].start + max(body.end for body in bodies)) / 2 if bodies else 0.0,
         acceleration_density=acceleration_density,
         settings=settings,
@@ -184,15 +186,15 @@ def solve_network(
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
-        systematic=SystematicErrors(state.systematic, stddev, network.systematic_sigma),
+        systematic=SystematicErrors(state.systematic, stddev, prior_sigma),
     )
 
 
 def _solve_bodies(
     network: NetworkProblem, state: NetworkState, edges: Sequence[WallConstraint], add_walls: AddWalls
 ) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
-    """Solves for scanners and ellipses; the noise of the given network is that of the background."""
-    settings, background = network.settings, network.range_sigma
+    """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
+    settings, background, prior_sigma = network.settings, network.range_sigma, network.systematic_sigma
     network = replace(network, walls=select_bridges(network, (), edges))
     for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
@@ -203,7 +205,11 @@ def _solve_bodies(
     for _ in range(settings.max_rounds):
         range_sigma = estimate_range_noise(network, state, equations, background)
         network = _update_weights(replace(network, range_sigma=range_sigma), state)
-        network = replace(network, model_error_variance=estimate_model_error(network, state))
+        network = replace(
+            network,
+            model_error_variance=estimate_model_error(network, state),
+            systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma),
+        )
         network = add_walls(network, state)
         state, equations = optimize_network(network, state, iterations=settings.iterations)
         if np.all(np.abs(network.model_error_variance / previous - 1) < settings.model_error.tolerance):

@@ -4,6 +4,8 @@ The outline of a leg differs from the model in a way that depends on the side fr
 bias of each scanner and leg stands for that; the elimination of the leg marginalises it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from calgraph.config.settings import LegSettings
@@ -12,7 +14,9 @@ from calgraph.estimation.network.leg_raycast import LegHits, raycast_legs
 from calgraph.estimation.network.path_equations import (
     EARLIER,
     LATER,
+    add_stretch,
     compute_smoothness_information,
+    compute_stretch,
     evaluate_at,
     index_scans,
     sum_between_knots,
@@ -20,9 +24,12 @@ from calgraph.estimation.network.path_equations import (
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import ScanEquations, ScanTerms
 from calgraph.estimation.network.scanner_unknowns import (
+    FIRST_SYSTEMATIC,
+    RANGE_SCALE,
     SCANNER_UNKNOWNS,
-    compute_scan_errors,
     compute_scanner_jacobian,
+    compute_turns,
+    predict_measured_ranges,
 )
 from calgraph.estimation.network.schur import BodyEquations
 from calgraph.geometry import Array, Index
@@ -34,17 +41,27 @@ _POSITION_RIDGE, _HEADING_RIDGE = 1e-3, 1e-2
 def raycast_leg(
     network: NetworkProblem, state: NetworkState, path: LegPath, scans: BodyScans, pose: Array, rate: Array
 ) -> LegHits:
-    """Predicted ranges to a leg with the given pose and rate (V, 3) at the scans' times, without its bias."""
+    """Predicted measurements of a leg with the given pose and rate (V, 3) at the scans' times, without its bias.
+
+    Their Jacobian has the columns of :class:`LegHits`, an error of all ranges (m), and the angle scale.
+    """
     scan = index_scans(scans)
     T = state.T_root_scanner[scans.scanner]
     x, y, heading = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
-    excess, turn = (values[scan] for values in compute_scan_errors(state, scans))
     direction = T[:2, :2] @ scans.direction.T
-    direction = direction + turn * np.stack([-direction[1], direction[0]])
+    direction = direction + compute_turns(state, scans) * np.stack([-direction[1], direction[0]])
     body = network.settings.legs.body
-    return raycast_legs(
+    hits = raycast_legs(
         T[:2, 2], direction.T, np.stack([x, y], axis=1), heading, path.shape, body.harmonics, body.max_edge_ratio
-    ).add_to_ranges(excess)
+    )
+    jacobian = (1 + state.systematic[scans.scanner, RANGE_SCALE]) * hits.jacobian
+    # A rotation of the beam acts like the opposite one of the leg about the scanner.
+    by_rotation = (y - T[1, 2]) * jacobian[:, 0] - (x - T[0, 2]) * jacobian[:, 1] - jacobian[:, 2]
+    return replace(
+        hits,
+        ranges=predict_measured_ranges(state, scans.scanner, hits.ranges),
+        jacobian=np.column_stack([jacobian, np.ones(len(scan)), scans.azimuth * by_rotation]),
+    )
 
 
 def compute_leg_residuals(
@@ -63,10 +80,8 @@ def linearize_leg_scans(
     first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
     hits = raycast_leg(network, state, path, scans, pose, rate)
     residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
-    jacobian = np.column_stack([hits.jacobian, np.ones(len(residual))]) / sigma[:, None]
-    G = np.zeros((len(pose), 4 + shapes, SCANNER_UNKNOWNS))
-    G[:, [0, 1, 2, -1]] = compute_scanner_jacobian(network, state, scans, pose, rate)[:, [0, 1, 2, 5]]
-    equations = _sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
+    G = _compute_scanner_jacobian(network, state, path, scans, pose, rate)
+    equations = _sum_over_scans(residual, hits.jacobian / sigma[:, None], scans.weight, scans.first_beam)
     shape_columns = np.concatenate([np.arange(shapes), [shapes + k]])
     return ScanTerms(first, weights, equations, G, 3 + np.arange(shapes + 1), shape_columns)
 
@@ -78,8 +93,10 @@ def linearize_leg(
     settings = network.settings.legs
     count, local = leg.knots.count, len(path.shape) + len(leg.scans)
     size = local + SCANNER_UNKNOWNS * len(leg.scans)
-    band, gradient, cost = _linearize_leg_path(leg, path, settings)
-    border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
+    stretch = compute_stretch(state, leg)
+    band, gradient, cost = _linearize_leg_path(leg, path, settings, stretch)
+    parts = border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
+    add_stretch(parts, path.control[:, :2], gradient[:, :2], stretch, len(leg.scans))
     mean, sigma = compute_shape_prior(settings.body)
     information = np.concatenate([sigma**-2, np.full(len(leg.scans), 1 / leg.bias_variance)])
     deviation = np.concatenate([path.shape - mean, path.bias])
@@ -96,13 +113,13 @@ def linearize_leg(
         own = terms.shape_columns
         flat = G.reshape(-1, SCANNER_UNKNOWNS)
         corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
-        corner[np.ix_(own, own)] += A[:, 3:, 3:].sum(axis=0)
-        mixed = AG[:, 3:].sum(axis=0)
+        corner[np.ix_(own, own)] += A[:, 3:-1, 3:-1].sum(axis=0)
+        mixed = AG[:, 3:-1].sum(axis=0)
         corner[own, columns] += mixed
         corner[columns, own] += mixed.T
         corner_gradient[columns] += flat.T @ b.ravel()
-        corner_gradient[own] += b[:, 3:].sum(axis=0)
-        values = [b[:, :3], A[:, :3, 3:].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)]
+        corner_gradient[own] += b[:, 3:-1].sum(axis=0)
+        values = [b[:, :3], A[:, :3, 3:-1].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)]
         sums = sum_between_knots(terms.first, terms.weights, np.concatenate(values, axis=1), count)
         by_path, by_own, by_scanner = np.split(sums, [3, 3 + 3 * len(own)], axis=2)
         for i in range(4):
@@ -131,11 +148,27 @@ def _sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam:
     return ScanEquations(total[:, :-1, :-1], total[:, :-1, -1], 0.5 * total[:, -1, -1])
 
 
-def _linearize_leg_path(leg: LegObservations, path: LegPath, settings: LegSettings) -> tuple[Array, Array, float]:
+def _compute_scanner_jacobian(
+    network: NetworkProblem, state: NetworkState, path: LegPath, scans: BodyScans, pose: Array, rate: Array
+) -> Array:
+    """(V, n, U) of the columns of :func:`raycast_leg` by the scanner's unknowns."""
+    G = np.zeros((len(pose), 5 + len(path.shape), SCANNER_UNKNOWNS))
+    common = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
+    G[:, [0, 1, 2, -2, -1]] = common[:, [0, 1, 2, 5, 6]]
+    # All lengths of the shape scale with ranges but the amplitudes of the ellipse, which are relative.
+    lengths = path.shape.copy()
+    lengths[1:3] = 0
+    G[:, 3:-2, FIRST_SYSTEMATIC + RANGE_SCALE] = lengths / (1 + state.systematic[scans.scanner, RANGE_SCALE])
+    return G
+
+
+def _linearize_leg_path(
+    leg: LegObservations, path: LegPath, settings: LegSettings, stretch: float
+) -> tuple[Array, Array, float]:
     """Smoothness of position and heading, and the heading along the walk: band, gradient and cost."""
     control, step = path.control, leg.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
-    smooth = compute_smoothness_information(step, leg.acceleration_density)
+    smooth = stretch**2 * compute_smoothness_information(step, leg.acceleration_density)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
     for i in range(3):
         gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend

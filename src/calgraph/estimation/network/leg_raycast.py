@@ -17,7 +17,7 @@ continued linearly: beams near the edge determine the radius.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,10 +38,6 @@ class LegHits:
     jacobian: Array
     """(N, 3 + B) of the ranges by position (2, m) and heading (rad) of the leg in the beams' frame, and by the
     B parameters of its shape, m."""
-
-    def add_to_ranges(self, excess: Array) -> "LegHits":
-        """The hits of a scanner whose ranges are too long by this much (N,), m."""
-        return replace(self, ranges=self.ranges + excess)
 
 
 def raycast_legs(

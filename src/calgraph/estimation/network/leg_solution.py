@@ -19,6 +19,7 @@ from calgraph.estimation.network.leg_tracks import track_legs
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.solver import NetworkEquations, optimize_network
+from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array
 from calgraph.tracking import Foreground, cluster_legs
@@ -33,7 +34,7 @@ def solve_legs(
     """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
 
     Args:
-        network: whose bodies are replaced; its noise is that of the background.
+        network: whose bodies are replaced, with the noise of the background and the priors of rig.yaml.
         state: with start poses and clocks.
         foregrounds: of each scanner.
         add_walls: registers the static backgrounds.
@@ -42,6 +43,7 @@ def solve_legs(
         The problem of the last round, with its minimum and the normal equations there.
     """
     settings, background = network.settings.legs, network.range_sigma
+    prior_sigma = systematic_sigma = network.systematic_sigma
     clusters = [cluster_legs(*pair, settings.clusters) for pair in zip(foregrounds, background, strict=True)]
     beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
     noise = LegNoise(
@@ -54,6 +56,7 @@ def solve_legs(
         candidates = [initialize_leg(track, settings) for track in tracks]
         clocks = state.clock_offset
         for round_ in range(settings.rounds):
+            network = replace(network, systematic_sigma=systematic_sigma)
             network, state, candidates = _associate(network, state, candidates, beams, noise)
             # The averaged poses may be too far off for the registration of walls.
             if tracking + round_ > 0:
@@ -64,6 +67,7 @@ def solve_legs(
                 replace(candidate, path=path) for candidate, (_, path) in zip(candidates, legs, strict=True)
             ]
             noise = estimate_noise(network, state, equations, legs, background)
+            systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma)
         if tracking > 0 and np.abs(state.clock_offset - clocks).max() < settings.clock_tolerance:
             break
     return network, state, equations

@@ -30,19 +30,9 @@ class BodyScans:
     """(N,) robust weights, 0 to 1."""
 
     @cached_property
-    def mean_range(self) -> Array:
-        """(V,) m."""
-        return self._mean_over_scans(self.ranges)
-
-    @cached_property
-    def mean_azimuth(self) -> Array:
-        """(V,) of the mean beam direction in the scanner frame, rad."""
-        x, y = (self._mean_over_scans(component) for component in self.direction.T)
-        return np.arctan2(y, x)
-
-    def _mean_over_scans(self, values: Array) -> Array:
-        counts = np.diff(self.first_beam, append=len(values))
-        return np.asarray(np.add.reduceat(values, self.first_beam) / counts)
+    def azimuth(self) -> Array:
+        """(N,) of the beams in the scanner frame, rad."""
+        return np.asarray(np.arctan2(self.direction[:, 1], self.direction[:, 0]))
 
 
 @dataclass(frozen=True, eq=False)

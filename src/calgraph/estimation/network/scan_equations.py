@@ -1,4 +1,4 @@
-"""Normal equations of a body's pose and radii and of a range error, summed over the beams of each scan.
+"""Normal equations of a body's pose and radii and of errors of beams, summed over the beams of each scan.
 
 People are not ellipses on smooth curves: arms swing, shoulders turn. These errors are common to all beams of a
 scan, so that more beams do not average them. Each scan therefore has an unknown displacement of the body's pose
@@ -12,18 +12,21 @@ import numpy as np
 from calgraph.estimation.marginalization import marginalize_bias
 from calgraph.geometry import Array, Index
 
-# Upper triangle of the products of six derivatives (pose, radii, range error) and the residual.
-_ROWS, _COLUMNS = np.triu_indices(7)
+# Upper triangle of the products of seven derivatives and the residual.
+_ROWS, _COLUMNS = np.triu_indices(8)
 
 
 @dataclass(frozen=True, eq=False)
 class ScanEquations:
-    """Normal equations of V scans, each over the body's pose (3) and radii (2) and an error of all ranges (1)."""
+    """Normal equations of V scans.
+
+    The parameters of each are the body's pose (3) and radii (2), an error of all ranges (m) and the angle scale.
+    """
 
     information: Array
-    """(V, 6, 6)."""
+    """(V, 7, 7)."""
     gradient: Array
-    """(V, 6)."""
+    """(V, 7)."""
     cost: Array
     """(V,) half the sum of squared whitened residuals."""
 
@@ -55,7 +58,7 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
 
     Args:
         residual: (N,) whitened.
-        jacobian: (N, 6) whitened.
+        jacobian: (N, 7) whitened.
         weight: (N,).
         first_beam: (V,) the first beam of each scan.
     """
@@ -63,6 +66,6 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
     weighted = weight * rows
     # One product at a time over all beams: scans have few beams, and there are many scans.
     products = [np.add.reduceat(weighted[i] * rows[j], first_beam) for i, j in zip(_ROWS, _COLUMNS, strict=True)]
-    total = np.empty((len(first_beam), 7, 7))
+    total = np.empty((len(first_beam), 8, 8))
     total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
-    return ScanEquations(total[:, :6, :6], total[:, :6, 6], 0.5 * total[:, 6, 6])
+    return ScanEquations(total[:, :7, :7], total[:, :7, 7], 0.5 * total[:, 7, 7])

@@ -1,7 +1,7 @@
 """The unknowns of a scanner, and how they act on its scans.
 
-Besides pose and clock offset, these are the systematic errors of ranges, angles and clock. Errors of ranges and
-angles change by less than a millimetre over the width of a body: each scan has those of its mean beam.
+Besides pose and clock offset, these are the systematic errors of ranges, angles and clock. A range scale acts like
+larger distances and radii of bodies.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,8 @@ SCANNER_UNKNOWNS = 4 + len(SYSTEMATIC_ERRORS)
 """Pose (3), clock offset, and systematic errors."""
 CLOCK, FIRST_SYSTEMATIC = 3, 4
 """Columns of the clock offset and of the first systematic error."""
-_RANGE_BIAS, _RANGE_SCALE, _ANGLE_SCALE, _CLOCK_DRIFT = range(len(SYSTEMATIC_ERRORS))
+RANGE_BIAS, RANGE_SCALE, ANGLE_SCALE, CLOCK_DRIFT = range(len(SYSTEMATIC_ERRORS))
+"""Columns of the systematic errors."""
 _UNITS = ("m", "", "", "")
 # Values of an exact scanner: scales are stated as factors.
 _STATED = (0.0, 1.0, 1.0, 0.0)
@@ -56,37 +57,43 @@ class SystematicErrors:
 def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
     """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference."""
     sigma = np.array([[u.range_bias, u.range_scale, u.angle_scale, u.clock_drift] for u in uncertainties])
-    sigma[slice(0, 1) if estimate_clocks else slice(None), _CLOCK_DRIFT] = 0
+    sigma[slice(0, 1) if estimate_clocks else slice(None), CLOCK_DRIFT] = 0
     return sigma
 
 
 def compute_root_times(network: NetworkProblem, state: NetworkState, scans: BodyScans) -> Array:
     """(V,) times of scans by the root's clock, s."""
-    drift = state.systematic[scans.scanner, _CLOCK_DRIFT] * (scans.times - network.mid_time)
+    drift = state.systematic[scans.scanner, CLOCK_DRIFT] * (scans.times - network.mid_time)
     return np.asarray(scans.times - state.clock_offset[scans.scanner] - drift)
 
 
-def compute_scan_errors(state: NetworkState, scans: BodyScans) -> tuple[Array, Array]:
-    """Excess (V,) of measured ranges, m, and the angle (V,) from stated to true beam directions, rad."""
-    systematic = state.systematic[scans.scanner]
-    excess = systematic[_RANGE_BIAS] + systematic[_RANGE_SCALE] * scans.mean_range
-    return excess, systematic[_ANGLE_SCALE] * scans.mean_azimuth
+def predict_measured_ranges(state: NetworkState, scanner: int, ranges: Array) -> Array:
+    """The ranges that a scanner measures instead of true ones, m."""
+    systematic = state.systematic[scanner]
+    return np.asarray((1 + systematic[RANGE_SCALE]) * ranges + systematic[RANGE_BIAS])
+
+
+def compute_turns(state: NetworkState, scans: BodyScans) -> Array:
+    """(N,) angles from stated to true beam directions, rad."""
+    return np.asarray(state.systematic[scans.scanner, ANGLE_SCALE] * scans.azimuth)
 
 
 def compute_scanner_jacobian(
-    network: NetworkProblem, state: NetworkState, scans: BodyScans, pose: Array, rate: Array
+    network: NetworkProblem, state: NetworkState, scans: BodyScans, radii: Array, pose: Array, rate: Array
 ) -> Array:
-    """(V, 6, U) of a body's relative pose, its radii and the range error, by the scanner's unknowns."""
-    G = np.zeros((len(pose), 6, SCANNER_UNKNOWNS))
+    """(V, 7, U) of the parameters of :class:`ScanEquations` by the scanner's unknowns."""
+    G = np.zeros((len(pose), 7, SCANNER_UNKNOWNS))
     arm = pose[:, :2] - state.T_root_scanner[scans.scanner, :2, 2]
     G[:, 0, 0] = G[:, 1, 1] = G[:, 2, 2] = -1
     G[:, 0, 2], G[:, 1, 2] = arm[:, 1], -arm[:, 0]
     G[:, :3, CLOCK] = -rate
     systematic = G[..., FIRST_SYSTEMATIC:]
-    systematic[:, 5, _RANGE_BIAS] = 1
-    systematic[:, 5, _RANGE_SCALE] = scans.mean_range
-    systematic[:, :3, _ANGLE_SCALE] = G[:, :3, 2] * scans.mean_azimuth[:, None]
-    systematic[:, :3, _CLOCK_DRIFT] = G[:, :3, CLOCK] * (scans.times - network.mid_time)[:, None]
+    systematic[:, 5, RANGE_BIAS] = 1
+    # Ranges are homogeneous in relative positions and radii (Euler's theorem).
+    systematic[:, :2, RANGE_SCALE] = arm / (1 + state.systematic[scans.scanner, RANGE_SCALE])
+    systematic[:, 3:5, RANGE_SCALE] = radii / (1 + state.systematic[scans.scanner, RANGE_SCALE])
+    systematic[:, 6, ANGLE_SCALE] = 1
+    systematic[:, :3, CLOCK_DRIFT] = G[:, :3, CLOCK] * (scans.times - network.mid_time)[:, None]
     return G
 
 

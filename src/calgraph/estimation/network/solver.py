@@ -6,7 +6,7 @@ is eliminated on its own, which leaves a small dense problem over scanners, howe
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from calgraph.estimation.network.leg_problem import LegObservations, LegPath
 from calgraph.estimation.network.path_equations import (
     EARLIER,
     LATER,
+    add_stretch,
     compute_smoothness_information,
+    compute_stretch,
     evaluate_at,
     index_scans,
     sum_between_knots,
@@ -39,9 +41,11 @@ from calgraph.estimation.network.scanner_unknowns import (
     BEAM_ERRORS,
     CLOCK,
     FIRST_SYSTEMATIC,
+    RANGE_SCALE,
     SCANNER_UNKNOWNS,
-    compute_scan_errors,
     compute_scanner_jacobian,
+    compute_turns,
+    predict_measured_ranges,
 )
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.geometry import Array, Index, se2
@@ -189,9 +193,11 @@ def _linearize_body(
 ) -> tuple[BodyEquations, float]:
     """The equations of an ellipse and its cost."""
     count, size = body.knots.count, 2 + SCANNER_UNKNOWNS * len(body.scans)
-    band, gradient, cost = _linearize_path_prior(network, body, path)
-    border = np.zeros((count, 3, size))
-    corner, corner_gradient = np.zeros((size, size)), np.zeros(size)
+    scanners = np.array([scans.scanner for scans in body.scans], dtype=np.intp)
+    stretch = compute_stretch(state, body)
+    band, gradient, cost = _linearize_path_prior(network, body, path, stretch)
+    parts = border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
+    add_stretch(parts, path.control[:, :2], gradient[:, :2], stretch, len(scanners))
     radii_information = body.radii_sigma**-2
     corner[[0, 1], [0, 1]] += radii_information
     corner_gradient[:2] += radii_information * (path.radii - body.radii)
@@ -204,7 +210,7 @@ def _linearize_body(
         )
         A, b = equations.information, equations.gradient
         cost += float(equations.cost.sum())
-        G = compute_scanner_jacobian(network, state, scans, pose, rate)
+        G = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
         AG = A @ G
         columns = slice(2 + SCANNER_UNKNOWNS * k, 2 + SCANNER_UNKNOWNS * (k + 1))
         flat = G.reshape(-1, SCANNER_UNKNOWNS)
@@ -230,35 +236,40 @@ def _linearize_body(
         border[i : count - 3 + i, :, :2] += singles[i, :, 3:].reshape(-1, 3, 2)
     for earlier, later, block in zip(EARLIER, LATER, pairs, strict=True):
         band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
-    scanners = np.array([scans.scanner for scans in body.scans], dtype=np.intp)
     scanner_columns = (SCANNER_UNKNOWNS * scanners[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel()
     return BodyEquations(band, gradient, border, corner, corner_gradient, scanner_columns), cost
 
 
 def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array) -> RaycastHits:
-    """Predicted measurements of a body with the given pose and rate (V, 3) at the scans' times."""
+    """Predicted measurements of a body with the given pose and rate (V, 3) at the scans' times.
+
+    Their Jacobian (N, 7) is by the parameters of :class:`ScanEquations`.
+    """
     scan = index_scans(scans)
     T = state.T_root_scanner[scans.scanner]
     # Components as separate arrays, for speed.
     x, y, _ = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
     cos, sin = np.cos(pose[:, 2])[scan], np.sin(pose[:, 2])[scan]
     axis = rotate_by_small_angles(cos, sin, scans.beam_delay * rate[scan, 2])
-    excess, turn = compute_scan_errors(state, scans)
     direction = T[:2, :2] @ scans.direction.T
+    turn = compute_turns(state, scans)
     if turn.any():
-        direction = rotate_by_small_angles(direction[0], direction[1], turn[scan])
+        direction = rotate_by_small_angles(direction[0], direction[1], turn)
     hits = raycast_ellipses_by_axis(T[:2, 2], direction.T, np.stack([x, y]).T, axis, path.radii)
-    return replace(hits, ranges=hits.ranges + excess[scan])
+    jacobian, stretch = np.empty((7, len(scan))), 1 + state.systematic[scans.scanner, RANGE_SCALE]
+    jacobian[:5], jacobian[5] = stretch * hits.jacobian.T, 1
+    across = jacobian[1] * direction[0] - jacobian[0] * direction[1]
+    jacobian[6] = -scans.azimuth * hits.ranges * across
+    ranges = predict_measured_ranges(state, scans.scanner, hits.ranges)
+    return RaycastHits(ranges, hits.cos_incidence, jacobian.T)
 
 
 def compute_residuals(network: NetworkProblem, scans: BodyScans, hits: RaycastHits) -> tuple[Array, Array]:
-    """Whitened residuals (N,) of beams, and their derivatives (N, 6) by pose, radii and an error of all ranges."""
+    """Whitened residuals (N,) of beams, and their derivatives as those of the hits."""
     sigma = network.range_sigma[scans.scanner]
     hit = hits.cos_incidence > network.settings.beams.min_hit_cosine
     residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, network.settings.beams.missed_residual)
-    jacobian = np.empty((6, len(hit)))
-    jacobian[:5], jacobian[5] = np.where(hit, hits.jacobian.T / sigma, 0.0), hit / sigma
-    return residual, jacobian.T
+    return residual, np.where(hit[:, None], hits.jacobian / sigma, 0.0)
 
 
 def build_scan_equations(
@@ -270,12 +281,15 @@ def build_scan_equations(
 
 
 def _linearize_path_prior(
-    network: NetworkProblem, body: BodyObservations, path: BodyPath
+    network: NetworkProblem, body: BodyObservations, path: BodyPath, stretch: float
 ) -> tuple[Array, Array, float]:
-    """Smoothness of the path, and people's heading along it: band, gradient and cost."""
+    """Smoothness of the path, and people's heading along it: band, gradient and cost.
+
+    Accelerations are those in measured lengths, ``stretch`` times the true ones.
+    """
     control, step = path.control, body.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
-    smooth = compute_smoothness_information(step, network.acceleration_density)
+    smooth = stretch**2 * compute_smoothness_information(step, network.acceleration_density)
     steady = 1 / (step * network.settings.body.turning_density)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
     for i in range(3):

@@ -1,0 +1,83 @@
+"""Estimates how large the systematic errors of a network's scanners are, from the differences between them.
+
+What all scanners have in common is hardly observable: if all ranges are 0.3 % too long, so is the whole network.
+Their differences are observable, however. The errors of one kind are therefore taken as independent draws from one
+Gaussian, whose standard deviation is an unknown share of that in rig.yaml, with a uniform prior of its logarithm.
+Source: Gelman et al., "Bayesian data analysis", 2013, chapter 5.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.scanner_unknowns import CLOCK, FIRST_SYSTEMATIC, SCANNER_UNKNOWNS
+from calgraph.estimation.network.solver import NetworkEquations
+from calgraph.geometry import Array, Index
+
+# Shares per factor of two: the evidence of a standard deviation changes little from one to the next.
+_SHARES_PER_OCTAVE = 2
+# Sweeps over the kinds of errors; the shares of one kind hardly depend on those of another.
+_SWEEPS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """Gaussian likelihood of N systematic errors, with poses and clock offsets marginalised."""
+
+    information: Array
+    """(N, N)."""
+    score: Array
+    """(N,) information times the most likely errors."""
+    kind: Index
+    """(N,) of ``SYSTEMATIC_ERRORS``."""
+
+    def log_evidence(self, variance: Array) -> float:
+        """Logarithm of the probability of the data for prior variances (N,), up to a constant."""
+        matrix = np.eye(len(variance)) + variance[:, None] * self.information
+        fitted = np.linalg.solve(matrix, variance * self.score)
+        return 0.5 * float(self.score @ fitted - np.linalg.slogdet(matrix)[1])
+
+
+def estimate_systematic_sigma(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
+) -> Array:
+    """(S, 4) standard deviations of systematic errors: root mean square of their share over its posterior.
+
+    Args:
+        network: with the priors of the equations.
+        state: of the equations.
+        equations: near the minimum.
+        prior_sigma: (S, 4) the largest standard deviations; 0 for what is exact.
+    """
+    likelihood, columns = _marginalize_poses(network, state, equations)
+    prior_variance = prior_sigma.ravel()[columns] ** 2
+    octaves = -np.log2(network.settings.min_systematic_share)
+    shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))
+    share = np.ones(prior_sigma.shape[1])
+    for kind in np.tile(np.unique(likelihood.kind), _SWEEPS):
+        log_evidence = np.empty(len(shares))
+        for i, trial in enumerate(shares):
+            share[kind] = trial
+            log_evidence[i] = likelihood.log_evidence(share[likelihood.kind] ** 2 * prior_variance)
+        weight = np.exp(log_evidence - log_evidence.max())
+        share[kind] = np.sqrt(weight @ shares**2 / weight.sum())
+    return prior_sigma * share
+
+
+def _marginalize_poses(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations
+) -> tuple[_Likelihood, Index]:
+    """The likelihood of the estimated systematic errors, and their indices among all (4S)."""
+    H, g, _ = equations.eliminate_bodies()
+    column = equations.unknowns % SCANNER_UNKNOWNS
+    systematic = column > CLOCK
+    kind = column[systematic] - FIRST_SYSTEMATIC
+    columns = equations.unknowns[systematic] // SCANNER_UNKNOWNS * network.systematic_sigma.shape[1] + kind
+    values, sigma = state.systematic.ravel()[columns], network.systematic_sigma.ravel()[columns]
+    poses = np.flatnonzero(~systematic)
+    gain = np.linalg.solve(H[np.ix_(poses, poses)], np.column_stack([H[np.ix_(poses, systematic)], g[poses]]))
+    mixed = H[np.ix_(systematic, poses)]
+    information = H[np.ix_(systematic, systematic)] - np.diag(sigma**-2) - mixed @ gain[:, :-1]
+    gradient = g[systematic] - values / sigma**2 - mixed @ gain[:, -1]
+    return _Likelihood(information, information @ values - gradient, kind), columns
