@@ -62,8 +62,11 @@ def pair_scanners(
             for name, one in tracked.items()
         }
         pairs = _estimate_pairs(rig, tracked, options, rng, progress)
-    findings = _report_findings(rig, solution, clocks)
-    return CorrectedPairs(tracked, pairs, clocks, inverted | solution.inverted, findings)
+    findings = [
+        *_report_findings(rig, solution, clocks),
+        *_find_distant_clocks(rig, tracked, pairs, clocks, options),
+    ]
+    return CorrectedPairs(tracked, pairs, clocks, inverted | solution.inverted, tuple(findings))
 
 
 def _estimate_pairs(
@@ -135,9 +138,7 @@ def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart
     ]
 
 
-def _report_findings(
-    rig: Rig, solution: ClockMountingSolution, clocks: Mapping[str, float]
-) -> tuple[InputFinding, ...]:
+def _report_findings(rig: Rig, solution: ClockMountingSolution, clocks: Mapping[str, float]) -> list[InputFinding]:
     """What was corrected, as remarks; what the tracks do not determine, as reasons for a weak pose."""
     limits = rig.settings.pairwise.scanners.clock_mounting
     findings = [
@@ -175,4 +176,45 @@ def _report_findings(
         )
         for name in solution.contradicted
     ]
-    return tuple(findings)
+    return findings
+
+
+def _find_distant_clocks(
+    rig: Rig,
+    tracked: Mapping[str, ScannerTracks],
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    clocks: Mapping[str, float],
+    options: NetworkOptions,
+) -> list[InputFinding]:
+    """Scanners without pairs whose tracks match those of others with a clock offset beyond the usual search.
+
+    The times of tracks are already corrected by ``clocks``.
+    """
+    settings = rig.settings.pairwise.scanners
+    limits = settings.clock_mounting
+    wide = settings.model_copy(
+        update={"clock_mounting": limits.model_copy(update={"max_clock_offset": limits.max_named_offset})}
+    )
+    connected = {end for ends, found in pairs.items() if isinstance(found, ScannerPairEstimate) for end in ends}
+    findings = []
+    for name in (name for name in tracked if name not in connected):
+        others = [other for other in tracked if other != name]
+        observations = {other: ScannerObservations.from_tracks(tracked[other], settings) for other in tracked}
+        found = search_clocks_and_mountings(
+            [(other, name) for other in others],
+            observations,
+            rig.settings.estimation.network.clock_sigma,
+            np.random.default_rng((options.seed, 2)),
+            jobs=options.jobs,
+            settings=wide,
+        )
+        best = max(found, key=lambda h: h.evidence, default=None)
+        if best and best.evidence >= limits.firm_evidence:
+            offset = best.clock_offset - clocks.get(best.sensor_a, 0.0)
+            findings.append(
+                InputFinding(
+                    f"the clock of {name} may differ from that of {best.sensor_a} by {offset:+.1f} s, more than "
+                    f"the {limits.max_clock_offset:g} s that are corrected: set the clocks, and record again"
+                )
+            )
+    return findings

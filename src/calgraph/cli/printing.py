@@ -32,7 +32,7 @@ def print_calibration(calibration: Calibration) -> None:
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
         table.add_row(
-            escape(sensor.name),
+            escape(sensor.name) + (" (upside-down)" if calibration.planar and T[2, 2] < 0 else ""),
             " ".join(f"{_format_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
             " ".join(f"{_format_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
             *_deviations(sensor),

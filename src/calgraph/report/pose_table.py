@@ -66,6 +66,8 @@ def _render_row(
     is_root = sensor.name == root
     kind = KIND_NAMES[sensor.kind]
     below = f"root · {kind}" if is_root else f"{kind} · parent: {sensor.parent}"
+    if len(turns) == 1 and T[2, 2] < 0:
+        below += " · upside-down"
     positions = (
         f"<td>{format_fixed(T[i, 3], 4)}{'' if is_root else f'<small>± {format_length(sigma[i])}</small>'}</td>"
         for i in axes

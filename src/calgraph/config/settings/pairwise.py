@@ -305,6 +305,8 @@ class ClockMountingSettings(StrictModel):
     max_clock_offset: Positive = 1.0
     """Largest clock offset that is searched, s: clocks set by hand, or drivers that stamp messages on arrival.
     Within it, people take different steps; beyond, they often walk where they have just been."""
+    max_named_offset: Positive = 5.0
+    """The same for scanners without any pair, s: offsets up to it are named, but not corrected."""
     clock_step: Positive = 0.2
     """Step of the search, s: at 1.5 m/s, half a step displaces people by 0.15 m, the registration's largest model
     error."""
