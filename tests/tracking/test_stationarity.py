@@ -137,6 +137,22 @@ def test_a_moving_scanner_is_never_at_rest(speed: float, turn: float) -> None:
     assert analyze(scan_room(SECONDS, motion)).rest_share < SETTINGS.min_rest_share
 
 
+def carry(time: float) -> Array:
+    return se2.pose(0.3 * time, np.array([0.3 * np.sin(time), 0.3 * np.cos(time)]))
+
+
+def test_a_scanner_that_is_carried_at_the_start_is_at_rest_afterwards() -> None:
+    (bump,) = analyze(scan_room(SECONDS, lambda time: carry(min(time, 6.0)))).bumps
+    assert bump.interval[1] == pytest.approx(6.0, abs=1.1)
+    assert np.isnan(bump.translation)
+
+
+def test_a_scanner_that_is_taken_away_is_calibrated_from_before() -> None:
+    start, end = interval(lambda time: carry(max(time, 22.0)))
+    assert start == 0.0
+    assert end == pytest.approx(22.0, abs=1.5)
+
+
 def test_a_short_recording_at_rest_is_at_rest() -> None:
     assert analyze(scan_room(7.0)) == AT_REST
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.special import chdtri
 
@@ -53,6 +54,8 @@ class _Registration:
     """Standard deviation of the windows' ranges, m."""
     place: Index
     """(W,) number of the reference that the window registers to, or why there is none."""
+    unrest: Array
+    """(W,) median difference of the ranges from those of its neighbours, m; infinite without ranges."""
     poses: Array
     """(W, 3) in the frame of the reference."""
     information: Array
@@ -74,13 +77,17 @@ def analyze_stationarity(runs: Sequence[ScanRun], settings: StationaritySettings
         return Stationarity()
     registration = _register(windows, settings)
     pieces, bumps = _measure_bumps(scans, registration, _find_pieces(registration, settings), settings)
-    testable = registration.place != _TOO_LITTLE_BACKGROUND
-    if not testable.any():
+    placed = registration.place >= 0
+    # Windows that register nowhere are those of a moving scanner only if all ranges change.
+    moving = (registration.place == _NOWHERE) & (registration.unrest > settings.max_noise)
+    testable = int(np.sum(placed | moving))
+    if not testable:
         return Stationarity()
     duration = min(settings.min_duration, float(windows.end[-1] - windows.start[0]) / 2) - settings.window
     at_rest = sum(len(piece) for piece in pieces if windows.end[piece[-1]] - windows.start[piece[0]] > duration)
-    rest_share = min(1.0, at_rest / int(testable.sum()))
-    return Stationarity(tuple(bumps), rest_share, tested=bool(testable.mean() >= settings.min_rest_share))
+    tested = bool(np.mean(placed | moving) >= settings.min_rest_share)
+    bumps = _include_motion(windows, pieces, bumps, placed | moving, settings)
+    return Stationarity(tuple(bumps), min(1.0, at_rest / testable), tested)
 
 
 def select_interval(
@@ -131,7 +138,7 @@ def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registra
         placed = pending[agrees]
         place[placed], poses[placed], information[placed] = number, found.poses[agrees], found.information[agrees]
         pending = pending[~agrees & (pending != chosen)]
-    return _Registration(windows, noise, place, poses, information)
+    return _Registration(windows, noise, place, unrest, poses, information)
 
 
 def _median(values: Array) -> float:
@@ -177,7 +184,13 @@ def _split_at_steps(registration: _Registration, members: Index, settings: Stati
         part = stack.pop()
         cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold, settings.min_windows)
         if cut is None:
-            pieces.append(members[part])
+            # The filter hides the end of a motion.
+            off = poses[part] - np.median(poses[part], axis=0)
+            total = inflation * covariance[part] + systematic
+            near = np.sum(off * np.linalg.solve(total, off[..., None])[..., 0], axis=1) <= threshold
+            if near.any():
+                first, last = np.flatnonzero(near)[[0, -1]]
+                pieces.append(members[part[first : last + 1]])
         else:
             stack += [part[cut:], part[:cut]]
     return pieces
@@ -203,6 +216,24 @@ def _systematic_covariance(information: Array, settings: StationaritySettings) -
     floor = np.diag(np.square([settings.translation_error] * 2 + [settings.rotation_error]))
     of_points = settings.surface_error**2 * settings.correlated_points
     return np.asarray(of_points * np.linalg.inv(information) + floor)
+
+
+def _include_motion(
+    windows: ScanWindows,
+    pieces: Sequence[Index],
+    bumps: Sequence[ScannerBump],
+    testable: NDArray[np.bool_],
+    settings: StationaritySettings,
+) -> list[ScannerBump]:
+    """The bumps with those of unknown size before the first and after the last piece, where the scanner moves."""
+    included = list(bumps)
+    if pieces and testable[: pieces[0][0]].sum() >= settings.min_windows:
+        interval = float(windows.start[0]), float(windows.start[pieces[0][0]])
+        included.insert(0, ScannerBump(interval, np.nan, np.nan, 0.0, 0.0))
+    if pieces and testable[pieces[-1][-1] + 1 :].sum() >= settings.min_windows:
+        interval = float(windows.end[pieces[-1][-1]]), float(windows.end[-1])
+        included.append(ScannerBump(interval, np.nan, np.nan, 0.0, 0.0))
+    return included
 
 
 def _measure_bumps(

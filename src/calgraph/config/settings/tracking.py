@@ -208,7 +208,7 @@ class StationaritySettings(StrictModel):
     min_noise: float = Field(default=0.002, gt=0)
     """Least standard deviation of a median range, m: ranges are quantised to 1 to 10 mm."""
     max_noise: float = Field(default=0.02, gt=0)
-    """Largest one, m: the medians of a moving scanner differ by more, which is not noise."""
+    """Largest one, m: the medians of a moving scanner differ by more from one window to the next."""
     initial_scale: float = Field(default=0.3, gt=0)
     """Distance of points from the reference's surfaces at which the loss has half of its weight in the first step,
     m: a scanner turned by 3° moves points at 5 m by 0.26 m."""

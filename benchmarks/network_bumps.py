@@ -1,0 +1,130 @@
+"""Whether scanners of a network that are bumped are found from their static background, and no others.
+
+A row for each bump of a random scanner at a random time, in random direction; and for worlds without a bump.
+Nothing is calibrated: see network_model_errors.py for that.
+
+    python benchmarks/network_bumps.py --seeds 20 --jobs 2
+    python benchmarks/network_bumps.py --seeds 5 --real FOLDER     # real recordings of scanners at rest
+"""
+
+import argparse
+import logging
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calgraph.captures import to_scans
+from calgraph.config.settings import StationaritySettings
+from calgraph.processes import parallel_map
+from calgraph.recording import open_recording
+from calgraph.simulation import NetworkScenario, build_network, simulate_scans
+from calgraph.tracking import stack_scans
+from calgraph.tracking.stationarity import analyze_stationarity
+
+ROOMS = ("office", "lab", "halls")
+SETTINGS = StationaritySettings()
+BUMPS: dict[str, tuple[float, float]] = {
+    "0.3 deg": (0.3, 0.0), "1 deg": (1.0, 0.0), "3 deg": (3.0, 0.0), "10 deg": (10.0, 0.0), "90 deg": (90.0, 0.0),
+    "1 cm": (0.0, 0.01), "3 cm": (0.0, 0.03), "10 cm, 10 deg": (10.0, 0.1),
+}  # fmt: skip
+"""Degrees and m."""
+AT_REST: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "legs": {"people": {"shape": "legs", "count": 4}},
+    "crowd": {"people": {"count": 8}},
+    "chairs": {"chairs": 4},
+    "mirrors": {"mirrors": 2},
+    "mixed": {"errors": {"mixed": True}},
+    "tilt 2 deg": {"errors": {"tilt": 2.0}},
+}
+MAX_SECONDS = 1.0
+"""Error of a bump's time."""
+
+
+class Outcome(NamedTuple):
+    """Of one recording."""
+
+    right: bool
+    """One bump of the right scanner at the right time; no bump where there was none."""
+    millimetres: float
+    degrees: float
+    seconds: float
+    """Errors of its size and time; NaN without one."""
+    runtime: float
+    """Of all scanners, s."""
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--real", type=Path, help="folder of recordings of scanners at rest")
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)
+    print(f"{'world':16}{'right':>12}{'max mm':>8}{'max deg':>9}{'max s':>7}{'ms':>7}  a recording, all scanners")
+    for label in (*BUMPS, *AT_REST):
+        work = [(label, room, seed) for room in ROOMS for seed in range(arguments.seeds)]
+        show(label, parallel_map(check, work, arguments.jobs))
+    if arguments.real:
+        for path in sorted(arguments.real.iterdir()):
+            if path.suffix in (".bag", ".mcap"):
+                show_real(path)
+
+
+def check(label: str, room: str, seed: int) -> Outcome:
+    """Simulates and tests one recording."""
+    scenario: dict[str, Any] = {"layout": room, **AT_REST.get(label, {})}
+    at = float(np.random.default_rng((seed, 7)).uniform(0.1, 0.9))
+    turn, shift = BUMPS.get(label, (0.0, 0.0))
+    if label in BUMPS:
+        scenario["errors"] = {"bump_turn": turn, "bump_shift": shift, "bump_time": at}
+    network = build_network(NetworkScenario.model_validate(scenario), seed)
+    found = []
+    runtime = 0.0
+    for scanner in network.scanners:
+        runs = stack_scans(simulate_scans(network, scanner))
+        began = time.process_time()
+        result = analyze_stationarity(runs, SETTINGS)
+        runtime += time.process_time() - began
+        found += [(bool(scanner.earlier), bump) for bump in result.bumps]
+        if result.rest_share < SETTINGS.min_rest_share:
+            return Outcome(False, np.nan, np.nan, np.nan, runtime)
+    if label not in BUMPS:
+        return Outcome(not found, np.nan, np.nan, np.nan, runtime)
+    if len(found) != 1 or not found[0][0]:
+        return Outcome(False, np.nan, np.nan, np.nan, runtime)
+    bump = found[0][1]
+    late = float(np.mean(bump.interval)) - network.scenario.start_time - at * network.scenario.duration
+    return Outcome(
+        abs(late) < MAX_SECONDS,
+        1000 * abs(bump.translation - shift),
+        abs(abs(float(np.degrees(bump.rotation))) - turn),
+        abs(late),
+        runtime,
+    )
+
+
+def show(label: str, outcomes: list[Outcome]) -> None:
+    """Prints a row."""
+    right = f"{sum(one.right for one in outcomes)} of {len(outcomes)}"
+    errors = np.array([one[1:4] for one in outcomes])
+    worst = np.max(errors, axis=0, initial=0.0, where=np.isfinite(errors))
+    runtime = 1000 * np.mean([one.runtime for one in outcomes])
+    print(f"{label:16}{right:>12}{worst[0]:8.1f}{worst[1]:9.3f}{worst[2]:7.2f}{runtime:7.0f}", flush=True)
+
+
+def show_real(path: Path) -> None:
+    """Prints the bumps of a real recording, by topic of 2-D scans."""
+    with open_recording(path) as recording:
+        for topic in recording.topics:
+            if topic.type.endswith("LaserScan"):
+                runs = stack_scans(to_scans(record.decode() for record in recording.records([topic.name])))
+                result = analyze_stationarity(runs, SETTINGS)
+                print(f"{path.name} {topic.name}: {len(result.bumps)} bumps, at rest {result.rest_share:.0%}")
+
+
+if __name__ == "__main__":
+    main()
