@@ -20,6 +20,7 @@ from calgraph.diagnostics import (
     build_consistent_prior,
     describe_bumps,
     extract_earlier_poses,
+    find_systematic_errors,
     find_track_bump,
     merge_calibrations,
     remove_scanners,
@@ -142,6 +143,9 @@ def calibrate_tracks(
             replaceable=earlier is None,  # averaged poses do not contain the earlier ones
         )
         joint, contradictions = assessment.joint, assessment.findings
+        if joint is not None and joint.systematic:
+            errors = find_systematic_errors(joint.systematic, names, rig.settings.diagnostics.rig)
+            contradictions = (*contradictions, *errors)
     stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
     start = _first_time(tracked) if start is None else start
     findings = [*findings, *describe_bumps(rig.root, tracks, start)]

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
-from calgraph.diagnostics.rig.parameter_description import describe_deviation, format_size
+from calgraph.diagnostics.parameter_description import describe_contradiction, describe_deviation, format_size
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
@@ -122,9 +122,7 @@ def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index
         text += f" (these {len(causes)} cannot be told apart here)"
     parameter, ratio = estimates.parameters[i], abs(estimates.normalized[i])
     return Finding(
-        f"{text}; this is {ratio:.1f} times as much as its uncertainty in rig.yaml, "
-        f"{format_size(parameter.prior_stddev, parameter)}, lets expect: check it, correct rig.yaml or state a "
-        "larger uncertainty there, and calibrate again",
+        describe_contradiction(text, ratio, format_size(parameter.prior_stddev, parameter)),
         affected_sensors(bundle, [k for j in causes for k in estimates.parameters[j].view_sets]),
     )
 

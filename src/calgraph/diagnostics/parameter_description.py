@@ -1,8 +1,8 @@
 """Deviations of systematic parameters in words."""
 
-import numpy as np
+from typing import Protocol
 
-from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+import numpy as np
 
 # By quantity, what a positive and what a negative deviation means.
 _MEANINGS = {
@@ -16,18 +16,35 @@ _MEANINGS = {
     "print scale": ("the print on the {of} is {size} larger than stated", "smaller"),
     "print aspect": ("the print on the {of} is {size} wider for its height than stated", "narrower"),
     "tag size": ("tags on the {of} are {size} larger than stated", "smaller"),
+    "clock drift": ("the clock of {of} is {size} faster than that of the root", "slower"),
     "width": ("the {of} is {size} wider than stated", "narrower"),
     "height": ("the {of} is {size} higher than stated", "lower"),
 }
-_COMPARATIVES = ("longer", "narrower", "larger", "wider", "higher")
+_COMPARATIVES = ("longer", "narrower", "larger", "faster", "wider", "higher")
 
 
-def describe_deviation(parameter: SystematicParameter, deviation: float) -> str:
+class DescribedParameter(Protocol):
+    """A systematic parameter of a rig or of a network."""
+
+    @property
+    def of(self) -> str:
+        """A sensor, a board, or a tag."""
+
+    @property
+    def quantity(self) -> str:
+        """``range bias`` and so on."""
+
+    @property
+    def unit(self) -> str:
+        """``m``, ``px``, ``rad``, or nothing for ratios."""
+
+
+def describe_deviation(parameter: DescribedParameter, deviation: float) -> str:
     """How far a parameter is from the stated value, as a clause.
 
     Args:
         parameter: the parameter.
-        deviation: of the bundle's value.
+        deviation: of its value; of a focal length, relative.
     """
     of, quantity = parameter.of, parameter.quantity
     size = format_size(deviation, parameter)
@@ -56,9 +73,25 @@ def _printed_thing(of: str, quantity: str) -> str:
     return f"the print on the {of}" if quantity.startswith("print") else of
 
 
-def format_size(deviation: float, parameter: SystematicParameter) -> str:
-    """The absolute value of a deviation of the bundle's value in plain units; of a focal length, relative."""
+def describe_contradiction(deviation: str, ratio: float, prior: str) -> str:
+    """A deviation that is too large, as a sentence.
+
+    Args:
+        deviation: as of :func:`describe_deviation`.
+        ratio: of it to what its prior allows.
+        prior: the standard deviation of the prior with its unit.
+    """
+    return (
+        f"{deviation}; this is {ratio:.1f} times as much as its uncertainty in rig.yaml, {prior}, lets expect: "
+        "check it, correct rig.yaml or state a larger uncertainty there, and calibrate again"
+    )
+
+
+def format_size(deviation: float, parameter: DescribedParameter) -> str:
+    """The absolute value of a deviation in plain units; of a focal length, relative."""
     size = abs(deviation)
+    if parameter.quantity == "clock drift":
+        return f"{1e6 * size:.2g} ppm"
     match parameter.unit if parameter.quantity != "focal length" else "":
         case "m":
             return f"{1000 * size:.3g} mm"

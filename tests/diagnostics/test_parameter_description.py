@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.rig.parameter_description import describe_deviation
+from calgraph.diagnostics.parameter_description import describe_deviation
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 
 

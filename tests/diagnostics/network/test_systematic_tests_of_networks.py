@@ -1,0 +1,48 @@
+"""Systematic errors of scanners that contradict their priors."""
+
+import numpy as np
+
+from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
+from calgraph.estimation.network.scanner_unknowns import SystematicErrors
+
+NAMES = ("root", "east")
+PRIOR = np.array([[0.02, 0.003, 0.002, 0.0], [0.02, 0.003, 0.002, 3e-5]])
+
+
+def find(scanner: int, kind: int, deviations: float, learned: float = 0.99) -> list[tuple[str, tuple[str, ...]]]:
+    """Findings for one error, in prior standard deviations, of which the data removed a share of the variance."""
+    values = np.zeros((2, 4))
+    values[scanner, kind] = deviations * PRIOR[scanner, kind]
+    errors = SystematicErrors(values, np.sqrt(1 - learned) * PRIOR, PRIOR)
+    found = find_systematic_errors(errors, NAMES, RigDiagnosticsSettings())
+    return [(finding.text, finding.sensors) for finding in found]
+
+
+def test_errors_within_their_priors_are_not_named() -> None:
+    assert find(1, 0, 2.9) == []
+
+
+def test_an_error_beyond_its_prior_is_named_with_its_size() -> None:
+    [(text, scanners)] = find(1, 0, -4.0)
+    assert text.startswith(
+        "ranges of east are 80 mm shorter than they should be; this is 4.0 times as much as its uncertainty in "
+        "rig.yaml, 20 mm, lets expect"
+    )
+    assert scanners == ("east",)
+
+
+def test_an_error_of_the_root_makes_all_poses_weak() -> None:
+    [(text, scanners)] = find(0, 2, 5.0)
+    assert (text.startswith("angles between beams of root are 1 % larger"), scanners) == (True, NAMES)
+
+
+def test_a_clock_that_drifts_is_named() -> None:
+    [(text, _)] = find(1, 3, 10.0)
+    assert text.startswith("the clock of east is 300 ppm faster than that of the root; this is 10.1 times")
+
+
+def test_estimates_are_tested_by_what_the_data_removed() -> None:
+    """With a quarter of the variance removed, right values have half the prior standard deviation."""
+    assert len(find(1, 1, 1.6, learned=0.25)) == 1
+    assert find(1, 1, 1.4, learned=0.25) == []
