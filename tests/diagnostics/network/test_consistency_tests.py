@@ -13,9 +13,10 @@ from calgraph.diagnostics.network.consistency_tests import (
     find_inconsistent_parts,
     measure_scatter,
 )
-from calgraph.estimation import NetworkSolution
+from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.contributions import Contributions, split_contributions
 from calgraph.estimation.network.problem import BodyScans
+from calgraph.estimation.network.solver import optimize_network
 from calgraph.geometry import se2
 from network_scenes import OFFSET, T_ROOT
 from solved_networks import MIDDLE, Change, no_change, solve_two_walks
@@ -132,3 +133,25 @@ def test_p_values_are_those_of_chi_squared() -> None:
 
 def test_directions_without_variance_do_not_count() -> None:
     assert compute_p_value(np.array([1.0, 1.0]), np.ones((2, 2))) == pytest.approx(0.3173, abs=1e-4)
+
+
+def test_variance_that_is_small_beside_the_scale_is_none() -> None:
+    error, covariance = np.array([1.0, 1.0]), np.diag([1.0, 1e-4])
+    assert compute_p_value(error, covariance, np.ones(2)) == pytest.approx(0.3173, abs=1e-4)
+    assert compute_p_value(error, covariance) < 1e-100
+
+
+def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
+    def leave(_body: int, scans: BodyScans) -> BodyScans:
+        gone = np.repeat(scans.times > MIDDLE - 2, np.diff(scans.first_beam, append=len(scans.ranges)))
+        return replace(scans, weight=np.where(gone & (scans.scanner == 2), 0.0, scans.weight))
+
+    solved = solve_two_walks(np.random.default_rng(0))
+    bodies = tuple(
+        replace(body, scans=tuple(leave(0, scans) for scans in body.scans)) for body in solved.problem.bodies
+    )
+    network = replace(solved.problem, bodies=bodies)
+    state, equations = optimize_network(network, solved.state, iterations=6)
+    parts = split_contributions(SolvedNetwork(network, state, equations), SETTINGS.interval)
+    found = find_inconsistent_parts(parts, NAMES, SETTINGS)
+    assert not any("the first and the second half" in one.text for one in found)

@@ -16,8 +16,9 @@ from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.contributions import Contributions
 from calgraph.geometry import Array, se2
 
-# Directions with a smaller share of the largest eigenvalue of a covariance are without error.
-_RANK_TOLERANCE = 1e-10
+# Directions with a smaller variance, in units of the scale of each component, are without error, but for rounding
+# and first-order effects: in one of the halves, hardly any data determine them.
+_RANK_TOLERANCE = 1e-3
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:
 # standard deviations of 1 m, 1 rad and 1 s.
 _DIFFERENCE_RIDGE = 1.0
@@ -75,13 +76,15 @@ def _test_halves(
     """
     if first.all() or not first.any():
         return
-    score, information = parts.test_difference(first)
+    score, information, scale = parts.test_difference(first)
+
+    def test(unknowns: NDArray[np.intp]) -> float:
+        return compute_p_value(score[unknowns], information[np.ix_(unknowns, unknowns)], scale[unknowns])
+
     scanners = np.unique(parts.scanner[parts.scanner > 0]).tolist()
     columns = [np.flatnonzero(parts.is_placement & (parts.scanner == s)) for s in scanners]
-    p_each = len(scanners) * np.array([compute_p_value(score[c], information[np.ix_(c, c)]) for c in columns])
-    together = np.concatenate(columns)
-    p_all = compute_p_value(score[together], information[np.ix_(together, together)])
-    if (p := min(p_all, float(p_each.min()))) >= settings.false_alarm_probability:
+    p_each = len(scanners) * np.array([test(unknowns) for unknowns in columns])
+    if (p := min(test(np.concatenate(columns)), float(p_each.min()))) >= settings.false_alarm_probability:
         return
     worst = int(np.argmin(p_each))
     of_worst = information[np.ix_(columns[worst], columns[worst])]
@@ -152,10 +155,17 @@ def find_disagreement(
         )
 
 
-def compute_p_value(error: Array, covariance: Array) -> float:
-    """Probability of a larger squared Mahalanobis distance, along directions whose variance is not zero."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+def compute_p_value(error: Array, covariance: Array, scale: Array | None = None) -> float:
+    """Probability of a larger squared Mahalanobis distance, along directions whose variance is not zero.
+
+    Args:
+        error: (n,).
+        covariance: (n, n).
+        scale: (n,) standard deviations that others have to be compared with to be zero; those of the covariance
+            if left out.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny)) if scale is None else scale
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    regular = values > _RANK_TOLERANCE * values[-1]
+    regular = values > _RANK_TOLERANCE
     along = vectors.T @ (error / scale)
     return float(chdtrc(regular.sum(), np.sum(along[regular] ** 2 / values[regular])))

@@ -61,7 +61,7 @@ class Contributions:
         """(n, n) inverse of the matrix of all parts and priors."""
         return np.asarray(np.linalg.inv(self.prior + self.information.sum(axis=0)))
 
-    def test_difference(self, first: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def test_difference(self, first: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Score and information of a difference between two halves of the parts.
 
         Args:
@@ -69,7 +69,8 @@ class Contributions:
 
         Returns:
             The gradient (n,) by the second half's unknowns minus the first's, their mean being that of the
-            solution, and the covariance (n, n) of the gradient.
+            solution; the covariance (n, n) of the gradient; and what its standard deviations (n,) would be if the
+            mean was given. Where only one half has data, there is no covariance but rounding errors of these.
         """
         weight = np.where(first, -0.5, 0.5)
         total = self.information.sum(axis=0)
@@ -77,7 +78,7 @@ class Contributions:
         by_total = difference @ self.covariance
         covariance = 0.25 * total + by_total @ (total + self.prior_covariance) @ by_total.T
         crossed = by_total @ difference
-        return weight @ self.gradient, covariance - crossed - crossed.T
+        return weight @ self.gradient, covariance - crossed - crossed.T, 0.5 * np.sqrt(np.diag(total))
 
 
 def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions:
