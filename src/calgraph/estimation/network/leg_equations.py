@@ -91,7 +91,8 @@ def linearize_leg(
 ) -> tuple[BodyEquations, float]:
     """A leg's equations and its cost; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
     settings = network.settings.legs
-    count, local = leg.knots.count, len(path.shape) + len(leg.scans)
+    count, shapes = leg.knots.count, len(path.shape)
+    local = shapes + len(leg.scans)
     size = local + SCANNER_UNKNOWNS * len(leg.scans)
     stretch = compute_stretch(state, leg)
     band, gradient, cost = _linearize_leg_path(leg, path, settings, stretch)
@@ -103,9 +104,8 @@ def linearize_leg(
     corner[np.arange(local), np.arange(local)] = information
     corner_gradient[:local] = information * deviation
     cost += 0.5 * float(information @ deviation**2)
-    pairs = np.zeros((len(EARLIER), count - 3, 9))
-    for k in range(len(leg.scans)):
-        terms = linearize_leg_scans(network, state, leg, path, k)
+    all_terms = [linearize_leg_scans(network, state, leg, path, k) for k in range(len(leg.scans))]
+    for k, terms in enumerate(all_terms):
         A, b, G = terms.equations.information, terms.equations.gradient, terms.scanner_jacobian
         cost += float(terms.equations.cost.sum())
         AG = A @ G
@@ -119,17 +119,25 @@ def linearize_leg(
         corner[columns, own] += mixed.T
         corner_gradient[columns] += flat.T @ b.ravel()
         corner_gradient[own] += b[:, 3:-1].sum(axis=0)
-        values = [b[:, :3], A[:, :3, 3:-1].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)]
-        sums = sum_between_knots(terms.first, terms.weights, np.concatenate(values, axis=1), count)
-        by_path, by_own, by_scanner = np.split(sums, [3, 3 + 3 * len(own)], axis=2)
+        by_scanner = np.concatenate([A[:, :3, -2:-1], AG[:, :3]], axis=2)
+        sums = sum_between_knots(terms.first, terms.weights, by_scanner.reshape(len(b), -1), count)
+        sums = sums.reshape(4, count - 3, 3, 1 + SCANNER_UNKNOWNS)
         for i in range(4):
-            rows = slice(i, count - 3 + i)
-            gradient[rows] += by_path[i]
-            border[rows, :, own] += by_own[i].reshape(-1, 3, len(own))
-            border[rows, :, columns] += by_scanner[i].reshape(-1, 3, SCANNER_UNKNOWNS)
-        products = terms.weights[:, EARLIER] * terms.weights[:, LATER]
-        pairs += sum_between_knots(terms.first, products, A[:, :3, :3].reshape(-1, 9), count)
-    for earlier, later, block in zip(EARLIER, LATER, pairs, strict=True):
+            border[i : count - 3 + i, :, shapes + k] += sums[i, ..., 0]
+            border[i : count - 3 + i, :, columns] += sums[i, ..., 1:]
+    # What all scanners share is summed over the scans of all of them.
+    first = np.concatenate([terms.first for terms in all_terms])
+    order = np.argsort(first, kind="stable")
+    first, weights = first[order], np.concatenate([terms.weights for terms in all_terms])[order]
+    A = np.concatenate([terms.equations.information[:, :3] for terms in all_terms])[order]
+    b = np.concatenate([terms.equations.gradient[:, :3] for terms in all_terms])[order]
+    shared = np.concatenate([b, A[:, :, 3:-2].reshape(len(b), -1)], axis=1)
+    sums = sum_between_knots(first, weights, shared, count)
+    for i in range(4):
+        gradient[i : count - 3 + i] += sums[i, :, :3]
+        border[i : count - 3 + i, :, :shapes] += sums[i, :, 3:].reshape(-1, 3, shapes)
+    products = sum_between_knots(first, weights[:, EARLIER] * weights[:, LATER], A[:, :, :3].reshape(-1, 9), count)
+    for earlier, later, block in zip(EARLIER, LATER, products, strict=True):
         band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
     scanners = np.array([scans.scanner for scans in leg.scans], dtype=np.intp)
     scanner_columns = (SCANNER_UNKNOWNS * scanners[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel()
