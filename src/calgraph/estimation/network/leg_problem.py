@@ -48,5 +48,5 @@ class LegPath(BodyPath):
 def compute_shape_prior(settings: LegBodySettings) -> tuple[Array, Array]:
     """Mean (B,) and standard deviation (B,) of the shape of legs, m."""
     orders = np.array([2, 2, *settings.harmonics], dtype=float)
-    mean = np.concatenate([[settings.radius], np.zeros(len(orders))])
+    mean = np.concatenate([[settings.radius, settings.depth_excess], np.zeros(len(orders) - 1)])
     return mean, np.concatenate([[settings.radius_sigma], settings.harmonic_sigma * (2 / orders) ** 2])
