@@ -82,8 +82,8 @@ class LegBodySettings(StrictModel):
     """Prior standard deviation of a leg's mean radius, m: people differ by 15 %, and trousers add as much. A
     radius common to all legs would make the network as much too large or too small."""
     depth_excess: float = Field(default=0.004)
-    """Prior mean of the amplitude of the second harmonic, m: half of the excess of a shin's half depth over its half
-    width. It also lets headings converge, which circles do not determine."""
+    """Prior mean of the amplitude of the second harmonic, m: half of the excess of a shin's half depth over its
+    half width. It also lets headings converge, which circles do not determine."""
     harmonics: tuple[int, ...] = (3, 4)
     """Harmonics of the outline besides those of an ellipse: flat fronts and square corners. The first one is a
     displacement of the path. With 2 and 3 alone, 0.7 to 1.7 mm became 2 to 4 mm in simulated offices."""
