@@ -66,8 +66,8 @@ def test_deviations_of_a_real_recording_cover_its_errors(data_dir: Path) -> None
 
 
 def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(data_dir: Path) -> None:
-    """Legs are no circles: with a lower limit of the correlation of beams, the real recording refutes them."""
-    settings = {"diagnostics": {"network": {"model": {"refuting_beam_correlation": 0.3}}}}
+    """The noise of ranges at people reaches 2 % of its limit."""
+    settings = {"diagnostics": {"network": {"model": {"limit_share": 0.02}}}}
     rig = Rig.model_validate({**TWO, "settings": settings})
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording:
         found = calibrate(rig, recording, NetworkOptions())
@@ -77,7 +77,7 @@ def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(data_dir
     np.testing.assert_array_equal(found.joint_covariance, averaged.joint_covariance)
     assert found["rear"].verdict.grade == "weak"
     assert found["rear"].verdict.reason.startswith("the model of the joint solution does not hold")
-    assert any("residuals of adjacent beams" in remark for remark in found.evidence.remarks)
+    assert any("at people is at its limit" in remark for remark in found.evidence.remarks)
 
 
 def test_all_formats_of_a_recording_give_the_same_network(data_dir: Path) -> None:

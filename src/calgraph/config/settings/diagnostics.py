@@ -183,11 +183,9 @@ class NetworkModelSettings(StrictModel):
     fitted to two people's legs."""
     max_beam_correlation: float = Field(default=0.2, gt=0, lt=1)
     """Largest correlation of the residuals of a scanner's adjacent beams on a body: a body of another shape has
-    residuals of one sign along its outline. In simulation it is below 0.01, below 0.1 where arms swing, and 0.5
-    to 0.9 where ellipses are fitted to legs or a clock is wrong."""
-    refuting_beam_correlation: float = Field(default=0.7, gt=0, lt=1)
-    """The same beyond which the model is refuted: n beams then have as much information as n / 6 independent ones.
-    On a real recording of legs, whose joint poses are right to a centimetre, it is 0.47."""
+    residuals of one sign along its outline. In simulation it is below 0.02, below 0.1 where arms swing, and 0.5
+    to 0.9 where ellipses are fitted to legs or a clock is wrong. On a real recording of legs it is 0.7, although
+    poses are right to a centimetre, so that it does not refute the model."""
     refuting_scatter: float = Field(default=4.0, gt=1)
     """Ratio of the observed to the expected variance of contributions to the poses beyond which the model is
     refuted: parts of the recording that contradict each other by twice what noise explains."""

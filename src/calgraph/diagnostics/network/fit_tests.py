@@ -92,7 +92,6 @@ def _find_correlated_beams(
             f"{largest:.2f}: people are of another shape than target in rig.yaml states, or clocks, ranges or "
             "angles are wrong",
             _make_weak(scanners, names),
-            refutes=largest > settings.refuting_beam_correlation,
         )
 
 

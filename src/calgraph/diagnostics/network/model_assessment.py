@@ -46,8 +46,8 @@ def assess_network_model(
 ) -> ModelAssessment:
     """Tests the model of a joint solution on the recording that it was fitted to.
 
-    The model is refuted where an estimate is at its limit or residuals are strongly correlated; and where parts of
-    the data contradict each other, and the averaged pairs contradict the whole.
+    The model is refuted where an estimate is at its limit or parts of the data contradict each other strongly; and
+    where anything but the averaged pairs contradicts it, and these do as well.
 
     Args:
         target: the kind of bodies, with their stated size.
