@@ -177,7 +177,7 @@ def _split_at_steps(registration: _Registration, members: Index, settings: Stati
     weight = np.linalg.inv(inflation * covariance)
     weighted = (weight @ median_filter(poses, (_FILTER_LENGTH, 1), mode="nearest")[..., None])[..., 0]
     systematic = _systematic_covariance(np.median(registration.information[members], axis=0), settings)
-    threshold = float(chdtri(3, settings.false_alarm_probability / len(registration.place)))
+    threshold = _significance_limit(registration, settings)
     pieces: list[Index] = []
     stack = [np.arange(len(members))]
     while stack:
@@ -194,6 +194,11 @@ def _split_at_steps(registration: _Registration, members: Index, settings: Stati
         else:
             stack += [part[cut:], part[:cut]]
     return pieces
+
+
+def _significance_limit(registration: _Registration, settings: StationaritySettings) -> float:
+    """Squared Mahalanobis distance beyond which a step is significant."""
+    return float(chdtri(3, settings.false_alarm_probability / len(registration.place)))
 
 
 def _find_largest_step(
@@ -268,6 +273,9 @@ def _measure_bump(
         if not _is_majority_displaced(reference, after, pose, registration.noise, settings):
             return None
         covariance = 2 * _systematic_covariance(found.information[0], settings)
+        # The medians of all windows are less disturbed by people than the poses of single ones.
+        if pose @ np.linalg.solve(covariance, pose) <= _significance_limit(registration, settings):
+            return None
         variances, directions = np.linalg.eigh(covariance[:2, :2])
         # Along a wall the displacement is not observable.
         components = np.where(variances < settings.max_translation_stddev**2, directions.T @ pose[:2], 0.0)
