@@ -33,7 +33,7 @@ BUMPS: dict[str, tuple[float, float]] = {
 AT_REST: dict[str, dict[str, Any]] = {
     "nothing": {},
     "legs": {"people": {"shape": "legs", "count": 4}},
-    "crowd": {"people": {"count": 8}},
+    "crowd": {"people": {"count": 6}},
     "chairs": {"chairs": 4},
     "mirrors": {"mirrors": 2},
     "mixed": {"errors": {"mixed": True}},
