@@ -124,7 +124,11 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
     found.append((body_path.radii - body.radii) / body.radii_sigma)
     found.append(state.clock_offset / CLOCK_SIGMA)
     T_a_b = se2.inverse(state.T_root_scanner[0]) @ state.T_root_scanner[1]
-    found.append(state.systematic.ravel()[ESTIMATED] / SYSTEMATIC_SIGMA.ravel()[ESTIMATED])
+    for kind, common in enumerate([0.5, 0.5, 0.5, 0.0]):
+        sigma = SYSTEMATIC_SIGMA[:, kind]
+        errors = (state.systematic[:, kind] / np.where(sigma > 0, sigma, 1))[sigma > 0]
+        correlation = (1 - common) * np.eye(len(errors)) + common
+        found.append(np.linalg.solve(np.linalg.cholesky(correlation), errors))
     T_0_1 = se2.retract(wall.T_a_b, wall.by_beam_errors @ state.systematic[:2, :3].ravel())
     found.append(np.sqrt(np.diagonal(wall.information)) * se2.difference(T_a_b, T_0_1))
     return np.concatenate(found)

@@ -37,7 +37,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     state.systematic[:, 0] = estimate
     unknowns = np.sort(np.concatenate([poses, biases]))
     equations = NetworkEquations(0.0, (), H, g, unknowns, np.zeros(size))
-    settings = NetworkEstimationSettings()
+    settings = NetworkEstimationSettings(common_error_share=0.0)
     ones = np.ones(COUNT)
     network = NetworkProblem(COUNT, (), (), ones, np.ones(2), 0.1, current, 0.0, 1.0, settings)
     return estimate_systematic_sigma(network, state, equations, PRIOR)

@@ -55,10 +55,30 @@ class SystematicErrors:
 
 
 def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
-    """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference."""
-    sigma = np.array([[u.range_bias, u.range_scale, u.angle_scale, u.clock_drift] for u in uncertainties])
+    """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference.
+
+    A scan plane that is tilted by ``a`` and ``b`` about two axes measures ranges that are longer than horizontal
+    distances by a share of ``(a² + b²) / 4``, averaged over all directions. It is part of the range scale.
+    """
+    tilt = np.radians([u.tilt for u in uncertainties])
+    range_scale = np.hypot([u.range_scale for u in uncertainties], tilt**2 / np.sqrt(2))
+    sigma = np.array([[u.range_bias, 0.0, u.angle_scale, u.clock_drift] for u in uncertainties])
+    sigma[:, RANGE_SCALE] = range_scale
     sigma[slice(0, 1) if estimate_clocks else slice(None), CLOCK_DRIFT] = 0
     return sigma
+
+
+def compute_prior_covariance(sigma: Array, common_share: float) -> Array:
+    """(4S, 4S) prior covariance of the systematic errors of S scanners, scanner by scanner.
+
+    Args:
+        sigma: (S, 4) standard deviations.
+        common_share: of the variance of ``BEAM_ERRORS`` that all scanners have in common.
+    """
+    kinds = np.tile(np.arange(len(SYSTEMATIC_ERRORS)), len(sigma))
+    common = (kinds[:, None] == kinds) & (kinds < len(BEAM_ERRORS))
+    correlation = np.where(np.eye(len(kinds), dtype=np.bool_), 1.0, common_share * common)
+    return np.asarray(np.outer(sigma, sigma) * correlation)
 
 
 def compute_root_times(network: NetworkProblem, state: NetworkState, scans: BodyScans) -> Array:

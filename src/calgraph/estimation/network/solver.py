@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config.settings import BodySettings
 from calgraph.estimation.network.ellipse_raycast import (
@@ -43,6 +44,7 @@ from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
     RANGE_SCALE,
     SCANNER_UNKNOWNS,
+    compute_prior_covariance,
     compute_scanner_jacobian,
     compute_turns,
     predict_measured_ranges,
@@ -119,21 +121,35 @@ def linearize_network(network: NetworkProblem, state: NetworkState) -> NetworkEq
         cost += _add_wall(state, wall, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
-    sigma = np.zeros((network.count, SCANNER_UNKNOWNS))
-    sigma[:, CLOCK], sigma[:, FIRST_SYSTEMATIC:] = network.clock_sigma, network.systematic_sigma
-    values = np.column_stack([np.zeros((network.count, 3)), state.clock_offset, state.systematic]).ravel()
-    estimated = sigma > 0
-    with_prior = np.flatnonzero(estimated)
-    information = sigma.ravel()[with_prior] ** -2
-    H[with_prior, with_prior] += information
-    g[with_prior] += information * values[with_prior]
-    cost += 0.5 * float(information @ values[with_prior] ** 2)
-    estimated[:, :3] = True
+    estimated = np.ones((network.count, SCANNER_UNKNOWNS), dtype=np.bool_)
+    estimated[:, CLOCK], estimated[:, FIRST_SYSTEMATIC:] = network.clock_sigma > 0, network.systematic_sigma > 0
+    cost += _add_priors(network, state, estimated, H, g)
     estimated[0, :FIRST_SYSTEMATIC] = False
     regularizer = np.zeros((network.count, SCANNER_UNKNOWNS))
     regularizer[:, :2] = network.settings.position_prior_information
     regularizer[:, 2] = network.settings.rotation_prior_information
     return NetworkEquations(cost, tuple(bodies), H, g, np.flatnonzero(estimated), regularizer.ravel())
+
+
+def _add_priors(
+    network: NetworkProblem, state: NetworkState, estimated: NDArray[np.bool_], H: Array, g: Array
+) -> float:
+    """Adds the priors of what is estimated (S, U), poses aside, to the equations, in place; returns their cost."""
+    size = len(g)
+    covariance = np.zeros((size, size))
+    columns = np.arange(size).reshape(estimated.shape)
+    clocks, systematic = columns[:, CLOCK], columns[:, FIRST_SYSTEMATIC:].ravel()
+    covariance[clocks, clocks] = network.clock_sigma**2
+    covariance[np.ix_(systematic, systematic)] = compute_prior_covariance(
+        network.systematic_sigma, network.settings.common_error_share
+    )
+    values = np.column_stack([np.zeros((network.count, 3)), state.clock_offset, state.systematic]).ravel()
+    with_prior = columns[:, CLOCK:][estimated[:, CLOCK:]]
+    information = np.linalg.inv(covariance[np.ix_(with_prior, with_prior)])
+    H[np.ix_(with_prior, with_prior)] += information
+    gradient = information @ values[with_prior]
+    g[with_prior] += gradient
+    return 0.5 * float(values[with_prior] @ gradient)
 
 
 def optimize_network(

@@ -1,8 +1,8 @@
 """Estimates how large the systematic errors of a network's scanners are, from the differences between them.
 
 What all scanners have in common is hardly observable: if all ranges are 0.3 % too long, so is the whole network.
-Their differences are observable, however. The errors of one kind are therefore taken as independent draws from one
-Gaussian, whose standard deviation is an unknown share of that in rig.yaml, with a uniform prior of its logarithm.
+Their differences are observable, however. The errors of one kind are therefore taken as draws from one Gaussian,
+whose standard deviation is an unknown share of that in rig.yaml, with a uniform prior of its logarithm.
 Source: Gelman et al., "Bayesian data analysis", 2013, chapter 5.
 """
 
@@ -11,7 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
-from calgraph.estimation.network.scanner_unknowns import CLOCK, FIRST_SYSTEMATIC, SCANNER_UNKNOWNS
+from calgraph.estimation.network.scanner_unknowns import (
+    CLOCK,
+    FIRST_SYSTEMATIC,
+    SCANNER_UNKNOWNS,
+    compute_prior_covariance,
+)
 from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.geometry import Array, Index
 
@@ -32,10 +37,10 @@ class _Likelihood:
     kind: Index
     """(N,) of ``SYSTEMATIC_ERRORS``."""
 
-    def log_evidence(self, variance: Array) -> float:
-        """Logarithm of the probability of the data for prior variances (N,), up to a constant."""
-        matrix = np.eye(len(variance)) + variance[:, None] * self.information
-        fitted = np.linalg.solve(matrix, variance * self.score)
+    def log_evidence(self, covariance: Array) -> float:
+        """Logarithm of the probability of the data for a prior covariance (N, N), up to a constant."""
+        matrix = np.eye(len(covariance)) + covariance @ self.information
+        fitted = np.linalg.solve(matrix, covariance @ self.score)
         return 0.5 * float(self.score @ fitted - np.linalg.slogdet(matrix)[1])
 
 
@@ -51,7 +56,8 @@ def estimate_systematic_sigma(
         prior_sigma: (S, 4) the largest standard deviations; 0 for what is exact.
     """
     likelihood, columns = _marginalize_poses(network, state, equations)
-    prior_variance = prior_sigma.ravel()[columns] ** 2
+    common_share = network.settings.common_error_share
+    prior_covariance = compute_prior_covariance(prior_sigma, common_share)[np.ix_(columns, columns)]
     octaves = -np.log2(network.settings.min_systematic_share)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))
     share = np.ones(prior_sigma.shape[1])
@@ -59,7 +65,8 @@ def estimate_systematic_sigma(
         log_evidence = np.empty(len(shares))
         for i, trial in enumerate(shares):
             share[kind] = trial
-            log_evidence[i] = likelihood.log_evidence(share[likelihood.kind] ** 2 * prior_variance)
+            scale = share[likelihood.kind]
+            log_evidence[i] = likelihood.log_evidence(scale[:, None] * prior_covariance * scale)
         weight = np.exp(log_evidence - log_evidence.max())
         share[kind] = np.sqrt(weight @ shares**2 / weight.sum())
     return prior_sigma * share
@@ -74,10 +81,12 @@ def _marginalize_poses(
     systematic = column > CLOCK
     kind = column[systematic] - FIRST_SYSTEMATIC
     columns = equations.unknowns[systematic] // SCANNER_UNKNOWNS * network.systematic_sigma.shape[1] + kind
-    values, sigma = state.systematic.ravel()[columns], network.systematic_sigma.ravel()[columns]
+    values = state.systematic.ravel()[columns]
+    covariance = compute_prior_covariance(network.systematic_sigma, network.settings.common_error_share)
+    prior = np.linalg.inv(covariance[np.ix_(columns, columns)])
     poses = np.flatnonzero(~systematic)
     gain = np.linalg.solve(H[np.ix_(poses, poses)], np.column_stack([H[np.ix_(poses, systematic)], g[poses]]))
     mixed = H[np.ix_(systematic, poses)]
-    information = H[np.ix_(systematic, systematic)] - np.diag(sigma**-2) - mixed @ gain[:, :-1]
-    gradient = g[systematic] - values / sigma**2 - mixed @ gain[:, -1]
+    information = H[np.ix_(systematic, systematic)] - prior - mixed @ gain[:, :-1]
+    gradient = g[systematic] - prior @ values - mixed @ gain[:, -1]
     return _Likelihood(information, information @ values - gradient, kind), columns
