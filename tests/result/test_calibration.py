@@ -1,13 +1,16 @@
 """What a result says of itself."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from calgraph.geometry import Array, se2
 from calgraph.result import Calibration, SensorPose, Verdict, join_covariances, load_calibration, save_calibration
+from calgraph.result.exports.json_text import to_json
 
 
 def in_the_plane(count: int) -> Calibration:
@@ -37,6 +40,22 @@ def test_a_network_that_is_read_back_is_planar(tmp_path: Path) -> None:
     assert load_calibration(tmp_path / "calibration.yaml").planar
 
 
+def test_files_state_what_a_network_does_not_measure_as_null(tmp_path: Path) -> None:
+    network = in_the_plane(2)
+    path = tmp_path / "calibration.yaml"
+    save_calibration(network, path)
+    written = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    shown = json.loads(to_json(network))
+    last, root = network.sensors[-1].name, network.root
+    for content in (written, shown):
+        blank = [[value is None for value in row] for row in content["sensors"][last]["covariance"]]
+        unmeasured = np.isin(np.arange(6), [2, 3, 4])
+        np.testing.assert_array_equal(blank, unmeasured[:, None] | unmeasured)
+        assert None not in np.ravel(content["sensors"][root]["covariance"])
+        assert None in np.ravel(content["joint_covariance"]["matrix"])
+    np.testing.assert_allclose(load_calibration(path).joint_covariance, network.joint_covariance)
+
+
 def test_a_rig_is_not_planar(calibration: Calibration) -> None:
     assert not calibration.planar
 
@@ -51,8 +70,8 @@ def test_a_sensor_out_of_the_plane_makes_it_no_plane(lifted: tuple[int, int, flo
     assert not with_last(network, T).planar
 
 
-def test_a_scanner_upside_down_makes_it_no_plane() -> None:
-    assert not with_last(in_the_plane(3), np.diag([1.0, -1, -1, 1])).planar
+def test_a_scanner_upside_down_is_in_the_plane() -> None:
+    assert with_last(in_the_plane(3), np.diag([1.0, -1, -1, 1])).planar
 
 
 def test_a_root_alone_has_no_plane() -> None:

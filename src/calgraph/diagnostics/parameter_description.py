@@ -91,7 +91,7 @@ def format_size(deviation: float, parameter: DescribedParameter) -> str:
     """The absolute value of a deviation in plain units; of a focal length, relative."""
     size = abs(deviation)
     if parameter.quantity == "clock drift":
-        return f"{1e6 * size:.2g} ppm"
+        return f"{1e6 * size:.3g} ppm"
     match parameter.unit if parameter.quantity != "focal length" else "":
         case "m":
             return f"{1000 * size:.3g} mm"

@@ -52,11 +52,17 @@ def flow_sequence(values: Iterable[object]) -> CommentedSeq:
 
 
 class _Representer(RoundTripRepresenter):
-    """Writes numbers as :func:`format_yaml_number` does."""
+    """Writes numbers as :func:`format_yaml_number` does, and null."""
 
     def represent_number(self, value: float) -> ScalarNode:
         node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:float", format_yaml_number(value))
         return node
 
+    def represent_nothing(self, _value: None) -> ScalarNode:
+        """Null in full: lists with empty elements are hard to read."""
+        node: ScalarNode = self.represent_scalar("tag:yaml.org,2002:null", "null")
+        return node
+
 
 _Representer.add_representer(float, _Representer.represent_number)
+_Representer.add_representer(type(None), _Representer.represent_nothing)

@@ -72,6 +72,19 @@ class Calibration:
         in_plane = [np.allclose(np.abs(s.T_root_sensor[2]), [0, 0, 1, 0], rtol=0, atol=1e-12) for s in others]
         return bool(others) and all(in_plane) and not any(s.covariance[2:5].any() for s in others)
 
+    @property
+    def reported_covariance(self) -> Array:
+        """The joint covariance (6S, 6S) for files: NaN where nothing was measured.
+
+        A network in one plane measures neither height (z) nor roll and pitch of its scanners.
+        """
+        joint = self.joint_covariance.copy()
+        if self.planar:
+            others = np.array([k for k, sensor in enumerate(self.sensors) if sensor.parent is not None])
+            rows = (6 * others[:, None] + np.arange(2, 5)).ravel()
+            joint[rows] = joint[:, rows] = np.nan
+        return joint
+
     def transform(self, a: str, b: str) -> Array:
         """``T_a_b`` (4, 4), which maps coordinates in sensor b to coordinates in sensor a.
 

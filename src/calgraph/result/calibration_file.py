@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ruamel.yaml.comments import CommentedSeq
 
-from calgraph.geometry import Array, so3
+from calgraph.geometry import Array, diagonal_blocks, so3
 from calgraph.io import format_yaml, write_atomically, write_text
 from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
 from calgraph.result.calibration import Calibration
@@ -23,7 +23,7 @@ FORMAT = "calgraph/1"
 _HEADER = """\
 Poses map coordinates in a sensor's frame to the root's: translation in metres, rotation as quaternion x, y, z, w.
 covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. joint_covariance: of all sensors,
-one after the other, in the same axes. residual_rms of edges in m, of kinds
+one after the other, in the same axes; null: not measured. residual_rms of edges in m, of kinds
 in standard deviations (1 as expected from the noise).
 """
 _CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
@@ -40,7 +40,12 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     content: dict[str, Any] = {
         "format": FORMAT,
         "root": calibration.root,
-        "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
+        "sensors": {
+            sensor.name: _sensor(sensor, covariance)
+            for sensor, covariance in zip(
+                calibration.sensors, diagonal_blocks(calibration.reported_covariance, 6), strict=True
+            )
+        },
         "quality": _quality(calibration),
     }
     text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
@@ -48,7 +53,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         text += format_yaml({"systematic": [_estimated_parameter(one) for one in calibration.systematic]})
     if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
-        text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
+        text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.reported_covariance)
     if calibration.provenance:
         text += format_yaml({"provenance": _provenance(calibration.provenance)})
     write_text(path, text)
@@ -72,14 +77,14 @@ def _capture_row(row: CaptureRow) -> tuple[object, ...]:
     return row.capture, f"{row.start:.3f}", f"{row.end:.3f}", row.sensor, used, row.reason, residual
 
 
-def _sensor(sensor: SensorPose) -> dict[str, Any]:
+def _sensor(sensor: SensorPose, covariance: Array) -> dict[str, Any]:
     entry: dict[str, Any] = {} if sensor.parent is None else {"parent": sensor.parent}
     entry["kind"] = sensor.kind
     entry["frame_id"] = sensor.frame_id
     # These digits keep poses to better than 1e-12 at any distance within a rig.
     entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
     entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
-    entry["covariance"] = _symmetric(sensor.covariance, 9)
+    entry["covariance"] = _symmetric(covariance, 9)
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
     if sensor.clock_offset_stddev is not None:
@@ -187,14 +192,18 @@ def _used_and_rejected(rows: Iterable[CaptureRow]) -> dict[str, Any]:
 
 
 def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
-    return [flow_sequence(_round_digits(row, digits)) for row in 0.5 * (covariance + covariance.T)]
+    rows = (_round_digits(row, digits) for row in 0.5 * (covariance + covariance.T))
+    return [flow_sequence(None if np.isnan(value) else value for value in row) for row in rows]
 
 
 def _matrix(joint_covariance: Array) -> str:
     """The rest of the file: written directly, as a YAML library takes a minute for 100,000 numbers."""
     # Relative poses may be far more certain than those in the root frame: more digits for the difference.
     rows = (_round_digits(row, 14) for row in 0.5 * (joint_covariance + joint_covariance.T))
-    return "  matrix:\n" + "".join(f"  - [{', '.join(map(format_yaml_number, row))}]\n" for row in rows)
+    return "  matrix:\n" + "".join(
+        f"  - [{', '.join('null' if np.isnan(value) else format_yaml_number(value) for value in row)}]\n"
+        for row in rows
+    )
 
 
 def _round_digits(values: Iterable[float] | Array, digits: int) -> list[float]:

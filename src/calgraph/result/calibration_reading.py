@@ -27,11 +27,18 @@ Count = Annotated[int, Strict(), Field(ge=0)]
 Flag = Annotated[bool, Strict()]
 Vector3 = tuple[Finite, Finite, Finite]
 Vector4 = tuple[Finite, Finite, Finite, Finite]
-Row6 = tuple[Number, Number, Number, Number, Number, Number]
+# What was not measured is null.
+Entry = Number | None
+Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3
 _SYMMETRY_TOLERANCE = 1e-6
+
+
+def _to_array(rows: Sequence[Sequence[float | None]]) -> Array:
+    """A matrix; zero where nothing was measured, as in a calibration in one plane."""
+    return np.array([[0.0 if value is None else value for value in row] for row in rows])
 
 
 class _Verdict(StrictModel):
@@ -60,7 +67,7 @@ class _Sensor(StrictModel):
         length = float(np.linalg.norm(self.rotation))
         if abs(length - 1) > _UNIT_TOLERANCE:
             raise invalid("rotation", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
-        covariance = np.array(self.covariance)
+        covariance = _to_array(self.covariance)
         if np.isnan(covariance).any() or np.any(np.diag(covariance) < 0):
             raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
         _check_symmetric(covariance, "covariance")
@@ -133,7 +140,7 @@ class _Quality(StrictModel):
 class _JointCovariance(StrictModel):
     order: tuple[str, ...]
     """The sensors, one after the other."""
-    matrix: tuple[tuple[Finite, ...], ...]
+    matrix: tuple[tuple[Finite | None, ...], ...]
     """Six rows and columns for each of them, in the root's fixed axes, m and rad."""
 
     @model_validator(mode="after")
@@ -141,7 +148,7 @@ class _JointCovariance(StrictModel):
         size = 6 * len(self.order)
         if {len(self.matrix), *map(len, self.matrix)} != {size}:
             raise invalid("matrix", f"must have {size} rows of {size} numbers, six for each of order")
-        matrix = np.array(self.matrix)
+        matrix = _to_array(self.matrix)
         if np.any(np.diag(matrix) < 0):
             raise invalid("matrix", "must have variances of 0 or more on its diagonal")
         _check_symmetric(matrix, "matrix")
@@ -290,9 +297,9 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
 def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
     entry = file.joint_covariance
     if entry is None:
-        return join_covariances([np.array(file.sensors[name].covariance) for name in names])
+        return join_covariances([_to_array(file.sensors[name].covariance) for name in names])
     order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
-    return np.asarray(np.array(entry.matrix)[np.ix_(order, order)])
+    return np.asarray(_to_array(entry.matrix)[np.ix_(order, order)])
 
 
 def _held_out_error(entry: _HeldOutError) -> HeldOutError:

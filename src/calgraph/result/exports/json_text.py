@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.geometry import so3
+from calgraph.geometry import Array, diagonal_blocks, so3
 from calgraph.io import format_json
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT
@@ -22,7 +22,12 @@ def to_json(calibration: Calibration) -> str:
         "format": FORMAT,
         "root": calibration.root,
         "estimator": evidence.estimator,
-        "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
+        "sensors": {
+            sensor.name: _sensor(sensor, covariance)
+            for sensor, covariance in zip(
+                calibration.sensors, diagonal_blocks(calibration.reported_covariance, 6), strict=True
+            )
+        },
         "systematic": [vars(one) for one in calibration.systematic],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(evidence.unconnected),
@@ -41,7 +46,7 @@ def to_json(calibration: Calibration) -> str:
     })  # fmt: skip
 
 
-def _sensor(sensor: SensorPose) -> dict[str, Any]:
+def _sensor(sensor: SensorPose, covariance: Array) -> dict[str, Any]:
     T = sensor.T_root_sensor
     return {
         "parent": sensor.parent,
@@ -50,7 +55,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
         "translation": T[:3, 3],
         "rotation": so3.quaternion(T[:3, :3]),
         "T_root_sensor": T,
-        "covariance": sensor.covariance,
+        "covariance": covariance,
         "clock_offset": sensor.clock_offset,
         "clock_offset_stddev": sensor.clock_offset_stddev,
         "verdict": vars(sensor.verdict),
@@ -60,7 +65,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
 def _joint_covariance(calibration: Calibration) -> dict[str, Any] | None:
     if not calibration.has_correlations:
         return None
-    return {"order": [sensor.name for sensor in calibration.sensors], "matrix": calibration.joint_covariance}
+    return {"order": [sensor.name for sensor in calibration.sensors], "matrix": calibration.reported_covariance}
 
 
 def _edge(edge: Edge) -> dict[str, Any]:
