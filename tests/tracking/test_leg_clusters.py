@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import LegClusterSettings
-from calgraph.tracking import cluster_legs, measure_widths
+from calgraph.tracking import ScannerTracks, cluster_legs, correct_tracks, measure_widths
 from leg_scenes import OFFSET, build_foreground, scan_times, walk_leg
 
 SETTINGS = LegClusterSettings()
@@ -34,3 +34,12 @@ def test_no_beams_are_no_clusters() -> None:
     empty = type(beams)(*(getattr(beams, name)[:0] for name in beams.__dataclass_fields__))
     assert len(cluster_legs(empty, 0.01, SETTINGS).times) == 0
     assert len(measure_widths(empty, 0.01, SETTINGS)) == 0
+
+
+def test_corrected_tracks_have_a_corrected_foreground() -> None:
+    beams = build_foreground(0)
+    tracked = ScannerTracks((), np.zeros((0, 2)), 0.01, foreground=beams)
+    corrected = correct_tracks(tracked, clock_offset=0.5, inverted=True).foreground
+    assert corrected is not None
+    assert corrected.times == pytest.approx(beams.times - 0.5)
+    assert corrected.angles == pytest.approx(-beams.angles)
