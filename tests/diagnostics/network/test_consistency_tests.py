@@ -155,3 +155,12 @@ def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
     parts = split_contributions(SolvedNetwork(network, state, equations), SETTINGS.interval)
     found = find_inconsistent_parts(parts, NAMES, SETTINGS)
     assert not any("the first and the second half" in one.text for one in found)
+
+
+def test_an_unknown_without_information_does_not_take_part() -> None:
+    error, covariance = np.array([2.0, 0.0]), np.diag([1.0, 0.0])
+    assert compute_p_value(error, covariance, np.array([1.0, 0.0])) == pytest.approx(0.0455, abs=1e-4)
+
+
+def test_without_any_information_nothing_is_unlikely() -> None:
+    assert compute_p_value(np.zeros(2), np.zeros((2, 2)), np.zeros(2)) == 1.0

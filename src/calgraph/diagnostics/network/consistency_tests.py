@@ -165,6 +165,12 @@ def compute_p_value(error: Array, covariance: Array, scale: Array | None = None)
             if left out.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny)) if scale is None else scale
+    if not (scale > 0).any():
+        return 1.0
+    if not (scale > 0).all():
+        # Unknowns without any information have a scale of zero.
+        informed = np.flatnonzero(scale > 0)
+        return compute_p_value(error[informed], covariance[np.ix_(informed, informed)], scale[informed])
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     regular = values > _RANK_TOLERANCE
     along = vectors.T @ (error / scale)
