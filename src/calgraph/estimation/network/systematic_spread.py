@@ -47,7 +47,7 @@ class _Likelihood:
 def estimate_systematic_sigma(
     network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
 ) -> Array:
-    """(S, 4) standard deviations of systematic errors, from the posterior mean of their share.
+    """(S, 4) standard deviations of systematic errors, from the posterior of their share.
 
     Args:
         network: with the priors of the equations.
@@ -68,7 +68,8 @@ def estimate_systematic_sigma(
             scale = share[likelihood.kind]
             log_evidence[i] = likelihood.log_evidence(scale[:, None] * prior_covariance * scale)
         weight = np.exp(log_evidence - log_evidence.max())
-        share[kind] = weight @ shares / weight.sum()
+        # Few scanners leave the share uncertain: its root mean square is safer than its mean.
+        share[kind] = np.sqrt(weight @ shares**2 / weight.sum())
     return prior_sigma * share
 
 
