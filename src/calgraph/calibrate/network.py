@@ -20,6 +20,7 @@ from calgraph.diagnostics import (
     build_consistent_prior,
     describe_bumps,
     extract_earlier_poses,
+    find_poorly_supported_parts,
     find_systematic_errors,
     find_track_bump,
     merge_calibrations,
@@ -150,6 +151,13 @@ def calibrate_tracks(
     start = _first_time(tracked) if start is None else start
     findings = [*findings, *describe_bumps(rig.root, tracks, start)]
     ambiguous = describe_ambiguous_parts(names, initialization.ambiguous)
+    supported = find_poorly_supported_parts(
+        graph.select_edges(averaged.inliers),
+        names,
+        averaged.T_root_node,
+        initialization.pairs,
+        rig.settings.diagnostics.network.min_matched_share,
+    )
     calibration = assemble_network(
         rig,
         stated_frames,
@@ -160,7 +168,7 @@ def calibrate_tracks(
         averaged,
         start,
         joint,
-        (*findings, *corrected.findings, *ambiguous, *contradictions),
+        (*findings, *corrected.findings, *ambiguous, *supported, *contradictions),
         clock_offset=corrected.clock_offset,
         inverted=corrected.inverted,
     )

@@ -16,6 +16,7 @@ from calgraph.diagnostics.network.extension import (
 )
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.network.model_assessment import ModelAssessment, assess_network_model
+from calgraph.diagnostics.network.pair_support import find_poorly_supported_parts
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
 from calgraph.diagnostics.network.track_bumps import find_track_bump
@@ -33,6 +34,6 @@ __all__ = [
     "NetworkPairs", "ResidualComparison", "SensorComparison", "add_suggestions", "assemble_network",
     "assemble_rig", "assess_network_model", "axis_names", "bootstrap_poses", "build_consistent_prior",
     "compare_network_poses", "compare_rig_poses", "cross_validate", "describe_bumps", "extract_earlier_poses",
-    "find_bumps", "find_systematic_errors", "find_track_bump", "include_drifts", "merge_calibrations",
-    "remove_scanners",
+    "find_bumps", "find_poorly_supported_parts", "find_systematic_errors", "find_track_bump", "include_drifts",
+    "merge_calibrations", "remove_scanners",
 ]  # fmt: skip

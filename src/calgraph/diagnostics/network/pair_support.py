@@ -1,0 +1,64 @@
+"""Parts of a network whose place rests on one pair of scanners that disagrees about most positions."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from calgraph.diagnostics.finding import Finding
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.graph import PoseGraph
+from calgraph.pairwise import ScannerPairEstimate
+
+
+def find_poorly_supported_parts(
+    inliers: PoseGraph,
+    names: Sequence[str],
+    T_root_scanner: Array,
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    min_matched_share: float,
+) -> list[Finding]:
+    """Finds parts of a network that one pair alone connects to the root, and in which few positions match.
+
+    No cycle checks such a pair. Where both scanners detect people at most times, but at other places, the pair may
+    match the wrong people, or reflections of people in a mirror.
+
+    Args:
+        inliers: the pairs that agree with the poses.
+        names: of the S scanners, the root first.
+        T_root_scanner: (S, 3, 3) their poses.
+        pairs: hypotheses by pair of scanners.
+        min_matched_share: least share of matched positions among those that both scanners should detect.
+    """
+    findings = []
+    ends = np.unique(np.sort(inliers.edges, axis=1), axis=0)
+    for k, (i, j) in enumerate(ends.tolist()):
+        part = _separate(np.delete(ends, k, axis=0), len(names))
+        found = pairs.get((names[i], names[j])) or pairs.get((names[j], names[i]))
+        if not part.any() or found is None or isinstance(found, Rejected):
+            continue
+        T_a_b = se2.inverse(T_root_scanner[i]) @ T_root_scanner[j]
+        nearest = min(
+            found.hypotheses, key=lambda one: float(np.linalg.norm(se2.difference(T_a_b, one.T_a_b)[:2]))
+        )
+        if nearest.matched_share >= min_matched_share:
+            continue
+        scanners = tuple(names[node] for node in np.flatnonzero(part).tolist())
+        findings.append(
+            Finding(
+                f"only the pair {names[i]} and {names[j]} connects {', '.join(scanners)} to the root, and they "
+                f"agree on {100 * nearest.matched_share:.0f} % of the positions that both should measure: they "
+                "may have matched different people, or reflections; let people walk where others measure them",
+                scanners,
+            )
+        )
+    return findings
+
+
+def _separate(ends: Array, count: int) -> Array:
+    """(count,) mask of the nodes that these edges (E, 2) do not connect to the root."""
+    adjacency = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    part = connected_components(adjacency, directed=False)[1]
+    return np.asarray(part != part[0])

@@ -1,0 +1,43 @@
+"""Parts of a network that rest on one pair, of which most positions do not match."""
+
+import numpy as np
+import pytest
+
+from calgraph.config.settings import NetworkDiagnosticsSettings
+from calgraph.diagnostics import Finding, find_poorly_supported_parts
+from calgraph.graph import PoseGraph
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+
+NAMES = ("a", "b", "c", "d")
+LIMIT = NetworkDiagnosticsSettings().min_matched_share
+
+
+def find(shares: dict[tuple[int, int], float]) -> list[Finding]:
+    """The findings in a network whose pairs all agree with identity poses, by their matched shares."""
+    edges = np.array(list(shares))
+    count = len(edges)
+    graph = PoseGraph(len(NAMES), edges, np.tile(np.eye(3), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1)))
+    pairs = {
+        (NAMES[i], NAMES[j]): ScannerPairEstimate(
+            NAMES[i],
+            NAMES[j],
+            (PoseHypothesis(np.eye(3), np.eye(3), 100, 1.0, share, 0.1, 0.0, uses_background=False),),
+        )
+        for (i, j), share in shares.items()
+    }
+    return find_poorly_supported_parts(graph, NAMES, np.tile(np.eye(3), (len(NAMES), 1, 1)), pairs, LIMIT)
+
+
+def test_a_part_behind_one_poor_pair_is_named() -> None:
+    (found,) = find({(0, 1): 0.9, (1, 2): 0.37, (2, 3): 0.9})
+    assert found.sensors == ("c", "d")
+    assert found.text.startswith("only the pair b and c connects c, d to the root, and they agree on 37 %")
+
+
+def test_a_pair_in_a_cycle_is_checked_by_the_others() -> None:
+    assert find({(0, 1): 0.37, (1, 2): 0.37, (0, 2): 0.37, (2, 3): 0.9}) == []
+
+
+@pytest.mark.parametrize("share", [LIMIT, 0.9])
+def test_a_pair_in_which_most_positions_match_suffices(share: float) -> None:
+    assert find({(0, 1): share, (1, 2): share, (2, 3): share}) == []
