@@ -27,8 +27,8 @@ from calgraph.diagnostics import (
     remove_scanners,
 )
 from calgraph.errors import CalibrationError, InputError, Rejected
-from calgraph.estimation import ScannerPrior, solve_network
-from calgraph.graph import initialize_network
+from calgraph.estimation import NetworkSolution, ScannerPrior, solve_network
+from calgraph.graph import NetworkInitialization, initialize_network
 from calgraph.pairwise import ScannerObservations
 from calgraph.recording import Recording
 from calgraph.result import Calibration
@@ -100,23 +100,7 @@ def calibrate_tracks(
     # A root without connections may have no tracks.
     if options.estimator == "joint" and len(names) > 1:
         progress("solving", 0.0)
-        solution = partial(
-            solve_network,
-            moving_target(rig),
-            [tracked[name] for name in names],
-            averaged,
-            graph,
-            uncertainties=[scanner_spec(name, rig.sensors[name]).uncertainty for name in names],
-            settings=rig.settings.estimation.network,
-            acceleration_density=rig.settings.tracking.acceleration_density,
-            pair_settings=settings,
-        )
-        joint = solution()
-        if earlier:
-            prior = build_consistent_prior(
-                extract_earlier_poses(earlier, rig.root), names, joint, rig.settings.diagnostics
-            )
-            joint = solution(prior=prior)
+        joint, prior = _solve_jointly(rig, tracked, initialization, earlier)
         progress("solving", 1.0)
     if len(names) > 1:
         bump = find_track_bump(
@@ -173,6 +157,33 @@ def calibrate_tracks(
         inverted=corrected.inverted,
     )
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
+
+
+def _solve_jointly(
+    rig: Rig,
+    tracked: Mapping[str, ScannerTracks],
+    initialization: NetworkInitialization,
+    earlier: Calibration | None,
+) -> tuple[NetworkSolution, ScannerPrior | None]:
+    """The joint solution, and the prior from the poses of an earlier calibration that it agrees with."""
+    names = initialization.names
+    solution = partial(
+        solve_network,
+        moving_target(rig),
+        [tracked[name] for name in names],
+        initialization.solution,
+        initialization.graph,
+        uncertainties=[scanner_spec(name, rig.sensors[name]).uncertainty for name in names],
+        settings=rig.settings.estimation.network,
+        acceleration_density=rig.settings.tracking.acceleration_density,
+        pair_settings=rig.settings.pairwise.scanners,
+    )
+    joint = solution()
+    if earlier is None:
+        return joint, None
+    poses = extract_earlier_poses(earlier, rig.root)
+    prior = build_consistent_prior(poses, names, joint, rig.settings.diagnostics)
+    return solution(prior=prior), prior
 
 
 def _calibration_to_extend(rig: Rig, options: NetworkOptions) -> Calibration | None:

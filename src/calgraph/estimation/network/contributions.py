@@ -1,4 +1,4 @@
-"""Parts of a network's normal equations, by body and interval of time: what each says about the scanners.
+"""Parts of a network's normal equations, by body and interval of time: what each contributes to the scanners.
 
 Paths and shapes of bodies are eliminated by the back substitution K of the whole solution. A scan with the
 derivatives G of a body's pose and shape by the scanners, and B by path and shape, has the information of its beams
