@@ -16,14 +16,12 @@ model_error_rigs.py and model_error_kinds.py. After a bump the true pose is that
 """
 
 import argparse
-import csv
 import logging
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -47,9 +45,9 @@ from calgraph.simulation import (
 from model_error_draws import draw_errors
 from model_error_kinds import KINDS, MODELLED, Wrong, cases, wrong_world
 from model_error_rigs import SCENARIOS, rig_world
+from outcome_tables import NAN, grouped, mean, median, rms, save_csv, share, worst
 
-Key = TypeVar("Key")
-RIGHT, NAN = "right", float("nan")
+RIGHT = "right"
 MAX_SIGMAS, MAX_METRES, MAX_DEGREES = 5.0, 0.020, 1.0
 """A good pose that is off by more is confidently wrong."""
 RIGS, TREMBLING_RIGS = ("five", "chain", "pair"), ("five", "pair", "cameras")
@@ -124,7 +122,7 @@ def main() -> None:
         outcomes = run_all(run, wrong_and_right(arguments), arguments.jobs)
         show(outcomes)
     if arguments.csv:
-        save_csv(arguments.csv, outcomes)
+        save_csv(arguments.csv, [asdict(one) for one in outcomes])
 
 
 def wrong_and_right(arguments: argparse.Namespace) -> list[tuple[str, str, float, int]]:
@@ -329,22 +327,6 @@ def show_trembling(outcomes: Sequence[Outcome]) -> None:
         )
 
 
-def save_csv(path: Path, outcomes: Iterable[Outcome]) -> None:
-    """Writes a row for each run."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [one.name for one in fields(Outcome)])
-        writer.writeheader()
-        writer.writerows(map(asdict, outcomes))
-
-
-def grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], Key]) -> list[tuple[Key, list[Outcome]]]:
-    """Outcomes by a key, in the order in which keys come first."""
-    groups: dict[Key, list[Outcome]] = {}
-    for outcome in outcomes:
-        groups.setdefault(key(outcome), []).append(outcome)
-    return list(groups.items())
-
-
 def count(outcomes: Iterable[Outcome], attribute: str) -> int:
     """How many outcomes have a flag."""
     return sum(getattr(o, attribute) for o in outcomes)
@@ -363,35 +345,6 @@ def weak(outcomes: Iterable[Outcome]) -> int:
 def remarked(outcomes: Iterable[Outcome]) -> int:
     """How many runs have a remark."""
     return sum(o.remarks > 0 for o in outcomes)
-
-
-def share(part: Sequence[Outcome], whole: Sequence[Outcome]) -> str:
-    """As a percentage."""
-    return f"{len(part) / len(whole):.1%}" if whole else "-"
-
-
-def mean(values: Sequence[float]) -> float:
-    """Of the finite values."""
-    finite = np.array(values, dtype=float)[np.isfinite(values)] if len(values) else np.zeros(0)
-    return float(finite.mean()) if len(finite) else NAN
-
-
-def rms(values: Sequence[float]) -> float:
-    """Root mean square of the finite values."""
-    return float(np.sqrt(mean(np.square(values).tolist())))
-
-
-def median(values: Sequence[float]) -> float:
-    """Of the finite values."""
-    finite = np.array(values, dtype=float)
-    finite = finite[np.isfinite(finite)]
-    return float(np.median(finite)) if len(finite) else NAN
-
-
-def worst(values: Sequence[float]) -> float:
-    """The largest finite value."""
-    finite = np.array(values, dtype=float)
-    return float(np.max(finite[np.isfinite(finite)], initial=0.0))
 
 
 if __name__ == "__main__":

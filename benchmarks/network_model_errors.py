@@ -15,15 +15,13 @@ middle. Kinds are those of network_model_error_kinds.py.
 """
 
 import argparse
-import csv
 import logging
 import re
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
-from itertools import groupby
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -34,15 +32,14 @@ from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import NetworkEstimator
 from calgraph.config import People, Tolerance
 from calgraph.errors import CalgraphError
-from calgraph.geometry import Array, se3
+from calgraph.geometry import se3
 from calgraph.processes import parallel_map
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, build_network, network_rig, network_truth, simulate_scans
 from network_model_error_kinds import KINDS, ROOMS, build_scenario, list_cases
+from outcome_tables import NAN, grouped, mean, median, save_csv, share, worst
 
-Key = TypeVar("Key")
-NAN = float("nan")
 HEADER = (
     f"{'kind':14} {'size':>9} {'room':7} {'runs':>4} {'good':>4} {'weak':>4} {'miss':>4} {'rem.':>4} "
     f"{'mm':>7} {'max':>7} {'deg':>6} {'max':>6} {'NEES':>7} {'clock':>6} {'max ms':>6} {'out':>4} "
@@ -146,7 +143,8 @@ def main() -> None:
         outcomes += found
     show_totals(outcomes)
     if arguments.csv:
-        save_csv(arguments.csv, outcomes)
+        rows = [{**asdict(one), "confidently_wrong": one.confidently_wrong} for one in outcomes]
+        save_csv(arguments.csv, rows)
 
 
 def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Outcome, ...]:
@@ -255,47 +253,6 @@ def show_line(label: str, group: Sequence[Outcome]) -> None:
         f"{sum(one.grossly_wrong for one in group):5d} {mean([one.seconds for one in runs.values()]):5.1f}",
         flush=True,
     )
-
-
-def save_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Writes a row for each scanner."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [*(one.name for one in fields(Outcome)), "confidently_wrong"])
-        writer.writeheader()
-        writer.writerows({**asdict(one), "confidently_wrong": one.confidently_wrong} for one in outcomes)
-
-
-def grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], Key]) -> list[tuple[Key, list[Outcome]]]:
-    """Groups in order of their first member."""
-    order = {one: k for k, one in enumerate(dict.fromkeys(map(key, outcomes)))}
-    ranked = sorted(outcomes, key=lambda one: order[key(one)])
-    return [(one, list(group)) for one, group in groupby(ranked, key)]
-
-
-def finite(values: Sequence[float] | Array) -> Array:
-    """(N,) the finite ones."""
-    numbers = np.array(values, dtype=np.float64)
-    return numbers[np.isfinite(numbers)]
-
-
-def mean(values: Sequence[float] | Array) -> float:
-    """Of the finite values."""
-    return float(finite(values).mean()) if len(finite(values)) else NAN
-
-
-def median(values: Sequence[float] | Array) -> float:
-    """Of the finite values."""
-    return float(np.median(finite(values))) if len(finite(values)) else NAN
-
-
-def worst(values: Sequence[float] | Array) -> float:
-    """The largest finite value."""
-    return float(finite(values).max(initial=0.0))
-
-
-def share(part: Sequence[Outcome], whole: Sequence[Outcome]) -> str:
-    """In per cent."""
-    return f"{len(part) / len(whole):.1%}" if whole else "-"
 
 
 if __name__ == "__main__":

@@ -36,6 +36,7 @@ from calgraph.simulation import (
     simulate_network,
     simulate_rig,
 )
+from outcome_tables import rms
 
 Story = Literal["rig", "network"]
 FACTORS = (0.5, 2.0)
@@ -233,11 +234,6 @@ def whitened(T: Array, T_default: Array, covariance: Array) -> Array:
     """Change of a pose by axis in standard deviations; axes without variance are left out."""
     stddev = np.sqrt(np.diag(covariance))
     return np.asarray(se3.difference(T, T_default)[stddev > 0] / stddev[stddev > 0])
-
-
-def rms(numbers: Sequence[float] | Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(numbers))))
 
 
 def written(value: Any) -> str:
