@@ -14,7 +14,7 @@ def find(scanner: int, kind: int, deviations: float, learned: float = 0.99) -> l
     """Findings for one error, in prior standard deviations, of which the data removed a share of the variance."""
     values = np.zeros((2, 4))
     values[scanner, kind] = deviations * PRIOR[scanner, kind]
-    errors = SystematicErrors(values, np.sqrt(1 - learned) * PRIOR, PRIOR)
+    errors = SystematicErrors(values, np.diag((1 - learned) * PRIOR.ravel() ** 2), PRIOR)
     found = find_systematic_errors(errors, NAMES, RigDiagnosticsSettings())
     return [(finding.text, finding.sensors) for finding in found]
 
@@ -46,3 +46,29 @@ def test_estimates_are_tested_by_what_the_data_removed() -> None:
     """With a quarter of the variance removed, right values have half the prior standard deviation."""
     assert len(find(1, 1, 1.6, learned=0.25)) == 1
     assert find(1, 1, 1.4, learned=0.25) == []
+
+
+def find_correlated(correlation: float) -> list[tuple[str, tuple[str, ...]]]:
+    """Findings for range scales of two scanners whose estimates are correlated."""
+    values, names = np.zeros((3, 4)), ("root", "east", "west")
+    prior = PRIOR[[0, 1, 1]]
+    values[1:, 1] = 0.012, 0.006
+    covariance = np.diag(0.01 * prior.ravel() ** 2)
+    covariance[5, 9] = covariance[9, 5] = correlation * covariance[5, 5]
+    found = find_systematic_errors(SystematicErrors(values, covariance, prior), names, RigDiagnosticsSettings())
+    return [(finding.text, finding.sensors) for finding in found]
+
+
+def test_errors_that_the_data_do_not_distinguish_are_named_together() -> None:
+    """Each with the size that explains the data alone: 1.2 % - 0.95 * 0.6 %, and 0.6 % - 0.95 * 1.2 %."""
+    [(text, scanners)] = find_correlated(0.95)
+    assert text.startswith(
+        "ranges of east are 0.63 % longer than they should be, or ranges of west are 0.54 % shorter than they "
+        "should be (these 2 cannot be told apart here); this is 4.0 times"
+    )
+    assert scanners == ("east", "west")
+
+
+def test_errors_that_the_data_distinguish_are_named_alone() -> None:
+    [(text, scanners)] = find_correlated(0.85)
+    assert (text.startswith("ranges of east are 1.2 % longer"), scanners) == (True, ("east",))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.diagnostics.finding import Finding
-from calgraph.diagnostics.rig.systematic_tests import _Estimates, find_systematic_errors
-from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
 
@@ -67,18 +66,3 @@ def test_an_error_beyond_its_prior_is_named(case: Case) -> None:
     (found,) = [one for one in findings(case.errors) if case.text in one.text]
     assert set(found.sensors) == set(case.sensors)
     assert "rig.yaml" in found.text
-
-
-def test_parameters_with_the_same_effect_are_alternatives() -> None:
-    # Their difference is observed with a standard deviation of 0.1; priors of 1 and 2 split it.
-    parameters = [SystematicParameter("a", "range bias", "m", prior, (0,)) for prior in (1.0, 2.0)]
-    prior, direction = np.diag([1.0, 0.25]), np.array([1.0, -1.0])
-    covariance = np.linalg.inv(prior + 100 * np.outer(direction, direction))
-    estimates = _Estimates(parameters, covariance @ (100 * direction * 5.0), covariance, 0.05)
-    np.testing.assert_allclose(estimates.deviation, [1, -4], atol=0.02)
-    # Together they explain 5; so does the first alone.
-    assert estimates.deviation_alone(0, np.array([1])) == pytest.approx(5, rel=0.02)
-    assert estimates.deviation_alone(1, np.array([0])) == pytest.approx(-5, rel=0.02)
-    assert estimates.indistinguishable(0, 0.9).tolist() == [1]
-    # As estimates of a difference that priors predict to the root of 5, both are off by as much.
-    np.testing.assert_allclose(np.abs(estimates.normalized), np.sqrt(5), rtol=0.02)

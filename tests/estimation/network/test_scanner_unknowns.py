@@ -49,8 +49,9 @@ def test_synchronized_clocks_do_not_drift() -> None:
 
 def test_exact_parameters_are_not_summarized() -> None:
     prior = np.array([[0.02, 0.003, 0.0, 0.0]])
-    errors = SystematicErrors(np.array([[0.01, -0.001, 0.0, 0.0]]), 0.5 * prior, prior)
+    errors = SystematicErrors(np.array([[0.01, -0.001, 0.0, 0.0]]), np.diag(0.25 * prior[0] ** 2), prior)
     bias, scale = errors.summarize(["east"])
     assert (bias.of, bias.quantity, bias.unit, bias.stated, bias.value) == ("east", "range bias", "m", 0.0, 0.01)
     assert (scale.quantity, scale.unit, scale.stated, scale.value) == ("range scale", "", 1.0, 0.999)
     assert (bias.prior, bias.stddev, scale.prior) == (0.02, 0.01, 0.003)
+    np.testing.assert_allclose(errors.covariance_of_estimated, np.diag([1e-4, 0.0015**2]), rtol=1e-12)

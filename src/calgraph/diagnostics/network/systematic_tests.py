@@ -6,7 +6,7 @@ import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
-from calgraph.diagnostics.parameter_description import describe_contradiction, describe_deviation, format_size
+from calgraph.diagnostics.parameter_estimates import ParameterEstimates
 from calgraph.estimation.network.scanner_unknowns import SystematicErrors
 
 
@@ -15,8 +15,7 @@ def find_systematic_errors(
 ) -> Iterator[Finding]:
     """Systematic errors that are larger than their priors allow, one of each scanner: the largest.
 
-    The variance of an estimate about the stated value is what the data removed of the prior variance. Source:
-    Baarda, "A testing procedure for use in geodetic networks", 1968.
+    Those that the data do not distinguish, such as range scales of all scanners, are named together.
 
     Args:
         errors: of the joint solution.
@@ -24,20 +23,22 @@ def find_systematic_errors(
         settings: the same limits as for rigs.
     """
     parameters = errors.summarize(names)
-    ratios = [
-        abs(one.value - one.stated)
-        / np.sqrt(max(one.prior**2 - one.stddev**2, settings.min_learned_share * one.prior**2))
-        for one in parameters
-    ]
+    estimates = ParameterEstimates(
+        parameters,
+        np.array([one.value - one.stated for one in parameters]),
+        np.array([one.prior for one in parameters]),
+        errors.covariance_of_estimated,
+        settings.min_learned_share,
+    )
+    ratios, named = np.abs(estimates.normalized), set[int]()
     for name in names:
         of_scanner = [i for i, one in enumerate(parameters) if one.of == name]
         i = max(of_scanner, key=lambda i: ratios[i], default=-1)
-        if i >= 0 and ratios[i] > settings.max_prior_deviation:
-            one = parameters[i]
-            yield Finding(
-                describe_contradiction(
-                    describe_deviation(one, one.value - one.stated), ratios[i], format_size(one.prior, one)
-                ),
-                # All poses are relative to the root.
-                tuple(names) if name == names[0] else (name,),
-            )
+        if i < 0 or ratios[i] <= settings.max_prior_deviation or i in named:
+            continue
+        others = estimates.indistinguishable(i, settings.max_parameter_correlation)
+        named.update(others.tolist())
+        text, causes = estimates.describe(i, others)
+        scanners = {parameters[j].of for j in causes}
+        # All poses are relative to the root.
+        yield Finding(text, tuple(names) if names[0] in scanners else tuple(n for n in names if n in scanners))

@@ -5,7 +5,6 @@ size that would explain the data alone.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -13,53 +12,15 @@ from scipy.special import ndtr, ndtri
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
-from calgraph.diagnostics.parameter_description import describe_contradiction, describe_deviation, format_size
-from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.diagnostics.parameter_estimates import ParameterEstimates
 from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Index
 from calgraph.sensors import DISTORTION_NAMES
 
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
-# Other causes that a finding lists at most: more are no help.
-_MAX_ALTERNATIVES = 2
-
-
-@dataclass(frozen=True, eq=False)
-class _Estimates:
-    """Estimated deviations of E systematic parameters from the stated values, with zero prior means."""
-
-    parameters: Sequence[SystematicParameter]
-    deviation: Array
-    """(E,)."""
-    covariance: Array
-    """(E, E) posterior."""
-    min_learned_share: float
-    """See :attr:`RigDiagnosticsSettings.min_learned_share`."""
-
-    @property
-    def normalized(self) -> Array:
-        """(E,) deviations over the standard deviations that they have if the priors are right.
-
-        The variance of an estimate about the stated value is what the data removed of the prior variance. Source:
-        Baarda, "A testing procedure for use in geodetic networks", 1968.
-        """
-        prior = np.array([one.prior_stddev for one in self.parameters]) ** 2
-        removed = np.maximum(prior - np.diag(self.covariance), self.min_learned_share * prior)
-        return np.asarray(self.deviation / np.sqrt(removed))
-
-    def indistinguishable(self, i: int, min_correlation: float) -> Index:
-        """Indices of the other parameters that the data do not distinguish from parameter i."""
-        stddev = np.sqrt(np.diag(self.covariance))
-        correlation = self.covariance[i] / (stddev[i] * stddev)
-        return np.setdiff1d(np.flatnonzero(np.abs(correlation) > min_correlation), [i])
-
-    def deviation_alone(self, i: int, rest: Index) -> float:
-        """The deviation of parameter i if the rest is as stated."""
-        gain = np.linalg.solve(self.covariance[np.ix_(rest, rest)], self.covariance[rest, i])
-        return float(self.deviation[i] - gain @ self.deviation[rest])
 
 
 def find_systematic_errors(
@@ -78,7 +39,14 @@ def find_systematic_errors(
     bundle, minimized = solved.bundle, solved.minimized
     first = 6 * bundle.body_count
     covariance = parameter_covariance(minimized.equations)[first:, first:]
-    estimates = _Estimates(bundle.extra_parameters, minimized.state.extra, covariance, settings.min_learned_share)
+    parameters = bundle.extra_parameters
+    estimates = ParameterEstimates(
+        parameters,
+        minimized.state.extra,
+        np.array([one.prior_stddev for one in parameters]),
+        covariance,
+        settings.min_learned_share,
+    )
     named: set[int] = set()
     for group in _group_parameters(bundle):
         limit = -ndtri(ndtr(-settings.max_prior_deviation) / len(group))
@@ -111,24 +79,21 @@ def _group_parameters(bundle: Bundle) -> list[Index]:
     return [np.array(group, dtype=np.intp) for group in groups.values()]
 
 
-def _describe_error(bundle: Bundle, estimates: _Estimates, i: int, others: Index) -> Finding:
-    """The deviation of parameter i, or of others that could explain the data as well, the most probable first."""
-    named = [int(j) for j in others if estimates.parameters[j].quantity not in _COEFFICIENTS]
-    alone = {j: estimates.deviation_alone(j, np.setdiff1d([i, *named], [j])) for j in (i, *named)}
-    named.sort(key=lambda j: abs(alone[j]) / estimates.parameters[j].prior_stddev)
-    causes = [i, *named[:_MAX_ALTERNATIVES]]
-    text = ", or ".join(describe_deviation(estimates.parameters[j], alone[j]) for j in causes)
-    if len(causes) > 1:
-        text += f" (these {len(causes)} cannot be told apart here)"
-    parameter, ratio = estimates.parameters[i], abs(estimates.normalized[i])
-    return Finding(
-        describe_contradiction(text, ratio, format_size(parameter.prior_stddev, parameter)),
-        affected_sensors(bundle, [k for j in causes for k in estimates.parameters[j].view_sets]),
-    )
+def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, others: Index) -> Finding:
+    """The finding of parameter i, or of others that could explain the data as well."""
+    parameters = bundle.extra_parameters
+    named = np.array([j for j in others if parameters[j].quantity not in _COEFFICIENTS], dtype=np.intp)
+    text, causes = estimates.describe(i, named)
+    return Finding(text, affected_sensors(bundle, [k for j in causes for k in parameters[j].view_sets]))
 
 
 def _find_wrong_distortion(
-    bundle: Bundle, estimates: _Estimates, k: int, views: CornerObservations, prior: float, max_deviation: float
+    bundle: Bundle,
+    estimates: ParameterEstimates,
+    k: int,
+    views: CornerObservations,
+    prior: float,
+    max_deviation: float,
 ) -> Iterator[Finding]:
     """A camera whose distortion displaces the farthest observed corner more than its prior allows.
 
@@ -147,7 +112,7 @@ def _find_wrong_distortion(
         return
     J = views.camera.project_by_intrinsics(ray)[0, :, 4 : 4 + len(index)]
     displacement = float(np.linalg.norm(J @ estimates.deviation[index]))
-    expected = float(np.linalg.norm(J * [estimates.parameters[i].prior_stddev for i in index]))
+    expected = float(np.linalg.norm(J * estimates.prior_stddev[index]))
     if displacement > max(max_deviation * expected, prior):
         yield Finding(
             f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "

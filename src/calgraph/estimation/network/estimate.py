@@ -177,7 +177,6 @@ def solve_network(
         network, state, equations = _solve_bodies(network, state, edges, add_walls)
     covariance = compute_network_covariance(equations)
     column = np.arange(len(covariance)) % SCANNER_UNKNOWNS
-    stddev = np.sqrt(np.diagonal(covariance)).reshape(-1, SCANNER_UNKNOWNS)[:, FIRST_SYSTEMATIC:]
     placed = column < FIRST_SYSTEMATIC
     return NetworkSolution(
         state.T_root_scanner,
@@ -186,7 +185,7 @@ def solve_network(
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
-        systematic=SystematicErrors(state.systematic, stddev, prior_sigma),
+        systematic=SystematicErrors(state.systematic, covariance[np.ix_(~placed, ~placed)], prior_sigma),
     )
 
 

@@ -35,18 +35,25 @@ class SystematicErrors:
 
     values: Array
     """(S, 4) of ``SYSTEMATIC_ERRORS``."""
-    stddev: Array
-    """(S, 4) given the data and all priors."""
+    covariance: Array
+    """(4S, 4S) given the data and all priors, scanner by scanner."""
     prior: Array
     """(S, 4) prior standard deviations; 0 for what is exact."""
 
+    @property
+    def covariance_of_estimated(self) -> Array:
+        """(E, E) of those that are not exact, in the order of :meth:`summarize`."""
+        estimated = np.flatnonzero(self.prior.ravel() > 0)
+        return self.covariance[np.ix_(estimated, estimated)]
+
     def summarize(self, names: Sequence[str]) -> tuple[EstimatedParameter, ...]:
         """The estimated parameters of the scanners with these names."""
+        stddev = np.sqrt(np.diagonal(self.covariance)).reshape(self.values.shape)
         return tuple(
             EstimatedParameter(
                 name, quantity, _UNITS[p], _STATED[p], prior, _STATED[p] + float(value), stddev=float(stddev)
             )
-            for name, *of_scanner in zip(names, self.values, self.stddev, self.prior, strict=True)
+            for name, *of_scanner in zip(names, self.values, stddev, self.prior, strict=True)
             for p, (quantity, value, stddev, prior) in enumerate(
                 zip(SYSTEMATIC_ERRORS, *(numbers.tolist() for numbers in of_scanner), strict=True)
             )

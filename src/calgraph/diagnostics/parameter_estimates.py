@@ -1,0 +1,70 @@
+"""Estimated deviations of systematic parameters from their stated values, and what the data tell apart of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.diagnostics.parameter_description import (
+    DescribedParameter,
+    describe_contradiction,
+    describe_deviation,
+    format_size,
+)
+from calgraph.geometry import Array, Index
+
+# Other causes that a finding lists at most: more are no help.
+_MAX_ALTERNATIVES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterEstimates:
+    """Estimated deviations of E systematic parameters from the stated values, with zero prior means."""
+
+    parameters: Sequence[DescribedParameter]
+    deviation: Array
+    """(E,)."""
+    prior_stddev: Array
+    """(E,) that rig.yaml states."""
+    covariance: Array
+    """(E, E) posterior."""
+    min_learned_share: float
+    """See :attr:`calgraph.config.settings.RigDiagnosticsSettings.min_learned_share`."""
+
+    @property
+    def normalized(self) -> Array:
+        """(E,) deviations over the standard deviations that they have if the priors are right.
+
+        The variance of an estimate about the stated value is what the data removed of the prior variance. Source:
+        Baarda, "A testing procedure for use in geodetic networks", 1968.
+        """
+        prior = self.prior_stddev**2
+        removed = np.maximum(prior - np.diag(self.covariance), self.min_learned_share * prior)
+        return np.asarray(self.deviation / np.sqrt(removed))
+
+    def indistinguishable(self, i: int, min_correlation: float) -> Index:
+        """Indices of the other parameters that the data do not distinguish from parameter i."""
+        stddev = np.sqrt(np.diag(self.covariance))
+        correlation = self.covariance[i] / (stddev[i] * stddev)
+        return np.setdiff1d(np.flatnonzero(np.abs(correlation) > min_correlation), [i])
+
+    def describe(self, i: int, others: Index) -> tuple[str, list[int]]:
+        """The contradiction of parameter i, or of others that could explain the data as well, likeliest first.
+
+        Returns:
+            The text, and the parameters that it names.
+        """
+        named = others.tolist()
+        alone = {j: self.deviation_alone(j, np.setdiff1d([i, *named], [j])) for j in (i, *named)}
+        named.sort(key=lambda j: abs(alone[j]) / self.prior_stddev[j])
+        causes = [i, *named[:_MAX_ALTERNATIVES]]
+        text = ", or ".join(describe_deviation(self.parameters[j], alone[j]) for j in causes)
+        if len(causes) > 1:
+            text += f" (these {len(causes)} cannot be told apart here)"
+        prior = format_size(self.prior_stddev[i], self.parameters[i])
+        return describe_contradiction(text, abs(float(self.normalized[i])), prior), causes
+
+    def deviation_alone(self, i: int, rest: Index) -> float:
+        """The deviation of parameter i if the rest is as stated."""
+        gain = np.linalg.solve(self.covariance[np.ix_(rest, rest)], self.covariance[rest, i])
+        return float(self.deviation[i] - gain @ self.deviation[rest])
