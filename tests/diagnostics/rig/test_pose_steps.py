@@ -147,6 +147,27 @@ def test_slipping_boards_are_no_steps() -> None:
     assert alarms <= 1
 
 
+def test_a_bump_does_not_rest_on_one_view() -> None:
+    """Either a scanner moved before its last four views, or one of these is of something else than the board."""
+    moved = measured(np.random.default_rng(0), 2, np.array([0, 0, 0, 0, 0.03, 0]), BOARDS - 4)
+    wrong = [wrong_detection(17), wrong_detection(BOARDS - 1)]
+    limit, ones = chi2.isf(0.1 / (3 * BOARDS), 6), [np.ones(BOARDS)] * len(SENSORS)
+    for bundle, is_bump in [(moved, True), *((one, False) for one in wrong)]:
+        solution = minimize_bundle(bundle, SCENE.truth)
+        scanner = release_poses(bundle, solution.state, solution.equations, ones)[2]
+        assert scanner.score_steps(4).squared[-1] > limit
+        assert (scanner.score_without_any_one(BOARDS - 4) > limit) == is_bump
+
+
+def wrong_detection(board: int) -> Bundle:
+    """The bundle in which the scanner detects something 0.1 m beside one board."""
+    rng = np.random.default_rng(0)
+    bundle = measured(rng)
+    T = relative_poses(SCENE.truth.T_root_sensor[2], SCENE.truth.T_root_board)
+    T[board] = se3.retract(T[board], np.array([0, 0, 0.1, 0, 0, 0]))
+    return replace(bundle, views=(*bundle.views[:2], remeasured(SCENE.bundle.views[2], T, rng, 1.0)))
+
+
 def test_no_search_is_possible_to_choose() -> None:
     bundle = measured(np.random.default_rng(0), 1, np.array([0.05, 0, 0, 0, 0, 0]), 10)
     assert find(bundle, SETTINGS.model_copy(update={"max_bumps": 0})) == []

@@ -79,13 +79,32 @@ class ReleasedPose:
         first_after = np.arange(min_views, len(views) - min_views + 1)
         if not len(first_after):
             return StepStatistics(first_after, np.zeros(0), np.zeros((0, 6)))
-        coupling = _sum_from(self.coupling[views])[first_after]
-        information = _sum_from(self.information[views])[first_after]
+        squared, step = self._solve_steps(
+            *(_sum_from(one[views])[first_after] for one in (self.information, self.coupling, self.score))
+        )
+        return StepStatistics(first_after, squared, step)
+
+    def score_without_any_one(self, first_after: int) -> float:
+        """The least statistic of a step if any one view counts as on its other side.
+
+        That of a bump remains large; that of an outlier among few views does not.
+        """
+        after = np.arange(len(self.score)) >= first_after
+        sums = (
+            tuple(
+                of_views[side].sum(axis=0) - of_views[side]
+                for of_views in (self.information, self.coupling, self.score)
+            )
+            for side in (after, ~after)
+        )
+        return min(float(self._solve_steps(*one)[0].min()) for one in sums)
+
+    def _solve_steps(self, information: Array, coupling: Array, score: Array) -> tuple[Array, Array]:
+        """The squared Mahalanobis distances (T,) and the steps (T, 6) of sums over the views after each step."""
         information = information - coupling @ self.covariance @ se_n.transpose(coupling)
         information = (information + se_n.transpose(information)) / 2 + _STEP_PRIOR_INFORMATION * np.eye(6)
-        score = _sum_from(self.score[views])[first_after]
         step: Array = np.asarray(-np.linalg.solve(information, score[..., None])[..., 0], dtype=np.float64)
-        return StepStatistics(first_after, np.asarray(-np.sum(score * step, axis=-1)), step)
+        return np.asarray(-np.sum(score * step, axis=-1)), step
 
 
 def find_pose_steps(
@@ -189,17 +208,20 @@ def _find_step(
     released = release_poses(bundle, state, solution.equations, weights)
     scores = [one.score_steps(settings.min_views) for one in released]
     tests = sum(len(one.squared) for one in scores)
+    if not tests:
+        return None
+    trigger = float(chdtri(6, settings.trigger_probability / tests))
+    scores = _require_several_views(released, scores, trigger)
     best = _select_largest(scores)
-    if best is None or scores[best[0]].squared[best[1]] <= chdtri(6, settings.trigger_probability / tests):
+    if scores[best[0]].squared[best[1]] <= trigger:
         return None
     split = _split_sensor(bundle, state, scores, best, settings.max_rounds)
     # The variances without the step contain its effect: with those beside the step, the tests select again.
     rescaled = _set_variances(bundle, state, split)
     equations = linearize_bundle(rescaled, state)
     released = release_poses(rescaled, state, equations, weights)
-    scores = [one.score_steps(settings.min_views) for one in released]
+    scores = _require_several_views(released, [one.score_steps(settings.min_views) for one in released], trigger)
     again = _select_largest(scores)
-    assert again is not None
     if again != best:
         best, split = again, _split_sensor(bundle, state, scores, again, settings.max_rounds)
     k, _ = best
@@ -330,8 +352,23 @@ def _downweight_outliers(bundle: Bundle, solution: MinimizedBundle) -> list[Arra
     ]
 
 
-def _select_largest(scores: Sequence[StepStatistics]) -> tuple[int, int] | None:
+def _require_several_views(
+    released: Sequence[ReleasedPose], scores: Sequence[StepStatistics], limit: float
+) -> list[StepStatistics]:
+    """The statistics, with zero in place of those that exceed a limit by one view alone."""
+    return [
+        replace(
+            statistics,
+            squared=np.array([
+                squared if squared <= limit or one.score_without_any_one(first) > limit else 0.0
+                for first, squared in zip(statistics.first_after, statistics.squared, strict=True)
+            ]),
+        )
+        for one, statistics in zip(released, scores, strict=True)
+    ]  # fmt: skip
+
+
+def _select_largest(scores: Sequence[StepStatistics]) -> tuple[int, int]:
     """Index of the view set and of the time of the largest statistic."""
-    largest = [float(one.squared.max(initial=0.0)) for one in scores]
-    k = int(np.argmax(largest))
-    return (k, int(np.argmax(scores[k].squared))) if largest[k] > 0 else None
+    k = int(np.argmax([one.squared.max(initial=0.0) for one in scores]))
+    return k, int(np.argmax(scores[k].squared))
