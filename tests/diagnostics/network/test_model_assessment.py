@@ -51,6 +51,7 @@ def assess(
     axes: tuple[float, float] = AXES,
     *,
     replaceable: bool = True,
+    max_good_scatter: float = 1.5,
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
     joint = NetworkSolution(T_ROOT, OFFSET, 1e-6 * np.eye(12), True, 0.005, solved)
@@ -65,7 +66,7 @@ def assess(
         PoseGraphSolution(averaged, np.array([True, True])),
         graph,
         NAMES,
-        NetworkModelSettings(),
+        NetworkModelSettings(max_good_scatter=max_good_scatter),
         replaceable=replaceable,
     )
 
@@ -119,6 +120,12 @@ def test_scatter_widens_the_covariance_and_makes_all_poses_weak() -> None:
     assert scatter.sensors == NAMES
     ratio = float(scatter.text.split(" times")[0].split()[-1])
     np.testing.assert_allclose(np.diag(covariance_of(found)), 1e-6 * ratio**2, rtol=0.1)
+
+
+def test_scatter_that_the_covariance_contains_is_no_reason_for_weak_poses() -> None:
+    found = assess(solve(alternating=True), max_good_scatter=100.0)
+    assert not any("contribute to the poses scatters" in one.text for one in found.findings)
+    assert covariance_of(found)[0, 0] > 1.5e-6
 
 
 def test_averaged_pairs_that_disagree_make_all_poses_weak() -> None:

@@ -9,6 +9,7 @@ from calgraph.config import Cylinder, People
 from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.consistency_tests import (
+    Scatter,
     find_disagreement,
     find_inconsistent_parts,
     measure_scatter,
@@ -69,15 +70,8 @@ def assess_network_model(
     ]
     if scatter.p < settings.false_alarm_probability:
         joint = joint.scale_covariance(scatter.ratio)
-        findings.append(
-            Finding(
-                f"what parts of the recording contribute to the poses scatters {np.sqrt(scatter.ratio):.1f} times "
-                f"as much as noise explains (p = {scatter.p:.0e}), by which standard deviations are enlarged: "
-                "people are not as modelled, or clocks or ranges are wrong",
-                tuple(names),
-                refutes=scatter.ratio > settings.refuting_scatter,
-            )
-        )
+        if scatter.ratio > settings.max_good_scatter:
+            findings.append(_describe_scatter(scatter, names, settings))
     refuted = any(finding.refutes for finding in findings)
     if _measure_radius_deviation(target, solved) < settings.max_radius_deviation:
         covariance = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
@@ -95,6 +89,16 @@ def assess_network_model(
     # One reason is enough for the verdicts; what led to it are remarks.
     causes = [replace(finding, sensors=()) for finding in findings]
     return ModelAssessment(None if replaceable else joint, (summary, *causes))
+
+
+def _describe_scatter(scatter: Scatter, names: Sequence[str], settings: NetworkModelSettings) -> Finding:
+    return Finding(
+        f"what parts of the recording contribute to the poses scatters {np.sqrt(scatter.ratio):.1f} times as much "
+        f"as noise explains (p = {scatter.p:.0e}), by which standard deviations are enlarged: people are not as "
+        "modelled, or clocks or ranges are wrong",
+        tuple(names),
+        refutes=scatter.ratio > settings.refuting_scatter,
+    )
 
 
 def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) -> float:
