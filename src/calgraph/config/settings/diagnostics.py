@@ -121,6 +121,10 @@ class BumpTestSettings(StrictModel):
     trigger_probability: float = Field(default=0.1, gt=0, lt=1)
     """Probability with which a recording without bumps is tested with estimated variances, which takes as long as
     its solution."""
+    single_view_probability: float = Field(default=0.05, gt=0, lt=1)
+    """A step must remain where any one capture counts as on its other side, with a smaller probability than this
+    by chance: one wrong detection among the last four of a scanner had a statistic of 427, and 3 without it; bumps
+    of a few standard deviations have 15 and more."""
     max_view_bias: float = Field(default=0.01, gt=0)
     """m; where views scatter with a larger standard deviation on either side of a step, another error of the model
     is larger than the step: flat boards and working scanners vary by 1 to 3 mm."""

@@ -211,7 +211,7 @@ def _find_step(
     if not tests:
         return None
     trigger = float(chdtri(6, settings.trigger_probability / tests))
-    scores = _require_several_views(released, scores, trigger)
+    scores = _require_several_views(released, scores, trigger, settings)
     best = _select_largest(scores)
     if scores[best[0]].squared[best[1]] <= trigger:
         return None
@@ -220,7 +220,8 @@ def _find_step(
     rescaled = _set_variances(bundle, state, split)
     equations = linearize_bundle(rescaled, state)
     released = release_poses(rescaled, state, equations, weights)
-    scores = _require_several_views(released, [one.score_steps(settings.min_views) for one in released], trigger)
+    scores = [one.score_steps(settings.min_views) for one in released]
+    scores = _require_several_views(released, scores, trigger, settings)
     again = _select_largest(scores)
     if again != best:
         best, split = again, _split_sensor(bundle, state, scores, again, settings.max_rounds)
@@ -353,14 +354,18 @@ def _downweight_outliers(bundle: Bundle, solution: MinimizedBundle) -> list[Arra
 
 
 def _require_several_views(
-    released: Sequence[ReleasedPose], scores: Sequence[StepStatistics], limit: float
+    released: Sequence[ReleasedPose],
+    scores: Sequence[StepStatistics],
+    trigger: float,
+    settings: BumpTestSettings,
 ) -> list[StepStatistics]:
-    """The statistics, with zero in place of those that exceed a limit by one view alone."""
+    """The statistics, with zero in place of those above the trigger that rest on one view."""
+    least = float(chdtri(6, settings.single_view_probability))
     return [
         replace(
             statistics,
             squared=np.array([
-                squared if squared <= limit or one.score_without_any_one(first) > limit else 0.0
+                squared if squared <= trigger or one.score_without_any_one(first) > least else 0.0
                 for first, squared in zip(statistics.first_after, statistics.squared, strict=True)
             ]),
         )
