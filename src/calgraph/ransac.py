@@ -32,7 +32,7 @@ class RansacResult:
     """The best model found and its inliers."""
 
     model: Array
-    """One model, of whatever shape ``solve`` gives for one sample."""
+    """One model, with the shape that ``solve`` gives for one sample."""
     inliers: NDArray[np.bool_]
     """(N,) at most one datum of each group: the best one, if it is within the threshold."""
     cost: float
@@ -62,7 +62,7 @@ def find_consensus(
 ) -> RansacResult | None:
     """Finds the model with the lowest robust cost by random sampling.
 
-    Data come in groups of mutually exclusive alternatives (candidate detections of one capture, say): a sample
+    Data come in groups of mutually exclusive alternatives, such as candidate detections of one capture: a sample
     takes at most one of a group, and a group's residual is that of its best member. Every second sample takes the
     first of each group, the others any. Data without alternatives are groups of one, ``groups = arange(N)``.
 

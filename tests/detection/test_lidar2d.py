@@ -220,7 +220,7 @@ def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
 def test_rejection_names_too_few_beams(rng: np.random.Generator) -> None:
     edge_on = np.array([[2.0, 0.5], [2.3, 0.6]])
     scan = measure(rng, ends=edge_on, walls=[], dropouts=0.0)
-    assert "seen edge-on" in rejection(find_segments([scan], [BOARD], NOISE, None, rng))
+    assert "is edge-on" in rejection(find_segments([scan], [BOARD], NOISE, None, rng))
 
 
 def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random.Generator) -> None:

@@ -238,7 +238,7 @@ def test_tracks_at_different_times_are_rejected(rng: np.random.Generator) -> Non
     walks = [wander(rng, seconds=20)]
     a, b = observe(walks, np.eye(3), rng), observe(walks, np.eye(3), rng, late=100.0)
     assert estimate_scanner_pair("a", "b", a, b, rng) == Rejected(
-        "both tracked somebody at the same time for 0.0 s, 2.0 s are needed"
+        "both tracked people at the same time for 0.0 s, 2.0 s are needed"
     )
 
 
@@ -253,7 +253,7 @@ def test_people_at_rest_are_rejected(rng: np.random.Generator) -> None:
 def test_a_scanner_without_tracks_is_rejected(rng: np.random.Generator) -> None:
     empty = ScannerTracks((), NO_BACKGROUND, 0.01)
     found = estimate_scanner_pair("a", "b", empty, empty, rng)
-    assert found == Rejected("both tracked somebody at the same time for 0.0 s, 2.0 s are needed")
+    assert found == Rejected("both tracked people at the same time for 0.0 s, 2.0 s are needed")
 
 
 def test_walls_improve_the_pose_from_tracks(rng: np.random.Generator) -> None:

@@ -93,7 +93,7 @@ def _describe(
     """What moved, when, and what follows."""
     names, which = (
         " or ".join(bump.sensors),
-        "" if len(bump.sensors) == 1 else ", these captures cannot tell which,",
+        "" if len(bump.sensors) == 1 else ", these captures do not determine which,",
     )
     begin, end = bump.interval
     # Detections that were made elsewhere have no times.

@@ -68,7 +68,7 @@ def calibrate_tracks(
         options: how to calibrate. The joint solution needs the beams (:class:`calgraph.tracking.Hits`) that hit
             the tracked objects; averaging uses positions only.
         progress: called with the step and the fraction done.
-        frames: frame_id by scanner, where the rig does not say.
+        frames: frame_id by scanner, where the rig does not state it.
         start: of the recording, s; the time of the first track if left out.
         findings: what does not fit the rig in the messages of the recording.
 

@@ -76,7 +76,7 @@ class NetworkOptions:
     extend: Calibration | None = None
     """An earlier calibration, to which recordings or scanners are added."""
     moved: tuple[str, ...] = ()
-    """Scanners that have moved since ``extend``, and whose poses are estimated anew."""
+    """Scanners that have moved since ``extend``, and whose poses are estimated again."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
     jobs: int = 1

@@ -53,9 +53,8 @@ COMMANDS = {
         "check": "Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and "
         "axis, and why.",
         "verify": "Check whether the covariances of a rig's calibration hold, by a bootstrap over its captures.",
-        "demo": "Simulate a five-sensor robot, calibrate it from its recording, and compare with the truth.",
-        "init": "Draft a rig.yaml from the topics of a recording, with comments that say what to check and to "
-        "measure.",
+        "demo": "Simulate a five-sensor robot, calibrate it, and compare with the ground truth.",
+        "init": "Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the target: that rig.yaml needs "
         "for it.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
@@ -67,12 +66,12 @@ SIMULATIONS = {
     "rig": LazyCommand(
         "calgraph.cli.simulate",
         "simulate_rig_command",
-        "Simulate a robot, a board, and an operator who carries it around; write the recording and the truth.",
+        "Simulate a robot, a board, and an operator who carries it around; write recording and ground truth.",
     ),
     "network": LazyCommand(
         "calgraph.cli.simulate_network",
         "simulate_network_command",
-        "Simulate 2-D scanners fixed in a building, and people who walk through it; write recording and truth.",
+        "Simulate scanners in a building, and people who walk through; write recording and ground truth.",
     ),
 }
 

@@ -78,7 +78,7 @@ def calibrate(
     ] = None,
     moved: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="People: has moved since OLD: find it anew; repeatable."),
+        typer.Option(metavar="NAME", help="People: has moved since OLD: estimate it again; repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
     jobs: JobsOption = None,

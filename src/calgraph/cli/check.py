@@ -60,7 +60,7 @@ def check(
 
     A sensor fails along an axis where FILE is off by more than the tolerance
     and than chance explains. Warnings: significant, but within the tolerance;
-    or the recording is too weak to tell. Of a network, the fewest scanners that
+    or the recording is too weak to decide. Of a network, the fewest scanners that
     explain what is off are named as moved: a minute of ordinary traffic does.
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.

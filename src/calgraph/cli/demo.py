@@ -24,7 +24,7 @@ def demo(
     ] = Path("demo"),
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated robot and its noise.")] = 0,
 ) -> None:
-    """Simulate a five-sensor robot, calibrate it from its recording, and compare with the truth.
+    """Simulate a five-sensor robot, calibrate it, and compare with the ground truth.
 
     Writes recording, rig.yaml, scenario.yaml, truth.yaml and result/ into OUT, over those of an earlier demo.
     """

@@ -30,7 +30,7 @@ def init(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite FILE if it exists.")] = False,
 ) -> None:
-    """Draft a rig.yaml from the topics of a recording, with comments that say what to check and to measure."""
+    """Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure."""
     if out.exists() and not force:
         raise InputError(f"{out}: exists already; choose another FILE, or give --force to overwrite it")
     target = format_target(read_boards(board)) if board else ""

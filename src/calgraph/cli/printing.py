@@ -103,14 +103,14 @@ def _print_systematic(output: Console, calibration: Calibration) -> None:
 
 
 def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -> None:
-    """Prints how far each sensor's pose is from the truth, beside its standard deviation.
+    """Prints how far each sensor's pose is from the ground truth, with its standard deviation.
 
     Args:
         calibration: the result.
         T_root_sensor: true poses (4, 4) by sensor.
     """
     output = console()
-    output.print("[bold]Errors against the truth[/]")
+    output.print("[bold]Errors against the ground truth[/]")
     table = _table()
     for head in ("error mm", "± mm", "error °", "± °"):
         table.add_column(head, justify="right", no_wrap=True)

@@ -26,7 +26,7 @@ _MODEL_OPTIONS = {
 
 
 def simulate_rig_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0, **options: Any) -> None:
-    """Simulate a robot, a board, and an operator who carries it around; write the recording and the truth.
+    """Simulate a robot, a board, and an operator who carries it around; write recording and ground truth.
 
     Lists are given as numbers with commas between them, tags and patterns as in rig.yaml (YAML on one line).
     """

@@ -13,7 +13,8 @@ from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically, save_yaml
 
 Out = Annotated[
-    Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording, rig.yaml, truth and scenario.")
+    Path,
+    typer.Option("--out", "-o", metavar="OUT", help="Folder for recording, rig.yaml, ground truth and scenario."),
 ]
 ScenarioFile = Annotated[
     Path | None,
@@ -26,7 +27,7 @@ Simulate = Callable[[Scenario, Path, int, Callable[[int, int], None]], None]
 
 
 def simulate_to(out: Path, simulate: Simulate[Scenario], scenario: Scenario, seed: int) -> None:
-    """Writes recording, truth and scenario into the folder ``out``, all or none of them.
+    """Writes recording, ground truth and scenario into the folder ``out``, all or none of them.
 
     Raises:
         InputError: there is a recording in ``out`` already.
@@ -48,6 +49,6 @@ def simulate_into(
     seed: int,
     progress: Callable[[str, float], None],
 ) -> None:
-    """Writes the recording, the truth, and the scenario they come from into an existing folder."""
+    """Writes the recording, the ground truth, and their scenario into an existing folder."""
     simulate(scenario, folder, seed, lambda done, total: progress("simulating", done / total))
     save_yaml(folder / "scenario.yaml", scenario.model_dump(mode="json", exclude_none=True), f"seed: {seed}")

@@ -19,7 +19,7 @@ _MODEL_OPTIONS = {option.parameter: option for option in list_options(NetworkSce
 
 
 def simulate_network_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0, **options: Any) -> None:
-    """Simulate 2-D scanners fixed in a building, and people who walk through it; write recording and truth.
+    """Simulate scanners in a building, and people who walk through; write recording and ground truth.
 
     Defaults are those of the office; another layout has other defaults, which options override.
     """

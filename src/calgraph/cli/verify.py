@@ -128,8 +128,10 @@ def _print(
     for name, found in scatter.items():
         axis, ratio = axis_names(kinds[name])[found.worst], found.ratio[found.worst]
         times = ratio if found.verdict == "optimistic" else 1 / ratio
-        by = "" if found.verdict == "honest" else f" by {times:.1f}, most for {axis}"
-        output.print(f"{_SIGNS[found.verdict]} {escape(f'the covariance of {name} is {found.verdict}{by}')}")
+        agreement = f"{found.verdict} by {times:.1f}, most for {axis}"
+        if found.verdict == "honest":
+            agreement = "consistent with the bootstrap"
+        output.print(f"{_SIGNS[found.verdict]} {escape(f'the covariance of {name} is {agreement}')}")
 
 
 def _format_stddev(stddev: float, axis: int) -> str:

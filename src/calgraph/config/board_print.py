@@ -17,7 +17,7 @@ class PrintedBitmap:
     """A bitmap on the board. Its white modules do not cover the black ones of other bitmaps."""
 
     bitmap: Array
-    """(rows, columns) as the reader sees it: 0 for black, 1 for white."""
+    """(rows, columns) for a reader of the print: 0 for black, 1 for white."""
     center: Pair
     """In the board frame, m."""
     size: Pair

@@ -119,7 +119,7 @@ class BoardUncertainty(StrictModel):
     size: LengthStddev = 0.002
     """m, of the width and of the height. Cuts and tape measures are this good."""
     print_position: LengthStddev = 0.002
-    """m, of the print on the board, along both axes. Sheets are glued on to the cut edge no better than it is
+    """m, of the print on the board, along both axes. Prints are glued on to the cut edge no better than it is
     cut."""
 
 

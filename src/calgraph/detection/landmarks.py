@@ -1,6 +1,6 @@
 """Positions of the marks on a board: the layout and corner order of every pattern.
 
-Board frame: origin at the centre of the board, x right, y up as the reader of the print sees it, z out of the
+Board frame: origin at the centre of the board, x right, y up for a reader of the print, z out of the
 face towards the reader.
 """
 

@@ -73,7 +73,7 @@ def find_segments(
     if not lines:
         return Rejected(
             f"none of the {scan.foreground.sum()} {'foreground ' if background else ''}beams form a straight "
-            f"line of {settings.lidar2d.min_beams} beams: the board is not in view or is seen edge-on"
+            f"line of {settings.lidar2d.min_beams} beams: the board is not in view or is edge-on"
         )
     scored = [(_score_line(scan, line, boards, noise, settings), line) for line in lines]
     plausible = sorted((s for s in scored if s[0] >= settings.lidar2d.min_score), key=lambda s: -s[0])

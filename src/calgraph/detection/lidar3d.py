@@ -72,7 +72,7 @@ def find_patches(
     thickness = max(settings.scanner.fit.outlier_sigmas * noise.range, settings.scanner.min_thickness)
     regions = [] if cells is None else grow_flat_regions(cells, thickness, settings.lidar3d.regions)
     if cells is None or not regions:
-        return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or seen edge-on")
+        return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or edge-on")
     subsampled = scene[:: max(1, len(scene) // settings.lidar3d.max_scene_points)]
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     patches = [

@@ -60,7 +60,7 @@ class ParameterEstimates:
         causes = [i, *named[:_MAX_ALTERNATIVES]]
         text = ", or ".join(describe_deviation(self.parameters[j], alone[j]) for j in causes)
         if len(causes) > 1:
-            text += f" (these {len(causes)} cannot be told apart here)"
+            text += f" (these {len(causes)} cannot be distinguished here)"
         prior = format_size(self.prior_stddev[i], self.parameters[i])
         return describe_contradiction(text, abs(float(self.normalized[i])), prior), causes
 

@@ -160,7 +160,7 @@ def _propose_hypotheses(
     count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), settings.hypotheses.min_matched_time
     if count < pairs.a.to_ticks(needed):
         return Rejected(
-            f"both tracked somebody at the same time for {count * pairs.a.tick_period:.1f} s, "
+            f"both tracked people at the same time for {count * pairs.a.tick_period:.1f} s, "
             f"{needed:.1f} s are needed"
         )
     poses = propose_poses(pairs, settings.proposals, rng)

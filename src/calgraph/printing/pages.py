@@ -89,7 +89,7 @@ def black_rectangles_mm(board: Board) -> Array:
 
 
 def layout_pages(board: Board, paper: Paper | None = None, overlap: float = 10.0) -> tuple[Page, ...]:
-    """Lays out a board on pages, in rows from the top.
+    """Arranges a board on pages, in rows from the top.
 
     A board that fits the paper is put on one page, in either orientation; otherwise it is tiled over the fewest
     pages. Its white rim may extend into the margins, or be as large as the paper.

@@ -72,7 +72,7 @@ def _distortion(name: str, D: Array) -> tuple[Literal["pinhole", "fisheye"], Arr
     if name not in _PINHOLE:
         known = "plumb_bob, rational_polynomial, equidistant"
         raise ValueError(f"distortion model {name!r} is not supported; known are {known}")
-    # Longer lists carry thin-prism and tilt terms; all-zero ones say nothing.
+    # Longer lists carry thin-prism and tilt terms; all-zero ones have no effect.
     if D.size > 8 and not D[8:].any():
         D = D[:8]
     if not D.any():

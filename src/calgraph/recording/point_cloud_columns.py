@@ -18,7 +18,7 @@ _RING_NAMES = ("ring", "channel", "laser_id", "line", "ring_id")
 _TIME_NAMES = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
 # PointField.datatype to NumPy's type codes.
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-# Seconds in one unit of a time column, the likeliest first.
+# Seconds in one unit of a time column, the most likely first.
 _FLOAT_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 _INTEGER_UNITS = (1e-9, 1e-6)
 # Plausible durations of a sweep, s, by which the unit of a time column is recognised: a spinning 2-D scanner takes
@@ -72,7 +72,7 @@ def _row_step(message: Any, size: int) -> int:
 def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> PointCloud:
     """A point cloud from columns (N,) x, y, z and, if there, a ring and a time.
 
-    Points that are not finite or lie in the origin are left out: both are ways to say that nothing came back.
+    Points that are not finite or lie in the origin are left out: drivers mark beams without a return so.
 
     Raises:
         ValueError: a coordinate is missing.

@@ -138,7 +138,9 @@ def _laser_scan(store: Typestore, scan: LaserScan, _: Encoding) -> tuple[str, An
     increment = float(scan.angles[-1] - scan.angles[0]) / (n - 1) if n > 1 else 0.0
     start = float(scan.angles[0]) if n else 0.0
     if n and np.abs(start + increment * np.arange(n) - scan.angles).max() > _MAX_ANGLE_DEVIATION:
-        raise InputError(f"scan at {scan.stamp:.6f}: its beams are not evenly spaced, which LaserScan cannot say")
+        raise InputError(
+            f"scan at {scan.stamp:.6f}: its beams are not evenly spaced, which LaserScan cannot represent"
+        )
     farthest = float(scan.ranges[scan.valid].max(initial=0))
     return _make_message(
         store,

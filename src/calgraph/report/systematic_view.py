@@ -1,4 +1,4 @@
-"""Systematic parameters: what is stated of each, and what the data say."""
+"""Systematic parameters: stated value, prior and estimate of each."""
 
 from calgraph.report.formatting import escape_html
 from calgraph.result import Calibration, EstimatedParameter

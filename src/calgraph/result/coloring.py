@@ -25,7 +25,7 @@ def colorize_from_snapshots(
         T_root_sensor: (4, 4) by sensor.
 
     Returns:
-        Red, green and blue (N, 3), 0 where no camera sees the point; and whether a camera does (N,).
+        Red, green and blue (N, 3), 0 where the point is in no image; and whether it is in one (N,).
     """
     colors, is_colored = np.zeros((len(x_root), 3), dtype=np.uint8), np.zeros(len(x_root), dtype=np.bool_)
     for s in snapshots:

@@ -8,7 +8,7 @@ _DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """A systematic parameter of a sensor or of the target: what is stated of it, and what the data say."""
+    """A systematic parameter of a sensor or of the target: its stated value, its prior, and its estimate."""
 
     of: str
     """A sensor, ``board``, or a tag: ``tag 3``."""

@@ -13,7 +13,7 @@ class BoardOutline:
     capture: int
     corners: Array
     """(4, 3) corners of the board, or of the detected patch, root frame, m; of a board whose print was detected,
-    anticlockwise from the bottom left as a reader sees it."""
+    anticlockwise from the bottom left for a reader of the print."""
     board: int | None = None
     """Index of the board among the rig's boards, where a camera detected its print."""
 

@@ -24,7 +24,7 @@ class Provenance:
     command: str
     """The command line."""
     inputs: tuple[InputFile, ...]
-    """The rig, the recordings, and whatever else was read."""
+    """The rig, the recordings, and all other files that were read."""
     start: float | None = None
     """Start of the recording, s; None where there was none."""
     duration: float | None = None

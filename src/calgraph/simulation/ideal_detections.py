@@ -66,8 +66,8 @@ def simulate_detections(
         errors: in which the world differs from the rig; they do not change the noise.
 
     Returns:
-        The rig with its stated noise, the detections, and the truth with the board's pose in every capture. After
-        a bump the truth is the pose of the sensor at the end.
+        The rig with its stated noise, the detections, and the ground truth with the board's pose in every
+        capture. After a bump it is the pose of the sensor at the end.
 
     Raises:
         InputError: the errors do not fit the sensors.

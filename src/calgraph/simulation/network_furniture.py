@@ -1,4 +1,4 @@
-"""What changes or deceives in a building: chairs that are moved now and then, and mirrors on walls."""
+"""Disturbances in a building: chairs that are moved sometimes, and mirrors on walls."""
 
 from collections.abc import Sequence
 

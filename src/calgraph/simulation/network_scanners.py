@@ -48,7 +48,7 @@ class StationaryScanner:
     tilt: tuple[float, float] = (0.0, 0.0)
     """Rotation vector of the scan plane in the levelled frame, rad."""
     inverted: bool = False
-    """Whether its z is down, so that beams turn clockwise as seen from above."""
+    """Whether its z is down, so that beams turn clockwise when viewed from above."""
     earlier: tuple[tuple[float, Array], ...] = ()
     """Ends, s from the start of the recording, and ``T_world_scanner`` of what was before, in order."""
 

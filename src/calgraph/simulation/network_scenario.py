@@ -196,7 +196,7 @@ class NetworkScenario(StrictModel):
     clutter: Annotated[int, Field(ge=0)] = 14
     """Pieces of furniture in all."""
     chairs: Annotated[int, Field(ge=0)] = 0
-    """Chairs that are moved now and then, by up to half a metre."""
+    """Chairs that are moved sometimes, by up to half a metre."""
     mirrors: Annotated[int, Field(ge=0)] = 0
     """Mirrors on walls, such as glass that reflects, 2 m wide."""
     scanner: ScannerOptions = ScannerOptions()

@@ -199,7 +199,7 @@ def _let_one_drive(
     free_space: FreeSpace,
     rng: np.random.Generator,
 ) -> tuple[StationaryScanner, ...]:
-    """The scanners, of which one besides the root drives on a path of its own."""
+    """The scanners, of which one besides the root drives on a separate path."""
     rider = scenario.people.model_copy(
         update={"speed": scenario.errors.driving, "speed_spread": 0.0, "stop_every": 0.0}
     )

@@ -139,7 +139,7 @@ def test_a_recording_that_agrees_gives_the_earlier_poses_as_a_prior(rng: np.rand
 
 
 @pytest.mark.parametrize(
-    ("moved", "advice"), [(2, "give `moved`: c"), (0, "its root has moved: calibrate the network anew")]
+    ("moved", "advice"), [(2, "give `moved`: c"), (0, "its root has moved: calibrate the network again")]
 )
 def test_moved_scanners_are_named_with_advice(moved: int, advice: str, rng: np.random.Generator) -> None:
     earlier = known_to_millimetres(rng)

@@ -66,4 +66,6 @@ def test_several_bumps_are_one_finding() -> None:
 
 def test_a_bump_without_common_background_has_no_size() -> None:
     far = ScannerBump((START + 30.2, START + 30.4), np.nan, np.nan, 0.0, 0.0)
-    assert "by more than its background can tell" in describe("east", tracks((far,), (START + 30.7, np.inf))).text
+    assert (
+        "by more than its background determines" in describe("east", tracks((far,), (START + 30.7, np.inf))).text
+    )

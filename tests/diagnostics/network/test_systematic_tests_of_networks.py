@@ -64,7 +64,7 @@ def test_errors_that_the_data_do_not_distinguish_are_named_together() -> None:
     [(text, scanners)] = find_correlated(0.95)
     assert text.startswith(
         "ranges of east are 0.63 % longer than they should be, or ranges of west are 0.54 % shorter than they "
-        "should be (these 2 cannot be told apart here); this is 4.0 times"
+        "should be (these 2 cannot be distinguished here); this is 4.0 times"
     )
     assert scanners == ("east", "west")
 

@@ -30,7 +30,7 @@ class CameraNoiseSettings(StrictModel):
     """The noise of a camera's corners, estimated from PnP residuals."""
 
     min_noise: float = Field(default=0.05, gt=0)
-    """Least noise of a corner, px: errors of the distortion model shift all corners of a board alike, which the
+    """Least noise of a corner, px: errors of the distortion model shift all corners of a board, which the
     residuals of one PnP do not show; corners of the AprilTag library scatter by 0.05 to 0.1 px."""
     min_degrees_of_freedom: int = Field(default=24, gt=0)
     """Least degrees of freedom of an estimate: its relative standard deviation is 1 / sqrt(2 x 24) = 14 %."""

@@ -42,7 +42,7 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
         if name not in names:
             raise InputError(f"`moved`: {name} is not in what is extended, which has {', '.join(sorted(names))}")
         if name == earlier.root:
-            raise InputError(f"`moved`: {name} is the root; calibrate the network anew, or with another root")
+            raise InputError(f"`moved`: {name} is the root; calibrate the network again, or with another root")
     kept = [k for k, name in enumerate(names) if name not in moved]
     rows = (6 * np.array(kept)[:, None] + np.arange(6)).ravel()
     return replace(
@@ -84,9 +84,9 @@ def build_consistent_prior(
         moved_names = [one.name for one in moved]
         displacements = "; ".join(f"{one.name} has moved by {one}" for one in moved)
         advice = (
-            "its root has moved: calibrate the network anew"
+            "its root has moved: calibrate the network again"
             if names[0] in moved_names
-            else f"to estimate their poses anew and keep the others, give `moved`: {', '.join(moved_names)}"
+            else f"to estimate their poses again and keep the others, give `moved`: {', '.join(moved_names)}"
         )
         raise CalibrationError(
             f"the recording contradicts what is extended: relative to {reference}, {displacements}. "

@@ -55,7 +55,7 @@ def _describe_step(bump: ScannerBump, start: float) -> str:
         f"at {(begin + end) / 2:.1f} s" if end - begin < _MAX_INSTANT else f"between {begin:.1f} and {end:.1f} s"
     )
     if np.isnan(bump.translation):
-        return f"{time}, by more than its background can tell"
+        return f"{time}, by more than its background determines"
     translation = f"{1000 * bump.translation:.0f} ± {1000 * bump.translation_stddev:.0f} mm"
     rotation = f"{np.degrees(bump.rotation):+.2f} ± {np.degrees(bump.rotation_stddev):.2f}°"
     return f"by {translation} and {rotation} {time}"

@@ -118,7 +118,7 @@ def find_drifts(statistics: DriftStatistics, settings: DriftTestSettings) -> Ite
         least = largest.squared - 2 * np.log(settings.indistinguishable_ratio)
         likely = [sensors for sensors, drift in zip(bodies, drifts, strict=True) if drift.squared >= least]
         names = " or ".join(" and ".join(sensors) for sensors in likely)
-        which = ", these captures cannot tell which," if len(likely) > 1 else ""
+        which = ", these captures do not determine which," if len(likely) > 1 else ""
         mm, degrees = 1000 * np.linalg.norm(largest.change[:3]), np.degrees(np.linalg.norm(largest.change[3:]))
         yield Finding(
             f"the pose of {names}{which} drifts by {mm:.1f} mm and {degrees:.2f}° in the course of the captures, "

@@ -1,7 +1,7 @@
 """Tests of systematic parameters against their priors: what is wrong in rig.yaml, in words.
 
-Parameters with a high posterior correlation cannot be told apart: the finding names them together, each with the
-size that would explain the data alone.
+Parameters with a high posterior correlation cannot be distinguished: the finding names them together, each with
+the size that would explain the data alone.
 """
 
 from collections.abc import Iterator, Sequence
