@@ -39,7 +39,14 @@ def names(folder: Path) -> list[str]:
 
 
 def test_the_files_are_written(calibrated: tuple[Path, Result]) -> None:
-    written = ["calibration.yaml", "captures.csv", "report.html", "rig.resolved.yaml", "scene.npz"]
+    written = [
+        "calibration.yaml",
+        "captures.csv",
+        "report.html",
+        "residuals.csv",
+        "rig.resolved.yaml",
+        "scene.npz",
+    ]
     assert names(calibrated[0]) == written
 
 

@@ -18,7 +18,7 @@ from written_results import read_without_provenance
 Run = Callable[..., Result]
 
 RESULTS = ("calibration.yaml", "captures.csv", "rig.resolved.yaml")
-PICTURES = ("report.html", "scene.npz")
+PICTURES = ("report.html", "residuals.csv", "scene.npz")
 """What shows images, scans and clouds, which a dumped problem does not keep."""
 
 

@@ -147,7 +147,8 @@ def test_dark_mode_and_print_have_their_colours(network_page: Opened) -> None:
 def test_a_phone_does_not_scroll_horizontally(opened: Opened) -> None:
     opened.page.set_viewport_size({"width": 400, "height": 800})
     opened.page.wait_for_function(
-        "document.querySelector('.figure .main-svg').clientWidth < 400", timeout=_PATIENCE
+        "[...document.querySelectorAll('.figure .main-svg')].every((one) => one.clientWidth < 400)",
+        timeout=_PATIENCE,
     )
     assert opened.page.evaluate("document.documentElement.scrollWidth") == 400
 

@@ -15,7 +15,7 @@ from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.report import write_report
 from calgraph.report.page import render_report
-from calgraph.result import Calibration, CaptureRow, Edge, Pictures, Verdict
+from calgraph.result import Calibration, CaptureRow, Edge, FitError, HeldOutError, Pictures, Verdict
 
 VOID = {"meta", "br", "input", "link", "img"}
 
@@ -136,7 +136,43 @@ def test_sensors_that_need_attention_come_first(page: Page) -> None:
 
 
 def test_cards_state_the_worst_deviation(page: Page) -> None:
-    assert "2-D scanner · σ 80 mm, 0.99° in the worst direction" in page.words
+    assert "σ of the pose 80 mm, 0.99° captures used" in page.words
+
+
+def test_cards_state_the_residual_in_the_unit_of_the_sensor(calibration: Calibration, rig: Rig) -> None:
+    fit = {"camera": FitError(320, "px", 0.412), "laser": FitError(900, "m", 0.0078)}
+    held_out = {
+        "camera": HeldOutError(20, "px", 0.53, 0.4, 1.1),
+        "laser": HeldOutError(20, "m", 0.0091, 0.005, 1.0),
+    }
+    evidence = dataclasses.replace(calibration.evidence, fit=fit, cross_validation=held_out)
+    words = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig)).words
+    assert "reprojection error 0.41 px RMS on held-out captures 0.53 px RMS captures used" in words
+    assert "distance from the board 7.8 mm RMS on held-out captures 9.1 mm RMS captures used" in words
+    assert "corners used 320" in words
+    assert "beams used 900" in words
+    # Cross-validation: fitted beside held out.
+    assert "camera 20 0.41 px 0.53 px 0.40 px" in words
+
+
+def test_the_first_lines_name_the_poses_that_can_be_used(page: Page) -> None:
+    lead = "Do not rely on laser_low . Its card states why, and what to do next. Only camera"
+    assert lead in page.words
+    assert page.words.index(lead) < page.words.index("root lidar")
+
+
+def test_the_first_lines_of_a_good_result_name_the_next_step(calibration: Calibration, rig: Rig) -> None:
+    good = tuple(dataclasses.replace(s, verdict=Verdict("good")) for s in calibration.sensors)
+    words = Page(render_report(dataclasses.replace(calibration, sensors=good), rig)).words
+    assert "All poses can be used. Next: calgraph export" in words
+
+
+def test_a_remark_that_is_on_a_card_is_not_repeated(calibration: Calibration, rig: Rig) -> None:
+    reason = next(s.verdict.reason for s in calibration.sensors if s.name == "laser_low")
+    evidence = dataclasses.replace(calibration.evidence, remarks=(reason, "the clock jumped"))
+    words = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig)).words
+    assert "Remarks the clock jumped" in words
+    assert words.count(reason[10:]) == 1
 
 
 def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibration, rig: Rig) -> None:
@@ -144,7 +180,7 @@ def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibrati
         calibration, evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "detected no board"})
     )
     page = Page(render_report(lost, rig))
-    assert "sonar ✕ not connected no pose Detected no board" in page.words
+    assert "sonar ✕ not connected Detected no board" in page.words
     assert "1 not connected." in page.words
 
 

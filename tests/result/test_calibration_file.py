@@ -16,6 +16,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.result import (
     Calibration,
     CaptureRow,
+    FitError,
     SensorPose,
     Verdict,
     join_covariances,
@@ -100,6 +101,13 @@ def test_remarks_come_back(calibration: Calibration, tmp_path: Path) -> None:
         tmp_path / "calibration.yaml",
     )
     assert load_calibration(tmp_path / "calibration.yaml").evidence.remarks == remarks
+
+
+def test_residuals_of_sensors_come_back(calibration: Calibration, tmp_path: Path) -> None:
+    fit = {"camera": FitError(320, "px", 0.4125), "laser": FitError(900, "m", 0.0078)}
+    evidence = dataclasses.replace(calibration.evidence, fit=fit)
+    save_calibration(dataclasses.replace(calibration, evidence=evidence), tmp_path / "fit.yaml")
+    assert load_calibration(tmp_path / "fit.yaml").evidence.fit == fit
 
 
 def test_writing_what_was_read_gives_the_same_file(saved: Path, tmp_path: Path) -> None:

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from calgraph.errors import InputError
-from calgraph.result import BoardOutline, BoardView, FloorView, Pictures, Snapshot, load_scene, save_scene
+from calgraph.result import (
+    BeamView,
+    BoardOutline,
+    BoardView,
+    FloorView,
+    Pictures,
+    Snapshot,
+    load_scene,
+    save_scene,
+)
 
 GRADIENT = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 48, axis=0) * np.array(
     [1, 0, 0], np.uint8
@@ -38,6 +47,7 @@ def shown(rng: np.random.Generator) -> Pictures:
             FloorView("laser", rng.normal(0, 9, (70, 2)), (walk, walk[:7]), (np.arange(40.0), np.arange(7.0))),
             FloorView("lidar", rng.normal(0, 9, (7, 2)), ()),
         ),
+        beam_views=(BeamView("laser", np.arange(30.0), rng.normal(0, 3, (30, 2)), rng.normal(0, 0.01, 30)),),
     )
 
 
@@ -87,6 +97,19 @@ def test_numpy_alone_can_read_it(shown: Pictures, saved: Path) -> None:
     scene = np.load(saved, allow_pickle=False)
     np.testing.assert_array_equal(scene["snapshots/points"], shown.snapshots[1].points)
     assert json.loads(scene["scene.json"])["sensors"] == ["camera", "lidar", "laser"]
+
+
+def test_a_scene_from_before_residuals_of_networks_is_read(shown: Pictures, saved: Path) -> None:
+    other = _without(saved, "ranges/sensor.npy")
+    assert _same(load_scene(other), dataclasses.replace(shown, beam_views=()))
+
+
+def test_beams_without_residuals_are_refused(shown: Pictures, tmp_path: Path) -> None:
+    (beams,) = shown.beam_views
+    short = dataclasses.replace(shown, beam_views=(dataclasses.replace(beams, residuals=beams.residuals[1:]),))
+    save_scene(short, tmp_path / "scene.npz")
+    with pytest.raises(InputError, match="ranges/residuals: each scanner must have as many as times and points"):
+        load_scene(tmp_path / "scene.npz")
 
 
 def _without(saved: Path, member: str) -> Path:

@@ -18,7 +18,15 @@ from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
 from calgraph.recording import open_recordings, resolve_intrinsics
-from calgraph.result import Calibration, load_calibration, save_calibration, save_captures, save_scene, to_json
+from calgraph.result import (
+    Calibration,
+    load_calibration,
+    save_calibration,
+    save_captures,
+    save_residuals,
+    save_scene,
+    to_json,
+)
 
 if TYPE_CHECKING:
     from calgraph.estimation import Estimator
@@ -91,7 +99,7 @@ def calibrate(
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
 
-    Writes calibration.yaml, report.html, captures.csv, scene.npz and rig.resolved.yaml into OUT.
+    Writes calibration.yaml, report.html, captures.csv, residuals.csv, scene.npz and rig.resolved.yaml into OUT.
 
     Exit code 0: calibrated; 1: a sensor could not be, or is weak and --strict is given (results are written all
     the same); 2: bad input.
@@ -162,6 +170,7 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
     write_report(calibration, rig, folder / "report.html")
     save_scene(calibration.pictures, folder / "scene.npz")
+    save_residuals(calibration, folder / "residuals.csv")
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:

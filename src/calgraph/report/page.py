@@ -19,10 +19,17 @@ from calgraph.report.graph_view import render_edge_table, render_graph
 from calgraph.report.image_view import render_camera_images
 from calgraph.report.pose_table import render_pose_table
 from calgraph.report.provenance_view import render_provenance
+from calgraph.report.residual_pictures import render_residual_pictures
 from calgraph.report.residual_view import render_distances, render_histograms
 from calgraph.report.rig_view import render_rig_view
 from calgraph.report.systematic_view import render_systematic_parameters
-from calgraph.report.verdict_cards import describe_good, render_cards, render_remarks, summarize_verdicts
+from calgraph.report.verdict_cards import (
+    describe_good,
+    describe_next_step,
+    render_cards,
+    render_remarks,
+    summarize_verdicts,
+)
 from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration
 
@@ -54,6 +61,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
     return Template(_read_asset("page.html")).substitute(
         title=escape_html(f"Calibration of {calibration.root} and {len(rig.sensors) - 1} more"),
         headline=escape_html(summarize_verdicts(calibration)),
+        next_step=describe_next_step(calibration),
         facts=_render_facts(calibration, words),
         about_verdict=describe_good(rig.tolerance, rig.settings.diagnostics.verdict.tolerance_confidence),
         cards=render_cards(calibration, words) + render_remarks(calibration) + render_suggestions(calibration),
@@ -62,6 +70,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         edges=render_edge_table(calibration, words),
         poses=render_pose_table(calibration),
         about_residuals=words.residuals_caption,
+        errors=render_residual_pictures(calibration, rig, words),
         residuals=render_histograms(calibration)
         + render_distances(calibration, words)
         + render_cross_validation(calibration),

@@ -77,7 +77,7 @@ def _render_row(
     return (
         f"<tr><th scope='row'>{escape_html(sensor.name)}"
         f"<small>{escape_html(below)}<br>frame {escape_html(sensor.frame_id)}</small></th>"
-        f"<td>{render_badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"
+        f"<td>{'' if is_root else render_badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"
         f"{''.join(deviations)}{f'<td>{_format_clock(sensor)}</td>' if clocks else ''}</tr>"
     )
 

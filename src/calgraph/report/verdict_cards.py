@@ -1,5 +1,7 @@
 """The verdicts at the top of the page: reliability of each sensor's pose, and advice."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from calgraph.config import Tolerance
@@ -41,9 +43,34 @@ def describe_good(tolerance: Tolerance, confidence: float) -> str:
     """What the verdict good means."""
     return (
         f"Good: with a probability of {100 * confidence:g} %, the error of the pose along and about each axis is "
-        f"within the tolerance of {1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°, and nothing "
-        "contradicts."
+        f"within the tolerance of {1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°, and no test "
+        "contradicts it. σ: one standard deviation, along and about the worst axis."
     )
+
+
+def describe_next_step(calibration: Calibration) -> str:
+    """Which poses can be used, and what to do about the others, as HTML."""
+    grades: dict[str, str] = {s.name: s.verdict.grade for s in calibration.sensors if s.parent is not None}
+    grades |= dict.fromkeys(calibration.evidence.unconnected, "unconnected")
+    if not grades:
+        return ""
+    usable = [name for name, grade in grades.items() if grade == "good"]
+    others = [name for name, grade in grades.items() if grade != "good"]
+    if not others:
+        return "All poses can be used. Next: <code>calgraph export</code> writes them as URDF, tf, Kalibr, …"
+    use = f"Only {_list_names(usable)} can be used." if usable else "No pose can be used yet."
+    which = "Its card states" if len(others) == 1 else "Their cards state"
+    if len(others) == 1 and others[0] in calibration.evidence.unconnected:
+        what = f"{_list_names(others)} has no pose."
+    elif all(name in calibration.evidence.unconnected for name in others):
+        what = f"{_list_names(others)} have no poses."
+    else:
+        what = f"Do not rely on {_list_names(others)}."
+    return f"{what} {which} why, and what to do next. {use}"
+
+
+def _list_names(names: Sequence[str]) -> str:
+    return ", ".join(f"<b>{escape_html(name)}</b>" for name in names)
 
 
 def render_cards(calibration: Calibration, words: Vocabulary) -> str:
@@ -56,21 +83,23 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
     advice = words.advice
     lost = advice["unconnected"]
     shown = [
-        *(_render_card("unconnected", name, "no pose", f"{why}. {lost}" if why else lost)
+        *(_render_card("unconnected", name, {}, f"{why}. {lost}" if why else lost)
           for name, why in calibration.evidence.unconnected.items()),
         *(_render_card(
             s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
-            s.verdict.reason or advice.get(s.verdict.grade, ""))
+            s.verdict.reason or advice.get(s.verdict.grade, ""), KIND_NAMES[s.kind])
           for s in sensors),
     ]  # fmt: skip
     return f'<div class="cards">{"".join(shown)}</div>'
 
 
 def render_remarks(calibration: Calibration) -> str:
-    """Remarks on the whole result; empty if there are none."""
-    if not calibration.evidence.remarks:
+    """Remarks on the whole result, but for those that are on cards; empty if there are none."""
+    reasons = [sensor.verdict.reason for sensor in calibration.sensors if sensor.parent is not None]
+    remarks = [one for one in calibration.evidence.remarks if not any(one in reason for reason in reasons)]
+    if not remarks:
         return ""
-    items = "".join(f"<li>{escape_html(remark)}</li>" for remark in calibration.evidence.remarks)
+    items = "".join(f"<li>{escape_html(remark)}</li>" for remark in remarks)
     return f'<div class="next"><h3>Remarks</h3><ul>{items}</ul></div>'
 
 
@@ -87,28 +116,30 @@ def max_std_deviation(covariance: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> str:
-    """Uncertainty of a sensor's pose, the number of captures that it rests on, and its error on held-out ones."""
-    rows = [row for row in calibration.evidence.captures if row.sensor == sensor.name]
-    facts = [_describe_uncertainty(sensor)]
-    if rows:
-        facts.append(f"{sum(row.used for row in rows)} of {format_count(len(rows), words.item)} used")
-    if held_out := calibration.evidence.cross_validation.get(sensor.name):
-        facts.append(f"held-out error {held_out.formatted[0]} RMS")
-    return " · ".join(facts)
-
-
-def _describe_uncertainty(sensor: SensorPose) -> str:
+def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> dict[str, str]:
+    """By name: uncertainty of a sensor's pose, its residuals, those on held-out captures, and captures used."""
+    evidence = calibration.evidence
     sigma_t, sigma_r = max_std_deviation(sensor.covariance[:3, :3]), max_std_deviation(sensor.covariance[3:, 3:])
-    return (
-        f"{KIND_NAMES[sensor.kind]} · σ {format_length(sigma_t)}, {format_angle(sigma_r)} in the worst direction"
-    )
+    facts = {"σ of the pose": f"{format_length(sigma_t)}, {format_angle(sigma_r)}"}
+    fit, held_out = evidence.fit.get(sensor.name), evidence.cross_validation.get(sensor.name)
+    name = words.fit.get(sensor.kind, "residual")
+    if fit:
+        facts[name] = f"{fit.formatted} RMS"
+    if held_out:
+        facts[f"{name}, held out" if not fit else "on held-out captures"] = f"{held_out.formatted[0]} RMS"
+    rows = [row for row in evidence.captures if row.sensor == sensor.name]
+    if rows:
+        facts[f"{words.item}s used"] = f"{sum(row.used for row in rows)} of {len(rows)}"
+    if fit:
+        facts["corners used" if fit.unit == "px" else "beams used"] = str(fit.count)
+    return facts
 
 
-def _render_card(grade: str, name: str, facts: str, reason: str) -> str:
+def _render_card(grade: str, name: str, facts: Mapping[str, str], reason: str, kind: str = "") -> str:
     css, _, _ = _BADGES[grade]
     words = f'<p class="reason">{escape_html(reason[:1].upper() + reason[1:])}</p>' if reason else ""
+    listed = "".join(f"<dt>{escape_html(key)}</dt><dd>{escape_html(value)}</dd>" for key, value in facts.items())
     return (
-        f'<article class="card {css}"><h3>{escape_html(name)}</h3>{render_badge(grade)}'
-        f'<p class="facts">{escape_html(facts)}</p>{words}</article>'
+        f'<article class="card {css}"><h3>{escape_html(name)}<small>{kind}</small></h3>{render_badge(grade)}'
+        f"{words}{f'<dl>{listed}</dl>' if listed else ''}</article>"
     )

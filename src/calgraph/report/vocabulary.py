@@ -23,7 +23,12 @@ class Vocabulary:
     pair_columns: tuple[str, str, str]
     """Headings of a pair's numbers."""
     graph_caption: str
+    fit: Mapping[str, str]
+    """Name of the residual of each kind of sensor."""
+    errors_caption: str
+    """Caption of the residuals in px and mm."""
     residuals_caption: str
+    """Caption of the whitened residuals."""
     distances_caption: str
     """Caption of the distances of single captures or walks."""
     coverage_caption: str
@@ -46,6 +51,16 @@ BOARD_VOCABULARY = Vocabulary(
 An edge joins two sensors that detected the board in the same captures. Labels: inliers / shared captures, and
 RMS residual under the final poses. Bold: spanning tree used for initialization; dashed: no relative pose was
 estimated.""",
+    fit={
+        "camera": "reprojection error",
+        "lidar2d": "distance from the board",
+        "lidar3d": "distance from the board",
+    },
+    errors_caption="""\
+Measured minus predicted by the joint solution, of all measurements that it used: reprojection errors of printed
+corners, and distances of beam ends from the board, positive beyond it. They should scatter about zero without a
+pattern. A pattern over the image indicates the lens or the print; a slope over range a range scale; a dependence
+on elevation single rings; a step or drift over time a sensor that moved.""",
     residuals_caption="""\
 Residuals of the joint solution, each divided by its predicted standard deviation. With correct noise they
 follow the standard normal distribution (dotted) and have an RMS of 1; an RMS above 1 means that the noise is
@@ -80,13 +95,23 @@ NETWORK_VOCABULARY = Vocabulary(
 An edge joins two scanners that tracked a person simultaneously. Labels: inliers / positions (10 Hz) visible to
 both, and the difference of the pair's pose from the final one. Bold: spanning tree of the result; dashed: pairs
 that are inconsistent with the others.""",
+    fit={"lidar2d": "range residual"},
+    errors_caption="""\
+Measured minus predicted range of the beams on people, in the joint solution, which models bodies or legs and
+their paths; beams that it rejects as outliers are left out. Residuals should scatter about zero without a
+pattern: a slope over range indicates a range scale, a dependence on azimuth the angles or the tilt of a scanner, a
+step or drift over time a clock or a scanner that moved. Clothes and gait make single residuals of 10 to 30 mm
+normal. <b>σ of a pose is much smaller than these residuals</b>, because it is that of an average: the errors of
+thousands of beams, on both sides of people who walk in many directions, cancel but for their mean.""",
     residuals_caption="""\
 Differences of simultaneous positions of one person in two scanners, under the final poses, each divided by its
 predicted standard deviation. With correct noise they follow the standard normal distribution (dotted) and have
 an RMS of 1; an RMS above 1 means that the noise is underestimated, below 1 that it is overestimated.""",
     distances_caption="""\
 RMS distance of each scanner's tracks from the other scanners' tracks of the same person, under the final poses.
-Boxes hold half of the walks; dots are outliers.""",
+Boxes hold half of the walks; dots are outliers. These are no errors of poses: a track follows the side of a person
+that faces its scanner, or one of two legs, so that tracks of opposite scanners lie up to a body's width apart. The
+joint solution fits the body between them.""",
     coverage_caption="""\
 Coverage of each field of view by tracks; darker cells have more walks.""",
     view_title="Floor plan",

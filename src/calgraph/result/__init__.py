@@ -6,20 +6,21 @@ from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colorize_from_snapshots
 from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, Suggestion
+from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, Suggestion
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
-from calgraph.result.pictures import BoardOutline, BoardView, FloorView, Pictures
+from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures
 from calgraph.result.provenance import InputFile, Provenance
+from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.snapshots import Snapshot
 from calgraph.result.table import to_dataframe
 
 __all__ = [
-    "FORMATS", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter", "Evidence",
-    "ExtrinsicsFile", "FloorView", "HeldOutError", "InputFile", "Pictures", "Provenance", "SensorPose", "Snapshot",
-    "Suggestion", "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
-    "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_scene",
-    "to_dataframe", "to_json",
+    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
+    "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "Pictures", "Provenance",
+    "SensorPose", "Snapshot", "Suggestion", "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export",
+    "join_covariances", "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures",
+    "save_residuals", "save_scene", "to_dataframe", "to_json",
 ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from calgraph.io import format_yaml, write_atomically, write_text
 from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
 from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.result.evidence import CaptureRow, Edge, HeldOutError, Suggestion
+from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Suggestion
 from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
 
@@ -114,11 +114,19 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
         "residual_rms": {
             kind: _round_digits([value], 4)[0] for kind, value in calibration.evidence.residual_rms.items()
         },
+        **({"fit": _fit(calibration.evidence.fit)} if calibration.evidence.fit else {}),
         "cross_validation": {
             name: _held_out_error(one) for name, one in calibration.evidence.cross_validation.items()
         },
         "suggestions": [_suggestion(one) for one in calibration.evidence.suggestions],
         "captures": _captures(calibration.evidence.captures),
+    }
+
+
+def _fit(fit: Mapping[str, FitError]) -> dict[str, Any]:
+    return {
+        name: {"measurements": one.count, "unit": one.unit, "rms": _round_digits([one.rms], 4)[0]}
+        for name, one in fit.items()
     }
 
 

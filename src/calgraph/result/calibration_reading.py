@@ -14,7 +14,7 @@ from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.result.evidence import CaptureRow, Edge, Evidence, HeldOutError, Suggestion
+from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, Suggestion
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, Verdict
 
@@ -97,6 +97,12 @@ class _Captures(StrictModel):
     """Which captures were used, by sensor."""
 
 
+class _FitError(StrictModel):
+    measurements: Count
+    unit: Literal["px", "m"]
+    rms: NonNegative
+
+
 class _HeldOutError(StrictModel):
     captures: Count
     unit: Literal["px", "m"]
@@ -129,6 +135,8 @@ class _Quality(StrictModel):
     remarks: tuple[str, ...] = ()
     """Warnings about the whole result."""
     residual_rms: dict[str, NonNegative] = Field(default_factory=dict)
+    fit: dict[str, _FitError] = Field(default_factory=dict)
+    """RMS of the residuals, by sensor."""
     cross_validation: dict[str, _HeldOutError] = Field(default_factory=dict)
     """Errors in captures that were left out, by sensor."""
     suggestions: tuple[_Suggestion, ...] = ()
@@ -269,6 +277,7 @@ def load_calibration(path: Path) -> Calibration:
             unconnected=quality.unconnected,
             remarks=quality.remarks,
             residual_rms=quality.residual_rms,
+            fit={name: FitError(one.measurements, one.unit, one.rms) for name, one in quality.fit.items()},
             cross_validation={name: _held_out_error(one) for name, one in quality.cross_validation.items()},
             suggestions=tuple(_suggestion(one) for one in quality.suggestions),
         ),

@@ -61,6 +61,23 @@ class CaptureRow:
 
 
 @dataclass(frozen=True)
+class FitError:
+    """Residuals of the measurements of a sensor that the joint solution used."""
+
+    count: int
+    """Number of printed corners, or of beams."""
+    unit: Literal["px", "m"]
+    """Of ``rms``: reprojection errors of corners, or distances of beam ends from the board's plane; in a network
+    errors of ranges."""
+    rms: float
+
+    @property
+    def formatted(self) -> str:
+        """The RMS with its unit."""
+        return format_error(self.rms, self.unit)
+
+
+@dataclass(frozen=True)
 class HeldOutError:
     """Cross-validation of a sensor: errors of its measurements on held-out captures, predicted from the others."""
 
@@ -80,10 +97,9 @@ class HeldOutError:
     @property
     def formatted(self) -> tuple[str, str, str, str]:
         """RMS, median, RMS along the beam and tilt as text; empty where there is none."""
-        size = "{:.2f} px".format if self.unit == "px" else _format_millimetres
-        along = "" if self.along is None else _format_millimetres(self.along)
+        along = "" if self.along is None else format_error(self.along, "m")
         tilt = "" if self.tilt is None else f"{np.degrees(self.tilt):.2f}°"
-        return size(self.rms), size(self.median), along, tilt
+        return format_error(self.rms, self.unit), format_error(self.median, self.unit), along, tilt
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +145,8 @@ class Evidence:
     """Whitened residuals of the joint solution by sensor or kind of edge; empty in a result read back."""
     residual_rms: Mapping[str, float] = field(default_factory=dict)
     """Root mean square of ``residuals``, computed from them if left out."""
+    fit: Mapping[str, FitError] = field(default_factory=dict)
+    """Residuals of the joint solution by sensor, in their units; none of estimators without predictions."""
     cross_validation: Mapping[str, HeldOutError] = field(default_factory=dict)
     """Errors on held-out captures by sensor; none for sensors that no other sensor predicts."""
     suggestions: tuple[Suggestion, ...] = ()
@@ -143,8 +161,9 @@ class Evidence:
             object.__setattr__(self, "residual_rms", finite)
 
 
-def _format_millimetres(metres: float) -> str:
-    return f"{1000 * metres:.1f} mm"
+def format_error(value: float, unit: Literal["px", "m"]) -> str:
+    """A reprojection error in pixels, or a length in millimetres."""
+    return f"{value:.2f} px" if unit == "px" else f"{1000 * value:.1f} mm"
 
 
 def _format_stddev(stddev: float, unit: Literal["m", "rad"]) -> str:

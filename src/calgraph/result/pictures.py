@@ -34,6 +34,19 @@ class BoardView:
 
 
 @dataclass(frozen=True, eq=False)
+class BeamView:
+    """Beams of one scanner of a network on moving objects, with their residuals; thinned."""
+
+    sensor: str
+    times: Array
+    """(N,) of the beams by the root's clock, s from the start of the recording, ascending."""
+    points: Array
+    """(N, 2) ends of the beams in the scanner's frame, m."""
+    residuals: Array
+    """(N,) range measured minus predicted by the joint solution, m."""
+
+
+@dataclass(frozen=True, eq=False)
 class FloorView:
     """Static background and tracks of one scanner of a network."""
 
@@ -56,3 +69,5 @@ class Pictures:
     board_views: tuple[BoardView, ...] = ()
     floor_views: tuple[FloorView, ...] = ()
     """Static background and tracks of each connected scanner of a network."""
+    beam_views: tuple[BeamView, ...] = ()
+    """Beams of each scanner that took part in the joint solution of a network."""

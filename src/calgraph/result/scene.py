@@ -11,7 +11,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.result.pictures import BoardOutline, BoardView, FloorView, Pictures
+from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures
 from calgraph.result.snapshots import Snapshot
 
 FORMAT = "calgraph-scene/1"
@@ -30,6 +30,11 @@ _BEAMS = Table("beams", {**_VIEW, "seen": Column((3,), ragged=True), "off": Colu
 _FLOOR = Table("floor", {"sensor": INDEX, "background": Column((2,), ragged=True)})
 _WALKS = Table("walks", {
     "sensor": INDEX, "positions": Column((2,), ragged=True), "times": Column(ragged=True),
+})  # fmt: skip
+
+_RANGES = Table("ranges", {
+    "sensor": INDEX, "times": Column(ragged=True), "points": Column((2,), ragged=True),
+    "residuals": Column(ragged=True),
 })  # fmt: skip
 
 
@@ -67,6 +72,7 @@ def save_scene(pictures: Pictures, path: Path) -> None:
             for positions, times in zip(view.tracks, view.times or map(_nan_times, view.tracks), strict=True)
         ])
     )  # fmt: skip
+    arrays |= _RANGES.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.beam_views])
     content = {"format": FORMAT, "sensors": list(number)}
     # Pictures are compressed already, and measured points hardly can be.
     write_archive(path, _STRUCTURE, content, arrays, compression=zipfile.ZIP_STORED)
@@ -90,15 +96,16 @@ def load_scene(path: Path) -> Pictures:
         )
         views = _board_views(arrays, names)
         floor = _floor(arrays, names)
+        beams = _beam_views(arrays, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return Pictures(snapshots, outlines, views, floor)
+    return Pictures(snapshots, outlines, views, floor, beams)
 
 
 def _sensors_with_pictures(pictures: Pictures) -> dict[str, None]:
     """The sensors that have pictures, in order."""
-    shown: tuple[Snapshot | BoardView | FloorView, ...]
-    shown = (*pictures.snapshots, *pictures.board_views, *pictures.floor_views)
+    shown: tuple[Snapshot | BoardView | FloorView | BeamView, ...]
+    shown = (*pictures.snapshots, *pictures.board_views, *pictures.floor_views, *pictures.beam_views)
     return dict.fromkeys(view.sensor for view in shown)
 
 
@@ -144,3 +151,14 @@ def _floor(arrays: Arrays, names: Sequence[str]) -> tuple[FloorView, ...]:
         )
         for row in _FLOOR.unpack_named(arrays, names)
     )
+
+
+def _beam_views(arrays: Arrays, names: Sequence[str]) -> tuple[BeamView, ...]:
+    """None in a file from before residuals of networks were kept."""
+    if f"{_RANGES.name}/sensor" not in arrays:
+        return ()
+    views = tuple(BeamView(**row) for row in _RANGES.unpack_named(arrays, names))
+    for view in views:
+        if not len(view.times) == len(view.points) == len(view.residuals):
+            raise InputError("ranges/residuals: each scanner must have as many as times and points")
+    return views

@@ -11,6 +11,7 @@ from calgraph.diagnostics.rig.board_pictures import (
     _subsample_measurements,
     collect_board_outlines,
     collect_board_views,
+    measure_fit,
 )
 from calgraph.estimation import RigSolution
 from calgraph.geometry import Array, se3
@@ -57,6 +58,25 @@ def test_corners_are_off_by_their_noise(one: DetectedRig, views: tuple[BoardView
     """A board's six unknowns are fitted to 24 numbers, and less than the noise remains."""
     stated = next(iter(one.rig.cameras().values())).noise.pixel
     assert 0.6 * stated < np.sqrt(np.mean(offs(views, 2) ** 2)) < 1.1 * stated
+
+
+def test_the_fit_of_a_sensor_is_the_rms_of_its_views(
+    one: DetectedRig, views: tuple[BoardView, ...], joint: RigSolution
+) -> None:
+    fit = measure_fit(joint)
+    camera = next(iter(one.rig.cameras()))
+    errors = np.concatenate([v.residuals for v in views if v.sensor == camera and v.residuals is not None])
+    assert (fit[camera].unit, fit[camera].count) == ("px", len(errors))
+    np.testing.assert_allclose(fit[camera].rms, np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    points = np.concatenate([v.residuals for v in views if v.sensor == "lidar" and v.residuals is not None])
+    assert fit["lidar"].unit == "m"
+    # Views are thinned, the fit is not.
+    assert fit["lidar"].count >= len(points)
+    np.testing.assert_allclose(fit["lidar"].rms, np.sqrt(np.mean(points**2)), rtol=0.05)
+
+
+def test_an_estimator_without_boards_has_no_fit(joint: RigSolution) -> None:
+    assert measure_fit(replace(joint, solved_bundle=None, estimator="hypergraph")) == {}
 
 
 def test_points_are_off_by_their_noise_on_both_sides(views: tuple[BoardView, ...]) -> None:

@@ -73,7 +73,7 @@ def test_a_leg_is_one_part() -> None:
 
 def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> None:
     beams = list(list_beam_residuals(*build_network()))
-    assert [one.scanner for one in beams] == [0, 1, 2, 0, 1, 2]
+    assert [one.scans.scanner for one in beams] == [0, 1, 2, 0, 1, 2]
     for one in beams:
         np.testing.assert_allclose(one.residual, 0, atol=1e-6)
-        assert len(one.scan) == len(one.weight) == len(one.residual)
+        assert len(one.scan) == len(one.sigma) == len(one.residual)

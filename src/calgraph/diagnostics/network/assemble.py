@@ -9,6 +9,7 @@ import numpy as np
 from calgraph.captures import InputFinding
 from calgraph.config import Rig
 from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.diagnostics.verdict import collect_findings, grade_pose
 from calgraph.errors import Rejected
@@ -79,6 +80,7 @@ def assemble_network(
     # A rotation by 180° about the x axis of the mirrored frame.
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
     T_root_sensor = se2.to_se3(T_root_scanner) @ flips
+    beam_views, fit = ((), {}) if joint is None else collect_beam_views(joint, names, start)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
@@ -118,11 +120,12 @@ def assemble_network(
             },
             remarks=tuple(finding.text for finding in findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
+            fit=fit,
             initial_poses={}
             if joint is None
             else dict(zip(names, se2.to_se3(averaged.T_root_node) @ flips, strict=True)),
         ),
-        pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start)),
+        pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start), beam_views=beam_views),
     )
 
 

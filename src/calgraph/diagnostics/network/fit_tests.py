@@ -99,10 +99,11 @@ def correlate_adjacent_beams(solved: SolvedNetwork) -> Array:
     """(S,) correlation of the weighted residuals of each scanner's adjacent beams on a body; 0 without beams."""
     products, squares = np.zeros((2, solved.problem.count))
     for beams in list_beam_residuals(solved.problem, solved.state):
-        weight = np.sqrt(beams.weight[:-1] * beams.weight[1:]) * (beams.scan[:-1] == beams.scan[1:])
+        weights, scanner = beams.scans.weight, beams.scans.scanner
+        weight = np.sqrt(weights[:-1] * weights[1:]) * (beams.scan[:-1] == beams.scan[1:])
         first, second = beams.residual[:-1], beams.residual[1:]
-        products[beams.scanner] += weight @ (first * second)
-        squares[beams.scanner] += weight @ (first**2 + second**2) / 2
+        products[scanner] += weight @ (first * second)
+        squares[scanner] += weight @ (first**2 + second**2) / 2
     return np.asarray(products / np.maximum(squares, np.finfo(float).tiny))
 
 

@@ -8,7 +8,12 @@ import numpy as np
 from calgraph.captures import CaptureSet, Hold, InputFinding
 from calgraph.config import Rig
 from calgraph.diagnostics.finding import Finding
-from calgraph.diagnostics.rig.board_pictures import InlierResiduals, collect_board_outlines, collect_board_views
+from calgraph.diagnostics.rig.board_pictures import (
+    InlierResiduals,
+    collect_board_outlines,
+    collect_board_views,
+    measure_fit,
+)
 from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.diagnostics.verdict import (
@@ -89,6 +94,7 @@ def assemble_rig(
             unconnected=_explain_unconnected(rig, captures, pairs, connected),
             remarks=(*(finding.text for finding in findings), *solution.remarks),
             residuals=solution.residuals,
+            fit=measure_fit(solution),
             cross_validation=held_out,
         ),
         pictures=Pictures(

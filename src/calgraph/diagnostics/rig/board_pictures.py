@@ -1,6 +1,7 @@
 """Boards of the joint solution and their measurements by every sensor, for pictures of the result."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, plane, se3
-from calgraph.result import BoardOutline, BoardView
+from calgraph.result import BoardOutline, BoardView, FitError
+from calgraph.result.evidence import rms
 
 InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 """By capture and sensor, residuals of its inlier matches, by candidate, m."""
@@ -25,7 +27,7 @@ def collect_board_views(
     captures: CaptureSet, used: InlierResiduals, solution: RigSolution
 ) -> tuple[BoardView, ...]:
     """The measurements of each sensor in each capture: those in the bundle, otherwise the first detection."""
-    solved = list(_views_of_bundle(solution.solved_bundle)) if solution.solved_bundle else []
+    solved = [_subsample_view(view) for view in _views_of_bundle(solution)]
     shown = {(view.capture, view.sensor) for view in solved}
     detected = [
         BoardView(
@@ -39,6 +41,21 @@ def collect_board_views(
         if (capture, name) not in shown
     ]
     return tuple(sorted([*solved, *detected], key=lambda view: (view.capture, view.sensor)))
+
+
+def measure_fit(solution: RigSolution) -> dict[str, FitError]:
+    """RMS reprojection error of each camera, and RMS distance of each scanner's points from the boards."""
+    residuals: dict[str, list[Array]] = {}
+    for view in _views_of_bundle(solution):
+        if view.residuals is not None:
+            residuals.setdefault(view.sensor, []).append(view.residuals)
+    joined = {name: np.concatenate(parts) for name, parts in residuals.items()}
+    return {
+        name: FitError(len(errors), "px", rms(np.linalg.norm(errors, axis=1)) or 0.0)
+        if errors.ndim == 2
+        else FitError(len(errors), "m", rms(errors) or 0.0)
+        for name, errors in joined.items()
+    }
 
 
 def collect_board_outlines(
@@ -55,7 +72,9 @@ def collect_board_outlines(
     return tuple(sorted([*solved, *filter(None, detected)], key=lambda outline: outline.capture))
 
 
-def _views_of_bundle(solved: SolvedBundle) -> Iterator[BoardView]:
+def _views_of_bundle(solution: RigSolution) -> Iterator[BoardView]:
+    if (solved := solution.solved_bundle) is None:
+        return
     bundle, state = solved.bundle, solved.minimized.state
     for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         if not len(views.board):  # its pose is a prior
@@ -72,8 +91,13 @@ def _views_of_bundle(solved: SolvedBundle) -> Iterator[BoardView]:
             errors = -residual[:, 0] * views.sigma * np.abs(np.sum(normal * views.directions, axis=1))
         parts = (np.split(values, views.start[1:]) for values in (measured, errors))
         for board, points, error in zip(views.board, *parts, strict=True):
-            step = len(points) // _MAX_POINTS + 1
-            yield BoardView(int(solved.captures[board]), name, True, points[::step], error[::step])
+            yield BoardView(int(solved.captures[board]), name, True, points, error)
+
+
+def _subsample_view(view: BoardView) -> BoardView:
+    step = len(view.measured) // _MAX_POINTS + 1
+    residuals = None if view.residuals is None else view.residuals[::step]
+    return replace(view, measured=view.measured[::step], residuals=residuals)
 
 
 def _subsample_measurements(detection: Detection) -> Array:

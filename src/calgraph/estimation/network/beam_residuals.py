@@ -3,10 +3,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
-from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.solver import compute_residuals, raycast_body
 from calgraph.geometry import Array, Index
 
@@ -15,11 +17,12 @@ from calgraph.geometry import Array, Index
 class BeamResiduals:
     """Residuals of one scanner's beams on one body."""
 
-    scanner: int
+    scans: BodyScans
+    """The beams."""
     residual: Array
-    """(N,) whitened, in the order of the beams."""
-    weight: Array
-    """(N,) robust weights."""
+    """(N,) predicted minus measured range, whitened."""
+    sigma: Array
+    """(N,) standard deviations of ranges, m."""
     scan: Index
     """(N,) index of each beam's scan, ascending."""
 
@@ -31,7 +34,8 @@ def list_beam_residuals(network: NetworkProblem, state: NetworkState) -> Iterato
             _, _, pose, rate = evaluate_at(network, state, body, path, scans)
             if isinstance(path, LegPath):
                 hits = raycast_leg(network, state, path, scans, pose, rate)
-                residual, _ = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+                residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
             else:
                 residual, _ = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
-            yield BeamResiduals(scans.scanner, residual, scans.weight, index_scans(scans))
+                sigma = np.full(len(residual), network.range_sigma[scans.scanner])
+            yield BeamResiduals(scans, residual, sigma, index_scans(scans))

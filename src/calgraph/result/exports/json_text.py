@@ -32,6 +32,7 @@ def to_json(calibration: Calibration) -> str:
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(evidence.unconnected),
         "remarks": evidence.remarks,
+        "fit": {name: vars(one) for name, one in evidence.fit.items()},
         "cross_validation": {name: vars(one) for name, one in evidence.cross_validation.items()},
         "suggestions": [vars(one) for one in evidence.suggestions],
         "edges": [_edge(edge) for edge in evidence.edges],

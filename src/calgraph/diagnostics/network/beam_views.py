@@ -1,0 +1,51 @@
+"""Residuals of the beams of a network's joint solution, for the report."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calgraph.estimation.network.beam_residuals import BeamResiduals, list_beam_residuals
+from calgraph.estimation.network.estimate import NetworkSolution
+from calgraph.geometry import Array
+from calgraph.result import BeamView, FitError
+from calgraph.result.evidence import rms
+
+# Beams of a scanner that are kept: more do not change what a picture shows.
+_MAX_BEAMS = 3000
+
+
+def collect_beam_views(
+    joint: NetworkSolution, names: Sequence[str], start: float
+) -> tuple[tuple[BeamView, ...], dict[str, FitError]]:
+    """Residuals of each scanner's inlier beams, thinned for pictures, and their number and RMS.
+
+    Args:
+        joint: the joint solution.
+        names: of its scanners.
+        start: of the recording by the root's clock, s.
+    """
+    if joint.solved is None:
+        return (), {}
+    by_scanner: dict[int, list[Array]] = {}
+    for beams in list_beam_residuals(joint.solved.problem, joint.solved.state):
+        by_scanner.setdefault(beams.scans.scanner, []).append(_inlier_rows(beams))
+    views, fit = [], {}
+    for scanner, parts in sorted(by_scanner.items()):
+        rows = np.concatenate(parts)
+        error = rms(rows[:, 3])
+        if error is not None:
+            rows = rows[np.argsort(rows[:, 0], kind="stable")]
+            fit[names[scanner]] = FitError(len(rows), "m", error)
+            rows = rows[:: len(rows) // _MAX_BEAMS + 1]
+            times = rows[:, 0] - float(joint.clock_offset[scanner]) - start
+            views.append(BeamView(names[scanner], times, rows[:, 1:3], rows[:, 3]))
+    return tuple(views), fit
+
+
+def _inlier_rows(beams: BeamResiduals) -> Array:
+    """(N, 4) time by the scanner's clock, end of the beam, and measured minus predicted range."""
+    scans = beams.scans
+    time = scans.times[beams.scan] + scans.beam_delay
+    residual = -beams.residual * beams.sigma
+    rows = np.column_stack([time, scans.direction * scans.ranges[:, None], residual])
+    return rows[scans.weight > 0]

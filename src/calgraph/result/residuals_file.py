@@ -1,0 +1,56 @@
+"""residuals.csv: every residual that the report draws, one row a corner or beam end, for other programs."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from calgraph.io import write_atomically
+from calgraph.result.calibration import Calibration
+from calgraph.result.pictures import BeamView, BoardView
+
+_COLUMNS = ("sensor", "capture", "time", "unit", "x", "y", "z", "residual", "residual_x", "residual_y")
+
+
+def save_residuals(calibration: Calibration, path: Path) -> None:
+    """Writes residuals.csv in one step; docs/formats.md describes its columns.
+
+    Raises:
+        InputError: ``path`` cannot be written.
+    """
+    pictures = calibration.pictures
+    times = capture_times(calibration)
+    with write_atomically(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(_COLUMNS)
+        for view in pictures.board_views:
+            writer.writerows(_board_rows(view, times.get(view.capture, np.nan)))
+        for beams in pictures.beam_views:
+            writer.writerows(_beam_rows(beams))
+
+
+def capture_times(calibration: Calibration) -> dict[int, float]:
+    """The middle of each capture, s from the start of the recording."""
+    return {row.capture: (row.start + row.end) / 2 for row in calibration.evidence.captures}
+
+
+def _board_rows(view: BoardView, time: float) -> Iterator[tuple[object, ...]]:
+    if view.residuals is None:
+        return
+    head = view.sensor, view.capture, _format_time(time)
+    for at, residual in zip(view.measured, view.residuals, strict=True):
+        if view.measured.shape[1] == 2:
+            dx, dy = (f"{value:.4f}" for value in residual)
+            yield *head, "px", f"{at[0]:.2f}", f"{at[1]:.2f}", "", f"{np.hypot(*residual):.4f}", dx, dy
+        else:
+            yield *head, "m", *(f"{value:.4f}" for value in at), f"{residual:.6f}", "", ""
+
+
+def _beam_rows(view: BeamView) -> Iterator[tuple[object, ...]]:
+    for time, (x, y), residual in zip(view.times, view.points, view.residuals, strict=True):
+        yield view.sensor, "", _format_time(time), "m", f"{x:.4f}", f"{y:.4f}", "", f"{residual:.6f}", "", ""
+
+
+def _format_time(time: float) -> str:
+    return f"{time:.3f}" if np.isfinite(time) else ""

@@ -1,0 +1,100 @@
+"""Pictures of residuals: what they show of an error that is put in."""
+
+import dataclasses
+import json
+import re
+from typing import Any
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.report.residual_pictures import render_residual_pictures
+from calgraph.report.vocabulary import BOARD_VOCABULARY, NETWORK_VOCABULARY
+from calgraph.result import BeamView, BoardView, Calibration
+
+PIXEL, RANGE = 0.4, 0.008
+"""Noise of the pictured rig, px and m."""
+
+Figures = dict[str, dict[str, Any]]
+
+
+def drawn(calibration: Calibration, rig: Rig) -> Figures:
+    html = render_residual_pictures(calibration, rig, BOARD_VOCABULARY)
+    found = re.findall(r'data-for="([^"]+)">(.*?)</script>', html, re.DOTALL)
+    return {name: json.loads(data) for name, data in found}
+
+
+def with_views(pictured: Calibration, views: tuple[BoardView, ...]) -> Calibration:
+    return dataclasses.replace(pictured, pictures=dataclasses.replace(pictured.pictures, board_views=views))
+
+
+def trace(figure: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(one for one in figure["data"] if one.get("name") == name)
+
+
+def test_every_sensor_with_residuals_has_three_figures(pictured: Calibration, rig: Rig) -> None:
+    with_residuals = {v.sensor for v in pictured.pictures.board_views}
+    numbers = [k for k, s in enumerate(pictured.sensors) if s.name in with_residuals]
+    assert set(drawn(pictured, rig)) == {f"errors-{k}-{i}" for k in numbers for i in range(3)}
+
+
+def test_a_result_without_residuals_has_no_pictures(calibration: Calibration, rig: Rig) -> None:
+    assert render_residual_pictures(calibration, rig, BOARD_VOCABULARY) == ""
+
+
+def test_the_scatter_of_a_camera_has_its_circle_of_one_sigma(pictured: Calibration, rig: Rig) -> None:
+    circle = trace(drawn(pictured, rig)["errors-1-0"], "1 σ")
+    np.testing.assert_allclose(np.hypot(circle["x"], circle["y"]), PIXEL, rtol=0.15)
+
+
+def test_errors_over_the_image_are_enlarged_by_the_stated_factor(pictured: Calibration, rig: Rig) -> None:
+    html = render_residual_pictures(pictured, rig, BOARD_VOCABULARY)
+    stated = int(re.findall(r"enlarged (\d+) ×", html)[0])
+    lines = trace(drawn(pictured, rig)["errors-1-1"], "errors")
+    x, y = (np.array(lines[axis], dtype=float).reshape(-1, 3) for axis in "xy")
+    lengths = np.hypot(x[:, 1] - x[:, 0], y[:, 1] - y[:, 0])
+    # Errors in x and y.
+    np.testing.assert_allclose(np.sqrt(np.mean(lengths**2)), stated * np.sqrt(2) * PIXEL, rtol=0.15)
+
+
+def test_a_range_scale_is_a_slope_over_range(pictured: Calibration, rig: Rig) -> None:
+    def lengthen(view: BoardView) -> BoardView:
+        assert view.residuals is not None
+        if view.sensor != "lidar":
+            return view
+        return dataclasses.replace(view, residuals=view.residuals + 0.01 * np.linalg.norm(view.measured, axis=1))
+
+    wrong = with_views(pictured, tuple(map(lengthen, pictured.pictures.board_views)))
+    mean = trace(drawn(wrong, rig)["errors-0-0"], "mean")
+    slope, _ = np.polyfit(mean["x"], mean["y"], 1)
+    assert 8 < slope < 12  # mm per m
+    right = trace(drawn(pictured, rig)["errors-0-0"], "mean")
+    assert abs(np.polyfit(right["x"], right["y"], 1)[0]) < 2
+
+
+def test_a_step_over_time_is_drawn_per_capture(pictured: Calibration, rig: Rig) -> None:
+    def shift(view: BoardView) -> BoardView:
+        if view.sensor != "lidar" or view.capture < 24 or view.residuals is None:
+            return view
+        return dataclasses.replace(view, residuals=view.residuals + 0.02)
+
+    figure = drawn(with_views(pictured, tuple(map(shift, pictured.pictures.board_views))), rig)["errors-0-2"]
+    mean = trace(figure, "mean")
+    late = np.array(mean["x"]) > 6 + 3.4 * 24
+    y = np.array(mean["y"])
+    assert len(y) == 48
+    np.testing.assert_allclose([y[~late].mean(), y[late].mean()], [0, 20], atol=1)
+    assert np.mean(trace(figure, "RMS")["y"]) > 1e3 * RANGE
+
+
+def test_a_network_has_its_ranges_over_time_in_bins(network: Calibration, network_rig: Rig) -> None:
+    rng = np.random.default_rng(0)
+    times, points = np.linspace(0, 60, 2000), rng.uniform(2, 8, (2000, 2))
+    beams = BeamView("door <b>", times, points, rng.normal(0, 0.01, 2000))
+    shown = dataclasses.replace(network, pictures=dataclasses.replace(network.pictures, beam_views=(beams,)))
+    html = render_residual_pictures(shown, network_rig, NETWORK_VOCABULARY)
+    assert "<h3>door &lt;b&gt;</h3>" in html
+    figures = {n: json.loads(d) for n, d in re.findall(r'data-for="([^"]+)">(.*?)</script>', html, re.DOTALL)}
+    over_time = trace(figures["errors-1-2"], "RMS")
+    assert len(over_time["x"]) == 40
+    np.testing.assert_allclose(over_time["y"], 10, rtol=0.6)
