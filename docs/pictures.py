@@ -138,11 +138,11 @@ def walks() -> str:
         if good:
             x, y = 150 + 105 * np.sin(4 * np.pi * t + 0.4), 160 + 75 * np.sin(6 * np.pi * t)
             parts.append(line(list(zip(x0 + x, y, strict=True)), GOOD, 2.5))
-            words = "across what several see, with turns"
+            words = "through several fields of view, with turns"
         else:
             parts.append(line([(x0 + 22, 85), (x0 + 40, 245)], BAD, 2.5))
             parts.append(line([(x0 + 276, 90), (x0 + 262, 250)], BAD, 2.5))
-            words = "straight along walls, where one scanner sees"
+            words = "straight along walls, in one field of view"
         parts.append(text(x0 + 150, 296, words, GOOD if good else BAD))
     return svg(680, 310, parts)
 

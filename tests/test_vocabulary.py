@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "calgraph"
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/decisions/*.md")])
 TEMPLATES = sorted([*SOURCE.rglob("*.html"), *SOURCE.rglob("*.js")])
-MODULES = sorted(SOURCE.rglob("*.py"))
+MODULES = [*sorted(SOURCE.rglob("*.py")), *sorted(ROOT.glob("docs/examples/*.py"))]
 FILES = [*PAGES, *TEMPLATES, *MODULES]
 
 STANDARD_TERMS = {

@@ -2,7 +2,7 @@
 A network of scanners, from people walking through
 ==================================================
 
-Five 2-D scanners in an L-shaped lab, half a minute of scans at hand as arrays, and no recording.
+Five 2-D scanners in an L-shaped lab, with 20 s of scans as arrays instead of a recording.
 """
 
 # sphinx_gallery_thumbnail_path = 'images/example_network.png'
@@ -15,12 +15,12 @@ Five 2-D scanners in an L-shaped lab, half a minute of scans at hand as arrays, 
 from calgraph.simulation import NetworkScenario, simulate_network_scans
 
 scans, truth = simulate_network_scans(NetworkScenario(layout="lab", duration=20.0), seed=1)
-print({name: f"{len(own)} scans of {len(own[0].ranges)} beams" for name, own in scans.items()})
+print({name: f"{len(found)} scans of {len(found[0].ranges)} beams" for name, found in scans.items()})
 
 # %%
 # The network
 # -----------
-# What ``rig.yaml`` says, as an object. Messages by topic serve as a recording.
+# The content of ``rig.yaml``, as an object. Messages by topic replace a recording.
 import calgraph
 
 rig = calgraph.Rig(
@@ -41,7 +41,7 @@ for sensor in calibration.sensors:
 # %%
 # The floor plan
 # --------------
-# Everything that all scanners saw, in one frame: what stood still, and where people walked.
+# Measurements of all scanners in one frame: the static background, and the tracks of people.
 import plotly.graph_objects as go
 
 figure = go.Figure()

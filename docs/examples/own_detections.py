@@ -1,9 +1,9 @@
 """
-Your own detections, without recordings
-=======================================
+Detections of another program
+=============================
 
-If your program already finds the board (corners in images, points in clouds, beams in scans), hand over
-the arrays.
+If your program already detects the board (corners in images, points in clouds, beams in scans), calgraph accepts
+the arrays. No recording is needed.
 """
 
 # sphinx_gallery_thumbnail_path = 'images/recording_places.svg'
@@ -11,7 +11,7 @@ the arrays.
 # %%
 # The rig
 # -------
-# Kinds, noise and intrinsics; topics name nothing here.
+# Kinds, noise and intrinsics; topics are not used here.
 import numpy as np
 
 import calgraph
@@ -31,10 +31,10 @@ rig = calgraph.Rig(
 )
 
 # %%
-# Stand-ins for your detectors
-# ----------------------------
-# A board at some pose, and what each sensor measures of it. Yours come from real data; only the arrays
-# matter: corners in the board's frame with their pixels, and points in the sensor's own frame.
+# Simulated detections
+# --------------------
+# A board at some pose, and the measurements of each sensor. With real data, the arrays are the same:
+# corners in the board's frame with their pixels, and points in the sensor's frame.
 from calgraph import se3, so3
 
 rng = np.random.default_rng(1)
@@ -78,9 +78,9 @@ LASER = rays(np.radians(np.arange(-90, 90, 0.25)), np.zeros(1))
 # %%
 # Detections by sensor and capture
 # --------------------------------
-# One line for each sensor. The functions fit plane, line and pose with their covariances, leave out what
-# contradicts the rest, and return :class:`calgraph.Rejected` with the reason where nothing is left. All
-# detections under one number are of the same board at rest; sensors that saw nothing are left out.
+# One line for each sensor. The functions fit plane, line and pose with their covariances, reject outliers,
+# and return :class:`calgraph.Rejected` with the reason where too few measurements remain. All
+# detections under one number are of the same board at rest; sensors without a detection are left out.
 found = {name: {} for name in rig.sensors}
 for capture, T_lidar_board in enumerate(board_poses(30)):
     T = {name: se3.inverse(TRUE[name]) @ T_lidar_board for name in TRUE}
@@ -107,11 +107,11 @@ for sensor in calibration.sensors:
           f"{np.degrees(np.linalg.norm(error[3:])):.3f}°, at ± {1000 * stddev[:3].max():.1f} mm")  # fmt: skip
 
 # %%
-# Relative poses of your own
-# --------------------------
-# If you have poses of *pairs* already, some of them wrong, and want one pose for each sensor, average the
-# graph. Here are all pairs of five sensors, a third of them nonsense; consensus over spanning trees finds
-# which.
+# Relative poses of pairs
+# -----------------------
+# If you already have relative poses of *pairs*, with outliers, and need one pose for each sensor, average the
+# graph. Here are all pairs of five sensors, of which a third are wrong; consensus over spanning trees
+# identifies these.
 from itertools import combinations
 
 T_root_node = np.stack([se3.pose(so3.exp(rng.normal(0, 1, 3)), rng.normal(0, 2, 3)) for _ in range(5)])

@@ -10,8 +10,8 @@ Simulates the recording of a robot with a camera, a 2-D scanner and a LiDAR, cal
 # %%
 # A recording
 # -----------
-# With a recording of your own, begin below: ``rig.yaml`` describes the sensors and the board, and the
-# recording is whatever :func:`calgraph.open_recording` reads. The board is shown in 14 places here; record
+# With a real recording, begin below: ``rig.yaml`` describes the sensors and the board, and
+# :func:`calgraph.open_recording` reads the recording. The board is held in 14 places here; record
 # more.
 from pathlib import Path
 from tempfile import mkdtemp
@@ -52,13 +52,13 @@ calgraph.save_calibration(calibration, folder / "calibration.yaml")
 # %%
 # Reading the result
 # ------------------
-# A row for each sensor: pose in the root's frame in metres and degrees, standard deviations, and the verdict.
+# One row per sensor: pose in the root's frame in metres and degrees, standard deviations, and the verdict.
 table = calgraph.to_dataframe(calibration)
 print(table[["x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg", "verdict"]].round(4).to_string())
 
 # %%
 # Any two sensors: ``T_camera_laser`` maps coordinates of the scanner to those of the camera. Its covariance
-# is of the error along and about the camera's axes, and knows how errors of the two go together.
+# is of the error along and about the camera's axes, and includes the correlation of both errors.
 import numpy as np
 
 T_camera_laser = calibration.transform("camera", "laser_front")
@@ -67,13 +67,13 @@ print(T_camera_laser.round(4))
 print("± mm:", (1000 * stddev[:3]).round(2), " ± degrees:", np.degrees(stddev[3:]).round(3))
 
 # %%
-# Why should you believe it? What the sensors saw in captures that were left out, against what the others
-# predict of it: the ratio of errors to what is expected is about 1 if standard deviations hold.
+# Cross-validation: errors on held-out captures, predicted by the other sensors. The ratio of observed to
+# expected errors is about 1 if the standard deviations are consistent.
 for name, left_out in calibration.evidence.cross_validation.items():
     print(f"{name:12} {left_out.views} captures, ratio {left_out.ratio:.2f}")
 
 # %%
-# And by the truth, which only a simulation knows:
+# Errors against the ground truth of the simulation:
 from calgraph.simulation import load_truth
 
 truth = load_truth(folder / "truth.yaml")
@@ -83,7 +83,7 @@ for sensor in calibration.sensors:
     print(f"{sensor.name:12} {millimetres:.2f} mm, {degrees:.3f}°")
 
 # %%
-# Where the board was, and the sensors' axes (red, green, blue: x, y, z), in the root's frame:
+# Boards of all captures, and the sensors' axes (red, green, blue: x, y, z), in the root's frame:
 import plotly.graph_objects as go
 
 figure = go.Figure()

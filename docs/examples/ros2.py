@@ -10,7 +10,7 @@ The tree of transforms as a launch file, as tf, and as URDF. No ROS is needed to
 # %%
 # A result
 # --------
-# With yours: ``calibration = calgraph.load_calibration("result/calibration.yaml")``.
+# For your robot: ``calibration = calgraph.load_calibration("result/calibration.yaml")``.
 import numpy as np
 
 import calgraph
@@ -43,7 +43,7 @@ print(launch.read_text()[:1100], "...")
 
 # %%
 # Where ROS 2 is installed, ``ros2 launch ./sensors.launch.py`` publishes it, and ``ros2 run tf2_ros tf2_echo
-# lidar camera_optical`` prints ``T_lidar_camera``. From a launch file of your own, include it:
+# lidar camera_optical`` prints ``T_lidar_camera``. From another launch file, include it:
 #
 # .. code-block:: python
 #
@@ -64,7 +64,7 @@ for one in transforms:
     print(one["header"]["frame_id"], "→", one["child_frame_id"], T_parent_child[:3, 3].round(3))
 
 # %%
-# In a node of your own, with rclpy:
+# In a node, with rclpy:
 #
 # .. code-block:: python
 #
@@ -75,9 +75,9 @@ for one in transforms:
 # %%
 # URDF
 # ----
-# A new URDF; or, with ``urdf=text``, yours, with the origins of those joints corrected that carry a sensor.
+# A new URDF; or, with ``urdf=text``, an existing one with the origins of the sensors' joints corrected.
 print(calgraph.export(calibration, "urdf"))
 
 # %%
-# Any URDF, tf file or calibration.yaml can be held against a new recording later: ``calgraph check rig.yaml
-# RECORDING --against robot.urdf`` says which sensor has moved.
+# Any URDF, tf file or calibration.yaml can be compared with a later recording: ``calgraph check rig.yaml
+# RECORDING --against robot.urdf`` states which sensor has moved.

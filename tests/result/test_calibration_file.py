@@ -196,7 +196,7 @@ def test_nothing_is_left_behind_but_the_file(saved: Path) -> None:
         ("    parent: lidar\n", "    parent: radar\n",
          "sensors.camera.parent: must be one of the sensors, lidar, camera, camera_2, laser, got 'radar'"),
         ("    parent: lidar\n", "    parent: camera_2\n",
-         "sensors.camera.parent: the parents lead in a circle and not to the root 'lidar'"),
+         "sensors.camera.parent: the parents form a cycle that does not contain the root 'lidar'"),
         ("    parent: lidar\n", "    parents: lidar\n",
          "unknown key sensors.camera.parents; did you mean 'parent'?"),
         ("    rotation: [^\n]*\n    covariance", "    covariance",

@@ -127,9 +127,7 @@ def collect_captures(
 ) -> CaptureSet:
     """Finds the holds of the board, and detects the board in every sensor's messages of each hold."""
     if len(rig.sensors) < 2:
-        raise CalibrationError(
-            f"{rig.root} is the only sensor: a rig.yaml needs two, one to calibrate the other to"
-        )
+        raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
     cameras = resolve_intrinsics(rig, recording).camera_models()
     monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
     timeline = _read_timeline(rig, recording, monitor, progress)

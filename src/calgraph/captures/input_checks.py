@@ -91,7 +91,7 @@ class InputMonitor:
             elif frames and spec.frame_id and frames[0].lstrip("/") != spec.frame_id.lstrip("/"):
                 yield InputFinding(
                     f"messages of {name} state the frame {frames[0]}, rig.yaml states {spec.frame_id}: correct "
-                    "frame_id if it is a slip, as exports name the frame of rig.yaml"
+                    "frame_id if it is wrong, as exports use the frame of rig.yaml"
                 )
 
     def _check_duplicates(self) -> Iterator[InputFinding]:

@@ -225,7 +225,7 @@ class _File(StrictModel):
             if name != self.root and sensor.parent not in self.sensors:
                 raise invalid(key, f"must be one of the sensors, {', '.join(self.sensors)}, got {sensor.parent!r}")
             if not self._reaches_root(name):
-                raise invalid(key, f"the parents lead in a circle and not to the root {self.root!r}")
+                raise invalid(key, f"the parents form a cycle that does not contain the root {self.root!r}")
             if name not in self.quality.verdicts:
                 raise invalid(f"quality.verdicts.{name}", "is missing")
         return self
