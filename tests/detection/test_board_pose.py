@@ -127,6 +127,26 @@ def test_two_tags_that_contradict_each_other_are_rejected(rng: np.random.Generat
     assert pose.reason.startswith("tags 3, 5 do not lie on one board")
 
 
+@pytest.mark.parametrize("size", [0.8, 0.95, 1.05, 1.2])
+@pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
+def test_tags_that_all_have_another_size_are_used(size: float, camera: CameraModel) -> None:
+    T, centers = a_pose((0.1, 0.2, 0.1), (0.2, 0.1, 2)), MARKS.corners.mean(axis=1, keepdims=True)
+    printed = centers + size * (MARKS.corners - centers)
+    pixels = camera.project(se3.apply(T, printed.reshape(-1, 3))).reshape(-1, 4, 2)
+    pose = fit(pixels, camera)
+    assert pose.inliers.all()
+    assert pose.rms < 1e-6
+    assert max(pose_error(pose, T)) < 1e-7
+
+
+def test_one_tag_that_has_another_size_is_rejected() -> None:
+    T, center = a_pose(), MARKS.corners[0].mean(axis=0)
+    corners = MARKS.corners.copy()
+    corners[0] = center + 1.2 * (corners[0] - center)
+    pixels = PINHOLE.project(se3.apply(T, corners.reshape(-1, 3))).reshape(-1, 4, 2)
+    assert fit(pixels).inliers.all(axis=1).tolist() == [False, True, True]
+
+
 def test_a_board_of_another_shape_is_rejected(rng: np.random.Generator) -> None:
     pixels = project(a_pose((0, 0, 0), (0, 0, 1.2)), PINHOLE, rng)
     pose = fit_pose(np.arange(12), (0.6 * MARKS.corners).reshape(-1, 1, 3) * [1, 0.8, 1], pixels.reshape(-1, 1, 2),

@@ -108,8 +108,8 @@ class BoardUncertainty(StrictModel):
     """Relative, of the print's width over its height. Printers feed paper with another error than they scan
     with: two real boards measured 0.4 % and 0.7 %."""
     tag_size: Ratio = 0.005
-    """Relative, of all tags about their centres; only for boards with ``tags:``. Each is a print, with the
-    error of print_scale, and people measure the black square to 1 mm in 0.2 m."""
+    """Relative, of all tags about their centres; only for boards with several. Each is a print, with the error of
+    print_scale, and people measure the black square to 1 mm in 0.2 m."""
     tag_position: LengthStddev = 0.001
     """m, of each tag along both axes; only for boards with ``tags:``. Tags glued on separately are placed, and
     measured, to the millimetre marks of a ruler."""

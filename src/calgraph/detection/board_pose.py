@@ -61,6 +61,9 @@ def fit_pose(
 ) -> BoardPose | Rejected:
     """One PnP over all corners of all marks, with rejection of outliers.
 
+    Marks that fit together only with another size, common to all, are fitted with it: whether a print differs
+    from its stated size is decided by all images.
+
     Both poses that the image of a plane allows (Collins and Bartoli, "Infinitesimal plane-based pose
     estimation", IJCV 2014) are refined; if both fit equally well, the board is rejected. The covariance is
     ``max(sigma, rms)² (JᵀJ)⁻¹``.
@@ -78,7 +81,7 @@ def fit_pose(
     consistent = _select_consistent_marks(ids, corners, pixels, in_view, camera, sigma, settings)
     if isinstance(consistent, Rejected):
         return consistent
-    marks, minima = consistent
+    marks, minima, corners = consistent
     inliers = np.repeat(marks[:, None], pixels.shape[1], axis=1)
     readmittable = in_view & ~np.isin(ids, ids[marks])
     for _ in range(settings.max_rejection_rounds):
@@ -134,16 +137,26 @@ def _select_consistent_marks(
     camera: CameraModel,
     sigma: float,
     settings: BoardPoseSettings,
-) -> tuple[NDArray[np.bool_], list[_PoseFit]] | Rejected:
-    """The largest set of marks (M,) that lie on one plane as printed, and the minima of its reprojection error."""
+) -> tuple[NDArray[np.bool_], list[_PoseFit], Array] | Rejected:
+    """The largest set of marks (M,) that lie on one plane as printed, the minima of its error, and all corners.
+
+    Corners (M, k, 3) are the stated ones, unless all marks agree on another size.
+    """
     unique = len(np.unique(ids[in_view])) == in_view.sum()
     minima = _find_minima(corners[in_view], pixels[in_view], camera, settings.max_steps) if unique else []
     if pixels.shape[1] < 4 or in_view.sum() <= 1:
-        return in_view, minima
+        return in_view, minima, corners
+    limit = settings.outlier_sigmas * sigma
     if minima:
-        distance = _compute_reprojection_errors(minima[0].T, corners[in_view], pixels[in_view], camera)
-        if distance.max() < settings.outlier_sigmas * sigma:
-            return in_view, minima
+        if _compute_reprojection_errors(minima[0].T, corners[in_view], pixels[in_view], camera).max() < limit:
+            return in_view, minima, corners
+        size = _fit_size(minima[0].T, corners[in_view], pixels[in_view], camera, settings.max_steps)
+        resized = _resize_marks(corners, size)
+        minima = _find_minima(resized[in_view], pixels[in_view], camera, settings.max_steps)
+        if minima and (
+            _compute_reprojection_errors(minima[0].T, resized[in_view], pixels[in_view], camera).max() < limit
+        ):
+            return in_view, minima, resized
     # A blurred image has noisier corners than stated; the stated noise is tried first.
     gate = float(chdtri(2 * pixels.shape[1], settings.consensus_significance))
     for scale in (1.0, settings.blur_noise_ratio):
@@ -151,9 +164,39 @@ def _select_consistent_marks(
             ids, corners, pixels, in_view, camera, scale * sigma, gate, settings.max_steps
         )
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
-            return consensus, _find_minima(corners[consensus], pixels[consensus], camera, settings.max_steps)
+            minima = _find_minima(corners[consensus], pixels[consensus], camera, settings.max_steps)
+            return consensus, minima, corners
     names = ", ".join(map(str, np.unique(ids[in_view])))
     return Rejected(f"tags {names} do not lie on one board as printed: no two of them agree")
+
+
+def _fit_size(T: Array, corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> float:
+    """The size of marks over the stated one that fits pixels (M, k, 2) best, with the pose, from a pose (4, 4)."""
+    arms = (corners - corners.mean(axis=1, keepdims=True)).reshape(-1, 3)
+
+    def linearize(state: tuple[Array, float], _: DenseLinearization | None) -> DenseLinearization:
+        T, size = state
+        at = _linearize(T, _resize_marks(corners, size).reshape(-1, 3), pixels.reshape(-1, 2), camera)
+        by_point = at.jacobian[:, :3].reshape(-1, 2, 3)
+        by_size = by_point @ (arms @ T[:3, :3].T)[..., None]
+        return DenseLinearization(at.residual, np.column_stack([at.jacobian, by_size.ravel()]))
+
+    start = (T, 1.0)
+    minimum = minimize(
+        start,
+        linearize,
+        lambda state, step: (se3.retract(state[0], step[:6]), state[1] + float(step[6])),
+        iterations=max_steps,
+        tolerance=_TOLERANCE,
+        relative_tolerance=_RELATIVE_TOLERANCE,
+    )
+    return minimum.state[1]
+
+
+def _resize_marks(corners: Array, size: float) -> Array:
+    """Corners (M, k, 3) of marks of ``size`` times theirs about their centres."""
+    center = corners.mean(axis=1, keepdims=True)
+    return np.asarray(center + size * (corners - center))
 
 
 def _find_largest_consensus(

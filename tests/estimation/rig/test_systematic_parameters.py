@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calgraph.config import Board, Checkerboard
+from calgraph.config import AprilGrid, Board, Checkerboard
 from calgraph.estimation import RigSolution
 from calgraph.result import EstimatedParameter
 from calgraph.simulation import (
@@ -166,6 +166,17 @@ def test_boards_with_a_pattern_have_no_parameters_of_tags() -> None:
     joint = detect_rig(QUICK.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)})).solve()
     assert {"tag size", "x", "y", "rotation"}.isdisjoint({one.quantity for one in joint.systematic})
     assert find(joint, "board", "print scale").stated == 1
+
+
+def test_tags_of_a_grid_have_a_common_size_and_no_places() -> None:
+    """Four by three of them with gaps that are larger than stated: all tags are smaller about their centres."""
+    pattern = AprilGrid(kind="aprilgrid", columns=4, rows=3, tag_size=0.16, tag_spacing=0.4)
+    scenario = FINE.model_copy(update={"board": Board(size=(1.2, 0.9), pattern=pattern)})
+    joint = detect_rig(scenario, errors=of_board(tag_size=-0.05)).solve()
+    size = find(joint, "board", "tag size")
+    assert abs(size.value - 0.95) < 3.5 * size.stddev
+    assert size.stddev < 0.001
+    assert {"x", "y", "rotation"}.isdisjoint({one.quantity for one in joint.systematic})
 
 
 def test_scanners_alone_do_not_have_parameters_of_a_print() -> None:

@@ -187,7 +187,7 @@ def _add_to_camera(
 ) -> CornerObservations:
     camera = _with_estimated_distortion(views.camera)
     lens: list[_Candidate | None] = list(_lens_parameters(name, camera, spec))
-    most_tags = max((len(one.tags) for one in prints), default=0)
+    most_tags = max((len(one.placed_tags) for one in prints), default=0)
     candidates = [[*lens, *one.parameters(most_tags)] for one in prints]
     extra_of_local, count = table.index_extra(k, candidates, number)
     corner_number = number[view_indices(views.start, len(views.pixels))]
@@ -235,21 +235,27 @@ class _Print:
     name: str
     board: Board
     tags: tuple[tuple[int, Array], ...]
-    """Id and corners (4, 3) of each tag that was placed by itself."""
+    """Id and corners (4, 3) of each tag."""
+
+    @property
+    def placed_tags(self) -> tuple[tuple[int, Array], ...]:
+        """The tags, if each was placed by itself; those of a grid are one print."""
+        return self.tags if self.board.tags else ()
 
     def parameters(self, most_tags: int) -> Iterator[_Candidate | None]:
         """In the order of a corner's local parameters, for up to ``most_tags`` tags."""
         prior, several = self.board.uncertainty, len(self.tags) > 1
+        placed = self.placed_tags if several else ()
         yield _Candidate(self.name, "print scale", "", prior.print_scale, 1.0)
         yield _Candidate(self.name, "print aspect", "", prior.print_aspect, 1.0)
         # A single tag defines the board's frame and scale: it has no other tags to disagree with.
         yield _Candidate(self.name, "tag size", "", prior.tag_size, 1.0) if several else None
         yield from _bow_parameters(self.name, self.board)
         for i in range(most_tags):
-            if not several or i >= len(self.tags):
+            if i >= len(placed):
                 yield from (None, None, None)
                 continue
-            number, corners = self.tags[i]
+            number, corners = placed[i]
             tag = f"tag {number}" if self.name == "board" else f"tag {number} of {self.name}"
             arm = float(np.linalg.norm(corners[0] - corners[1])) / 2
             yield _Candidate(tag, "x", "m", prior.tag_position)
@@ -259,7 +265,7 @@ class _Print:
 
 def _print_of(board: Board, number: int, count: int) -> _Print:
     marks = compute_landmarks(board)
-    tags = zip(marks.ids.tolist(), marks.corners, strict=True) if board.tags else ()
+    tags = zip(marks.ids.tolist(), marks.corners, strict=True) if marks.corners.shape[1] == 4 else ()
     return _Print(board_name(number, count), board, tuple(tags))
 
 
@@ -278,7 +284,7 @@ def _print_position(name: str, board: Board) -> Iterator[_Candidate]:
 def _locate_corners(nominal: Array, number: Index, prints: Sequence[_Print]) -> PrintedCorners:
     """Corners (N,) of boards (N,) with their tags and places on the board."""
     places = {
-        (b, *corner.tolist()): (i, corners.mean(axis=0)[:2])
+        (b, *corner.tolist()): (i if one.placed_tags else -1, corners.mean(axis=0)[:2])
         for b, one in enumerate(prints)
         for i, (_, corners) in enumerate(one.tags)
         for corner in corners
