@@ -28,7 +28,10 @@ def parameter_covariance(equations: BundleEquations) -> Array:
 
 
 def view_covariance_factors(
-    bundle: Bundle, equations: BundleEquations, linearized: Sequence[MarginalizedViews] | None = None
+    bundle: Bundle,
+    equations: BundleEquations,
+    linearized: Sequence[MarginalizedViews] | None = None,
+    first: int = 0,
 ) -> list[Array]:
     """By view set, factors ``F`` (V, q, G + 6) of the solution's covariance in the views' local parameters.
 
@@ -39,16 +42,20 @@ def view_covariance_factors(
         bundle: the views, of which some may not be part of the solution.
         equations: at the solution.
         linearized: of the bundle's views; those of the solution if left out.
+        first: index of the first view set; those before it are left out.
     """
     H, _, K = equations.eliminate_boards()
     # H is regular by its priors.
     root = np.linalg.inv(np.linalg.cholesky(H)).T
     board_root = _inverse_root(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
+    C, size = len(K), len(root)
+    by_parameters = (K[..., :-1].reshape(-1, size) @ root).reshape(C, 6, size)
+    of_boards = np.concatenate([-by_parameters, board_root], axis=-1)
     factors = []
-    for k, (views, at) in enumerate(zip(bundle.all_views, linearized or equations.views, strict=True)):
-        by_parameters = -at.J_board @ K[views.board, :, :-1]
-        by_parameters[..., bundle.columns(k)] += at.J_sensor
-        factors.append(np.concatenate([by_parameters @ root, at.J_board @ board_root[views.board]], axis=-1))
+    for k, at in enumerate((linearized or equations.views)[first:], start=first):
+        factor = at.J_board @ of_boards[bundle.all_views[k].board]
+        factor[..., :size] += at.J_sensor @ root[bundle.columns(k)]
+        factors.append(factor)
     return factors
 
 

@@ -73,7 +73,7 @@ def solve_bundle(
     # Priors enter last: an error of theirs must not increase the estimated noise.
     bundle = with_priors(bundle, priors, groups)
     start = apply_rigid_groups(solution.state, bundle.sensors, groups)
-    solution = minimize_bundle(bundle, start, solution.equations.cache, tolerance=COARSE_TOLERANCE)
+    solution = minimize_bundle(bundle, start, tolerance=COARSE_TOLERANCE)
     names = bundle.sensors
     return RigSolution(
         estimator="bundle",

@@ -260,9 +260,10 @@ def _accumulate_unweighted(
     q, views = len(columns), groups.views
     R = residuals.local_jacobian.shape[1] - q
     augmented = np.concatenate([columns, residual[None]])
-    products = np.empty((len(groups.count), q + 1, q + 1))
+    products, squares = np.empty((len(groups.count), q + 1, q + 1)), np.empty_like(augmented)
     for i in range(q + 1):
-        products[:, i, i:] = products[:, i:, i] = _sum_by_group(augmented[i:] * augmented[i], groups.count).T
+        of_column = np.multiply(augmented[i:], augmented[i], out=squares[i:])
+        products[:, i, i:] = products[:, i:, i] = _sum_by_group(of_column, groups.count).T
     of_views = groups.sum_by_view(products)
     JtJ, Jtr = np.zeros((views, q + R, q + R)), np.zeros((views, q + R))
     JtJ[:, :q, :q], Jtr[:, :q] = of_views[:, :q, :q], of_views[:, :q, q]

@@ -164,12 +164,14 @@ class RangeObservations:
         sigma = scale * np.sqrt(self.noise.range**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
         shape = None
         if np.isfinite(self.half_size).any():
-            view = view_indices(self.start, len(self.ranges))
-            points = self.directions * (h[view] / cosine)[:, None]
-            on_board = (
-                se3.inverse(T_sensor_board)[view] @ np.column_stack([points, np.ones(len(points))])[..., None]
-            )
-            shape = bow_shape(on_board[:, :2, 0], self.half_size[view])
+            T, counts = se3.inverse(T_sensor_board), self._counts
+            distance = np.repeat(h, counts) / cosine
+            on_board = np.stack([
+                np.einsum("in,ni->n", np.repeat(T[:, axis, :3].T, counts, axis=1), self.directions) * distance
+                + np.repeat(T[:, axis, 3], counts)
+                for axis in range(2)
+            ])  # fmt: skip
+            shape = bow_shape(on_board.T, np.repeat(self.half_size, counts, axis=0))
         return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape)
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "RangeObservations":

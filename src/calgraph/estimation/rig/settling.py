@@ -49,7 +49,7 @@ def settle_variances(
     kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
     bundle = select_views(complete, complete, solution.state, kept)
     for _ in range(rounds):
-        before, factors = bundle, view_covariance_factors(bundle, solution.equations)
+        before, factors = bundle, view_covariance_factors(bundle, solution.equations, first=first)
         bundle, change = update_variance_components(bundle, solution, factors, first)
         settled = change < settings.max_settled_change
         selected = _judge_views(complete, before, solution, factors, kept, first, settled=settled)
@@ -88,10 +88,9 @@ def _judge_views(
     scaled, equations = select_views(complete, bundle, solution.state, everything), solution.equations
     if not all(np.all(part) for part in kept):
         equations = linearize_bundle(scaled, solution.state)
-        factors = view_covariance_factors(scaled, solution.equations, equations.views)
-    consistency = measure_consistency(scaled, equations, factors, kept)
-    selected = select_consistent_views(scaled, consistency, kept, settled=settled)
-    return [*kept[:first], *selected[first:]]
+        factors = view_covariance_factors(scaled, solution.equations, equations.views, first)
+    consistency = measure_consistency(scaled, equations, factors, kept, first)
+    return select_consistent_views(scaled, consistency, kept, settled=settled, first=first)
 
 
 def select_views(

@@ -34,13 +34,13 @@ def update_variance_components(
     Args:
         bundle: sensors' and outlines' views.
         solution: its solution.
-        factors: (K,) of :func:`calgraph.estimation.rig.covariances.view_covariance_factors`.
+        factors: of :func:`calgraph.estimation.rig.covariances.view_covariance_factors`, from ``first`` on.
         first: index of the first views whose components are estimated; those before it keep theirs.
 
     Returns:
         The bundle, and the largest change of a variance in its standard errors.
     """
-    statistics = [_view_statistics(bundle, solution.equations, k, factors[k]) for k in range(first, len(factors))]
+    statistics = [_view_statistics(bundle, solution.equations, k, F) for k, F in enumerate(factors, start=first)]
     settings = bundle.settings.variances
     # Noise and bias of each in turn.
     score = np.concatenate([one.score for one in statistics])
@@ -52,7 +52,7 @@ def update_variance_components(
         for j, other in enumerate(statistics[:i]):
             _, here, there = np.intersect1d(one.board, other.board, assume_unique=True, return_indices=True)
             W = one.solution_factors[here] @ se_n.transpose(other.solution_factors[there])
-            between = _sum_blocks(np.sum(W**2, axis=0), one.first, other.first)
+            between = _sum_squares(W, one.of_variance[here], other.of_variance[there])
             fisher[rows[i], rows[j]] = between
             fisher[rows[j], rows[i]] = between.T
     before = np.concatenate([
@@ -88,9 +88,9 @@ class _ViewStatistics:
     """(V,)."""
     components: Index
     """(c - 1,) columns of :attr:`Bundle.bias_variance`."""
-    first: Index
-    """(c,) the first of the m directions of each variance: those where noise has unit covariance, then those of
-    the biases."""
+    of_variance: Array
+    """(V, c, m) weights of the squares along m directions for each variance: of those where noise has unit
+    covariance, of displacements and rotations, and of rings."""
     solution_factors: Array
     """(V, m, r) factors of the reduction of the gradients' covariance by the solution, in these directions."""
     score: Array
@@ -104,37 +104,42 @@ class _ViewStatistics:
 def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: Array) -> _ViewStatistics:
     """Those of views k, with their ``factors`` of :func:`view_covariance_factors`."""
     unmarginalized, at, views = equations.cache[k].equations, equations.views[k], bundle.all_views[k]
-    settings = bundle.settings.variances
+    settings, p, R = bundle.settings.variances, unmarginalized.pose_count, views.ring_count
     squares, freedom = unmarginalized.within_view_scatter()
     components = np.array(bundle.bias_components(k), dtype=np.intp)
-    by_pose, q = se_n.transpose(at.local_jacobian), at.information.shape[-1]
-    by_ring = np.tile(np.eye(q)[q - views.ring_count :], (len(views.board), 1, 1))
-    of_biases = [by_pose[:, :3], by_pose[:, 3:6], by_ring]
-    groups = [unmarginalized.whiten_views()[0], *(of_biases[c] for c in components)]
-    directions, sizes = np.concatenate(groups, axis=1), [group.shape[1] for group in groups]
-    first_directions = np.cumsum([0, *sizes[:-1]])
-    solution_factors = directions @ at.information @ factors
-    W = directions @ at.information @ se_n.transpose(directions)
+    by_pose, q = se_n.transpose(at.local_jacobian[..., :6]), at.information.shape[-1]
+    whiten, rings = unmarginalized.whiten_views()[0], np.arange(q - R, q)
+    by_ring = np.broadcast_to(np.eye(q)[rings], (len(views.board), R, q))
+    directions = np.concatenate([whiten[:, :p], by_pose, by_ring], axis=1)
+    of_variance = np.zeros((len(views.board), 1 + len(components), directions.shape[1]))
+    of_variance[:, 0, :p] = 1
+    # Noise has unit covariance along the rings, too, where these are scaled.
+    of_variance[:, 0, p + 6 :] = whiten[:, p + np.arange(R), rings] ** 2
+    for i, part in enumerate((slice(p, p + 3), slice(p + 3, p + 6), slice(p + 6, None))[: len(components)], 1):
+        of_variance[:, i, part] = 1
+    weighted = directions @ at.information
+    solution_factors = weighted @ factors
+    W = weighted @ se_n.transpose(directions)
     W = W - solution_factors @ se_n.transpose(solution_factors)
     weight = _downweight_views(at, factors, unmarginalized.pose_count, settings)
-    among = np.sum(weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2, axis=0)
-    expected = np.diagonal(W.sum(axis=0))
-    score = np.add.reduceat(among - expected, first_directions)
-    fisher = _sum_blocks(np.sum(W**2, axis=0), first_directions, first_directions)
+    among = weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2
+    expected = np.diagonal(W, axis1=-2, axis2=-1)
+    score = np.einsum("vci,vi->c", of_variance, among - expected)
+    fisher = _sum_squares(W, of_variance, of_variance)
     within, freedom = (
         squares.sum() / huber_variance_factor(views.dimension, bundle.settings.huber_threshold),
         freedom.sum(),
     )
     score[0] += within - freedom
     fisher[0, 0] += freedom
+    expected_among = np.sum(of_variance[:, 0] * expected)
     max_factor = settings.max_variance_factor
-    expected_among = expected[: sizes[0]].sum()
     low, high = (
         (within + factor * expected_among) / max(freedom + expected_among, 1.0)
         for factor in (1 / max_factor, max_factor)
     )
     return _ViewStatistics(
-        views.board, components, first_directions, solution_factors, score, fisher, (float(low), float(high))
+        views.board, components, of_variance, solution_factors, score, fisher, (float(low), float(high))
     )
 
 
@@ -153,9 +158,9 @@ def _downweight_views(
     return np.asarray(np.minimum(1, limit / np.maximum(squared, 1e-12)) / mean_share)
 
 
-def _sum_blocks(squares: Array, rows: Index, columns: Index) -> Array:
-    """Sums over the blocks of a matrix that begin at these rows and columns."""
-    return np.asarray(np.add.reduceat(np.add.reduceat(squares, rows, axis=0), columns, axis=1))
+def _sum_squares(W: Array, rows: Array, columns: Array) -> Array:
+    """(c, d) weighted sums of the squares of matrices (V, m, n), with weights (V, c, m) and (V, d, n)."""
+    return np.asarray(np.sum(rows @ W**2 @ se_n.transpose(columns), axis=0))
 
 
 def _add_prior_of_biases(
@@ -213,19 +218,26 @@ class ViewConsistency:
 
 
 def measure_consistency(
-    bundle: Bundle, equations: BundleEquations, factors: Sequence[Array], kept: Sequence[NDArray[np.bool_]]
+    bundle: Bundle,
+    equations: BundleEquations,
+    factors: Sequence[Array],
+    kept: Sequence[NDArray[np.bool_]],
+    first: int = 0,
 ) -> list[ViewConsistency]:
-    """The consistency of each view with those that a solution is made of, by view set.
+    """The consistency of each view with those that a solution is made of, by view set from ``first`` on.
 
     Args:
         bundle: all views.
         equations: of all views, at the solution of those that are kept.
-        factors: (K,) of :func:`calgraph.estimation.rig.covariances.view_covariance_factors` of that solution.
+        factors: of :func:`calgraph.estimation.rig.covariances.view_covariance_factors` of that solution, from
+            ``first`` on.
         kept: (K,) masks (V,) of the views that are part of it.
+        first: index of the first view set.
     """
     found = []
     least = bundle.settings.variances.min_redundancy
-    for cached, at, F, part in zip(equations.cache, equations.views, factors, kept, strict=True):
+    of_views = zip(equations.cache[first:], equations.views[first:], factors, kept[first:], strict=True)
+    for cached, at, F, part in of_views:
         pose_count = cached.equations.pose_count
         squared, freedom = _test_poses(at, F, pose_count, least)
         if not np.all(part):
@@ -257,23 +269,28 @@ def _test_poses(
 
 
 def select_consistent_views(
-    bundle: Bundle, consistency: Sequence[ViewConsistency], kept: Sequence[NDArray[np.bool_]], *, settled: bool
+    bundle: Bundle,
+    consistency: Sequence[ViewConsistency],
+    kept: Sequence[NDArray[np.bool_]],
+    *,
+    settled: bool,
+    first: int = 0,
 ) -> list[NDArray[np.bool_]]:
     """By view set, a mask (V,) of the views to keep: outliers are rejected, and views that agree now return.
 
     Of each board only the worst view is rejected. A gross outlier biases all sensors: views with much smaller
     statistics are tested after it has been rejected. As long as variances have not settled, gross outliers only
-    are rejected, and no view returns.
+    are rejected, and no view returns. Views before ``first`` stay as they are; ``consistency`` is of the others.
     """
-    settings, boards = bundle.settings.variances, 1 + max(int(v.board.max(initial=-1)) for v in bundle.all_views)
-    worst: Array = np.zeros(boards)
+    settings, judged = bundle.settings.variances, bundle.all_views[first:]
+    worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in judged))
     excess = [one.excess(settings.outlier_significance) for one in consistency]
-    for views, over, part in zip(bundle.all_views, excess, kept, strict=True):
+    for views, over, part in zip(judged, excess, kept[first:], strict=True):
         worst[views.board] = np.maximum(worst[views.board], over * part)
     least = 1.0 if settled else settings.gross_outlier_ratio
     limit = max(least, settings.min_share_of_worst * worst.max(initial=0.0))
-    selected = []
-    for views, over, part in zip(bundle.all_views, excess, kept, strict=True):
+    selected = [*kept[:first]]
+    for views, over, part in zip(judged, excess, kept[first:], strict=True):
         rejected = part & (over > limit) & (over >= worst[views.board])
         left = part & ~rejected
         if left.sum() < (1 - settings.max_outlier_share) * len(part):
