@@ -17,7 +17,7 @@ help:  ## say what there is
 setup: $(READY)  ## make .venv with calgraph and all tools in it
 
 demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in demo/
-	$(BIN)/calgraph demo --out demo
+	$(BIN)/calgraph demo --out demo --force
 
 # Every core runs tests of its own, so NumPy needs no more threads.
 test: $(READY)  ## run the tests (ARGS="-k name" to choose some)

@@ -1,10 +1,12 @@
 """The launcher: help, version, pipes and interruptions."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import COMMANDS, SIMULATIONS, app, handle_errors
+from calgraph.cli.common_options import EARLIER, EVERYDAY, PAPERS, TUNING
 from calgraph.cli.lazy_commands import LazyCommand
 from calgraph.errors import CalibrationError, InputError, RecordingError
 
@@ -37,13 +40,55 @@ def test_alone_it_shows_its_commands(run: Run) -> None:
     assert [name for name in commands if f"│ {name} " not in text] == []
 
 
-@pytest.mark.parametrize(
-    "command", [["calibrate"], ["solve"], ["demo"], ["init"], ["inspect"], ["export"], ["simulate", "rig"]]
-)
-def test_every_command_has_help_within_80_columns(command: list[str]) -> None:
+def help_of(*command: str) -> str:
+    """The help of a command on a terminal of 80 columns."""
     result = CliRunner(env={"COLUMNS": "80"}).invoke(app, [*command, "--help"])
     assert result.exit_code == 0
-    assert max(map(len, result.output.splitlines())) <= 80
+    return result.output
+
+
+@pytest.mark.parametrize(
+    "command", [*([name] for name in COMMANDS), *(["simulate", name] for name in SIMULATIONS)]
+)
+def test_every_command_has_help_within_80_columns(command: list[str]) -> None:
+    lines = [line.rstrip() for line in help_of(*command).splitlines()]
+    assert max(map(len, lines)) <= 80
+    assert not re.search("<bool>|<path>|list\\[|int range", "\n".join(lines))
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "simulate"])
+def test_descriptions_have_no_ragged_lines(command: str) -> None:
+    """Within a paragraph, a line is only shorter than 80 columns where the next word does not fit."""
+    described = help_of(command).partition("╭")[0].splitlines()
+    for line, following in pairwise(map(str.strip, described)):
+        if line and following and not line.startswith("Usage"):
+            assert len(line) + 1 + len(following.split()[0]) > 78, line
+
+
+def test_help_of_calibrate_has_everyday_options_first_and_those_of_the_papers_last() -> None:
+    panels = re.findall("^╭─ (.*?) ─", help_of("calibrate"), re.MULTILINE)
+    assert panels == ["Arguments", EVERYDAY, EARLIER, TUNING, PAPERS]
+    everyday = help_of("calibrate").partition(f"─ {EVERYDAY} ")[2].partition("╰")[0]
+    assert re.findall("--[a-z]+", everyday) == ["--out", "--force", "--strict", "--json", "--verbose", "--help"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("calgraph cal", ["calibrate"]),
+        ("calgraph simulate ", ["rig", "network"]),
+        ("calgraph calibrate --estimator h", ["hypergraph"]),
+        ("calgraph calibrate --forc", ["--force"]),
+        ("calgraph export --format ", ["launch", "tf", "urdf", "kalibr", "json"]),
+    ],
+)
+def test_shells_complete_commands_options_and_choices(typed: str, offered: list[str]) -> None:
+    words = {"COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" ")), "_CALGRAPH_COMPLETE": "complete_bash"}
+    done = subprocess.run(
+        [Path(sys.executable).parent / "calgraph"],
+        env={**os.environ, **words}, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.stdout.split() == offered
 
 
 @pytest.mark.parametrize("place", [*COMMANDS.values(), *SIMULATIONS.values()], ids=lambda place: place.function)

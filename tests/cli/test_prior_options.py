@@ -132,7 +132,7 @@ def test_check_uses_the_tolerance_of_the_rig_unless_an_option_states_another(
     assert run(*arguments).exit_code == 0
     audit = json.loads((tmp_path / "out/check.json").read_text(encoding="utf-8"))
     assert audit["tolerance"] == {"position": 0.01, "rotation": pytest.approx(np.radians(2))}
-    assert run(*arguments, "--tolerance", "0.01", "0.5").exit_code == 1
+    assert run(*arguments, "--force", "--tolerance", "0.01", "0.5").exit_code == 1
     assert load_rig(tmp_path / "out/rig.resolved.yaml").tolerance.rotation == 0.5
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
+from calgraph.calibrate.step_log import log_captures, log_pairs, log_solution
 from calgraph.calibrate.strategies import select_initialization, select_plane_estimator, solve_baseline
 from calgraph.captures import (
     ActivityMeter,
@@ -150,6 +151,7 @@ def build_problem_from_captures(
     rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
     """From detections to the joint problem: every pair, and the tree they span."""
+    log_captures(captures)
     captures = locate_boards(rig, captures)
     detections = captures.detections
     settings = rig.settings.pairwise.board
@@ -172,6 +174,7 @@ def build_problem_from_captures(
             rig.settings.graph,
             rig.settings.pairwise.board.max_stddev,
         )
+    log_pairs(pairs)
     solver = SolverOptions(estimator=options.estimator, keep=options.keep, folds=options.folds)
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
@@ -220,6 +223,7 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
         )  # fmt: skip
     else:
         joint = solve_baseline(problem, tree)
+    log_solution(joint)
     return joint, tree
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
+from calgraph.calibrate.step_log import log_tracks
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.captures import InputMonitor, to_scans
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
@@ -42,6 +43,7 @@ def track_people(
             jobs=options.jobs,
             progress=tracking,
         )
+    log_tracks(tracks)
     return tracks, frames
 
 

@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from calgraph.cli.console import console
 from calgraph.cli.lazy_commands import LazyCommand, lazy_group
+from calgraph.cli.step_log import VerboseOption, log_steps
 from calgraph.errors import CalgraphError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
@@ -78,7 +79,6 @@ SIMULATIONS = {
 app = typer.Typer(
     cls=lazy_group(COMMANDS, handle_errors),
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 simulate = typer.Typer(
@@ -97,13 +97,15 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def calgraph(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what happens.")] = False,
+    verbose: VerboseOption = False,
     _version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Find where cameras, laser scanners and LiDARs are, relative to each other, from one recording."""
-    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="calgraph: %(message)s")
+    logging.basicConfig(level=logging.WARNING, format="calgraph: %(message)s")
+    if verbose:
+        log_steps()
 
 
 def main() -> None:

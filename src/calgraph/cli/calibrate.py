@@ -1,5 +1,6 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from calgraph.captures import resolve_background
-from calgraph.cli.common_options import JobsOption, Results, RigFile, StrictOption, WholeJson, available_cores
+from calgraph.cli.common_options import (
+    EARLIER,
+    PAPERS,
+    RESULT_FILES,
+    TUNING,
+    ForceOption,
+    JobsOption,
+    Results,
+    RigFile,
+    SeedOption,
+    StrictOption,
+    WholeJson,
+    available_cores,
+    check_not_overwriting,
+    list_choices,
+)
 from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.progress import progress_bars
@@ -31,6 +47,7 @@ from calgraph.result import (
 if TYPE_CHECKING:
     from calgraph.estimation import Estimator
 
+_log = logging.getLogger("calgraph")
 EstimatorChoice = Literal["bundle", "hypergraph", "joint", "averaging"]
 FilterChoice = Literal["ransac", "none"]
 StartChoice = Literal["tree", "identity", "consensus", "l1mc", "triangles", "spectral", "irls"]
@@ -47,55 +64,109 @@ def calibrate(
         typer.Argument(metavar="RECORDING...", help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, or plain folder."),
     ],
     out: Results,
-    estimator: Annotated[
-        EstimatorChoice | None,
-        typer.Option(
-            "--estimator", help="Board: bundle (default) or hypergraph. People: joint (default) or averaging."
-        ),
-    ] = None,
-    keep: Annotated[
-        FilterChoice, typer.Option("--filter", help="Use the matches that agree, or all (the paper compares).")
-    ] = "ransac",
-    folds: Annotated[
-        int, typer.Option(min=0, help="Board: parts in which captures are left out for cross-validation; 0: none.")
-    ] = 5,
-    start: Annotated[
-        StartChoice,
-        typer.Option(help="Board: start of the joint solution; all but tree and identity use every pair."),
-    ] = "tree",
+    force: ForceOption = False,
+    strict: StrictOption = False,
+    json: WholeJson = False,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
-    tags: Annotated[
-        TagsChoice, typer.Option(help="A camera's plane: from all corners, or averaged over tags (the paper).")
-    ] = "pnp",
-    feature: Annotated[
-        FeatureChoice,
-        typer.Option(help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii."),
-    ] = "nls",
-    average: Annotated[
-        AverageChoice, typer.Option(help="People: how pairs become poses; all but consensus are published.")
-    ] = "consensus",
-    weights: Annotated[
-        WeightsChoice, typer.Option(help="People: weight pairs by their information, or uniformly.")
-    ] = "weighted",
-    icp: Annotated[bool, typer.Option("--icp/--no-icp", help="People: match walls, too.")] = True,
     extend: Annotated[
         Path | None,
-        typer.Option(metavar="OLD", help="People: add to this calibration.yaml instead of starting over."),
+        typer.Option(
+            metavar="OLD",
+            help="People: add to this calibration.yaml instead of starting over.",
+            rich_help_panel=EARLIER,
+        ),
     ] = None,
     moved: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="People: has moved since OLD: estimate it again; repeatable."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
-    jobs: JobsOption = None,
-    dump: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Board: write what the solution is made from, for solve.")
+        typer.Option(
+            metavar="NAME",
+            help="People: has moved since OLD: estimate it again; repeatable.",
+            rich_help_panel=EARLIER,
+        ),
     ] = None,
     overrides: SetOption = None,
-    strict: StrictOption = False,
-    json: WholeJson = False,
+    folds: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Board: parts in which captures are left out for cross-validation; 0: none.",
+            rich_help_panel=TUNING,
+        ),
+    ] = 5,
+    seed: SeedOption = 0,
+    jobs: JobsOption = None,
+    dump: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Board: write what the solution is made from, for solve.",
+            rich_help_panel=TUNING,
+        ),
+    ] = None,
+    estimator: Annotated[
+        EstimatorChoice | None,
+        typer.Option(
+            "--estimator",
+            metavar=list_choices(EstimatorChoice),
+            help="Board: bundle (default) or hypergraph. People: joint (default) or averaging.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = None,
+    keep: Annotated[
+        FilterChoice,
+        typer.Option(
+            "--filter",
+            metavar=list_choices(FilterChoice),
+            help="Use the matches that agree, or all (the paper compares).",
+            rich_help_panel=PAPERS,
+        ),
+    ] = "ransac",
+    start: Annotated[
+        StartChoice,
+        typer.Option(
+            metavar=list_choices(StartChoice),
+            help="Board: start of the joint solution; all but tree and identity use every pair.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = "tree",
+    tags: Annotated[
+        TagsChoice,
+        typer.Option(
+            metavar=list_choices(TagsChoice),
+            help="A camera's plane: from all corners, or averaged over tags (the paper).",
+            rich_help_panel=PAPERS,
+        ),
+    ] = "pnp",
+    feature: Annotated[
+        FeatureChoice,
+        typer.Option(
+            metavar=list_choices(FeatureChoice),
+            help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = "nls",
+    average: Annotated[
+        AverageChoice,
+        typer.Option(
+            metavar=list_choices(AverageChoice),
+            help="People: how pairs become poses; all but consensus are published.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = "consensus",
+    weights: Annotated[
+        WeightsChoice,
+        typer.Option(
+            metavar=list_choices(WeightsChoice),
+            help="People: weight pairs by their information, or uniformly.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = "weighted",
+    icp: Annotated[
+        bool, typer.Option("--icp/--no-icp", help="People: match walls, too.", rich_help_panel=PAPERS)
+    ] = True,
 ) -> None:
     """Find the relative poses of all sensors of a rig or network.
 
@@ -107,6 +178,9 @@ def calibrate(
     from calgraph import calibrate as story  # takes seconds, which --help should not
 
     rig = load_rig_with(rig_file, overrides)
+    check_not_overwriting(out, RESULT_FILES, force=force)
+    if dump:
+        check_not_overwriting(dump.parent, [dump.name], force=force)
     if dump and not _is_in(dump, out):
         check_output_path(dump)
     rig_options = {"--prior": prior, "--rigid": rigid, "--dump": dump}
@@ -140,6 +214,8 @@ def calibrate(
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
             )
         with open_recordings(recordings) as recording, progress_bars() as progress:
+            messages = sum(topic.count for topic in recording.topics)
+            _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
             rig = resolve_background(rig, recording)
             calibration = story.calibrate(rig, recording, options, progress)
             read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
@@ -171,6 +247,7 @@ def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
     write_report(calibration, rig, folder / "report.html")
     save_scene(calibration.pictures, folder / "scene.npz")
     save_residuals(calibration, folder / "residuals.csv")
+    _log.info("results: written")
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:

@@ -11,7 +11,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from calgraph.cli.calibrate import write_results
-from calgraph.cli.common_options import RigFile, available_cores
+from calgraph.cli.common_options import (
+    RESULT_FILES,
+    ForceOption,
+    RigFile,
+    SeedOption,
+    available_cores,
+    check_not_overwriting,
+)
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
@@ -52,7 +59,8 @@ def check(
         Path | None,
         typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the calibration found."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random samples: same seed, same result.")] = 0,
+    force: ForceOption = False,
+    seed: SeedOption = 0,
     overrides: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
@@ -65,6 +73,8 @@ def check(
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
     """
+    if out:
+        check_not_overwriting(out, [*RESULT_FILES, "check.json"], force=force)
     rig, given = _set_tolerance(load_rig_with(rig_file, overrides), tolerance), read_extrinsics(against)
     with replace_folder_atomically(out) if out else nullcontext() as folder:
         calibration, audit, rig = _compare(rig, recordings, given, seed)

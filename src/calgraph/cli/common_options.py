@@ -1,18 +1,66 @@
 """Arguments and options that mean the same to several commands."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import typer
 
+from calgraph.errors import InputError
+
+EVERYDAY, EARLIER, TUNING, PAPERS = (
+    "Everyday",
+    "Poses that are known",
+    "Tuning",
+    "Methods of the papers, for comparison",
+)
+"""Panels of the help of ``calibrate`` and ``solve``."""
+RESULT_FILES = (
+    "calibration.yaml",
+    "report.html",
+    "captures.csv",
+    "scene.npz",
+    "residuals.csv",
+    "rig.resolved.yaml",
+)
+"""What a calibration writes into its folder."""
+
+
+def list_choices(literal: Any) -> str:
+    """The choices of an option as its help shows them, with spaces at which lines can break."""
+    return " | ".join(get_args(literal))
+
+
 RigFile = Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")]
 OneRecording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")]
-Results = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")]
-WholeJson = Annotated[bool, typer.Option("--json", help="Print the whole result as JSON.")]
-StrictOption = Annotated[bool, typer.Option("--strict", help="Exit with 1 if a pose is weak, too.")]
+Results = Annotated[
+    Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", rich_help_panel=EVERYDAY)
+]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace the results in OUT, if there are any.", rich_help_panel=EVERYDAY)
+]
+WholeJson = Annotated[
+    bool, typer.Option("--json", help="Print the whole result as JSON.", rich_help_panel=EVERYDAY)
+]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Exit with 1 if a pose is weak, too.", rich_help_panel=EVERYDAY)
+]
+SeedOption = Annotated[
+    int,
+    typer.Option(
+        min=0, metavar="N", help="Of the random samples: same seed, same result.", rich_help_panel=TUNING
+    ),
+]
 JobsOption = Annotated[
-    int | None, typer.Option("--jobs", min=1, help="People: number of worker processes; all cores if left out.")
+    int | None,
+    typer.Option(
+        "--jobs",
+        min=1,
+        metavar="N",
+        help="People: number of worker processes; all cores if left out.",
+        rich_help_panel=TUNING,
+    ),
 ]
 
 
@@ -20,3 +68,22 @@ def available_cores() -> int:
     """The processors that this process may use."""
     # A container or a batch system may grant fewer than the machine has.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_not_overwriting(folder: Path, names: Iterable[str], *, force: bool) -> None:
+    """Checks, before long work begins, that no earlier result is in the way.
+
+    Args:
+        folder: for the results; other files in it stay.
+        names: of what is written there.
+        force: whether it may be replaced.
+
+    Raises:
+        InputError: one of them exists, and is not to be replaced.
+    """
+    found = [name for name in names if (folder / name).exists()]
+    if found and not force:
+        raise InputError(
+            f"{folder}: contains earlier results ({', '.join(found)}); choose another OUT, or give --force to "
+            f"replace them"
+        )

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import fail_if_not_calibrated, write_results
+from calgraph.cli.common_options import ForceOption, check_not_overwriting
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
@@ -22,16 +23,18 @@ def demo(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording and results.")
     ] = Path("demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulated robot and its noise.")] = 0,
+    force: ForceOption = False,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of the simulated robot and its noise.")] = 0,
 ) -> None:
     """Simulate a five-sensor robot, calibrate it, and compare with the ground truth.
 
-    Writes recording, rig.yaml, scenario.yaml, truth.yaml and result/ into OUT, over those of an earlier demo.
+    Writes recording, rig.yaml, scenario.yaml, truth.yaml and result/ into OUT.
     """
     from calgraph.calibrate import RigOptions, calibrate_rig  # takes seconds, which --help should not
 
     if (out / "recording").exists() and not (out / "truth.yaml").exists():
         raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")
+    check_not_overwriting(out, ["recording", "rig.yaml", "result"], force=force)
     with replace_folder_atomically(out) as folder:
         with progress_bars() as progress:
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from calgraph.cli.common_options import list_choices
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import write_text
@@ -22,6 +23,7 @@ def export(
         typer.Option(
             "--format",
             "-f",
+            metavar=list_choices(Format),
             help="launch: ROS 2 static transform publishers; tf: tf2_msgs/TFMessage as YAML; urdf: links and "
             "fixed joints; kalibr: camchain of the cameras; json: the whole result.",
         ),

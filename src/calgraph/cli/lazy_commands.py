@@ -1,12 +1,16 @@
 """Commands that are imported when called, so that each loads only the packages it needs."""
 
+import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperArgument, TyperCommand, TyperGroup
+
+from calgraph.cli.step_log import VerboseOption, log_steps
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,18 @@ class LazyCommand:
         """The command's function."""
         found: Callable[..., None] = getattr(import_module(self.module), self.function)
         return found
+
+
+class _Command(TyperCommand):
+    """A command whose help shows no Python types, and whose usage line names its arguments plainly."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _hide_types(super().get_params(ctx))
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        arguments = [param for param in self.get_params(ctx) if isinstance(param, TyperArgument)]
+        names = [str(one.metavar or one.name).strip("[]") for one in arguments]
+        return ["[OPTIONS]", *(n if one.required else f"[{n}]" for n, one in zip(names, arguments, strict=True))]
 
 
 def lazy_group(
@@ -40,13 +56,58 @@ def lazy_group(
             listed = {name: TyperCommand(name, help=place.summary) for name, place in commands.items()}
             self.commands = {**listed, **self.commands}
 
+        def get_params(self, ctx: Any) -> list[Any]:
+            return _hide_types(super().get_params(ctx))
+
         def resolve_command(self, ctx: Any, args: Sequence[str]) -> Any:
             """The called command, imported in place of its entry in the list."""
             name = args[0]
             if name in commands:
                 alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-                alone.command(name)(wrap(commands[name].load()))
+                function = commands[name].load()
+                help_text = _join_lines(function.__doc__ or "")
+                alone.command(name, cls=_Command, help=help_text)(_add_verbose(wrap(function)))
                 self.commands[name] = typer.main.get_command(alone)
             return super().resolve_command(ctx, list(args))
 
     return OnDemand
+
+
+def _add_verbose(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option ``--verbose``, which the whole program has as well."""
+
+    @functools.wraps(command)
+    def run(*args: Any, verbose: bool = False, **options: Any) -> None:
+        if verbose:
+            log_steps()
+        command(*args, **options)
+
+    verbose = inspect.Parameter("verbose", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=VerboseOption)
+    parameters = inspect.signature(command, eval_str=True).parameters.values()
+    run.__signature__ = inspect.Signature([*parameters, verbose])  # type: ignore[attr-defined]
+    run.__annotations__ = {**command.__annotations__, "verbose": VerboseOption}
+    return run
+
+
+def _hide_types(params: list[Any]) -> list[Any]:
+    """The parameters, of which flags and arguments show no type in the help."""
+    panels = [panel for param in params if (panel := getattr(param, "rich_help_panel", None))]
+    for param in params:
+        if panels and {"--help", "--verbose"} & set(param.opts) and param.required is False:
+            # They are for every day, which the first panel is.
+            param.rich_help_panel = panels[0]
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+        if isinstance(param, TyperArgument):
+            param.display_type_rich = _no_type  # type: ignore[method-assign]
+    return params
+
+
+def _no_type(ctx: Any) -> None:
+    """The type of an argument in the help: none."""
+
+
+def _join_lines(docstring: str) -> str:
+    """The docstring with each paragraph on one line, which the help wraps as the terminal needs it."""
+    paragraphs = inspect.cleandoc(docstring).split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)

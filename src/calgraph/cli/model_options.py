@@ -15,6 +15,7 @@ from rich.markup import escape
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from calgraph.cli.common_options import list_choices
 from calgraph.cli.setting_options import set_nested
 from calgraph.errors import InputError
 from calgraph.io.yaml_reading import unwrap_annotation, validate_content
@@ -147,7 +148,7 @@ def _format_default(default: Any) -> str:
 def _metavar(annotation: Any) -> str:
     kind = unwrap_annotation(annotation)
     if get_origin(kind) is Literal:
-        return "|".join(get_args(kind))
+        return list_choices(kind)
     if get_origin(kind) is tuple:
         return "N,N,..." if unwrap_annotation(get_args(kind)[0]) in (int, float) else "YAML"
     return {int: "INT", float: "N", str: "TEXT"}.get(kind, "YAML")

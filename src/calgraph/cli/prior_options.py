@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from calgraph.cli.common_options import EARLIER
 from calgraph.errors import InputError
 from calgraph.result import read_extrinsics
 
@@ -17,7 +18,10 @@ if TYPE_CHECKING:
 PriorOption = Annotated[
     Path | None,
     typer.Option(
-        "--prior", metavar="FILE", help="Board: prior poses: calibration.yaml, URDF, or transforms of tf (YAML)."
+        "--prior",
+        metavar="FILE",
+        help="Board: prior poses: calibration.yaml, URDF, or transforms of tf (YAML).",
+        rich_help_panel=EARLIER,
     ),
 ]
 DeviationOption = Annotated[
@@ -26,6 +30,7 @@ DeviationOption = Annotated[
         "--prior-stddev",
         metavar="M DEG",
         help="Of --prior's positions and rotations, m and degrees; 0 0: exact. A calibration.yaml contains them.",
+        rich_help_panel=EARLIER,
     ),
 ]
 RigidOption = Annotated[
@@ -34,6 +39,7 @@ RigidOption = Annotated[
         "--rigid",
         metavar="FILE:A,B,...",
         help="Board: sensors A, B, ... are fixed to each other with the poses in FILE; repeatable.",
+        rich_help_panel=EARLIER,
     ),
 ]
 

@@ -1,5 +1,6 @@
 """Progress bars on stderr, one for each step of the work, once it takes longer than two seconds."""
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,6 +9,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from calgraph.cli.console import console
 
+_log = logging.getLogger("calgraph")
 _MIN_DURATION = 2.0
 """Work that is done sooner shows no bar, s."""
 
@@ -22,13 +24,20 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
         TextColumn("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
     )
-    bars = Progress(*columns, console=stderr, disable=not stderr.is_terminal, transient=True)
+    bars = Progress(
+        *columns, console=stderr, disable=not stderr.is_terminal or _log.isEnabledFor(logging.INFO), transient=True
+    )
     tasks: dict[str, TaskID] = {}
+    starts: dict[str, float] = {}
     began = time.monotonic()
 
     def show(step: str, done: float) -> None:
         if step not in tasks:
             tasks[step] = bars.add_task(step, total=1.0)
+        if step not in starts:
+            starts[step] = time.monotonic()
+        if done >= 1:
+            _log.info("%s: done in %.1f s", step, time.monotonic() - starts.pop(step))
         bars.update(tasks[step], completed=min(max(done, 0.0), 1.0))
         if not bars.live.is_started and time.monotonic() - began > _MIN_DURATION:
             bars.start()

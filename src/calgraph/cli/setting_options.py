@@ -8,6 +8,7 @@ import typer
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from calgraph.cli.common_options import TUNING
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import InputError
@@ -16,7 +17,10 @@ from calgraph.io.yaml_reading import validate_content
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="Override a setting, e.g. detection.lidar3d.min_points=30; repeatable."
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a setting, such as captures.min_hold=2; repeatable. docs/settings.md lists all.",
+        rich_help_panel=TUNING,
     ),
 ]
 
@@ -42,9 +46,7 @@ def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not key or not equals:
-            raise InputError(
-                f"--set: must be KEY=VALUE, such as detection.lidar3d.min_points=30, got {assignment!r}"
-            )
+            raise InputError(f"--set: must be KEY=VALUE, such as captures.min_hold=2, got {assignment!r}")
         set_nested(content, key.strip().split("."), _parse(key, text))
     return rig.model_copy(update={"settings": validate_content(Settings, content, Path("--set"))})
 

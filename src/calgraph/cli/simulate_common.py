@@ -20,7 +20,7 @@ ScenarioFile = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Scenario from a file, as scenario.yaml in OUT; options take precedence."),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed and options give the same recording.")]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="The same seed and options give the same recording.")]
 
 Scenario = TypeVar("Scenario", bound=BaseModel)
 Simulate = Callable[[Scenario, Path, int, Callable[[int, int], None]], None]

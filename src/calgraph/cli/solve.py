@@ -7,7 +7,17 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
-from calgraph.cli.common_options import Results, StrictOption, WholeJson
+from calgraph.cli.common_options import (
+    PAPERS,
+    RESULT_FILES,
+    TUNING,
+    ForceOption,
+    Results,
+    StrictOption,
+    WholeJson,
+    check_not_overwriting,
+    list_choices,
+)
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, override_settings
@@ -17,26 +27,40 @@ from calgraph.io import replace_folder_atomically
 def solve(
     file: Annotated[Path, typer.Argument(metavar="DUMP", help="What calibrate --dump wrote.")],
     out: Results,
-    estimator: Annotated[
-        EstimatorChoice | None,
-        typer.Option(
-            "--estimator", help="Solution in the measured units, or the paper's; as calibrate did if left out."
-        ),
-    ] = None,
-    keep: Annotated[
-        FilterChoice | None,
-        typer.Option("--filter", help="Use the matches that agree, or all; as calibrate did if left out."),
-    ] = None,
-    folds: Annotated[
-        int | None,
-        typer.Option(min=0, help="Parts in which captures are left out for cross-validation; as calibrate did."),
-    ] = None,
+    force: ForceOption = False,
+    strict: StrictOption = False,
+    json: WholeJson = False,
     prior: PriorOption = None,
     prior_stddev: DeviationOption = None,
     rigid: RigidOption = None,
     overrides: SetOption = None,
-    strict: StrictOption = False,
-    json: WholeJson = False,
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Parts in which captures are left out for cross-validation; as calibrate did.",
+            rich_help_panel=TUNING,
+        ),
+    ] = None,
+    estimator: Annotated[
+        EstimatorChoice | None,
+        typer.Option(
+            "--estimator",
+            metavar=list_choices(EstimatorChoice),
+            help="Solution in the measured units, or the paper's; as calibrate did if left out.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = None,
+    keep: Annotated[
+        FilterChoice | None,
+        typer.Option(
+            "--filter",
+            metavar=list_choices(FilterChoice),
+            help="Use the matches that agree, or all; as calibrate did if left out.",
+            rich_help_panel=PAPERS,
+        ),
+    ] = None,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
 
@@ -48,6 +72,7 @@ def solve(
     from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
     from calgraph.estimation import load_problem, round_trip, with_prior_poses
 
+    check_not_overwriting(out, RESULT_FILES, force=force)
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}

@@ -34,8 +34,8 @@ def verify(
         list[Path],
         typer.Argument(metavar="DUMP | RIG.yaml RECORDING...", help="As for calibrate; or what --dump wrote."),
     ],
-    rounds: Annotated[int, typer.Option(min=20, help="Number of bootstrap rounds.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Of the draws: same seed, same result.")] = 0,
+    rounds: Annotated[int, typer.Option(metavar="N", min=20, help="Number of bootstrap rounds.")] = 200,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the draws: same seed, same result.")] = 0,
     overrides: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
