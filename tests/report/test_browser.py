@@ -1,8 +1,10 @@
 """The report in a browser: no errors, no requests, all figures drawn, all controls work."""
 
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -110,6 +112,50 @@ def test_captures_are_filtered(rig_page: Opened) -> None:
     shown = rig_page.page.locator("#capture-table tbody tr:not([hidden]) .outcome").all_inner_texts()
     assert set(shown) == {"not used"}
     assert rig_page.page.locator("#filter-count").inner_text() == f"{len(shown)} of 240 rows"
+
+
+@pytest.mark.parametrize(
+    "label", ["Graph of the sensors", "Coverage of camera", "camera in capture 0", "lidar: Over range"]
+)
+def test_a_figure_is_saved_as_svg(rig_page: Opened, label: str, tmp_path: Path) -> None:
+    button = rig_page.page.get_by_title(
+        re.compile(f"^Save {re.escape(label).replace('0', '[0-9]+')} as SVG")
+    ).first
+    with rig_page.page.expect_download(timeout=_PATIENCE) as download:
+        button.click()
+    download.value.save_as(tmp_path / "saved.svg")
+    text = (tmp_path / "saved.svg").read_text(encoding="utf-8")
+    svg = ElementTree.fromstring(text)
+    assert svg.tag == "{http://www.w3.org/2000/svg}svg"
+    assert len(list(svg.iter())) > 10
+    # Other programs do not know the page's colours.
+    assert "var(--" not in text
+
+
+@pytest.mark.parametrize("label", ["Graph of the sensors", "camera in capture 0", "lidar: Over range"])
+def test_a_figure_is_saved_as_png(rig_page: Opened, label: str, tmp_path: Path) -> None:
+    button = rig_page.page.get_by_title(
+        re.compile(f"^Save {re.escape(label).replace('0', '[0-9]+')} as PNG")
+    ).first
+    with rig_page.page.expect_download(timeout=_PATIENCE) as download:
+        button.click()
+    download.value.save_as(tmp_path / "saved.png")
+    pixels = np.asarray(cv2.imread(str(tmp_path / "saved.png"), cv2.IMREAD_COLOR))
+    assert pixels.shape[1] > 600
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20
+
+
+def test_a_wide_table_shows_that_more_follows(rig_page: Opened) -> None:
+    """In a narrow window, until it is scrolled to its end."""
+    page = rig_page.page
+    page.set_viewport_size({"width": 500, "height": 900})
+    box = page.locator("#poses .wide")
+    page.wait_for_function("document.querySelector('#poses .wide').classList.contains('more-right')")
+    box.evaluate("box => { box.scrollLeft = box.scrollWidth; }")
+    page.wait_for_function("!document.querySelector('#poses .wide').classList.contains('more-right')")
+    assert "more-left" in str(box.get_attribute("class"))
+    page.set_viewport_size({"width": 1280, "height": 900})
+    page.wait_for_function("!document.querySelector('#poses .wide').className.includes('more')")
 
 
 def test_before_and_after_are_selected_with_the_keyboard(network_page: Opened) -> None:

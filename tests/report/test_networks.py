@@ -63,7 +63,7 @@ def test_sensors_without_a_reason_get_advice_on_walking(html: str) -> None:
 
 
 def test_poses_are_those_in_the_plane(html: str) -> None:
-    assert "6.0000 ± 10 mm 1.0000 ± 20 mm 114.592° 0.057°" in words_of(html)
+    assert "6.0000 ± 10 mm 1.0000 ± 20 mm 114.592° z 0.057°" in words_of(html)
     assert "roll" not in words_of(html)
 
 

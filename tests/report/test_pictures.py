@@ -23,7 +23,7 @@ from calgraph.result.calibrated_cameras import calibrated_cameras
 
 def colored_traces(html: str) -> list[dict[str, Any]]:
     """The traces whose points have a colour each."""
-    return [t for t in data_of(html)["data"] if isinstance(t["marker"].get("color"), list)]
+    return [t for t in data_of(html)["data"] if t.get("name") == "in an image"]
 
 
 def data_of(html: str) -> dict[str, Any]:
@@ -143,13 +143,22 @@ def test_only_points_in_view_of_a_camera_are_coloured(pictured: Calibration, rig
     assert in_view.all()
 
 
+def test_points_outside_of_images_are_coloured_by_height_or_scanner(pictured: Calibration, rig: Rig) -> None:
+    _, lidar, laser, laser_low, _ = data_of(render_fused_cloud(pictured, rig))["data"][:5]
+    assert (lidar["name"], laser["name"], laser_low["name"]) == ("lidar", "laser", "laser_low")
+    np.testing.assert_allclose(lidar["marker"]["color"], lidar["z"], atol=0.006)
+    assert lidar["marker"]["cmin"] < np.median(lidar["z"]) < lidar["marker"]["cmax"]
+    assert laser["marker"]["color"] != laser_low["marker"]["color"]
+
+
 def test_each_button_shows_one_capture(pictured: Calibration, rig: Rig) -> None:
     content = data_of(render_fused_cloud(pictured, rig))
     (choices,) = content["choices"]
     for k, choice in enumerate(choices):
         *clouds, sensors = choice["visible"]
         assert len(clouds) + 1 == len(content["data"])
-        assert np.flatnonzero(clouds).tolist() == [3 * k, 3 * k + 1, 3 * k + 2]
+        # Points in images, those of the LiDAR and of two 2-D scanners, and boards.
+        assert np.flatnonzero(clouds).tolist() == list(range(5 * k, 5 * k + 5))
         assert sensors is None
 
 

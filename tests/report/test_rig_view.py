@@ -96,7 +96,7 @@ def test_lines_of_different_objects_are_not_joined(calibration: Calibration, rig
 
 def test_ellipsoids_are_enlarged_by_the_stated_factor(calibration: Calibration, rig: Rig) -> None:
     (factor,) = re.findall(r"Ellipsoids are drawn enlarged <b>(\d+) ×</b>", render_rig_view(calibration, rig))
-    meshes = [t for t in view(calibration, rig)["data"] if t["type"] == "mesh3d" and t.get("name") == "laser"]
+    meshes = [t for t in view(calibration, rig)["data"] if t["type"] == "mesh3d" and t.get("text") == "laser"]
     true, drawn = (np.array([mesh["x"], mesh["y"], mesh["z"]]) for mesh in meshes)
     center = calibration["laser"].T_root_sensor[:3, 3]
     np.testing.assert_allclose(drawn.T - center, int(factor) * (true.T - center), atol=1e-5 * int(factor))

@@ -1,7 +1,11 @@
-"""The fused cloud: points of the scanners in the colours of the camera images (MSG-Cal, Figures 1 and 6)."""
+"""The fused cloud: points of the scanners in the colours of the camera images (MSG-Cal, Figures 1 and 6).
+
+Where no camera observes them, points of 3-D LiDARs are coloured by height, and those of 2-D scanners by scanner.
+"""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,23 +14,31 @@ from numpy.typing import NDArray
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import (
+    COLOR_CYCLE,
+    INK,
     MUTED,
     ORANGE,
     SCENE_AXIS,
-    VERMILION,
     escape_plotly,
     make_figure,
     render_buttons,
     render_figure,
 )
 from calgraph.result import BoardOutline, Calibration, Snapshot, calibrated_cameras, colorize_from_snapshots
+from calgraph.sensors import CameraModel
 
-# Largest numbers of captures, and of uncoloured points of each.
-_MAX_CAPTURES, _MAX_GRAY_POINTS = 6, 2500
+# Largest numbers of captures, and of points that no camera observes of each scanner in one capture.
+_MAX_CAPTURES, _MAX_OTHER_POINTS = 6, 2500
+# Colours by height, and the percentage of points within their ends.
+_HEIGHT_SCALE, _HEIGHT_PERCENT = "Viridis", 96
 # Percentage of the coloured points inside the view, and its margin, m.
 _INNER_PERCENT, _VIEW_MARGIN = 99, 0.3
 # Range of the shown points as a multiple of the farthest board, and its minimum, m.
 _RANGE_FACTOR, _MIN_RANGE = 2.5, 3.0
+_CAPTION = """\
+The others are coloured by height (3-D LiDAR, from dark to bright) or by scanner (2-D). With a wrong pose, image
+colours bleed over depth edges, and walls of two scanners do not coincide: check the board, whose outline is its
+pose in the joint solution. Drag to rotate, scroll to zoom, click in the legend to hide."""
 # Distance of the eye from the centre, in units of the scene.
 _EYE_DISTANCE = 1.15
 
@@ -37,33 +49,34 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> str:
     if not clouds:
         return ""
     traces: list[dict[str, Any]] = []
-    for k, (capture, (points, colors, colored)) in enumerate(clouds.items()):
+    kinds = {s.name: s.kind for s in calibration.sensors if s.kind != "camera"}
+    limits = _height_limits(clouds, kinds)
+    for k, (capture, cloud) in enumerate(clouds.items()):
         outlines = [o for o in calibration.pictures.board_outlines if o.capture == capture]
-        traces += [trace | {"visible": k == 0} for trace in _cloud_traces(points, colors, colored, outlines)]
+        traces += [trace | {"visible": k == 0} for trace in _cloud_traces(cloud, kinds, limits, outlines)]
     origins = np.array([s.T_root_sensor[:3, 3] for s in calibration.sensors])
     x, y, z = origins.T.round(4)
     sensors = {
         "type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "hoverinfo": "text",
         "text": [escape_plotly(s.name) for s in calibration.sensors],
-        "marker": {"size": 5, "color": VERMILION}, "name": "sensors", "visible": True,
+        "marker": {"size": 5, "color": INK}, "name": "sensors", "visible": True,
     }  # fmt: skip
     content = make_figure(
         [*traces, sensors],
         margin={"l": 0, "r": 0, "t": 8, "b": 0},
-        showlegend=False,
-        scene=_make_scene([points[colored] for points, _, colored in clouds.values()], origins),
+        legend={"orientation": "h", "y": 0, "itemsizing": "constant"},
+        scene=_make_scene(
+            [part.points[part.colored] for cloud in clouds.values() for part in cloud.values()], origins
+        ),
     )
     each = len(traces) // len(clouds)
     choices = [
         {"visible": [*(j == k for j in range(len(clouds)) for _ in range(each)), None]} for k in range(len(clouds))
     ]
     buttons = render_buttons("fused", 0, "Capture", [f"capture {capture}" for capture in clouds], 0)
-    share = np.mean(np.concatenate([colored for _, _, colored in clouds.values()]))
+    share = np.mean(np.concatenate([part.colored for cloud in clouds.values() for part in cloud.values()]))
     about = (
-        f"<p>Points of all scanners in one capture, in the colours of the camera images; grey points "
-        f"({100 * (1 - share):.0f} %) are outside of all images. With a wrong pose, colours bleed over depth "
-        f"edges: check the board, whose outline is its pose in the joint solution. The largest dots are the "
-        f"sensors. Drag to rotate, scroll to zoom.</p>"
+        f"<p>{100 * share:.0f} % of the points are in the image of a camera and have its colours. {_CAPTION}</p>"
     )
     chart = render_figure(
         "fused", content | {"choices": [choices]}, 560, "Points of the scanners in the colours of the cameras"
@@ -71,11 +84,23 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> str:
     return about + buttons + chart
 
 
-Cloud = tuple[Array, NDArray[np.uint8], NDArray[np.bool_]]
-"""Points (N, 3) in the root frame, m; their colours (N, 3), RGB; and a mask of those in view of a camera (N,)."""
+@dataclass(frozen=True, eq=False)
+class _ColoredPoints:
+    """Points of one scanner in one capture."""
+
+    points: Array
+    """(N, 3) root frame, m."""
+    colors: NDArray[np.uint8]
+    """(N, 3) RGB."""
+    colored: NDArray[np.bool_]
+    """(N,) whether a camera observes them."""
 
 
-def _colored_clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
+_Cloud = Mapping[str, _ColoredPoints]
+"""Points by scanner."""
+
+
+def _colored_clouds(calibration: Calibration, rig: Rig) -> dict[int, _Cloud]:
     """By capture, the coloured points of all scanners; of a few captures with detections of cameras and others."""
     poses = {s.name: s.T_root_sensor for s in calibration.sensors}
     cameras = calibrated_cameras(calibration, rig)
@@ -91,9 +116,21 @@ def _colored_clouds(calibration: Calibration, rig: Rig) -> dict[int, Cloud]:
     full = [n for n in both if _count_points(by_capture[n]) >= 0.5 * max(map(_count_points, by_capture.values()))]
     best = sorted(sorted(full, key=lambda n: (-pictured[n], -used[n]))[:_MAX_CAPTURES])
     reach = _max_range(calibration, best)
-    fused = {n: _fuse_points(by_capture[n], poses, reach) for n in best}
-    clouds = {n: (x, *colorize_from_snapshots(x, by_capture[n], cameras, poses)) for n, x in fused.items()}
-    return {n: cloud for n, cloud in clouds.items() if cloud[2].any()}
+    clouds = {n: _color_points(by_capture[n], cameras, poses, reach) for n in best}
+    return {n: cloud for n, cloud in clouds.items() if any(part.colored.any() for part in cloud.values())}
+
+
+def _color_points(
+    taken: Sequence[Snapshot], cameras: Mapping[str, CameraModel], poses: Mapping[str, Array], reach: float
+) -> _Cloud:
+    """The points of each scanner up to a distance from the root, m, with the colours of simultaneous images."""
+    cloud = {}
+    for s in taken:
+        if len(s.points):
+            points = se3.apply(poses[s.sensor], s.points.astype(np.float64))
+            points = points[np.linalg.norm(points, axis=1) < reach]
+            cloud[s.sensor] = _ColoredPoints(points, *colorize_from_snapshots(points, taken, cameras, poses))
+    return cloud
 
 
 def _count_points(taken: Sequence[Snapshot]) -> int:
@@ -112,25 +149,42 @@ def _max_range(calibration: Calibration, captures: Sequence[int]) -> float:
     return max(_RANGE_FACTOR * float(np.linalg.norm(np.concatenate(boards), axis=1).max()), _MIN_RANGE)
 
 
-def _fuse_points(taken: Sequence[Snapshot], poses: Mapping[str, Array], reach: float) -> Array:
-    """(N, 3) what scanners measured, root frame, m."""
-    clouds = [se3.apply(poses[s.sensor], s.points.astype(np.float64)) for s in taken if len(s.points)]
-    points = np.concatenate([np.zeros((0, 3)), *clouds])
-    return np.asarray(points[np.linalg.norm(points, axis=1) < reach])
+def _height_limits(clouds: Mapping[int, _Cloud], kinds: Mapping[str, str]) -> tuple[float, float]:
+    """Heights between which the colours of 3-D LiDARs change, m."""
+    heights = [
+        part.points[~part.colored, 2]
+        for cloud in clouds.values()
+        for name, part in cloud.items()
+        if kinds[name] == "lidar3d"
+    ]
+    tail = (100 - _HEIGHT_PERCENT) / 2
+    together = np.concatenate([np.zeros(1), *heights])
+    low, high = np.percentile(together, [tail, 100 - tail]).tolist()
+    return low, high
 
 
 def _cloud_traces(
-    points: Array, colors: NDArray[np.uint8], colored: NDArray[np.bool_], outlines: Sequence[BoardOutline]
+    cloud: _Cloud, kinds: Mapping[str, str], height: tuple[float, float], outlines: Sequence[BoardOutline]
 ) -> list[dict[str, Any]]:
-    grey = points[~colored][:: int(np.sum(~colored)) // _MAX_GRAY_POINTS + 1]
+    """Points in images, the others of each scanner, and boards: as many traces for each capture."""
     edge = [np.concatenate([o.corners, o.corners[:1], np.full((1, 3), np.nan)]) for o in outlines]
+    none = np.zeros((0, 3))
+    visible = np.concatenate([none, *(part.points[part.colored] for part in cloud.values())])
+    colors = [f"#{r:02x}{g:02x}{b:02x}" for part in cloud.values() for r, g, b in part.colors[part.colored]]
+    others = []
+    for k, (name, kind) in enumerate(kinds.items()):
+        points = cloud[name].points[~cloud[name].colored] if name in cloud else none
+        points = points[:: len(points) // _MAX_OTHER_POINTS + 1]
+        marker: dict[str, Any] = {"size": 2.4, "color": COLOR_CYCLE[k % len(COLOR_CYCLE)]}
+        if kind == "lidar3d":
+            marker = {"size": 1.8, "color": points[:, 2].round(2), "colorscale": _HEIGHT_SCALE,
+                      "cmin": height[0], "cmax": height[1]}  # fmt: skip
+        others.append(_point_trace(points, marker) | {"name": escape_plotly(name), "showlegend": len(points) > 0})
     return [
-        _point_trace(grey, {"size": 1.2, "color": MUTED, "opacity": 0.5}),
-        _point_trace(
-            points[colored], {"size": 2.4, "color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in colors[colored]]}
-        ),
-        _point_trace(np.concatenate([np.zeros((0, 3)), *edge]), {})
-        | {"mode": "lines", "line": {"color": ORANGE, "width": 5}},
+        _point_trace(visible, {"size": 2.4, "color": colors}) | {"name": "in an image", "showlegend": True},
+        *others,
+        _point_trace(np.concatenate([none, *edge]), {})
+        | {"mode": "lines", "line": {"color": ORANGE, "width": 5}, "name": "board", "showlegend": True},
     ]
 
 

@@ -85,3 +85,15 @@ if (table) {
   for (const control of [sensor, outcome, text]) control.addEventListener("input", filter);
   filter();
 }
+
+// What scrolls horizontally shows at which sides more follows.
+const scrollers = document.querySelectorAll(".wide, .tall, .scroller, nav");
+const markOverflow = (box) => {
+  box.classList.toggle("more-left", box.scrollLeft > 2);
+  box.classList.toggle("more-right", box.scrollLeft + box.clientWidth < box.scrollWidth - 2);
+};
+const overflow = new ResizeObserver((entries) => entries.forEach(({ target }) => markOverflow(target)));
+for (const box of scrollers) {
+  overflow.observe(box);
+  box.addEventListener("scroll", () => markOverflow(box), { passive: true });
+}

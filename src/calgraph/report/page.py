@@ -90,6 +90,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         style=_read_asset("style.css"),
         plotly=get_plotlyjs(),
         script=_read_asset("page.js"),
+        saving=_read_asset("saving.js"),
     )
 
 

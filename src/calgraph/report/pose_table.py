@@ -21,7 +21,7 @@ _PLANAR_AXES = ((0, 1), (2,))
 
 
 def render_pose_table(calibration: Calibration) -> str:
-    """All poses in the root frame: positions with σ below them, rotations with σ beside them."""
+    """All poses in the root frame with verdicts: σ of positions below them, σ of rotations beside them."""
     shown = _PLANAR_AXES if calibration.planar else _SPATIAL_AXES
     clocks = any(sensor.clock_offset is not None for sensor in calibration.sensors)
     rows = "".join(_render_row(sensor, calibration.root, *shown, clocks=clocks) for sensor in calibration.sensors)
@@ -35,23 +35,23 @@ def render_pose_table(calibration: Calibration) -> str:
 def _describe_frame(root: str, planar: bool) -> str:
     if planar:
         return (
-            f"Each scanner's frame in that of <b>{root}</b>, in the plane that all of them scan. Standard "
-            f"deviations (σ) of positions are along the axes of <b>{root}</b>."
+            f"Each scanner's frame in that of <b>{root}</b>, in the plane that all of them scan. σ is one "
+            f"standard deviation, along the axes of <b>{root}</b>."
         )
     return (
         f"Each sensor's frame in that of <b>{root}</b>. Rotations are roll, pitch, yaw about fixed axes: "
-        "R = Rz(yaw) Ry(pitch) Rx(roll). Standard deviations (σ) are along and about the fixed axes of "
+        "R = Rz(yaw) Ry(pitch) Rx(roll). σ is one standard deviation, along and about the fixed axes of "
         f"<b>{root}</b>."
     )
 
 
 def _render_head(axes: tuple[int, ...], turns: tuple[int, ...], *, clocks: bool) -> str:
-    groups = f'<th colspan="{len(axes)}">position, m</th><th colspan="{len(turns)}">rotation</th>'
-    names = [_AXES[i] for i in axes] + [_ROTATIONS[i] for i in turns] + [_AXES[i] for i in turns]
-    clock = '<th rowspan="2">clock<br>offset</th>' if clocks else ""
+    groups = f'<th colspan="{len(axes)}">position ± σ, m</th><th colspan="{len(turns)}">rotation</th>'
+    names = [_AXES[i] for i in axes] + [_ROTATIONS[i] for i in turns]
+    clock = '<th rowspan="2">clock<br>offset ± σ</th>' if clocks else ""
+    sigma = '<th rowspan="2">σ of the<br>rotation about</th>'
     return (
-        '<thead><tr><th rowspan="2">sensor</th><th rowspan="2">verdict</th>'
-        f'{groups}<th colspan="{len(turns)}">σ of the rotation about</th>{clock}</tr>'
+        f'<thead><tr><th rowspan="2">sensor</th>{groups}{sigma}{clock}</tr>'
         f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr></thead>"
     )
 
@@ -73,12 +73,13 @@ def _render_row(
         for i in axes
     )
     angles = (f"<td>{format_fixed(np.degrees(rpy[i]), 3)}°</td>" for i in turns)
-    deviations = (f"<td>{'–' if is_root else format_angle(sigma[3 + i])}</td>" for i in turns)
+    deviations = "<br>".join(f"{_AXES[i]} {format_angle(sigma[3 + i])}" for i in turns)
+    badge = "" if is_root else f" {render_badge(sensor.verdict.grade)}"
+    clock = f"<td>{_format_clock(sensor)}</td>" if clocks else ""
     return (
-        f"<tr><th scope='row'>{escape_html(sensor.name)}"
+        f"<tr><th scope='row'>{escape_html(sensor.name)}{badge}"
         f"<small>{escape_html(below)}<br>frame {escape_html(sensor.frame_id)}</small></th>"
-        f"<td>{'' if is_root else render_badge(sensor.verdict.grade)}</td>{''.join(positions)}{''.join(angles)}"
-        f"{''.join(deviations)}{f'<td>{_format_clock(sensor)}</td>' if clocks else ''}</tr>"
+        f"{''.join(positions)}{''.join(angles)}<td>{'–' if is_root else deviations}</td>{clock}</tr>"
     )
 
 

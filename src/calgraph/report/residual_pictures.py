@@ -87,7 +87,7 @@ def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: Camera
     size = float(np.sqrt(np.mean(np.sum(of.error**2, axis=1))))
     if of.error.shape[1] == 2:
         facts = f"reprojection error {format_significant(size)} px RMS"
-        figures = [("Error in x and y", _scatter(of))]
+        figures = [("Error in x and y; circles: 1 and 3 σ", _scatter(of))]
         if camera is not None:
             factor = choose_enlargement(
                 float(np.median(np.linalg.norm(of.error, axis=1))), _VISIBLE_ERROR * camera.width

@@ -58,14 +58,18 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
     sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.covariance[:3, :3])]
     limit, factor = 3 * size, _choose_enlargement(sensors, size)
     sizes = (1,) if factor == 1 else (1, factor)
-    groups = [[_ellipsoid_trace(s, one, limit, one == factor) for s in sensors] for one in sizes]
+    groups = [
+        [_ellipsoid_trace(s, one, limit, one == factor) | {"showlegend": k == 0} for k, s in enumerate(sensors)]
+        for one in sizes
+    ]
     ellipsoids = [trace for group in groups for trace in group]
     layout = {
         "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
         "legend": {"orientation": "h", "y": 0, "itemsizing": "constant"},
         "scene": _make_scene(calibration, size),
     }
-    view, drawn = _view_buttons(calibration, size), _size_buttons(len(fixed), len(sensors), sizes)
+    view = _view_buttons(calibration, size, [trace.get("name") != "boards" for trace in fixed])
+    drawn = _size_buttons(len(fixed), len(sensors), sizes)
     choices = {"choices": [list(view.values()), list(drawn.values())]}
     buttons = render_buttons("rig", 0, "What to show", list(view), 0)
     if sensors:
@@ -157,7 +161,8 @@ def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visi
     i, j, k = triangles.T
     return {
         "type": "mesh3d", "x": x, "y": y, "z": z, "i": i, "j": j, "k": k, "color": PINK, "opacity": 0.35,
-        "visible": visible, "name": escape_plotly(sensor.name), "hoverinfo": "name", "flatshading": False,
+        "visible": visible, "name": "position, 95 %", "legendgroup": "uncertainty", "flatshading": False,
+        "text": escape_plotly(sensor.name), "hoverinfo": "text",
     }  # fmt: skip
 
 
@@ -180,14 +185,17 @@ def _axis_ranges(calibration: Calibration, size: float) -> list[list[float]]:
     return [[float(middle - half), float(middle + half)] for middle in (low + high) / 2]
 
 
-def _view_buttons(calibration: Calibration, size: float) -> Buttons:
-    """The rig alone, or everything."""
+def _view_buttons(calibration: Calibration, size: float, of_rig: Sequence[bool]) -> Buttons:
+    """The rig alone, with those traces that are of it, or everything."""
     ranges = zip("xyz", _axis_ranges(calibration, size), strict=True)
     rig = {f"{n}axis": {"range": r} for n, r in ranges}
     everything = {f"{n}axis": {"range": None, "autorange": True} for n in "xyz"}
     return {
-        "the rig": {"layout": {"scene": {**rig, "aspectmode": "cube"}}},
-        "with the boards": {"layout": {"scene": {**everything, "aspectmode": "data"}}},
+        "the rig": {"visible": list(of_rig), "layout": {"scene": {**rig, "aspectmode": "cube"}}},
+        "with the boards": {
+            "visible": [True] * len(of_rig),
+            "layout": {"scene": {**everything, "aspectmode": "data"}},
+        },
     }
 
 

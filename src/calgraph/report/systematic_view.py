@@ -1,8 +1,12 @@
 """Systematic parameters: stated value, prior and estimate of each."""
 
+from collections.abc import Sequence
+
 from calgraph.report.formatting import escape_html
 from calgraph.result import Calibration, EstimatedParameter
 
+# Deviation beyond which a parameter is listed first, prior standard deviations.
+_NOTABLE = 1.0
 # Deviation at the ends of the axis, prior standard deviations: more is drawn at the end.
 _END = 4.0
 _WIDTH, _HEIGHT = 132.0, 16.0
@@ -12,21 +16,36 @@ def render_systematic_parameters(calibration: Calibration) -> str:
     """A section with all systematic parameters, their priors and estimates; empty if there are none."""
     if not calibration.systematic:
         return ""
-    names = ("of", "quantity", "stated", "prior σ", "estimate", "σ", "unit", "deviation", "against the prior")
-    head = "".join(f"<th>{name}</th>" for name in names)
-    rows = "".join(
-        f"<tr><th scope='row'>{escape_html(one.of)}</th><td>{escape_html(one.quantity)}</td>"
-        f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted)}"
-        f"<td>{one.deviation:+.1f} prior σ</td><td>{_draw(one)}</td></tr>"
-        for one in calibration.systematic
+    notable = [one for one in calibration.systematic if abs(one.deviation) > _NOTABLE]
+    rest = [one for one in calibration.systematic if abs(one.deviation) <= _NOTABLE]
+    which = f"more than {_NOTABLE:g} prior σ off its stated value"
+    first = _render_table(notable) if notable else f"<p>No parameter is {which}.</p>"
+    others = (
+        f"<details><summary>{len(rest)} parameters within {_NOTABLE:g} prior σ of their stated values</summary>"
+        f"{_render_table(rest)}</details>"
+        if rest
+        else ""
     )
     return (
         '<section id="systematic"><h2>Systematic parameters</h2>'
         "<p>Errors of sensors and target that are estimated jointly with the poses, from the data and from the "
         "priors of <code>uncertainty</code> in rig.yaml. On the right, in prior standard deviations: the shaded "
         f"band is the prior (±1 σ), the bar the estimate (±1 σ); the axis ends at ±{_END:g}.</p>"
+        f"{first}{others}</section>"
+    )
+
+
+def _render_table(parameters: Sequence[EstimatedParameter]) -> str:
+    names = ("of", "quantity", "stated", "prior σ", "estimate", "σ", "unit", "deviation", "against the prior")
+    head = "".join(f"<th>{name}</th>" for name in names)
+    rows = "".join(
+        f"<tr><th scope='row'>{escape_html(one.of)}</th><td>{escape_html(one.quantity)}</td>"
+        f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted)}"
+        f"<td>{one.deviation:+.1f} prior σ</td><td>{_draw(one)}</td></tr>"
+        for one in parameters
+    )
+    return (
         f'<div class="wide"><table class="poses"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
-        "</section>"
     )
 
 
