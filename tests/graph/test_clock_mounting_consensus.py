@@ -12,9 +12,17 @@ NAMES = ("a", "b", "c", "d", "e")
 
 
 def pair(
-    a: str, b: str, *, mirrored: bool = False, clock: float = 0.0, evidence: float = 400.0, stddev: float = 0.001
+    a: str,
+    b: str,
+    *,
+    mirrored: bool = False,
+    clock: float = 0.0,
+    evidence: float = 400.0,
+    stddev: float = 0.001,
+    reflected: float = 0.0,
+    spread: float = 1.0,
 ) -> ClockMountingHypothesis:
-    return ClockMountingHypothesis(a, b, mirrored, clock, stddev, evidence)
+    return ClockMountingHypothesis(a, b, mirrored, clock, stddev, evidence, reflected, spread)
 
 
 def resolve(hypotheses: list[ClockMountingHypothesis], stated: tuple[str, ...] = ()) -> ClockMountingSolution:
@@ -34,7 +42,7 @@ def test_consistent_pairs_give_all_mountings_and_clocks() -> None:
     assert found.inverted == {"b", "d"}
     for name in NAMES:
         assert found.clock_offset[name] == pytest.approx(clocks.get(name, 0.0), abs=1e-9)
-    assert (found.ambiguous, found.contradicted, found.distant_clocks) == ((), (), {})
+    assert (found.ambiguous, found.contradicted, found.distant_clocks, found.refused) == ((), (), {}, ())
 
 
 def test_the_root_is_the_reference_of_mountings_and_clocks() -> None:
@@ -66,6 +74,21 @@ def test_mountings_that_fit_nearly_alike_are_ambiguous() -> None:
     )
     assert found.ambiguous == ("b", "c")
     assert found.inverted == frozenset()
+
+
+def test_an_ambiguous_scanner_is_mounted_as_the_root() -> None:
+    """Tracks on one line fit best mirrored, and nearly as well reflected at that line."""
+    found = resolve([pair("a", "b", mirrored=True, evidence=145.0, reflected=130.0)])
+    assert found.inverted == frozenset()
+    assert found.ambiguous == ("b",)
+
+
+def test_what_fits_reflected_as_well_is_no_evidence_for_a_mounting() -> None:
+    """A pair on one line against one of less evidence in which people turn."""
+    on_a_line = pair("a", "b", mirrored=True, evidence=300.0, reflected=290.0)
+    found = resolve([on_a_line, pair("c", "b", evidence=200.0), pair("a", "c")])
+    assert found.inverted == frozenset()
+    assert found.ambiguous == ()
 
 
 def test_another_pair_settles_an_ambiguous_mounting() -> None:
@@ -100,3 +123,55 @@ def test_uncertain_clocks_have_little_weight() -> None:
     found = resolve([pair("a", "b"), pair("b", "c", clock=0.1), pair("a", "c", clock=0.16, stddev=0.05)])
     assert found.clock_offset["c"] == pytest.approx(0.1, abs=2e-3)
     assert np.isfinite(list(found.clock_offset.values())).all()
+
+
+def test_a_clock_that_another_pair_contradicts_is_refused() -> None:
+    """Whatever its evidence; the pair that agrees with the root's clock decides."""
+    delayed = pair("a", "b", clock=0.4, evidence=900.0)
+    found = resolve([delayed, pair("a", "c"), pair("b", "c", evidence=130.0)])
+    assert found.clock_offset["b"] == 0.0
+    assert found.refused == (delayed,)
+
+
+def test_a_cycle_confirms_a_clock_against_one_pair() -> None:
+    agreeing = [pair("a", "b", clock=0.4), pair("b", "c", clock=-0.4), pair("a", "c")]
+    found = resolve([*agreeing, pair("a", "d"), pair("b", "d", evidence=600.0)])
+    assert found.clock_offset["b"] == pytest.approx(0.4, abs=2e-3)
+    assert found.refused == ()
+
+
+@pytest.mark.parametrize(
+    ("pairs", "confirmed"),
+    [
+        ([pair("a", "b", clock=0.4, evidence=200.0, spread=0.4)], True),
+        ([pair("a", "b", clock=0.4, evidence=200.0, spread=0.2)], False),
+        ([pair("a", "b", clock=0.4, evidence=140.0, spread=0.4)], False),
+        ([pair("a", "b", clock=0.4, evidence=200.0), pair("a", "b", evidence=150.0)], False),
+        ([pair("a", "b", clock=0.4, evidence=200.0), pair("a", "b", evidence=130.0)], True),
+        ([pair("a", "b", clock=0.4, evidence=200.0), pair("a", "b", clock=0.35, evidence=190.0)], True),
+    ],
+)
+def test_a_pair_alone_has_to_be_firm(pairs: list[ClockMountingHypothesis], confirmed: bool) -> None:
+    """People who turn, evidence of 150, and no other offset with 0.7 of it."""
+    found = resolve(pairs)
+    assert found.clock_offset["b"] == (pytest.approx(0.4) if confirmed else 0.0)
+    assert found.refused == (() if confirmed else (pairs[0],))
+
+
+def test_clocks_behind_a_refused_one_are_refused_with_it() -> None:
+    """b follows a with a delay that c contradicts; d is with b."""
+    found = resolve(
+        [
+            pair("a", "b", clock=0.4, evidence=900.0),
+            pair("b", "d", evidence=500.0),
+            pair("a", "c"),
+            pair("c", "d", evidence=130.0),
+        ]
+    )
+    assert found.clock_offset == dict.fromkeys(NAMES, 0.0)
+
+
+def test_offsets_within_the_prior_of_clocks_are_left_to_the_estimators() -> None:
+    found = resolve([pair("a", "b", clock=0.08, spread=0.1)])
+    assert found.clock_offset["b"] == 0.0
+    assert found.refused == ()

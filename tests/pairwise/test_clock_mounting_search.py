@@ -54,7 +54,7 @@ def search(a: ScannerTracks, b: ScannerTracks, rng: np.random.Generator) -> dict
     """The best hypothesis by mounting."""
     observations = {"a": ScannerObservations.from_tracks(a), "b": ScannerObservations.from_tracks(b)}
     found = search_clocks_and_mountings([("a", "b")], observations, CLOCK_SIGMA, rng, settings=SETTINGS)
-    return {h.mirrored: h for h in found}
+    return {h.mirrored: h for h in sorted(found, key=lambda h: h.evidence)}
 
 
 @pytest.mark.parametrize("clock", [-1.0, -0.3, -0.28, 0.0, 0.1, 0.3, 0.77])
@@ -68,6 +68,8 @@ def test_clock_and_mounting_are_found(clock: float, inverted: bool) -> None:
     assert best.mirrored == inverted
     assert abs(best.clock_offset - clock) < 0.005
     assert best.clock_stddev < 0.01
+    assert best.lateral_spread > 0.5
+    assert best.reflected_evidence < 0
     if inverted not in found:
         assert found[not inverted].evidence < 0.5 * best.evidence
 
@@ -77,6 +79,7 @@ def test_tracks_on_one_line_fit_mirrored_ones_as_well() -> None:
     walk = [on_a_line(rng)]
     found = search(observe(walk, np.eye(3), rng), observe(walk, T_A_B, rng), rng)
     assert found[True].evidence > 0.9 * found[False].evidence
+    assert all(h.reflected_evidence > 0.9 * h.evidence for h in found.values())
 
 
 @pytest.mark.parametrize(("walk", "firm"), [(wander, True), (on_a_line, False)])

@@ -12,6 +12,7 @@ from calgraph.calibrate.options import NetworkOptions, Progress
 from calgraph.calibrate.strategies import select_depth_stddev
 from calgraph.captures import InputFinding
 from calgraph.config import Lidar2dSpec, Rig
+from calgraph.config.settings import ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.graph import AmbiguousPart, ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.pairwise import (
@@ -50,6 +51,7 @@ def pair_scanners(
     progress: Progress,
 ) -> CorrectedPairs:
     """Estimates all pairs; where they do not connect the network, as if clocks and mountings differed, too."""
+    settings = rig.settings.pairwise.scanners
     stated = _stated_mountings(rig, options.extend)
     inverted = frozenset(name for name, differs in stated.items() if differs)
     tracked = {name: correct_tracks(one, inverted=name in inverted) for name, one in tracked.items()}
@@ -62,6 +64,7 @@ def pair_scanners(
             for name, one in tracked.items()
         }
         pairs = _estimate_pairs(rig, tracked, options, rng, progress)
+    pairs = _reject_refused(pairs, solution, settings)
     findings = [
         *_report_findings(rig, solution, clocks),
         *_find_distant_clocks(rig, tracked, pairs, clocks, options),
@@ -111,7 +114,8 @@ def _find_differences(
     ends = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in firm], dtype=np.intp).reshape(-1, 2)
     adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(len(node), len(node)))
     part = dict(zip(node, connected_components(adjacency, directed=False)[1].tolist(), strict=True))
-    hypotheses = [describe_difference(pair, settings.hypotheses) for pair in firm]
+    used = [pair for pair in estimates if pair in firm or part[pair.sensor_a] != part[pair.sensor_b]]
+    hypotheses = [describe_difference(pair, settings) for pair in used]
     between = [(a, b) for a, b in combinations(tracked, 2) if part[a] != part[b]]
     if between:
         searched = {name for pair in between for name in pair}
@@ -123,6 +127,30 @@ def _find_differences(
         )
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
+
+
+def _reject_refused(
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    solution: ClockMountingSolution,
+    settings: ScannerPairSettings,
+) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
+    """Without pairs whose tracks match clearly better with a clock offset that the network refuses."""
+    kept = dict(pairs)
+    limits = settings.clock_mounting
+    for refused in solution.refused:
+        ends = refused.sensor_a, refused.sensor_b
+        found = kept[ends]
+        if isinstance(found, Rejected):
+            continue
+        best = describe_difference(found, settings)
+        corrected = solution.clock_offset[refused.sensor_b] - solution.clock_offset[refused.sensor_a]
+        differs = abs(best.clock_offset + corrected - refused.clock_offset) > limits.same_clock
+        if differs and best.evidence <= limits.max_evidence_ratio * refused.evidence:
+            kept[ends] = Rejected(
+                f"the tracks match best with a clock offset of {refused.clock_offset:+.2f} s, which other pairs "
+                "do not confirm"
+            )
+    return kept
 
 
 def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart]) -> list[InputFinding]:
@@ -156,6 +184,16 @@ def _report_findings(rig: Rig, solution: ClockMountingSolution, clocks: Mapping[
             (name,),
         )
         for name, offset in solution.distant_clocks.items()
+    ]
+    findings += [
+        InputFinding(
+            f"the tracks of {h.sensor_a} and {h.sensor_b} match best with a clock offset of "
+            f"{h.clock_offset:+.2f} s, which other pairs do not confirm, as where people follow each other or "
+            "push carts: not corrected; set the clocks, or let people walk alone and turn",
+            tuple(name for name in (h.sensor_a, h.sensor_b) if name != rig.root),
+        )
+        for h in solution.refused
+        if h.evidence >= limits.firm_evidence
     ]
     findings += [
         InputFinding(f"{name} is mounted upside-down relative to {rig.root}: recognised from mirrored tracks")
@@ -209,7 +247,8 @@ def _find_distant_clocks(
             settings=wide,
         )
         best = max(found, key=lambda h: h.evidence, default=None)
-        if best and best.evidence >= limits.firm_evidence:
+        distant = best is not None and abs(best.clock_offset) > limits.max_clock_offset
+        if best and distant and best.evidence >= limits.firm_evidence:
             offset = best.clock_offset - clocks.get(best.sensor_a, 0.0)
             findings.append(
                 InputFinding(

@@ -2,7 +2,7 @@
 
 Mountings are consistent in cycles: an even number of pairs of every cycle is mirrored. Those of most evidence are
 an Ising problem, solved along the spanning tree of clearest pairs and by flips of single scanners. Clock offsets
-are a robust least-squares solution over the pairs that agree with the mountings.
+are resolved over the pairs that agree with the mountings.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
+from calgraph.graph.clock_consensus import resolve_clocks
 from calgraph.pairwise import ClockMountingHypothesis
-
-# Rounds of reweighting, after which weights of clock offsets change by less than a percent.
-_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -33,6 +31,8 @@ class ClockMountingSolution:
     """Scanners whose stated mounting has clearly less evidence than the other one."""
     distant_clocks: Mapping[str, float]
     """Clock offsets beyond the range of the search, s."""
+    refused: tuple[ClockMountingHypothesis, ...]
+    """Of each pair the hypothesis of most evidence, where others do not confirm its clock offset."""
 
 
 def resolve_clocks_and_mountings(
@@ -47,7 +47,7 @@ def resolve_clocks_and_mountings(
     Args:
         root: its clock and mounting are the reference.
         names: of all scanners.
-        hypotheses: at most one for each pair and mounting.
+        hypotheses: of pairs, any number for each mounting.
         stated: scanners whose mounting is stated, and whose tracks are mirrored already if it differs from the
             root's.
         settings: of the search.
@@ -58,31 +58,36 @@ def resolve_clocks_and_mountings(
     evidence = np.zeros((2, len(node), len(node)))
     for h in hypotheses:
         i, j = node[h.sensor_a], node[h.sensor_b]
-        excess = max(h.evidence - settings.hypotheses.min_weight_of_evidence, 0.0)
-        evidence[int(h.mirrored), [i, j], [j, i]] = excess
+        for mirrored, weight in ((h.mirrored, h.evidence), (not h.mirrored, h.reflected_evidence)):
+            excess = max(weight - settings.hypotheses.min_weight_of_evidence, 0.0)
+            evidence[int(mirrored), [i, j], [j, i]] = max(evidence[int(mirrored), i, j], excess)
     signs, ambiguous = _select_mountings(evidence, fixed, settings.clock_mounting.max_evidence_ratio)
     freely, unsure = _select_mountings(evidence, {node[root]}, settings.clock_mounting.max_evidence_ratio)
     contradicted = (freely < 0) & ~unsure
     used = [h for h in hypotheses if h.mirrored == (signs[node[h.sensor_a]] != signs[node[h.sensor_b]])]
     used = [h for h in used if h.evidence > settings.hypotheses.min_weight_of_evidence]
-    offsets, stddev = _average_clocks(len(node), node, used, settings)
     limits = settings.clock_mounting
-    differs = (np.abs(offsets) > limits.min_clock_offset) & (np.abs(offsets) > limits.min_clock_ratio * stddev)
-    clock_offset = {name: float(offsets[k]) if differs[k] else 0.0 for name, k in node.items()}
-    farthest = settings.clock_mounting.max_clock_offset
+    clocks = resolve_clocks(node, used, settings.clock_mounting)
+    size = np.abs(clocks.offset)
+    differs = (size > limits.min_clock_offset) & (size > limits.min_clock_ratio * clocks.stddev)
+    clock_offset = {name: float(clocks.offset[k]) if differs[k] else 0.0 for name, k in node.items()}
     return ClockMountingSolution(
         clock_offset,
         frozenset(name for name, k in node.items() if signs[k] < 0),
         tuple(name for name, k in node.items() if ambiguous[k]),
         tuple(name for name in stated if contradicted[node[name]]),
-        {name: offset for name, offset in clock_offset.items() if abs(offset) > farthest},
+        {name: offset for name, offset in clock_offset.items() if abs(offset) > limits.max_clock_offset},
+        clocks.refused,
     )
 
 
 def _select_mountings(
     evidence: Array, fixed: Collection[int], max_evidence_ratio: float
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Signs (N,) of the mountings, and which are ambiguous: all those beyond a tree edge fit as well flipped."""
+    """Signs (N,) of the mountings, and which are ambiguous: all those beyond a tree edge fit as well flipped.
+
+    Of ambiguous parts, most scanners are mounted as the root.
+    """
     gain = evidence[0] - evidence[1]
     count = len(gain)
     signs = np.ones(count, dtype=np.intp)
@@ -112,6 +117,8 @@ def _select_mountings(
         chosen, other = _evidence_across(evidence, signs, part)
         if chosen > 0 and other > max_evidence_ratio * chosen:
             ambiguous |= part
+            if signs[part].sum() < 0:
+                signs[part] *= -1
     return signs, ambiguous
 
 
@@ -121,39 +128,3 @@ def _evidence_across(evidence: Array, signs: NDArray[np.intp], part: NDArray[np.
     across = part[:, None] & ~part
     i, j = np.nonzero(across)
     return float(evidence[mirrored[i, j], i, j].sum()), float(evidence[1 - mirrored[i, j], i, j].sum())
-
-
-def _average_clocks(
-    count: int, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis], settings: ScannerPairSettings
-) -> tuple[Array, Array]:
-    """(N,) offsets from node 0 and their standard deviations, s.
-
-    Least squares with Cauchy weights, which start at the offsets along the tree of most evidence.
-    """
-    offsets = np.zeros(count)
-    ends = np.array([(node[h.sensor_a], node[h.sensor_b]) for h in used], dtype=np.intp).reshape(-1, 2)
-    measured = np.array([h.clock_offset for h in used])
-    sigma = np.hypot([h.clock_stddev for h in used], settings.clock_mounting.clock_noise)
-    reached = {0}
-    by_evidence = sorted(range(len(used)), key=lambda k: -used[k].evidence)
-    while (k := next((k for k in by_evidence if len(reached.intersection(ends[k])) == 1), None)) is not None:
-        i, j = ends[k].tolist()
-        if i in reached:
-            offsets[j] = offsets[i] + measured[k]
-        else:
-            offsets[i] = offsets[j] - measured[k]
-        reached |= {i, j}
-    J = np.zeros((len(used), count))
-    J[np.arange(len(used)), ends[:, 1]] = 1
-    J[np.arange(len(used)), ends[:, 0]] = -1
-    free = sorted(reached - {0})
-    if not free:
-        return offsets, offsets
-    for _ in range(_ROUNDS):
-        r = (measured - J @ offsets) / sigma
-        w = 1 / (1 + r**2) / sigma**2
-        H = J[:, free].T @ (w[:, None] * J[:, free])
-        offsets[free] = np.linalg.solve(H, J[:, free].T @ (w * measured))
-    stddev = np.zeros(count)
-    stddev[free] = np.sqrt(np.diag(np.linalg.inv(H)))
-    return offsets, stddev

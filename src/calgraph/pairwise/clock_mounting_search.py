@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
+from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis, build_hypothesis, subsample_pairs
 from calgraph.pairwise.pose_hypotheses import propose_poses
@@ -40,14 +40,28 @@ class ClockMountingHypothesis:
     """Its standard deviation, s."""
     evidence: float
     """Weight of evidence of the pose, see :meth:`PoseHypothesis.weight_of_evidence`."""
+    reflected_evidence: float
+    """That of the same matches with the other mounting, see :meth:`PoseHypothesis.weight_of_reflection`."""
+    lateral_spread: float
+    """Standard deviation of the matched positions across their main direction, m."""
 
 
-def describe_difference(pair: ScannerPairEstimate, settings: HypothesisSettings) -> ClockMountingHypothesis:
+def describe_difference(pair: ScannerPairEstimate, settings: ScannerPairSettings) -> ClockMountingHypothesis:
     """The best hypothesis of a pair that was registered with the same mountings."""
-    best = pair.hypotheses[0]
-    evidence = best.weight_of_evidence(settings)
+    return _summarize_hypothesis((pair.sensor_a, pair.sensor_b), False, pair.hypotheses[0], settings)
+
+
+def _summarize_hypothesis(
+    names: tuple[str, str], mirrored: bool, h: PoseHypothesis, settings: ScannerPairSettings
+) -> ClockMountingHypothesis:
     return ClockMountingHypothesis(
-        pair.sensor_a, pair.sensor_b, False, best.clock_offset, best.clock_stddev, evidence
+        *names,
+        mirrored,
+        h.clock_offset,
+        h.clock_stddev,
+        h.weight_of_evidence(settings.hypotheses),
+        h.weight_of_reflection(settings.hypotheses, settings.registration.depth_stddev),
+        h.lateral_spread,
     )
 
 
@@ -84,7 +98,7 @@ def search_clocks_and_mountings(
         settings: range and steps of the search, gates and limits of registrations.
 
     Returns:
-        For each pair and mounting with a registration, the hypothesis of most evidence.
+        The hypotheses of each pair and mounting: the registrations from the starts that fit best.
     """
     prior = NuisancePrior(clock_sigma, settings.registration.depth_stddev)
     generators = rng.spawn(len(pairs))
@@ -106,15 +120,11 @@ def _search_pair(
     found = []
     for mirrored in (False, True):
         starts = _select_starts(a, b, mirrored, rng, settings)
-        fits = [
-            hypothesis
+        found += [
+            _summarize_hypothesis(names, mirrored, hypothesis, settings)
             for delay, T in starts
             if (hypothesis := _register(T, a, b, mirrored, delay, prior, settings)) is not None
         ]
-        if fits:
-            best = max(fits, key=lambda h: h.weight_of_evidence(settings.hypotheses))
-            evidence = best.weight_of_evidence(settings.hypotheses)
-            found.append(ClockMountingHypothesis(*names, mirrored, best.clock_offset, best.clock_stddev, evidence))
     return found
 
 

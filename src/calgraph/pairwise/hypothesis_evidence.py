@@ -57,6 +57,22 @@ class PoseHypothesis:
         stddev = np.hypot(self.model_error, settings.track_stddev)
         return self.matched_share * self.observations * float(np.log(settings.coincidence_stddev / stddev))
 
+    def weight_of_reflection(self, settings: HypothesisSettings, center_stddev: float) -> float:
+        """Weight of evidence of the same matches if one of the scanners were mounted the other way up.
+
+        A mirrored scanner is posed so that it reflects the positions at their main direction: they are then off by
+        twice their distance from it. Centres of people differ between scanners by more than smooth tracks show,
+        so that the difference to :meth:`weight_of_evidence` is computed with at least their standard deviation.
+
+        Args:
+            settings: of the weight of evidence.
+            center_stddev: standard deviation of the distance from tracked to true centres, m.
+        """
+        stddev = np.hypot(self.model_error, center_stddev)
+        ratio = np.hypot(stddev, 2 * self.lateral_spread) / stddev
+        lost = self.matched_share * self.observations * float(np.log(ratio))
+        return self.weight_of_evidence(settings) - lost
+
 
 def is_credible(h: PoseHypothesis, min_observations: int, settings: HypothesisSettings) -> bool:
     """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""

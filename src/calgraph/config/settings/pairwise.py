@@ -325,9 +325,12 @@ class ClockMountingSettings(StrictModel):
     clock_noise: Positive = 0.005
     """Standard deviation of errors of a pair's clock offset that its covariance does not contain, s: in those
     pairs, a tenth of the offsets were off by more than 3 ms."""
-    min_clock_offset: Positive = 0.05
-    """Offset from which tracks are corrected before poses are estimated, s: smaller ones displace people by less
-    than 8 cm, and both estimators find them."""
+    same_clock: Positive = 0.1
+    """Difference up to which the clock offsets of two pairs agree, s: people walk 15 cm in it, the registration's
+    largest model error."""
+    min_clock_offset: Positive = 0.1
+    """Offset from which tracks are corrected before poses are estimated, s: smaller ones are within the prior of
+    clock offsets, and both estimators find them."""
     min_clock_ratio: Positive = 4.0
     """Offset from which tracks are corrected, in its standard deviations: couples that are matched crosswise fit
     best with offsets of 0.1 to 0.3 s, which have standard deviations of 0.05 to 0.1 s."""

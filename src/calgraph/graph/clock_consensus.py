@@ -1,0 +1,165 @@
+"""Clock offsets of a network's scanners, from those of its pairs.
+
+One pair alone is weak evidence for a clock that differs: where people walk behind each other, or push carts, one
+of its scanners may detect what is ahead and the other one what follows, and both fit perfectly with a delay. Wrong
+delays show in cycles: correct offsets of all pairs across a cut agree.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config.settings import ClockMountingSettings
+from calgraph.geometry import Array
+from calgraph.pairwise import ClockMountingHypothesis
+
+# Rounds of reweighting, after which weights of clock offsets change by less than a percent.
+_ROUNDS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class ClockSolution:
+    """Clock offsets that the pairs of a network confirm."""
+
+    offset: Array
+    """(N,) from node 0, s; 0 where no pair connects a node to it."""
+    stddev: Array
+    """(N,) their standard deviations, s."""
+    refused: tuple[ClockMountingHypothesis, ...]
+    """The hypothesis of most evidence of each pair whose clock offset is not confirmed."""
+
+
+def resolve_clocks(
+    node: Mapping[str, int], hypotheses: Sequence[ClockMountingHypothesis], settings: ClockMountingSettings
+) -> ClockSolution:
+    """Averages the clock offsets of pairs, without those that other pairs do not confirm.
+
+    Each edge of the maximum spanning tree by evidence defines a fundamental cut. If its clocks differ, more pairs
+    across the cut have to agree with the offset than not; a pair alone has to match people who turn, with more
+    evidence than for any other offset. Hypotheses that are not confirmed are left out, until all are.
+
+    Args:
+        node: index of each scanner, of which 0 is the reference.
+        hypotheses: of pairs with the selected mountings, with more evidence than chance.
+        settings: of the search.
+    """
+    remaining, refused = list(hypotheses), list[ClockMountingHypothesis]()
+    while True:
+        used = _best_of_pairs(remaining)
+        tree = _spanning_tree(len(node), node, used)
+        offset, stddev = _average_clocks(len(node), node, used, tree, settings)
+        unconfirmed = next(
+            (found for h in tree if (found := _unconfirmed(h, tree, node, hypotheses, offset, settings))), None
+        )
+        if unconfirmed is None:
+            return ClockSolution(offset, stddev, _best_of_pairs(refused))
+        refused += [h for h in remaining if h in unconfirmed]
+        remaining = [h for h in remaining if h not in unconfirmed]
+
+
+def _best_of_pairs(hypotheses: Sequence[ClockMountingHypothesis]) -> tuple[ClockMountingHypothesis, ...]:
+    """The hypothesis of most evidence of each pair, by descending evidence."""
+    best: dict[tuple[str, str], ClockMountingHypothesis] = {}
+    for h in sorted(hypotheses, key=lambda h: -h.evidence):
+        best.setdefault((h.sensor_a, h.sensor_b), h)
+    return tuple(best.values())
+
+
+def _spanning_tree(
+    count: int, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis]
+) -> list[ClockMountingHypothesis]:
+    """The maximum spanning tree of descending hypotheses, in the order from node 0."""
+    reached, tree = {0}, list[ClockMountingHypothesis]()
+    while len(reached) < count:
+        ends = ((h, {node[h.sensor_a], node[h.sensor_b]}) for h in used)
+        leaving = next(((h, both) for h, both in ends if len(both & reached) == 1), None)
+        if leaving is None:
+            break
+        tree.append(leaving[0])
+        reached |= leaving[1]
+    return tree
+
+
+def _beyond(
+    edge: ClockMountingHypothesis, tree: Sequence[ClockMountingHypothesis], node: Mapping[str, int]
+) -> set[int]:
+    """The nodes that an edge of the tree connects to node 0."""
+    reached = {0}
+    for h in tree:
+        both = {node[h.sensor_a], node[h.sensor_b]}
+        if h is not edge and both & reached:
+            reached |= both
+    return {node[name] for h in tree for name in (h.sensor_a, h.sensor_b)} - reached
+
+
+def _unconfirmed(
+    edge: ClockMountingHypothesis,
+    tree: Sequence[ClockMountingHypothesis],
+    node: Mapping[str, int],
+    hypotheses: Sequence[ClockMountingHypothesis],
+    offset: Array,
+    settings: ClockMountingSettings,
+) -> list[ClockMountingHypothesis]:
+    """The hypotheses across the cut of an edge that agree with its clock offset, if that is not confirmed."""
+    if abs(edge.clock_offset) <= settings.min_clock_offset:
+        return []
+    part = _beyond(edge, tree, node)
+    across = [h for h in hypotheses if (node[h.sensor_a] in part) != (node[h.sensor_b] in part)]
+    agreeing = [h for h in across if abs(_residual(h, node, offset)) <= settings.same_clock]
+    supporting = {(h.sensor_a, h.sensor_b) for h in agreeing}
+    contradicting = {(h.sensor_a, h.sensor_b) for h in across} - supporting
+    if len(supporting) > max(len(contradicting), 1):
+        return []
+    others = max((h.evidence for h in across if h not in agreeing), default=0.0)
+    if (
+        not contradicting
+        and edge.evidence >= settings.firm_evidence
+        and edge.lateral_spread >= settings.min_lateral_spread
+        and others <= settings.max_evidence_ratio * edge.evidence
+    ):
+        return []
+    return agreeing
+
+
+def _residual(h: ClockMountingHypothesis, node: Mapping[str, int], offset: Array) -> float:
+    return h.clock_offset - float(offset[node[h.sensor_b]] - offset[node[h.sensor_a]])
+
+
+def _average_clocks(
+    count: int,
+    node: Mapping[str, int],
+    used: Sequence[ClockMountingHypothesis],
+    tree: Sequence[ClockMountingHypothesis],
+    settings: ClockMountingSettings,
+) -> tuple[Array, Array]:
+    """(N,) offsets from node 0 and their standard deviations, s.
+
+    Least squares with Cauchy weights, which start at the offsets along the tree.
+    """
+    offsets, reached = np.zeros(count), {0}
+    for h in tree:
+        i, j = node[h.sensor_a], node[h.sensor_b]
+        if i in reached:
+            offsets[j] = offsets[i] + h.clock_offset
+        else:
+            offsets[i] = offsets[j] - h.clock_offset
+        reached |= {i, j}
+    free = sorted(reached - {0})
+    stddev = np.zeros(count)
+    if not free:
+        return offsets, stddev
+    ends: NDArray[np.intp] = np.array([(node[h.sensor_a], node[h.sensor_b]) for h in used], dtype=np.intp)
+    measured = np.array([h.clock_offset for h in used])
+    sigma = np.hypot([h.clock_stddev for h in used], settings.clock_noise)
+    J = np.zeros((len(used), count))
+    J[np.arange(len(used)), ends[:, 1]] = 1
+    J[np.arange(len(used)), ends[:, 0]] = -1
+    for _ in range(_ROUNDS):
+        r = (measured - J @ offsets) / sigma
+        w = 1 / (1 + r**2) / sigma**2
+        H = J[:, free].T @ (w[:, None] * J[:, free])
+        offsets[free] = np.linalg.solve(H, J[:, free].T @ (w * measured))
+    stddev[free] = np.sqrt(np.diag(np.linalg.inv(H)))
+    return offsets, stddev
