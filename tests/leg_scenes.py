@@ -6,6 +6,7 @@ from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath
 from calgraph.estimation.network.leg_raycast import raycast_legs
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
 from calgraph.tracking import Foreground
@@ -101,9 +102,18 @@ def build_network() -> tuple[NetworkProblem, NetworkState]:
         )
         paths.append(path)
     problem = NetworkProblem(
-        3, tuple(legs), (), np.full(3, 0.01), np.zeros(2), 0.1, np.zeros((3, 4)), 1.5, 0.5, EXACT_EDGES
+        3,
+        tuple(legs),
+        (),
+        np.full(3, 0.01),
+        np.zeros(2),
+        0.1,
+        np.zeros((3, len(SYSTEMATIC_ERRORS))),
+        1.5,
+        0.5,
+        EXACT_EDGES,
     )
-    return problem, NetworkState(T_ROOT, OFFSET, np.zeros((3, 4)), tuple(paths))
+    return problem, NetworkState(T_ROOT, OFFSET, np.zeros((3, len(SYSTEMATIC_ERRORS))), tuple(paths))
 
 
 def build_foreground(scanner: int) -> Foreground:

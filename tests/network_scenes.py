@@ -5,6 +5,7 @@ import numpy as np
 from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
 from calgraph.estimation.network.problem import BodyPath, BodyScans
+from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, se2
@@ -15,7 +16,7 @@ DENSITY = TrackingSettings().acceleration_density
 LOSS = TukeyLoss(SETTINGS.beams.tukey_limit)
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([6.0, 1.0])), se2.pose(-1.5, np.array([3.0, 5.0]))])
 OFFSET = np.array([0.0, 0.03, -0.02])
-EXACT = np.zeros((3, 4))
+EXACT = np.zeros((3, len(SYSTEMATIC_ERRORS)))
 """Systematic errors of the scanners, or their prior standard deviations."""
 
 

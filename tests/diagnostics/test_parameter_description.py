@@ -15,6 +15,8 @@ from calgraph.estimation.rig.bundle_parameters import SystematicParameter
         ("camera", "cx", "px", 25.0, "cx of camera is 25 px larger than stated"),
         ("laser", "range bias", "m", -0.034, "ranges of laser are 34 mm shorter than they should be"),
         ("laser", "angle scale", "", 0.005, "angles between beams of laser are 0.5 % larger than stated"),
+        ("laser", "stretch along diagonal", "", -0.001,
+         "ranges of laser at 45° are 0.1 % shorter than on average, as by a tilt of its scan plane"),
         ("lidar", "bias of ring 3 (+1.0°)", "m", 0.02,
          "ranges of ring 3 (+1.0°) of lidar are 20 mm longer than those of the others"),
         ("lidar", "azimuth footprint", "m", -0.03, "edges of the board in scans of lidar are 30 mm too far in"),

@@ -56,14 +56,18 @@ def aligned(walls: list[Wall], off: Array, covariance: Array, rng: np.random.Gen
     return found
 
 
-def distort(background: StaticBackground, bias: float, range_scale: float, angle_scale: float) -> StaticBackground:
+def distort(
+    background: StaticBackground, bias: float, scale: float = 0, angle: float = 0, c: float = 0, d: float = 0
+) -> StaticBackground:
     """The background of a scanner without these errors of ranges and angles."""
-    ranges = (np.linalg.norm(background.points, axis=1) - bias) / (1 + range_scale)
-    azimuth = np.arctan2(background.points[:, 1], background.points[:, 0]) * (1 + angle_scale)
+    azimuth = np.arctan2(background.points[:, 1], background.points[:, 0])
+    cos, sin = np.cos(2 * azimuth), np.sin(2 * azimuth)
+    ranges = (np.linalg.norm(background.points, axis=1) - bias) / (1 + scale + c * cos + d * sin)
+    azimuth = azimuth * (1 + angle) + c * sin - d * cos
     return StaticBackground(np.column_stack([np.cos(azimuth), np.sin(azimuth)]) * ranges[:, None])
 
 
-@pytest.mark.parametrize("error", range(6))
+@pytest.mark.parametrize("error", range(10))
 def test_the_gradient_depends_on_errors_of_ranges_and_angles_as_stated(
     error: int, rng: np.random.Generator
 ) -> None:
@@ -71,7 +75,7 @@ def test_the_gradient_depends_on_errors_of_ranges_and_angles_as_stated(
     scans = [scan(ROOM, T, rng) for T in (A, B)]
     a, b = (one.oriented_points for one in scans)
     matches = _match_points(T_A_B, a, b, 0.1, IcpSettings())
-    errors = np.zeros((2, 3))
+    errors = np.zeros((2, 5))
     errors.flat[error] = 1e-6
 
     def gradient(sign: int) -> Array:
@@ -89,8 +93,7 @@ def test_the_gradient_depends_on_errors_of_ranges_and_angles_as_stated(
 def test_a_range_bias_shifts_the_pose_as_stated(walls: list[Wall]) -> None:
     scans = [scan(walls, T, np.random.default_rng(k)) for k, T in enumerate((A, B))]
     found = [
-        align_backgrounds(T_A_B, LOOSE, distort(scans[0], bias, 0, 0), scans[1], SIGMA)
-        for bias in (0.0, 0.01, -0.01)
+        align_backgrounds(T_A_B, LOOSE, distort(scans[0], bias), scans[1], SIGMA) for bias in (0.0, 0.01, -0.01)
     ]
     nominal, plus, minus = (one for one in found if isinstance(one, IcpResult))
     expected = 0.01 * nominal.by_beam_errors[:, 0]

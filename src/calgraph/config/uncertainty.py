@@ -84,7 +84,7 @@ class Lidar2dUncertainty(_RangeUncertainty):
     not by that of increments, are off by 0.1 % (1081 beams) to 0.3 % (361 beams)."""
     tilt: DegreeStddev = 2.0
     """Degrees, of the scan plane about each horizontal axis; only in networks, where it makes ranges longer than
-    horizontal distances, by 0.06 % on average at 2°. Brackets are levelled by eye or with a spirit level."""
+    horizontal distances, by 0.06 % at 2° across the axis. Brackets are levelled by eye or with a spirit level."""
     clock_drift: Ratio = 3e-5
     """Relative error of the clock's rate; only in networks, beside the clock offset. Quartz oscillators of
     computers and scanners are specified to ±50 ppm over temperature: 3 ms in a minute."""

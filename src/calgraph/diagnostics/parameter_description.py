@@ -13,6 +13,14 @@ _MEANINGS = {
     "range bias": ("ranges of {of} are {size} longer than they should be", "shorter"),
     "range scale": ("ranges of {of} are {size} longer than they should be", "shorter"),
     "angle scale": ("angles between beams of {of} are {size} larger than stated", "smaller"),
+    "stretch along x": (
+        "ranges of {of} along its x axis are {size} longer than on average, as by a tilt of its scan plane",
+        "shorter",
+    ),
+    "stretch along diagonal": (
+        "ranges of {of} at 45° are {size} longer than on average, as by a tilt of its scan plane",
+        "shorter",
+    ),
     "print scale": ("the print on the {of} is {size} larger than stated", "smaller"),
     "print aspect": ("the print on the {of} is {size} wider for its height than stated", "narrower"),
     "tag size": ("tags on the {of} are {size} larger than stated", "smaller"),

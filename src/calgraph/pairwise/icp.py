@@ -36,9 +36,9 @@ class IcpResult:
     information: Array
     """(3, 3) of the error in the fixed axes of a; zero in unobservable directions."""
     by_beam_errors: Array
-    """(3, 6) derivative of the pose by the range bias (m), range scale and angle scale of a and of b; zero in
-    unobservable directions. Ranges are ``(1 + range scale) true + range bias``, true angles ``(1 + angle scale)
-    stated``."""
+    """(3, 10) derivative of the pose by the range bias (m), range scale, angle scale and stretches c and d of a
+    and of b; zero in unobservable directions. Ranges are ``(1 + range scale + c cos 2φ + d sin 2φ)`` times true
+    ones plus the range bias, true angles ``(1 + angle scale) φ + c sin 2φ - d cos 2φ`` for the stated ``φ``."""
 
     def fuse(self, T_a_b: Array, information: Array) -> tuple[Array, Array]:
         """Fuses this with an independent estimate and its information: pose (3, 3) and information (3, 3)."""
@@ -197,7 +197,7 @@ def _linearize_matches(
 def _differentiate_by_beam_errors(
     T: Array, a: _SurfacePoints, b: _SurfacePoints, found: _Matches, noise2: float, match_distance: float
 ) -> Array:
-    """(3, 6) derivative of the gradient of :func:`_build_normal_equations` by the beam errors of a and b."""
+    """(3, 10) derivative of the gradient of :func:`_build_normal_equations` by the beam errors of a and b."""
     of_b, of_a = found
     J, w, _ = _linearize_matches(T, a, b, found, noise2, match_distance)
     in_b = a.normals[of_a] @ T[:2, :2]
@@ -206,11 +206,14 @@ def _differentiate_by_beam_errors(
 
 
 def _displace_points(points: Array, normals: Array) -> Array:
-    """(N, 3) by how much points (N, 2) are to be corrected along normals for a unit of each beam error."""
+    """(N, 5) by how much points (N, 2) are to be corrected along normals for a unit of each beam error."""
     ranges, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
     radial = np.sum(normals * points, axis=1)
     across = normals[:, 1] * points[:, 0] - normals[:, 0] * points[:, 1]
-    return np.column_stack([-radial / ranges, -radial, azimuth * across])
+    cos, sin = np.cos(2 * azimuth), np.sin(2 * azimuth)
+    return np.column_stack(
+        [-radial / ranges, -radial, azimuth * across, sin * across - cos * radial, -cos * across - sin * radial]
+    )
 
 
 def _find_observable_directions(H: Array, max_stddev: float) -> tuple[Array, Array]:

@@ -4,15 +4,15 @@ import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
-from calgraph.estimation.network.scanner_unknowns import SystematicErrors
+from calgraph.estimation.network.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
 
 NAMES = ("root", "east")
-PRIOR = np.array([[0.02, 0.003, 0.002, 0.0], [0.02, 0.003, 0.002, 3e-5]])
+PRIOR = np.array([[0.02, 0.003, 0.002, 6e-4, 6e-4, 0.0], [0.02, 0.003, 0.002, 6e-4, 6e-4, 3e-5]])
 
 
 def find(scanner: int, kind: int, deviations: float, learned: float = 0.99) -> list[tuple[str, tuple[str, ...]]]:
     """Findings for one error, in prior standard deviations, of which the data removed a share of the variance."""
-    values = np.zeros((2, 4))
+    values = np.zeros(PRIOR.shape)
     values[scanner, kind] = deviations * PRIOR[scanner, kind]
     errors = SystematicErrors(values, np.diag((1 - learned) * PRIOR.ravel() ** 2), PRIOR)
     found = find_systematic_errors(errors, NAMES, RigDiagnosticsSettings())
@@ -38,8 +38,19 @@ def test_an_error_of_the_root_makes_all_poses_weak() -> None:
 
 
 def test_a_clock_that_drifts_is_named() -> None:
-    [(text, _)] = find(1, 3, 10.0)
+    [(text, _)] = find(1, CLOCK_DRIFT, 10.0)
     assert text.startswith("the clock of east is 300 ppm faster than that of the root; this is 10.1 times")
+
+
+def test_stretches_are_compared_as_the_tilts_that_cause_them() -> None:
+    """Three standard deviations of tilt stretch ranges by 4.5 prior standard deviations."""
+    assert find(1, STRETCH_X, 4.4) == []
+    [(text, scanners)] = find(1, STRETCH_X, -5.0)
+    assert text.startswith(
+        "ranges of east along its x axis are 0.3 % shorter than on average, as by a tilt of its scan plane; this "
+        "is 3.3 times as much as its uncertainty in rig.yaml, 0.09 %, lets expect"
+    )
+    assert scanners == ("east",)
 
 
 def test_estimates_are_tested_by_what_the_data_removed() -> None:
@@ -50,11 +61,12 @@ def test_estimates_are_tested_by_what_the_data_removed() -> None:
 
 def find_correlated(correlation: float) -> list[tuple[str, tuple[str, ...]]]:
     """Findings for range scales of two scanners whose estimates are correlated."""
-    values, names = np.zeros((3, 4)), ("root", "east", "west")
+    values, names = np.zeros((3, PRIOR.shape[1])), ("root", "east", "west")
     prior = PRIOR[[0, 1, 1]]
     values[1:, 1] = 0.012, 0.006
     covariance = np.diag(0.01 * prior.ravel() ** 2)
-    covariance[5, 9] = covariance[9, 5] = correlation * covariance[5, 5]
+    east, west = PRIOR.shape[1] * np.array([1, 2]) + 1
+    covariance[east, west] = covariance[west, east] = correlation * covariance[east, east]
     found = find_systematic_errors(SystematicErrors(values, covariance, prior), names, RigDiagnosticsSettings())
     return [(finding.text, finding.sensors) for finding in found]
 

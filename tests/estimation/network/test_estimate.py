@@ -24,6 +24,7 @@ from calgraph.estimation.network.problem import (
     NetworkProblem,
     WallConstraint,
 )
+from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.estimation.network.track_association import BodyTracks
 from calgraph.geometry import Array, se2
@@ -239,7 +240,9 @@ def test_only_edges_between_unconnected_parts_are_bridges() -> None:
         BodyObservations(knots, (scans(a, weight), scans(b, weight)), np.ones(2), np.ones(2), True)
         for a, b, weight in ((0, 1, 1.0), (1, 2, 0.0))
     )
-    network = NetworkProblem(5, bodies, (), np.ones(5), np.ones(2), 0.1, np.zeros((5, 4)), 0.0, DENSITY, SETTINGS)
+    network = NetworkProblem(
+        5, bodies, (), np.ones(5), np.ones(2), 0.1, np.zeros((5, len(SYSTEMATIC_ERRORS))), 0.0, DENSITY, SETTINGS
+    )
     edges = [constraint(*pair) for pair in ((0, 1), (1, 2), (2, 3), (3, 4))]
     bridges = select_bridges(network, [constraint(3, 4)], edges)
     assert [(one.a, one.b) for one in bridges] == [(1, 2), (2, 3)]

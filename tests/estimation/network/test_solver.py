@@ -15,6 +15,14 @@ from calgraph.estimation.network.problem import (
     NetworkState,
     WallConstraint,
 )
+from calgraph.estimation.network.scan_equations import SCAN_PARAMETERS
+from calgraph.estimation.network.scanner_unknowns import (
+    BEAM_ERRORS,
+    CLOCK,
+    CLOCK_DRIFT,
+    FIRST_SYSTEMATIC,
+    SCANNER_UNKNOWNS,
+)
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.solver import (
     NetworkEquations,
@@ -35,12 +43,22 @@ RADII = np.array([0.25, 0.15])
 # The oracle has no model error.
 NO_MODEL_ERROR = np.array([1e-14, 1e-14])
 MID_TIME = 1.0
-SYSTEMATIC_SIGMA = np.tile([0.02, 0.003, 0.002, 1e-3], (3, 1)) * [[1, 1, 1, 0], [1, 1, 1, 1], [1, 1, 1, 1]]
+SYSTEMATIC_SIGMA = np.tile([0.02, 0.003, 0.002, 0.002, 0.002, 1e-3], (3, 1))
+SYSTEMATIC_SIGMA[0, CLOCK_DRIFT] = 0
 """The root's clock is exact."""
 ESTIMATED = np.flatnonzero(SYSTEMATIC_SIGMA)
 SCANNERS = 8 + len(ESTIMATED)
 """Number of the unknowns of scanners; radii and path follow."""
-PACKED_COLUMNS = [8, 9, 10, 16, 17, 18, 11, 19, 4, 5, 6, 12, 13, 14, 15, 20, 21, 22, 23]
+SIZE = 3 * SCANNER_UNKNOWNS
+"""Columns of all scanners."""
+_COLUMNS = np.arange(SIZE).reshape(3, -1)
+PACKED_COLUMNS = np.concatenate(
+    [
+        _COLUMNS[1:, :CLOCK].ravel(),
+        _COLUMNS[1:, CLOCK],
+        _COLUMNS[:, FIRST_SYSTEMATIC:][SYSTEMATIC_SIGMA > 0],
+    ]
+)
 """Their columns in the equations: poses, clock offsets, and systematic errors scanner by scanner."""
 
 
@@ -61,7 +79,7 @@ def build_network(
     )
     body = BodyObservations(knots, scans, RADII * 1.1, 0.3 * RADII, faces)
     T_0_1 = se2.retract(T_ROOT[1:2], np.array([[0.01, -0.01, 0.002]]))[0]
-    by_errors = np.random.default_rng(3).normal(size=(3, 6)) * [[1.0], [1.0], [0.2]]
+    by_errors = np.random.default_rng(3).normal(size=(3, 2 * len(BEAM_ERRORS))) * [[1.0], [1.0], [0.2]]
     wall = WallConstraint(0, 1, T_0_1, np.diag([1e4, 1e2, 1e5]), by_errors)
     built = NetworkProblem(
         3,
@@ -86,7 +104,7 @@ def perturb(state: NetworkState, rng: np.random.Generator, size: float = 1.0) ->
     return NetworkState(
         se2.retract(state.T_root_scanner, steps),
         state.clock_offset + size * np.array([0.0, 0.02, -0.02]),
-        size * rng.normal(0, 1, (3, 4)) * SYSTEMATIC_SIGMA,
+        size * rng.normal(0, 1, SYSTEMATIC_SIGMA.shape) * SYSTEMATIC_SIGMA,
         (BodyPath(path, body_path.radii * 1.05),),
     )
 
@@ -94,10 +112,15 @@ def perturb(state: NetworkState, rng: np.random.Generator, size: float = 1.0) ->
 def unpack(x: Array, like: NetworkState) -> NetworkState:
     """A state from the vector of unknowns."""
     T = np.concatenate([np.eye(3)[None], se2.retract(T_ROOT[1:], x[:6].reshape(2, 3))])
-    systematic = np.zeros(12)
-    systematic[ESTIMATED] = x[8:SCANNERS]
+    systematic = np.zeros(SYSTEMATIC_SIGMA.shape)
+    systematic.flat[ESTIMATED] = x[8:SCANNERS]
     path = BodyPath(x[SCANNERS + 2 :].reshape(like.paths[0].control.shape), x[SCANNERS : SCANNERS + 2])
-    return NetworkState(T, np.concatenate([[0.0], x[6:8]]), systematic.reshape(3, 4), (path,))
+    return NetworkState(T, np.concatenate([[0.0], x[6:8]]), systematic, (path,))
+
+
+def mean_stretch(along_x: Array, along_diagonal: Array) -> Array:
+    """Of all ranges by a tilt, smooth at zero."""
+    return np.sqrt(along_x**2 + along_diagonal**2 + 1e-8) - 1e-4
 
 
 def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
@@ -107,16 +130,19 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
     found = []
     for scans in body.scans:
         beams = len(scans.ranges) // len(scans.times)
-        bias, range_scale, angle_scale, drift = state.systematic[scans.scanner]
+        bias, range_scale, angle_scale, along_x, along_diagonal, drift = state.systematic[scans.scanner]
         stamps = np.repeat(scans.times, beams)
         at = stamps - state.clock_offset[scans.scanner] - drift * (stamps - MID_TIME)
         pose = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2])
         T = state.T_root_scanner[scans.scanner]
-        angle = (1 + angle_scale) * np.arctan2(scans.direction[:, 1], scans.direction[:, 0])
+        azimuth = np.arctan2(scans.direction[:, 1], scans.direction[:, 0])
+        cos, sin = np.cos(2 * azimuth), np.sin(2 * azimuth)
+        angle = (1 + angle_scale) * azimuth + along_x * sin - along_diagonal * cos
         direction = np.column_stack([np.cos(angle), np.sin(angle)]) @ T[:2, :2].T
         origin, radii = (np.broadcast_to(v, direction.shape) for v in (T[:2, 2], body_path.radii))
         true = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges
-        found.append(((1 + range_scale) * true + bias - scans.ranges) / SIGMA)
+        stretch = 1 + range_scale + mean_stretch(along_x, along_diagonal) + along_x * cos + along_diagonal * sin
+        found.append((stretch * true + bias - scans.ranges) / SIGMA)
     h, path = body.knots.step, body_path.control
     stretch = 1 + np.mean(state.systematic[:, 1])
     found.append((stretch * np.diff(path[:, :2], n=2, axis=0) / np.sqrt(h**3 * 0.5)).ravel())
@@ -124,12 +150,14 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
     found.append((body_path.radii - body.radii) / body.radii_sigma)
     found.append(state.clock_offset / CLOCK_SIGMA)
     T_a_b = se2.inverse(state.T_root_scanner[0]) @ state.T_root_scanner[1]
-    for kind, common in enumerate([0.5, 0.5, 0.5, 0.0]):
+    for kind, common in enumerate([0.5, 0.5, 0.5, 0.0, 0.0, 0.0]):
         sigma = SYSTEMATIC_SIGMA[:, kind]
         errors = (state.systematic[:, kind] / np.where(sigma > 0, sigma, 1))[sigma > 0]
         correlation = (1 - common) * np.eye(len(errors)) + common
         found.append(np.linalg.solve(np.linalg.cholesky(correlation), errors))
-    T_0_1 = se2.retract(wall.T_a_b, wall.by_beam_errors @ state.systematic[:2, :3].ravel())
+    errors = state.systematic[:2, : len(BEAM_ERRORS)].copy()
+    errors[:, 1] += mean_stretch(errors[:, 3], errors[:, 4])
+    T_0_1 = se2.retract(wall.T_a_b, wall.by_beam_errors @ errors.ravel())
     found.append(np.sqrt(np.diagonal(wall.information)) * se2.difference(T_a_b, T_0_1))
     return np.concatenate(found)
 
@@ -194,13 +222,13 @@ def test_the_gradient_equals_finite_differences_of_the_cost(rng: np.random.Gener
     equations = linearize_network(net, truth)
     [body] = equations.bodies
     _, gradient = build_dense_equations(body)
-    gradient[-24:] += equations.g
+    gradient[-SIZE:] += equations.g
     x, step = pack(truth), 1e-6
     numeric = [
         (np.sum(residuals(x + d, net, truth) ** 2) - np.sum(residuals(x - d, net, truth) ** 2)) / (4 * step)
         for d in step * np.eye(len(x))
     ]
-    ordered = [gradient[-24:][PACKED_COLUMNS], gradient[-26:-24], gradient[:-26]]
+    ordered = [gradient[-SIZE:][PACKED_COLUMNS], gradient[-SIZE - 2 : -SIZE], gradient[: -SIZE - 2]]
     np.testing.assert_allclose(np.concatenate(ordered), numeric, rtol=2e-4, atol=2e-2)
 
 
@@ -213,7 +241,7 @@ def test_elimination_equals_the_dense_schur_complement(
     net = replace(net, model_error_variance=np.array([1e-4, 1e-3]))
     [equations] = linearize_network(net, truth).bodies
     H, _ = build_dense_equations(equations)
-    inner = len(H) - 24
+    inner = len(H) - SIZE
     H *= 1 + damping * np.eye(len(H))
     schur = H[inner:, inner:] - H[inner:, :inner] @ np.linalg.solve(H[:inner, :inner], H[:inner, inner:])
     np.testing.assert_allclose(eliminate_path(equations, damping)[0], schur, rtol=1e-6, atol=1e-6 * schur.max())
@@ -223,8 +251,8 @@ def test_back_substitution_equals_the_dense_solution(rng: np.random.Generator) -
     net, truth = build_network(rng)
     [equations] = linearize_network(net, perturb(truth, rng)).bodies
     H, g = build_dense_equations(equations)
-    scanners = rng.normal(0, 0.01, 24)
-    inner = len(H) - 24
+    scanners = rng.normal(0, 0.01, SIZE)
+    inner = len(H) - SIZE
     expected = -np.linalg.solve(H[:inner, :inner], g[:inner] + H[:inner, inner:] @ scanners)
     K = eliminate_path(equations, 0.0)[2]
     np.testing.assert_allclose(-(K[:, :-1] @ scanners + K[:, -1]), expected, atol=1e-8)
@@ -235,8 +263,8 @@ def test_the_predicted_decrease_is_that_of_the_cost(damping: float, rng: np.rand
     net, truth = build_network(rng)
     state, equations = optimize_network(net, perturb(truth, rng), iterations=10)
     # Near the minimum, where the quadratic model is accurate.
-    away = np.zeros((net.count, 8))
-    away[1:, :4] = 1e-3
+    away = np.zeros((net.count, SCANNER_UNKNOWNS))
+    away[1:, : CLOCK + 1] = 1e-3
     state = apply_step(state, away.ravel(), [np.zeros(size) for size in body_sizes(equations)])
     equations = linearize_network(net, state)
     step, predicted = equations.solve(damping)
@@ -254,7 +282,7 @@ def test_the_covariance_equals_the_dense_inverse(rng: np.random.Generator) -> No
     J = least_squares(residuals, pack(truth), args=(net, truth), max_nfev=1).jac
     expected = np.diagonal(np.linalg.inv(J.T @ J))[:SCANNERS]
     covariance = compute_network_covariance(linearize_network(net, truth))
-    assert covariance.shape == (8 * net.count, 8 * net.count)
+    assert covariance.shape == (SIZE, SIZE)
     found = np.diagonal(covariance)[PACKED_COLUMNS]
     np.testing.assert_allclose(np.sqrt(found), np.sqrt(expected), rtol=0.02)
 
@@ -264,7 +292,10 @@ def test_model_error_increases_the_covariance(rng: np.random.Generator) -> None:
     net = replace(net, systematic_sigma=EXACT)
     swaying = replace(net, model_error_variance=np.array([0.01**2, 0.05**2]))
     strict, loose = (
-        np.trace(compute_network_covariance(linearize_network(n, truth))[8:10, 8:10]) for n in (net, swaying)
+        np.trace(
+            compute_network_covariance(linearize_network(n, truth))[SCANNER_UNKNOWNS:, SCANNER_UNKNOWNS:][:2, :2]
+        )
+        for n in (net, swaying)
     )
     assert loose > 1.5 * strict
 
@@ -291,7 +322,7 @@ def test_a_scanner_without_weights_stays_with_a_large_covariance(rng: np.random.
     changed = replace(net, bodies=(replace(body, scans=(*body.scans[:2], unused)),))
     state, system = optimize_network(changed, truth, iterations=10)
     np.testing.assert_allclose(state.T_root_scanner[2], truth.T_root_scanner[2], atol=1e-9)
-    assert np.sqrt(np.diagonal(compute_network_covariance(system))[16:18]).min() > 50
+    assert np.sqrt(np.diagonal(compute_network_covariance(system))[_COLUMNS[2, :2]]).min() > 50
 
 
 def test_synchronized_clocks_stay(rng: np.random.Generator) -> None:
@@ -303,7 +334,7 @@ def test_synchronized_clocks_stay(rng: np.random.Generator) -> None:
 def test_synchronized_clocks_are_not_unknowns(rng: np.random.Generator) -> None:
     net, truth = build_network(rng)
     exact = replace(net, clock_sigma=0.0, systematic_sigma=EXACT)
-    assert linearize_network(exact, truth).unknowns.tolist() == [8, 9, 10, 16, 17, 18]
+    assert linearize_network(exact, truth).unknowns.tolist() == _COLUMNS[1:, :CLOCK].ravel().tolist()
 
 
 def test_the_root_does_not_move(rng: np.random.Generator) -> None:
@@ -384,15 +415,15 @@ def test_the_gradient_by_headings_includes_the_direction_of_motion(rng: np.rando
 
 def test_missed_beams_cost_as_stated_and_do_not_pull(rng: np.random.Generator) -> None:
     net, _ = build_network(rng)
-    hits = RaycastHits(np.array([np.nan, 2.0, 2.0]), np.array([np.nan, 0.04, 0.06]), np.ones((3, 7)))
+    hits = RaycastHits(np.array([np.nan, 2.0, 2.0]), np.array([np.nan, 0.04, 0.06]), np.ones((3, SCAN_PARAMETERS)))
     residual, jacobian = compute_residuals(net, replace(net.bodies[0].scans[0], ranges=np.ones(3)), hits)
     np.testing.assert_allclose(residual, [4.0, 4.0, 1.0 / SIGMA])
-    np.testing.assert_allclose(jacobian, np.outer([0.0, 0.0, 1.0 / SIGMA], np.ones(7)))
+    np.testing.assert_allclose(jacobian, np.outer([0.0, 0.0, 1.0 / SIGMA], np.ones(SCAN_PARAMETERS)))
 
 
 def test_radii_stay_above_two_centimetres(rng: np.random.Generator) -> None:
     net, truth = build_network(rng)
     body_step = np.zeros(3 * net.bodies[0].knots.count + 2)
     body_step[-2:] = -0.2
-    [path] = apply_step(truth, np.zeros(24), [body_step]).paths
+    [path] = apply_step(truth, np.zeros(SIZE), [body_step]).paths
     np.testing.assert_allclose(path.radii, [0.05, 0.02])

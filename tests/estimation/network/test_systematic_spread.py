@@ -5,35 +5,43 @@ import pytest
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.scanner_unknowns import (
+    FIRST_SYSTEMATIC,
+    RANGE_BIAS,
+    SCANNER_UNKNOWNS,
+    SYSTEMATIC_ERRORS,
+)
 from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.geometry import Array
 
 COUNT, SIGMA = 8, 0.001
 """Scanners, and the standard deviation with which the data determine the difference of two range biases, m."""
-PRIOR = np.tile([0.02, 0.0, 0.0, 0.0], (COUNT, 1))
+PRIOR = np.zeros((COUNT, len(SYSTEMATIC_ERRORS)))
+PRIOR[:, RANGE_BIAS] = 0.02
 
 
 def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
-    """(S, 4) for biases (S,) of which the data determine the differences only, in a problem with these priors.
+    """(S, E) for biases (S,) of which the data determine the differences only, in a problem with these priors.
 
     Poses depend on biases by the given gain.
     """
-    size = 8 * COUNT
+    size = SCANNER_UNKNOWNS * COUNT
     H, g = np.zeros((size, size)), np.zeros(size)
-    biases = 8 * np.arange(COUNT) + 4
+    scanners = SCANNER_UNKNOWNS * np.arange(COUNT)
+    biases = scanners + FIRST_SYSTEMATIC + RANGE_BIAS
     difference = np.eye(COUNT) - 1 / COUNT
     H[np.ix_(biases, biases)] = difference / SIGMA**2
-    poses = np.concatenate([8 * np.arange(1, COUNT) + axis for axis in range(3)])
+    poses = np.concatenate([scanners[1:] + axis for axis in range(3)])
     H[poses, poses] = 1e6
     # A pose moves with its scanner's bias: eliminating it leaves the information of the bias as it is.
-    x = 8 * np.arange(1, COUNT)
-    H[x, x + 4] = H[x + 4, x] = gain * 1e6
-    H[x + 4, x + 4] += gain**2 * 1e6
+    x, bias_of_x = scanners[1:], biases[1:]
+    H[x, bias_of_x] = H[bias_of_x, x] = gain * 1e6
+    H[bias_of_x, bias_of_x] += gain**2 * 1e6
     estimate = 0.5 * (bias - bias.mean())
     g[biases] = difference @ (estimate - bias) / SIGMA**2 + estimate / current[:, 0] ** 2
     H[biases, biases] += current[:, 0] ** -2
-    state = NetworkState(np.tile(np.eye(3), (COUNT, 1, 1)), np.zeros(COUNT), np.zeros((COUNT, 4)), ())
+    state = NetworkState(np.tile(np.eye(3), (COUNT, 1, 1)), np.zeros(COUNT), np.zeros(PRIOR.shape), ())
     state.systematic[:, 0] = estimate
     unknowns = np.sort(np.concatenate([poses, biases]))
     equations = NetworkEquations(0.0, (), H, g, unknowns, np.zeros(size))

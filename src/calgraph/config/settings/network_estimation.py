@@ -140,9 +140,9 @@ class NetworkEstimationSettings(StrictModel):
     estimated from the differences between scanners: 0.3 mm of 2 cm, well below what a minute determines."""
     common_error_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the variance of errors of ranges and angles that all scanners of a network have in common: they
-    are mostly of one make, with one driver, and tilts of scan planes make all ranges longer. What they have in
-    common is hardly observable, so that a share of 0 would be optimistic; at one half, ten scanners are as
-    uncertain in scale as two with independent errors."""
+    are mostly of one make, with one driver. What they have in common is hardly observable, so that a share of 0
+    would be optimistic; at one half, ten scanners are as uncertain in scale as two with independent errors.
+    Stretches by tilts of scan planes are independent."""
     position_prior_information: float = Field(default=1e-4, gt=0)
     """Information on a scanner's position about the present estimate, 1/m²: a standard deviation of 100 m keeps a
     scanner in place whose beams all have no weight. A single beam has more than 10⁵ times as much."""

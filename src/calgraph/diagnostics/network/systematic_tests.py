@@ -7,7 +7,7 @@ import numpy as np
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.parameter_estimates import ParameterEstimates
-from calgraph.estimation.network.scanner_unknowns import SystematicErrors
+from calgraph.estimation.network.scanner_unknowns import TILT_ERRORS, SystematicErrors
 
 
 def find_systematic_errors(
@@ -15,7 +15,9 @@ def find_systematic_errors(
 ) -> Iterator[Finding]:
     """Systematic errors that are larger than their priors allow, one of each scanner: the largest.
 
-    Those that the data do not distinguish, such as range scales of all scanners, are named together.
+    Those that the data do not distinguish, such as range scales of all scanners, are named together. Stretches
+    grow with the square of the tilt that causes them: a tilt of ``t`` standard deviations stretches ranges by
+    ``t² / 2`` of the prior's, which is compared with the limit of ``t``.
 
     Args:
         errors: of the joint solution.
@@ -23,10 +25,11 @@ def find_systematic_errors(
         settings: the same limits as for rigs.
     """
     parameters = errors.summarize(names)
+    by_tilt = np.array([one.quantity in TILT_ERRORS for one in parameters])
     estimates = ParameterEstimates(
         parameters,
         np.array([one.value - one.stated for one in parameters]),
-        np.array([one.prior for one in parameters]),
+        np.array([one.prior for one in parameters]) * np.where(by_tilt, settings.max_prior_deviation / 2, 1),
         errors.covariance_of_estimated,
         settings.min_learned_share,
     )

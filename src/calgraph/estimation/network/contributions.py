@@ -15,6 +15,7 @@ from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyScans
+from calgraph.estimation.network.scan_equations import SCAN_PARAMETERS
 from calgraph.estimation.network.scanner_unknowns import (
     CLOCK,
     SCANNER_UNKNOWNS,
@@ -166,9 +167,9 @@ def _total_jacobian(
     by_path: Array,
     by_shape: Array,
 ) -> Array:
-    """(V, 7, UL) derivatives of the parameters of :class:`ScanEquations` in the scans of a body's k-th scanner."""
+    """(V, P, UL) derivatives of the parameters of :class:`ScanEquations` in the scans of a body's k-th scanner."""
     first, weights, pose, rate = evaluated
-    J = np.zeros((len(pose), 7, by_shape.shape[1]))
+    J = np.zeros((len(pose), SCAN_PARAMETERS, by_shape.shape[1]))
     columns = slice(SCANNER_UNKNOWNS * k, SCANNER_UNKNOWNS * (k + 1))
     J[..., columns] = compute_scanner_jacobian(solved.problem, solved.state, scans, radii, pose, rate)
     for i in range(4):

@@ -28,13 +28,13 @@ from calgraph.estimation.network.problem import (
 from calgraph.estimation.network.range_noise import estimate_range_noise
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.network.scanner_unknowns import (
-    BEAM_ERRORS,
     FIRST_SYSTEMATIC,
     SCANNER_UNKNOWNS,
     SYSTEMATIC_ERRORS,
     SystematicErrors,
     collect_prior_sigma,
     correct_points,
+    linearize_beam_errors,
 )
 from calgraph.estimation.network.solver import (
     NetworkEquations,
@@ -343,10 +343,10 @@ def _register_walls(
     prior_covariance = np.diag(
         np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
     )
-    beam_errors = state.systematic[:, : len(BEAM_ERRORS)]
+    beam_errors, _ = linearize_beam_errors(state.systematic)
     backgrounds = [
         icp.StaticBackground(correct_points(scanner.background, errors), pair_settings)
-        for scanner, errors in zip(tracked, beam_errors, strict=True)
+        for scanner, errors in zip(tracked, state.systematic, strict=True)
     ]
     walls = []
     for a, b in sorted(pairs):

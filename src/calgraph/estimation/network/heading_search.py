@@ -11,7 +11,7 @@ import numpy as np
 from calgraph.estimation.network.ellipse_raycast import rotate_by_small_angles
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.scanner_unknowns import compute_turns, predict_measured_ranges
+from calgraph.estimation.network.scanner_unknowns import RANGE_BIAS, compute_stretches, compute_turns
 from calgraph.estimation.network.solver import compute_heading_offsets
 from calgraph.geometry import Array, Index
 
@@ -59,10 +59,11 @@ def _compute_beam_costs(
     centre = pose[scan, :2] + scans.beam_delay[used, None] * rate[scan, :2]
     T = state.T_root_scanner[scans.scanner]
     x, y = T[:2, :2] @ scans.direction[used].T
-    direction = rotate_by_small_angles(x, y, compute_turns(state, scans)[used]).T
+    systematic, double_azimuth = state.systematic[scans.scanner], scans.double_azimuth[:, used]
+    direction = rotate_by_small_angles(x, y, compute_turns(systematic, scans.azimuth[used], double_azimuth)).T
     sigma = np.hypot(network.range_sigma[scans.scanner], settings.path_sigma)
     ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii, grid)
-    ranges = predict_measured_ranges(state, scans.scanner, ranges)
+    ranges = compute_stretches(systematic, double_azimuth)[:, None] * ranges + systematic[RANGE_BIAS]
     cost = 0.5 * ((ranges - scans.ranges[used, None]) / sigma) ** 2
     return nearest[scan], settings.beam_weight * np.fmin(cost, settings.max_beam_cost)
 

@@ -22,14 +22,23 @@ from calgraph.estimation.network.path_equations import (
     sum_between_knots,
 )
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.scan_equations import ScanEquations, ScanTerms
+from calgraph.estimation.network.scan_equations import (
+    AZIMUTH_ERRORS,
+    RANGE_ERROR,
+    SCAN_PARAMETERS,
+    ScanEquations,
+    ScanTerms,
+)
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
+    RANGE_BIAS,
     RANGE_SCALE,
     SCANNER_UNKNOWNS,
+    compute_scan_stretches,
     compute_scanner_jacobian,
+    compute_stretches,
     compute_turns,
-    predict_measured_ranges,
+    differentiate_by_azimuth_errors,
 )
 from calgraph.estimation.network.schur import BodyEquations
 from calgraph.geometry import Array, Index
@@ -43,24 +52,29 @@ def raycast_leg(
 ) -> LegHits:
     """Predicted measurements of a leg with the given pose and rate (V, 3) at the scans' times, without its bias.
 
-    Their Jacobian has the columns of :class:`LegHits`, an error of all ranges (m), and the angle scale.
+    Their Jacobian has the columns of :class:`LegHits`, an error of all ranges (m), the angle scale, and the
+    stretches.
     """
     scan = index_scans(scans)
     T = state.T_root_scanner[scans.scanner]
     x, y, heading = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
     direction = T[:2, :2] @ scans.direction.T
-    direction = direction + compute_turns(state, scans) * np.stack([-direction[1], direction[0]])
+    systematic = state.systematic[scans.scanner]
+    turn = compute_turns(systematic, scans.azimuth, scans.double_azimuth)
+    direction = direction + turn * np.stack([-direction[1], direction[0]])
     body = network.settings.legs.body
     hits = raycast_legs(
         T[:2, 2], direction.T, np.stack([x, y], axis=1), heading, path.shape, body.harmonics, body.max_edge_ratio
     )
-    jacobian = (1 + state.systematic[scans.scanner, RANGE_SCALE]) * hits.jacobian
+    stretch = compute_stretches(systematic, scans.double_azimuth)
+    jacobian = stretch[:, None] * hits.jacobian
     # A rotation of the beam acts like the opposite one of the leg about the scanner.
     by_rotation = (y - T[1, 2]) * jacobian[:, 0] - (x - T[0, 2]) * jacobian[:, 1] - jacobian[:, 2]
+    by_azimuth_errors = differentiate_by_azimuth_errors(systematic, scans, hits.ranges, by_rotation)
     return replace(
         hits,
-        ranges=predict_measured_ranges(state, scans.scanner, hits.ranges),
-        jacobian=np.column_stack([jacobian, np.ones(len(scan)), scans.azimuth * by_rotation]),
+        ranges=stretch * hits.ranges + systematic[RANGE_BIAS],
+        jacobian=np.column_stack([jacobian, np.ones(len(scan)), by_azimuth_errors.T]),
     )
 
 
@@ -104,6 +118,9 @@ def linearize_leg(
     corner[np.arange(local), np.arange(local)] = information
     corner_gradient[:local] = information * deviation
     cost += 0.5 * float(information @ deviation**2)
+    # The parameters of a scan are pose, shape, bias of the scanner, and errors that depend on the azimuth.
+    bias_row = 3 + shapes
+    shape_rows = slice(3, bias_row + 1)
     all_terms = [linearize_leg_scans(network, state, leg, path, k) for k in range(len(leg.scans))]
     for k, terms in enumerate(all_terms):
         A, b, G = terms.equations.information, terms.equations.gradient, terms.scanner_jacobian
@@ -113,13 +130,13 @@ def linearize_leg(
         own = terms.shape_columns
         flat = G.reshape(-1, SCANNER_UNKNOWNS)
         corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
-        corner[np.ix_(own, own)] += A[:, 3:-1, 3:-1].sum(axis=0)
-        mixed = AG[:, 3:-1].sum(axis=0)
+        corner[np.ix_(own, own)] += A[:, shape_rows, shape_rows].sum(axis=0)
+        mixed = AG[:, shape_rows].sum(axis=0)
         corner[own, columns] += mixed
         corner[columns, own] += mixed.T
         corner_gradient[columns] += flat.T @ b.ravel()
-        corner_gradient[own] += b[:, 3:-1].sum(axis=0)
-        by_scanner = np.concatenate([A[:, :3, -2:-1], AG[:, :3]], axis=2)
+        corner_gradient[own] += b[:, shape_rows].sum(axis=0)
+        by_scanner = np.concatenate([A[:, :3, bias_row : bias_row + 1], AG[:, :3]], axis=2)
         sums = sum_between_knots(terms.first, terms.weights, by_scanner.reshape(len(b), -1), count)
         sums = sums.reshape(4, count - 3, 3, 1 + SCANNER_UNKNOWNS)
         for i in range(4):
@@ -131,7 +148,7 @@ def linearize_leg(
     first, weights = first[order], np.concatenate([terms.weights for terms in all_terms])[order]
     A = np.concatenate([terms.equations.information[:, :3] for terms in all_terms])[order]
     b = np.concatenate([terms.equations.gradient[:, :3] for terms in all_terms])[order]
-    shared = np.concatenate([b, A[:, :, 3:-2].reshape(len(b), -1)], axis=1)
+    shared = np.concatenate([b, A[:, :, 3:bias_row].reshape(len(b), -1)], axis=1)
     sums = sum_between_knots(first, weights, shared, count)
     for i in range(4):
         gradient[i : count - 3 + i] += sums[i, :, :3]
@@ -160,13 +177,15 @@ def _compute_scanner_jacobian(
     network: NetworkProblem, state: NetworkState, path: LegPath, scans: BodyScans, pose: Array, rate: Array
 ) -> Array:
     """(V, n, U) of the columns of :func:`raycast_leg` by the scanner's unknowns."""
-    G = np.zeros((len(pose), 5 + len(path.shape), SCANNER_UNKNOWNS))
+    bias_row = 3 + len(path.shape)
+    rows = [0, 1, 2, *(bias_row + np.arange(1 + len(AZIMUTH_ERRORS)))]
+    G = np.zeros((len(pose), len(path.shape) + SCAN_PARAMETERS - 2, SCANNER_UNKNOWNS))
     common = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
-    G[:, [0, 1, 2, -2, -1]] = common[:, [0, 1, 2, 5, 6]]
+    G[:, rows] = common[:, [0, 1, 2, RANGE_ERROR, *AZIMUTH_ERRORS]]
     # All lengths of the shape scale with ranges but the amplitudes of the ellipse, which are relative.
     lengths = path.shape.copy()
     lengths[1:3] = 0
-    G[:, 3:-2, FIRST_SYSTEMATIC + RANGE_SCALE] = lengths / (1 + state.systematic[scans.scanner, RANGE_SCALE])
+    G[:, 3:bias_row, FIRST_SYSTEMATIC + RANGE_SCALE] = lengths / compute_scan_stretches(state, scans)
     return G
 
 

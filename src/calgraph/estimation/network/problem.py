@@ -34,6 +34,12 @@ class BodyScans:
         """(N,) of the beams in the scanner frame, rad."""
         return np.asarray(np.arctan2(self.direction[:, 1], self.direction[:, 0]))
 
+    @cached_property
+    def double_azimuth(self) -> Array:
+        """(2, N) cosines and sines of twice the azimuths."""
+        x, y = self.direction.T
+        return np.stack([x * x - y * y, 2 * x * y])
+
 
 @dataclass(frozen=True, eq=False)
 class BodyObservations:
@@ -60,8 +66,8 @@ class WallConstraint:
     """(3, 3) that follows from exact ranges and angles."""
     information: Array
     """(3, 3) in the fixed axes of a; singular where walls constrain fewer than three directions."""
-    by_beam_errors: Array = field(default_factory=lambda: np.zeros((3, 6)))
-    """(3, 6) derivative of T_a_b by ``BEAM_ERRORS`` of a and of b, in the fixed axes of a."""
+    by_beam_errors: Array = field(default_factory=lambda: np.zeros((3, 10)))
+    """(3, 10) derivative of T_a_b by ``BEAM_ERRORS`` of a and of b, in the fixed axes of a."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +85,7 @@ class NetworkProblem:
     clock_sigma: float
     """Prior standard deviation of clock offsets, s; 0 where all clocks are synchronized."""
     systematic_sigma: Array
-    """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; 0 where they are exact."""
+    """(S, E) prior standard deviations of the E ``SYSTEMATIC_ERRORS``; 0 where they are exact."""
     mid_time: float
     """The time at which clock offsets are those of the state, s: clocks drift."""
     acceleration_density: float
@@ -113,6 +119,6 @@ class NetworkState:
     clock_offset: Array
     """(S,) scanner clock minus root clock in the middle of the recording, s."""
     systematic: Array
-    """(S, 4) of ``SYSTEMATIC_ERRORS``, zero where the scanner is exact."""
+    """(S, E) of the E ``SYSTEMATIC_ERRORS``, zero where the scanner is exact."""
     paths: tuple[BodyPath, ...]
     """One for each body."""

@@ -12,21 +12,26 @@ import numpy as np
 from calgraph.estimation.marginalization import marginalize_bias
 from calgraph.geometry import Array, Index
 
-# Upper triangle of the products of seven derivatives and the residual.
-_ROWS, _COLUMNS = np.triu_indices(8)
+RANGE_ERROR, AZIMUTH_ERRORS = 5, np.arange(6, 9)
+"""Parameters of a scan besides the body's: an error of all its ranges, and those that depend on the azimuth."""
+SCAN_PARAMETERS = 6 + len(AZIMUTH_ERRORS)
+"""Number of the parameters of a scan of an ellipse."""
+# Upper triangle of the products of the derivatives and the residual.
+_ROWS, _COLUMNS = np.triu_indices(SCAN_PARAMETERS + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class ScanEquations:
     """Normal equations of V scans.
 
-    The parameters of each are the body's pose (3) and radii (2), an error of all ranges (m) and the angle scale.
+    The P parameters of each are the body's pose (3) and radii (2), an error of all ranges (m), the angle scale and
+    the two stretches.
     """
 
     information: Array
-    """(V, 7, 7)."""
+    """(V, P, P)."""
     gradient: Array
-    """(V, 7)."""
+    """(V, P)."""
     cost: Array
     """(V,) half the sum of squared whitened residuals."""
 
@@ -44,7 +49,8 @@ class ScanTerms:
     weights: Array
     """(V, 4) of these control points."""
     equations: ScanEquations
-    """Over the body's pose (3), parameters of its shape, and an error of all ranges, which may be one of these."""
+    """Over the body's pose (3), parameters of its shape, an error of all ranges, which may be one of these, and
+    the errors that depend on the azimuth."""
     scanner_jacobian: Array
     """(V, q, U) of these q parameters, relative to the scanner, by the scanner's unknowns."""
     shape_rows: Index
@@ -58,7 +64,7 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
 
     Args:
         residual: (N,) whitened.
-        jacobian: (N, 7) whitened.
+        jacobian: (N, P) whitened.
         weight: (N,).
         first_beam: (V,) the first beam of each scan.
     """
@@ -66,6 +72,6 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
     weighted = weight * rows
     # One product at a time over all beams: scans have few beams, and there are many scans.
     products = [np.add.reduceat(weighted[i] * rows[j], first_beam) for i, j in zip(_ROWS, _COLUMNS, strict=True)]
-    total = np.empty((len(first_beam), 8, 8))
+    total = np.empty((len(first_beam), len(rows), len(rows)))
     total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
-    return ScanEquations(total[:, :7, :7], total[:, :7, 7], 0.5 * total[:, 7, 7])
+    return ScanEquations(total[:, :-1, :-1], total[:, :-1, -1], 0.5 * total[:, -1, -1])

@@ -2,6 +2,12 @@
 
 Besides pose and clock offset, these are the systematic errors of ranges, angles and clock. A range scale acts like
 larger distances and radii of bodies.
+
+A scan plane that is tilted by the rotation vector ``(a, b, 0)`` in the levelled frame turns the beam of azimuth
+``φ`` into the vertical plane of azimuth ``φ + c sin 2φ - d cos 2φ``, where it measures ``1 + (a² + b²) / 4 + c cos
+2φ + d sin 2φ`` times the horizontal distance, to second order, with ``c = (b² - a²) / 4`` and ``d = -a b / 2``.
+Walls and bodies are vertical: only horizontal distances count. ``c`` and ``d`` are the stretches along x and along
+the diagonal between x and y, and the constant part of the factor is ``sqrt(c² + d²)``: tilts shorten no range.
 """
 
 from collections.abc import Sequence
@@ -11,22 +17,36 @@ import numpy as np
 
 from calgraph.config import Lidar2dUncertainty
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.scan_equations import AZIMUTH_ERRORS, RANGE_ERROR, SCAN_PARAMETERS
 from calgraph.geometry import Array
 from calgraph.result import EstimatedParameter
 
-SYSTEMATIC_ERRORS = ("range bias", "range scale", "angle scale", "clock drift")
+SYSTEMATIC_ERRORS = (
+    "range bias",
+    "range scale",
+    "angle scale",
+    "stretch along x",
+    "stretch along diagonal",
+    "clock drift",
+)
 """In the order of :attr:`NetworkState.systematic`; m, and relative errors."""
-BEAM_ERRORS = SYSTEMATIC_ERRORS[:3]
+BEAM_ERRORS = SYSTEMATIC_ERRORS[:5]
 """Those that displace the points of a scan."""
+TILT_ERRORS = SYSTEMATIC_ERRORS[3:5]
+"""Those by the tilt of the scan plane."""
+# The first errors, which scanners may have in common; scan planes are tilted in any direction.
+_COMMON_ERRORS = 3
 SCANNER_UNKNOWNS = 4 + len(SYSTEMATIC_ERRORS)
 """Pose (3), clock offset, and systematic errors."""
 CLOCK, FIRST_SYSTEMATIC = 3, 4
 """Columns of the clock offset and of the first systematic error."""
-RANGE_BIAS, RANGE_SCALE, ANGLE_SCALE, CLOCK_DRIFT = range(len(SYSTEMATIC_ERRORS))
+RANGE_BIAS, RANGE_SCALE, ANGLE_SCALE, STRETCH_X, STRETCH_DIAGONAL, CLOCK_DRIFT = range(len(SYSTEMATIC_ERRORS))
 """Columns of the systematic errors."""
-_UNITS = ("m", "", "", "")
+# Stretch below which the mean stretch is smooth, that of a tilt of 1.1°: the root has no derivative at zero.
+_MIN_STRETCH = 1e-4
+_UNITS = ("m", "", "", "", "", "")
 # Values of an exact scanner: scales are stated as factors.
-_STATED = (0.0, 1.0, 1.0, 0.0)
+_STATED = (0.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +54,15 @@ class SystematicErrors:
     """Estimated systematic errors of S scanners."""
 
     values: Array
-    """(S, 4) of ``SYSTEMATIC_ERRORS``."""
+    """(S, E) of the E ``SYSTEMATIC_ERRORS``."""
     covariance: Array
-    """(4S, 4S) given the data and all priors, scanner by scanner."""
+    """(ES, ES) given the data and all priors, scanner by scanner."""
     prior: Array
-    """(S, 4) prior standard deviations; 0 for what is exact."""
+    """(S, E) prior standard deviations; 0 for what is exact."""
 
     @property
     def covariance_of_estimated(self) -> Array:
-        """(E, E) of those that are not exact, in the order of :meth:`summarize`."""
+        """Of those that are not exact, in the order of :meth:`summarize`."""
         estimated = np.flatnonzero(self.prior.ravel() > 0)
         return self.covariance[np.ix_(estimated, estimated)]
 
@@ -62,28 +82,29 @@ class SystematicErrors:
 
 
 def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
-    """(S, 4) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference.
+    """(S, E) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference.
 
-    A scan plane that is tilted by ``a`` and ``b`` about two axes measures ranges that are longer than horizontal
-    distances by a share of ``(a² + b²) / 4``, averaged over all directions. It is part of the range scale.
+    Those of stretches are root mean squares over normal tilts about both axes.
     """
-    tilt = np.radians([u.tilt for u in uncertainties])
-    range_scale = np.hypot([u.range_scale for u in uncertainties], tilt**2 / np.sqrt(2))
-    sigma = np.array([[u.range_bias, 0.0, u.angle_scale, u.clock_drift] for u in uncertainties])
-    sigma[:, RANGE_SCALE] = range_scale
+    sigma = np.zeros((len(uncertainties), len(SYSTEMATIC_ERRORS)))
+    sigma[:, RANGE_BIAS] = [u.range_bias for u in uncertainties]
+    sigma[:, RANGE_SCALE] = [u.range_scale for u in uncertainties]
+    sigma[:, ANGLE_SCALE] = [u.angle_scale for u in uncertainties]
+    sigma[:, STRETCH_X] = sigma[:, STRETCH_DIAGONAL] = np.radians([u.tilt for u in uncertainties]) ** 2 / 2
+    sigma[:, CLOCK_DRIFT] = [u.clock_drift for u in uncertainties]
     sigma[slice(0, 1) if estimate_clocks else slice(None), CLOCK_DRIFT] = 0
     return sigma
 
 
 def compute_prior_covariance(sigma: Array, common_share: float) -> Array:
-    """(4S, 4S) prior covariance of the systematic errors of S scanners, scanner by scanner.
+    """(ES, ES) prior covariance of the systematic errors of S scanners, scanner by scanner.
 
     Args:
-        sigma: (S, 4) standard deviations.
-        common_share: of the variance of ``BEAM_ERRORS`` that all scanners have in common.
+        sigma: (S, E) standard deviations.
+        common_share: of the variances of range bias, range scale and angle scale that all scanners have in common.
     """
     kinds = np.tile(np.arange(len(SYSTEMATIC_ERRORS)), len(sigma))
-    common = (kinds[:, None] == kinds) & (kinds < len(BEAM_ERRORS))
+    common = (kinds[:, None] == kinds) & (kinds < _COMMON_ERRORS)
     correlation = np.where(np.eye(len(kinds), dtype=np.bool_), 1.0, common_share * common)
     return np.asarray(np.outer(sigma, sigma) * correlation)
 
@@ -94,39 +115,101 @@ def compute_root_times(network: NetworkProblem, state: NetworkState, scans: Body
     return np.asarray(scans.times - state.clock_offset[scans.scanner] - drift)
 
 
-def predict_measured_ranges(state: NetworkState, scanner: int, ranges: Array) -> Array:
-    """The ranges that a scanner measures instead of true ones, m."""
-    systematic = state.systematic[scanner]
-    return np.asarray((1 + systematic[RANGE_SCALE]) * ranges + systematic[RANGE_BIAS])
+def compute_mean_stretch(systematic: Array) -> tuple[Array, Array]:
+    """By how much tilts make ranges longer on average (...), and its derivatives (..., 2) by both stretches.
+
+    Args:
+        systematic: (..., E or less) ``SYSTEMATIC_ERRORS``.
+    """
+    stretches = systematic[..., STRETCH_X : STRETCH_DIAGONAL + 1]
+    mean = np.sqrt(np.sum(stretches**2, axis=-1) + _MIN_STRETCH**2)
+    return np.asarray(mean - _MIN_STRETCH), np.asarray(stretches / mean[..., None])
 
 
-def compute_turns(state: NetworkState, scans: BodyScans) -> Array:
-    """(N,) angles from stated to true beam directions, rad."""
-    return np.asarray(state.systematic[scans.scanner, ANGLE_SCALE] * scans.azimuth)
+def linearize_beam_errors(systematic: Array) -> tuple[Array, Array]:
+    """The ``BEAM_ERRORS`` (..., 5) with the mean stretch as a part of the range scale, and its derivatives.
+
+    Args:
+        systematic: (..., E) of scanners.
+
+    Returns:
+        The errors, and their derivatives (..., 5, 5) by the ``BEAM_ERRORS``.
+    """
+    errors = systematic[..., : len(BEAM_ERRORS)].copy()
+    mean, by_stretches = compute_mean_stretch(systematic)
+    errors[..., RANGE_SCALE] += mean
+    derivative = np.zeros((*errors.shape, len(BEAM_ERRORS)))
+    derivative[..., range(len(BEAM_ERRORS)), range(len(BEAM_ERRORS))] = 1
+    derivative[..., RANGE_SCALE, STRETCH_X : STRETCH_DIAGONAL + 1] = by_stretches
+    return errors, derivative
+
+
+def compute_stretches(systematic: Array, double_azimuth: Array) -> Array:
+    """(N,) measured over true ranges, less the range bias, at doubled azimuths as unit vectors (2, N)."""
+    mean, _ = compute_mean_stretch(systematic)
+    return np.asarray(
+        1 + systematic[RANGE_SCALE] + mean + systematic[STRETCH_X : STRETCH_DIAGONAL + 1] @ double_azimuth
+    )
+
+
+def compute_turns(systematic: Array, azimuth: Array, double_azimuth: Array) -> Array:
+    """(N,) angles from stated to true beam directions, rad, at azimuths as for :func:`compute_stretches`."""
+    cos, sin = double_azimuth
+    return np.asarray(
+        systematic[ANGLE_SCALE] * azimuth + systematic[STRETCH_X] * sin - systematic[STRETCH_DIAGONAL] * cos
+    )
+
+
+def differentiate_by_azimuth_errors(systematic: Array, scans: BodyScans, ranges: Array, by_turn: Array) -> Array:
+    """(3, N) derivatives of measured ranges by the angle scale and the stretches.
+
+    Args:
+        systematic: (E,) of the scanner.
+        scans: N beams.
+        ranges: (N,) true ones, m.
+        by_turn: (N,) derivatives of measured ranges by the turn of a beam, m/rad.
+    """
+    cos, sin = scans.double_azimuth
+    _, (by_x, by_diagonal) = compute_mean_stretch(systematic)
+    return np.stack(
+        [
+            scans.azimuth * by_turn,
+            (by_x + cos) * ranges + sin * by_turn,
+            (by_diagonal + sin) * ranges - cos * by_turn,
+        ]
+    )
+
+
+def compute_scan_stretches(state: NetworkState, scans: BodyScans) -> Array:
+    """(V, 1) :func:`compute_stretches` at the first beam of each scan."""
+    stretches = compute_stretches(state.systematic[scans.scanner], scans.double_azimuth[:, scans.first_beam])
+    return stretches[:, None]
 
 
 def compute_scanner_jacobian(
     network: NetworkProblem, state: NetworkState, scans: BodyScans, radii: Array, pose: Array, rate: Array
 ) -> Array:
-    """(V, 7, U) of the parameters of :class:`ScanEquations` by the scanner's unknowns."""
-    G = np.zeros((len(pose), 7, SCANNER_UNKNOWNS))
+    """(V, P, U) of the P parameters of :class:`ScanEquations` by the scanner's unknowns."""
+    G = np.zeros((len(pose), SCAN_PARAMETERS, SCANNER_UNKNOWNS))
     arm = pose[:, :2] - state.T_root_scanner[scans.scanner, :2, 2]
     G[:, 0, 0] = G[:, 1, 1] = G[:, 2, 2] = -1
     G[:, 0, 2], G[:, 1, 2] = arm[:, 1], -arm[:, 0]
     G[:, :3, CLOCK] = -rate
     systematic = G[..., FIRST_SYSTEMATIC:]
-    systematic[:, 5, RANGE_BIAS] = 1
+    systematic[:, RANGE_ERROR, RANGE_BIAS] = 1
     # Ranges are homogeneous in relative positions and radii (Euler's theorem).
-    systematic[:, :2, RANGE_SCALE] = arm / (1 + state.systematic[scans.scanner, RANGE_SCALE])
-    systematic[:, 3:5, RANGE_SCALE] = radii / (1 + state.systematic[scans.scanner, RANGE_SCALE])
-    systematic[:, 6, ANGLE_SCALE] = 1
+    stretch = compute_scan_stretches(state, scans)
+    systematic[:, :2, RANGE_SCALE] = arm / stretch
+    systematic[:, 3:5, RANGE_SCALE] = radii / stretch
+    systematic[:, AZIMUTH_ERRORS, [ANGLE_SCALE, STRETCH_X, STRETCH_DIAGONAL]] = 1
     systematic[:, :3, CLOCK_DRIFT] = G[:, :3, CLOCK] * (scans.times - network.mid_time)[:, None]
     return G
 
 
 def correct_points(points: Array, systematic: Array) -> Array:
-    """Points (N, 2) of a scanner without its ``BEAM_ERRORS`` (3,)."""
-    bias, range_scale, angle_scale = systematic
+    """Points (N, 2) of a scanner without its ``BEAM_ERRORS``."""
     ranges, azimuth = np.linalg.norm(points, axis=1), np.arctan2(points[:, 1], points[:, 0])
-    azimuth, ranges = (1 + angle_scale) * azimuth, (ranges - bias) / (1 + range_scale)
+    double_azimuth = np.stack([np.cos(2 * azimuth), np.sin(2 * azimuth)])
+    ranges = (ranges - systematic[RANGE_BIAS]) / compute_stretches(systematic, double_azimuth)
+    azimuth = azimuth + compute_turns(systematic, azimuth, double_azimuth)
     return np.column_stack([ranges * np.cos(azimuth), ranges * np.sin(azimuth)])

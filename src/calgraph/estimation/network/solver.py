@@ -37,17 +37,25 @@ from calgraph.estimation.network.problem import (
     NetworkState,
     WallConstraint,
 )
-from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_scans
+from calgraph.estimation.network.scan_equations import (
+    AZIMUTH_ERRORS,
+    RANGE_ERROR,
+    SCAN_PARAMETERS,
+    ScanEquations,
+    sum_over_scans,
+)
 from calgraph.estimation.network.scanner_unknowns import (
     BEAM_ERRORS,
     CLOCK,
     FIRST_SYSTEMATIC,
-    RANGE_SCALE,
+    RANGE_BIAS,
     SCANNER_UNKNOWNS,
     compute_prior_covariance,
     compute_scanner_jacobian,
+    compute_stretches,
     compute_turns,
-    predict_measured_ranges,
+    differentiate_by_azimuth_errors,
+    linearize_beam_errors,
 )
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.geometry import Array, Index, se2
@@ -259,7 +267,7 @@ def _linearize_body(
 def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array) -> RaycastHits:
     """Predicted measurements of a body with the given pose and rate (V, 3) at the scans' times.
 
-    Their Jacobian (N, 7) is by the parameters of :class:`ScanEquations`.
+    Their Jacobian (N, P) is by the parameters of :class:`ScanEquations`.
     """
     scan = index_scans(scans)
     T = state.T_root_scanner[scans.scanner]
@@ -268,15 +276,18 @@ def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Ar
     cos, sin = np.cos(pose[:, 2])[scan], np.sin(pose[:, 2])[scan]
     axis = rotate_by_small_angles(cos, sin, scans.beam_delay * rate[scan, 2])
     direction = T[:2, :2] @ scans.direction.T
-    turn = compute_turns(state, scans)
+    systematic = state.systematic[scans.scanner]
+    turn = compute_turns(systematic, scans.azimuth, scans.double_azimuth)
     if turn.any():
         direction = rotate_by_small_angles(direction[0], direction[1], turn)
     hits = raycast_ellipses_by_axis(T[:2, 2], direction.T, np.stack([x, y]).T, axis, path.radii)
-    jacobian, stretch = np.empty((7, len(scan))), 1 + state.systematic[scans.scanner, RANGE_SCALE]
-    jacobian[:5], jacobian[5] = stretch * hits.jacobian.T, 1
+    jacobian, stretch = np.empty((SCAN_PARAMETERS, len(scan))), compute_stretches(systematic, scans.double_azimuth)
+    jacobian[:RANGE_ERROR], jacobian[RANGE_ERROR] = stretch * hits.jacobian.T, 1
     across = jacobian[1] * direction[0] - jacobian[0] * direction[1]
-    jacobian[6] = -scans.azimuth * hits.ranges * across
-    ranges = predict_measured_ranges(state, scans.scanner, hits.ranges)
+    jacobian[AZIMUTH_ERRORS] = differentiate_by_azimuth_errors(
+        systematic, scans, hits.ranges, -hits.ranges * across
+    )
+    ranges = stretch * hits.ranges + systematic[RANGE_BIAS]
     return RaycastHits(ranges, hits.cos_incidence, jacobian.T)
 
 
@@ -352,7 +363,7 @@ def compute_heading_offsets(
 def _add_wall(state: NetworkState, wall: WallConstraint, H: Array, g: Array) -> float:
     """Adds a wall constraint to the equations, in place; returns its cost."""
     T_a, T_b = state.T_root_scanner[wall.a], state.T_root_scanner[wall.b]
-    errors = state.systematic[[wall.a, wall.b], : len(BEAM_ERRORS)]
+    errors, by_systematic = linearize_beam_errors(state.systematic[[wall.a, wall.b]])
     error = se2.difference(se2.inverse(T_a) @ T_b, wall.T_a_b) - wall.by_beam_errors @ errors.ravel()
     R, arm = T_a[:2, :2], T_b[:2, 2] - T_a[:2, 2]
     by_a, by_b = np.zeros((2, 3, SCANNER_UNKNOWNS))
@@ -360,7 +371,8 @@ def _add_wall(state: NetworkState, wall: WallConstraint, H: Array, g: Array) -> 
     by_a[:2, :2], by_a[2, 2] = -R.T, -1
     by_a[:2, 2] = -R.T @ np.array([-arm[1], arm[0]])
     beam_errors = slice(FIRST_SYSTEMATIC, FIRST_SYSTEMATIC + len(BEAM_ERRORS))
-    by_a[:, beam_errors], by_b[:, beam_errors] = np.split(-wall.by_beam_errors, 2, axis=1)
+    by_errors_of_a, by_errors_of_b = np.split(-wall.by_beam_errors, 2, axis=1) @ by_systematic
+    by_a[:, beam_errors], by_b[:, beam_errors] = by_errors_of_a, by_errors_of_b
     J = np.concatenate([by_a, by_b], axis=1)
     columns = (SCANNER_UNKNOWNS * np.array([[wall.a], [wall.b]]) + np.arange(SCANNER_UNKNOWNS)).ravel()
     H[np.ix_(columns, columns)] += J.T @ wall.information @ J

@@ -47,13 +47,13 @@ class _Likelihood:
 def estimate_systematic_sigma(
     network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
 ) -> Array:
-    """(S, 4) standard deviations of systematic errors, from the posterior of their share.
+    """(S, E) standard deviations of systematic errors, from the posterior of their share.
 
     Args:
         network: with the priors of the equations.
         state: of the equations.
         equations: near the minimum.
-        prior_sigma: (S, 4) the largest standard deviations; 0 for what is exact.
+        prior_sigma: (S, E) the largest standard deviations; 0 for what is exact.
     """
     likelihood, columns = _marginalize_poses(network, state, equations)
     common_share = network.settings.common_error_share
@@ -76,7 +76,7 @@ def estimate_systematic_sigma(
 def _marginalize_poses(
     network: NetworkProblem, state: NetworkState, equations: NetworkEquations
 ) -> tuple[_Likelihood, Index]:
-    """The likelihood of the estimated systematic errors, and their indices among all (4S)."""
+    """The likelihood of the estimated systematic errors, and their indices among all (ES)."""
     H, g, _ = equations.eliminate_bodies()
     column = equations.unknowns % SCANNER_UNKNOWNS
     systematic = column > CLOCK
