@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from calgraph.config import People, Rig
+from calgraph.config import Lidar2dUncertainty, People, Rig
+from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.simulation import NetworkScenario
 
 ROOMS = ("office", "lab", "halls")
@@ -63,6 +64,25 @@ def _state_radii(rig: Rig, size: float) -> Rig:
     return rig.model_copy(update={"target": rig.target.model_copy(update={"axes": (across, along)})})
 
 
+_PRIOR = Lidar2dUncertainty()
+# Simulated errors are normal and cut off at two standard deviations, which leaves them 0.88.
+_CUT_OFF = 0.88
+_DRAWN: dict[str, Any] = {
+    "range_bias": _PRIOR.range_bias / _CUT_OFF,
+    "range_scale": _PRIOR.range_scale / _CUT_OFF,
+    "angle_scale": _PRIOR.angle_scale / _CUT_OFF,
+    "common_share": NetworkEstimationSettings().common_error_share,
+    "clock_drift": 1e6 * _PRIOR.clock_drift / _CUT_OFF,
+    "tilt": _PRIOR.tilt / _CUT_OFF,
+}
+"""Every systematic error of scanners drawn from its prior: what the stated covariances are made for."""
+
+
+def _draw_errors(share: float) -> dict[str, Any]:
+    """Errors of scanners as large as a share of their priors; a share of ranges' and angles' is common."""
+    return {name: value if name == "common_share" else share * value for name, value in _DRAWN.items()}
+
+
 _HEAVY: dict[str, Any] = {
     "people": {"shape": "legs", "count": 4, "stop_every": 10.0},
     "chairs": 4,
@@ -72,6 +92,7 @@ _HEAVY: dict[str, Any] = {
 """Four people who stop often, chairs, and mixed scanners with clocks that are off."""
 KINDS: Mapping[str, Kind] = {
     "right": Kind(lambda _: {}),
+    "drawn": Kind(lambda share: {"errors": _draw_errors(share)}, (1.0, 0.25), "of priors"),
     "legs": Kind(lambda n: {"people": {"shape": "legs", "count": int(n)}}, (2, 4), "people"),
     "legs_height": Kind(
         lambda cm: {"people": {"shape": "legs"}, "scanner": {"height": cm / 100}}, (15, 45, 60), "cm"

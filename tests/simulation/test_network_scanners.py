@@ -57,6 +57,18 @@ def test_a_range_bias_is_added_to_all_ranges(right: dict[str, list[LaserScan]]) 
         assert np.nanmax(np.abs(off - truth.errors[name]["range_bias"])) < 1e-12
 
 
+def test_errors_of_ranges_and_angles_may_be_common_to_all_scanners() -> None:
+    """A share of 0.75 of their variance leaves half of each scanner's part."""
+    sizes = {"range_bias": 0.02, "range_scale": 0.01, "angle_scale": 0.01}
+    [apart, mixed, common] = [
+        [list(one.values()) for one in simulate(**sizes, common_share=share)[1].errors.values()]
+        for share in (0.0, 0.75, 1.0)
+    ]
+    assert np.ptp(apart, axis=0).min() > 1e-3
+    np.testing.assert_allclose(np.ptp(common, axis=0), 0, atol=1e-15)
+    np.testing.assert_allclose(np.ptp(mixed, axis=0), np.ptp(apart, axis=0) / 2)
+
+
 def test_a_range_scale_multiplies_all_ranges(right: dict[str, list[LaserScan]]) -> None:
     scans, truth = simulate(range_scale=0.01)
     for name, sent in scans.items():

@@ -194,6 +194,10 @@ def _add_errors(
     inverted = others[: errors.inverted]
     bumped = int(rng.integers(count))
     step = _draw_step(errors, rng)
+    common = norm.ppf(rng.uniform(low, high, (3, 1))) * np.sqrt(errors.common_share)
+    bias, range_scale, angle_scale = (
+        np.sqrt(1 - errors.common_share) * np.stack([bias, range_scale, angle_scale]) + common
+    )
     found = [
         replace(
             scanner,

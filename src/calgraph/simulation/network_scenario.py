@@ -153,6 +153,8 @@ class NetworkErrors(StrictModel):
     """Standard deviation of the relative error of ranges."""
     angle_scale: Annotated[float, Field(ge=0, lt=0.05)] = 0.0
     """Standard deviation of the relative error of beam angles, from the middle of the field of view."""
+    common_share: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Share of the variance of the three errors above that all scanners have in common."""
     tilt: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Standard deviation of the tilt of the scan plane about each horizontal axis, degrees; walls and ellipses are
     vertical, legs are cut at the height of the beam, which may reach the floor."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config.settings import LegSettings
+from calgraph.estimation.network.ellipse_raycast import rotate_by_small_angles
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath, compute_shape_prior
 from calgraph.estimation.network.leg_raycast import LegHits, raycast_legs
 from calgraph.estimation.network.path_equations import (
@@ -61,7 +62,7 @@ def raycast_leg(
     direction = T[:2, :2] @ scans.direction.T
     systematic = state.systematic[scans.scanner]
     turn = compute_turns(systematic, scans.azimuth, scans.double_azimuth)
-    direction = direction + turn * np.stack([-direction[1], direction[0]])
+    direction = rotate_by_small_angles(direction[0], direction[1], turn)
     body = network.settings.legs.body
     hits = raycast_legs(
         T[:2, 2], direction.T, np.stack([x, y], axis=1), heading, path.shape, body.harmonics, body.max_edge_ratio
