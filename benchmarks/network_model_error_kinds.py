@@ -92,7 +92,7 @@ _HEAVY: dict[str, Any] = {
 """Four people who stop often, chairs, and mixed scanners with clocks that are off."""
 KINDS: Mapping[str, Kind] = {
     "right": Kind(lambda _: {}),
-    "drawn": Kind(lambda share: {"errors": _draw_errors(share)}, (1.0, 0.25), "of priors"),
+    "drawn": Kind(lambda share: {"errors": _draw_errors(share)}, (1.0, 0.25, 0.0625), "of prior"),
     "legs": Kind(lambda n: {"people": {"shape": "legs", "count": int(n)}}, (2, 4), "people"),
     "legs_height": Kind(
         lambda cm: {"people": {"shape": "legs"}, "scanner": {"height": cm / 100}}, (15, 45, 60), "cm"
