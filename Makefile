@@ -1,4 +1,4 @@
-# Everything happens in .venv; each target does its own set-up. See CONTRIBUTING.md.
+# Everything happens in .venv; each target does its set-up. See CONTRIBUTING.md.
 #
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
@@ -11,7 +11,7 @@ READY := .venv/.ready
 export PIP_NO_INPUT := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-help:  ## say what there is
+help:  ## list the targets
 	@grep -hE '^[a-z]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*  ## (.*)/make \1\t\2/' | expand -t 20
 
 setup: $(READY)  ## make .venv with calgraph and all tools in it
@@ -19,7 +19,7 @@ setup: $(READY)  ## make .venv with calgraph and all tools in it
 demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in demo/
 	$(BIN)/calgraph demo --out demo --force
 
-# Every core runs tests of its own, so NumPy needs no more threads.
+# One process per core runs tests, so NumPy needs no more threads.
 test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
@@ -31,7 +31,7 @@ coverage:  ## run the tests and measure coverage; fails below the limit in pypro
 N := 50
 SEED := 0
 JOBS := $(shell nproc 2>/dev/null || echo 2)
-mutants: .venv/.mutants  ## change N random places of ROOM, one at a time, and list the changes that no test notices
+mutants: .venv/.mutants  ## change N random places of ROOM, one at a time, and list the changes that no test detects
 	$(BIN)/python benchmarks/mutants.py $(ROOM) -n $(N) --seed $(SEED) --jobs $(JOBS) --tests $(TESTS)
 
 check: $(READY)  ## lint, format, types, and who may import whom
@@ -53,7 +53,7 @@ requirements: $(READY)  ## pin the newest versions that pyproject.toml allows, w
 clean:  ## remove .venv, results of the demo and all caches
 	rm -rf .venv demo build .coverage* docs/_build docs/gallery docs/generated src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
-# The environment is made anew only when what is pinned has changed; a change of pyproject.toml needs no network.
+# The environment is made again only when what is pinned has changed; a change of pyproject.toml needs no network.
 .venv/.pinned: requirements/dev.txt requirements/install
 	requirements/install .venv
 	touch $@

@@ -8,10 +8,10 @@ python benchmarks/efficiency.py --runs 200 --stated 2          # rig.yaml states
 python benchmarks/efficiency.py --systematic drawn             # systematic errors drawn from the priors
 python benchmarks/efficiency.py --systematic exact             # none, and rig.yaml states so: uncertainty 0
 
-Of an efficient estimator, the RMSE over the bound is 1 up to chance; of honest covariances, so is the NEES per
-degree of freedom, and their 95 % ellipsoids hold the truth in 95 % of runs. Chance is stated as 99 % intervals.
-Against the ideal estimate, which has the same noise before it and starts at the truth, chance cancels for the most
-part. ``pairwise`` is the start along the spanning tree.
+The RMSE of an efficient estimator over the bound is 1 up to chance. With consistent covariances, so is the NEES
+per degree of freedom, and 95 % ellipsoids contain the ground truth in 95 % of runs. Intervals are of 99 %.
+Relative to the ideal estimate, which has the same noise and starts at the ground truth, chance cancels for the
+most part. ``pairwise`` is the start along the spanning tree.
 
 How long estimators take is in solve_times.py.
 """
@@ -60,7 +60,7 @@ Uncertainty = TypeVar("Uncertainty", bound=BaseModel)
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a calibration gets, and the truth to judge it by."""
+    """What a calibration gets, and the ground truth to judge it by."""
 
     rig: Rig
     captured: CaptureSet
@@ -116,7 +116,7 @@ class Outcomes:
 
     @property
     def nees(self) -> Array:
-        """(R, S) squared Mahalanobis distance of the truth from the estimate."""
+        """(R, S) squared Mahalanobis distance of the ground truth from the estimate."""
         return squared(self.errors, self.covariances)
 
     @property
@@ -174,7 +174,7 @@ def main() -> None:
 
 
 def scenario_of(captures: int) -> RigScenario:
-    """The five-sensor rig with so many captures, a multiple of 24."""
+    """The five-sensor rig with a number of captures, a multiple of 24."""
     samples, rest = divmod(captures, 24)
     if rest or not samples:
         raise SystemExit(f"--captures: must be a multiple of 24, got {captures}")
@@ -259,9 +259,9 @@ def solution(problem: Problem, estimator: str) -> tuple[Mapping[str, Array], Map
 
 
 def ideal_errors(recording: Recording) -> Array:
-    """(S, 6) errors of one Gauss–Newton step from the truth, with the true noise: no estimator errs less.
+    """(S, 6) errors of one Gauss–Newton step from the ground truth, with the true noise: no estimator is better.
 
-    They are distributed as the bound says, but share their noise with the estimators'.
+    They are distributed as the bound states, but share their noise with the estimators'.
     """
     seen, T_root_sensor = recording.captured.detections, recording.T_root_sensor
     boards = [
@@ -281,7 +281,7 @@ def ideal_errors(recording: Recording) -> Array:
 
 
 def with_noise_about_truth(recording: Recording) -> Rig:
-    """The rig with the noise of its measurements about the truth.
+    """The rig with the noise of its measurements about the ground truth.
 
     That is not what rig.yaml states: detectors find corners more precisely, and average beams over scans.
     """
@@ -356,7 +356,9 @@ def show(outcomes: Mapping[str, Outcomes]) -> None:
 
 def show_paired(outcomes: Mapping[str, Outcomes]) -> None:
     """Prints RMSE over that of the ideal estimate."""
-    print("\nRMSE over that of the ideal estimate from the same noise, one Gauss–Newton step from the truth")
+    print(
+        "\nRMSE over that of the ideal estimate from the same noise, one Gauss–Newton step from the ground truth"
+    )
     print(f"{'':26}" + "".join(f"{axis:>7}" for axis in AXES))
     for name, outcome in outcomes.items():
         ratios, factors = outcome.paired
@@ -376,8 +378,8 @@ def show_nees(outcomes: Mapping[str, Outcomes], names: Sequence[str], runs: int)
 
 
 def show_coverage(outcomes: Mapping[str, Outcomes]) -> None:
-    """Prints how often 95 % ellipsoids hold the truth."""
-    print(f"\nShare of runs in which the 95 % ellipsoid holds the truth ({CONFIDENCE:.0%} interval of the share)")
+    """Prints how often 95 % ellipsoids hold the ground truth."""
+    print(f"\nShare of runs with the ground truth in the 95 % ellipsoid ({CONFIDENCE:.0%} interval of the share)")
     for name, outcome in outcomes.items():
         for i, sensor in enumerate(outcome.sensors):
             found = outcome.nees[np.isfinite(outcome.nees[:, i]), i]

@@ -3,8 +3,9 @@
 Graphs join every pair of 6 to 8 sensors in a 10 m square, edges have 0.7° and 5 cm of noise, and wrong ones are
 anywhere, turned anyhow. A sensor is found if it is within 0.5 m and 5°.
 
-No method can tell which of a sensor's edges is right if only one is and others disagree: a graph is *decidable* if
-its right edges still connect all sensors without any one of them. Success is given over all graphs and over those.
+No method can determine which of a sensor's edges is right if only one is and others disagree: a graph is
+*decidable* if its right edges still connect all sensors without any one of them. Success is given over all graphs
+and over those.
 
 Rotation methods are followed by least-squares translations over the edges whose rotation they agree with.
 

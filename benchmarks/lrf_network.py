@@ -1,8 +1,8 @@
 """Tables I-IV of the network's paper on simulated counterparts of its recordings, beside the estimators here.
 
 Quenzel, Papenberg, Behnke, "Robust extrinsic calibration of multiple stationary laser range finders", 2016.
-Errors are of all scanners but the root, over all seeds, against the truth; scanners without a pose have none, and
-are counted as grossly wrong, as are those off by more than 0.5 m or 5 degrees.
+Errors are of all scanners but the root, over all seeds, against the ground truth. Scanners without a pose have
+none, and are counted as grossly wrong, as are those off by more than 0.5 m or 5 degrees.
 
 Differences from the paper: everything is simulated. On its ring of 60 m with a range of 20 m, the cuboid in the
 middle, the only background, is out of every scanner's range, and neighbours detect the cylinder simultaneously for
@@ -197,7 +197,7 @@ def is_worse(errors: Array, others: Array) -> bool:
 
 
 def table_summary(runs: Runs) -> None:
-    """Prints accuracy, reliability and honesty of ours."""
+    """Prints accuracy, reliability and consistency of ours."""
     print("\nOurs: errors, recordings without a grossly wrong scanner, squared errors over covariances")
     print(f"{'scenario':12}{'people':8}{'':11}{HEADER}{'clean':>10}{'nees/3':>8}")
     for (cell, found), (name, setup) in product(runs.items(), OURS.items()):

@@ -1,4 +1,4 @@
-"""What a calibration says where the world differs from rig.yaml: one thing at a time is made wrong.
+"""The verdict of a calibration where the world differs from rig.yaml: one thing at a time is made wrong.
 
 python benchmarks/model_errors.py --jobs 3                       # all kinds, rigs and seeds; 102 right runs
 python benchmarks/model_errors.py --kinds print_scale tag_size   # some kinds, and right runs of the same seeds
@@ -187,7 +187,7 @@ def with_captures(world: World, count: int, rng: np.random.Generator) -> World:
 
 
 def judge(case: tuple[str, str, float, int], rig: Rig, captured: CaptureSet, truth: GroundTruth) -> Outcome:
-    """Calibrates, and compares with the truth."""
+    """Calibrates, and compares with the ground truth."""
     began = time.perf_counter()
     try:
         problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(case[3]))

@@ -1,4 +1,4 @@
-"""What a calibration of a network says where the world differs from its model.
+"""The verdict of a calibration of a network where the world differs from its model.
 
 python benchmarks/network_model_errors.py --jobs 2                          # all kinds, rooms and five seeds
 python benchmarks/network_model_errors.py --kinds legs --seeds 0 1 2        # some kinds
@@ -9,7 +9,7 @@ python benchmarks/network_model_errors.py --csv scanners.csv                # a 
 
 A scanner is *confidently wrong* if its verdict is good and its pose is outside of the 99.9 % ellipsoid of its
 covariance by more than 5 mm or 0.1 degrees, *grossly wrong* if its verdict is good and it is off by more than
-0.5 m or 5 degrees; ``out`` counts those outside of the ellipsoid whatever the verdict. NEES is per degree of
+0.5 m or 5 degrees; ``out`` counts those outside of the ellipsoid with any verdict. NEES is per degree of
 freedom (x, y, yaw). The pose is compared with the one at the end of the recording, clock offsets with those in its
 middle. Kinds are those of network_model_error_kinds.py.
 """
@@ -175,7 +175,7 @@ def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Out
 def judge(
     case: tuple[str, float, str, int, str], found: Calibration, truth: GroundTruth, seconds: float
 ) -> Outcome:
-    """Compares one scanner with the truth."""
+    """Compares one scanner with the ground truth."""
     evidence, name = found.evidence, case[-1]
     remarks = " | ".join(evidence.remarks)
     sensor = next((one for one in found.sensors if one.name == name), None)

@@ -1,7 +1,7 @@
 """Time and memory of the joint solution of a network, against its scanners and minutes.
 
 Each number of scanners is a grid of them, with two walkers for five. Ten minutes are one minute ten times over,
-shifted. Pairs are not estimated: the start is the truth, wrong by 2 cm and 0.2 degrees. Seconds are of one
+shifted. Pairs are not estimated: the start is the ground truth, wrong by 2 cm and 0.2 degrees. Seconds are of one
 processor; memory is the peak of the whole process, and what it was before the solution began.
 
     python benchmarks/lrf_network.py --tables time

@@ -59,7 +59,7 @@ def _cost_of_calibrating(rig: Path, recording: Path, out: Path) -> Cost:
     command = [sys.executable, "-c", "from calgraph.cli import main; main()", "calibrate"]
     began = time.perf_counter()
     process = subprocess.Popen([*command, str(rig), str(recording), "-o", str(out)], stdout=subprocess.DEVNULL)
-    # wait4 tells the usage of this one process; the sum over all children would mix the runs.
+    # wait4 returns the usage of this one process; the sum over all children would mix the runs.
     _, status, usage = os.wait4(process.pid, 0)
     wall = time.perf_counter() - began
     process.returncode = os.waitstatus_to_exitcode(status)

@@ -1,4 +1,4 @@
-"""Worst sensor of simulated five-sensor rigs against the truth, recording by recording.
+"""Worst sensor of simulated five-sensor rigs against the ground truth, recording by recording.
 
 python benchmarks/rig_seeds.py --seeds 20                  # clean
 python benchmarks/rig_seeds.py --seeds 20 --disturbed 0.1  # the board slips in 10 % of the captures
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def _nees(calibration: Calibration, truth: GroundTruth) -> float:
-    """Mean normalised estimation error squared per degree of freedom: 1 where covariances are honest."""
+    """Mean normalised estimation error squared per degree of freedom: 1 where covariances are consistent."""
     values = []
     for sensor in calibration.sensors:
         if sensor.parent is not None:

@@ -80,7 +80,7 @@ def show(sensors: int, captures: int, repeat: int, oracle: bool) -> None:
 
 
 def scenario_of(sensors: int, captures: int) -> RigScenario:
-    """A rig of so many sensors, and so many captures, a multiple of 24."""
+    """A rig with numbers of sensors and captures, the latter a multiple of 24."""
     samples, rest = divmod(captures, 24)
     if rest or not samples:
         raise SystemExit(f"--captures: must be multiples of 24, got {captures}")

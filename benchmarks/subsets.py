@@ -4,7 +4,7 @@ python benchmarks/subsets.py                        # k = 8, 11, 12, 16, 20, 24 
 python benchmarks/subsets.py --k 8 16 --draws 20 --jobs 4
 python benchmarks/subsets.py --ransac-seeds 100     # one verdict and one pose for all seeds of RANSAC
 
-Data: acfr-vlp16-checkerboard in ../shared/data, or where CALGRAPH_DATA says; all 40 captures. The board is
+Data: acfr-vlp16-checkerboard in ../shared/data, or in CALGRAPH_DATA; all 40 captures. The board is
 detected in whole sweeps, with up to eight candidates a sweep, as no background was recorded.
 
 Poses from k captures are compared with those from all other captures: M is the squared Mahalanobis distance, of

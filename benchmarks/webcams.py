@@ -2,7 +2,7 @@
 
 python benchmarks/webcams.py
 
-Data: four-webcams-charuco-corners in ../shared/data, or where CALGRAPH_DATA says: corners in 48 synchronized
+Data: four-webcams-charuco-corners in ../shared/data, or in CALGRAPH_DATA: corners in 48 synchronized
 frames of a board that never rests; camera 1 faces the mirrored print on its back. Each frame is one capture. Plain
 least squares has the same corners, fixed intrinsics and equal weights.
 

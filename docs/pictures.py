@@ -153,7 +153,7 @@ SEEDS = range(3)
 
 
 def height_deviation(tilt: float, samples: int, seed: int) -> float:
-    """Standard deviation of a 2-D scanner's height with boards tilted by up to so many degrees, mm."""
+    """Standard deviation of a 2-D scanner's height with boards tilted by up to a number of degrees, mm."""
     scenario = RigScenario(
         laser=LaserOptions(count=1, resolution=0.5),
         multibeam=MultibeamOptions(count=1, resolution=0.4),

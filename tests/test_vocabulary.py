@@ -13,7 +13,11 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "calgraph"
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/decisions/*.md")])
 TEMPLATES = sorted([*SOURCE.rglob("*.html"), *SOURCE.rglob("*.js")])
-MODULES = [*sorted(SOURCE.rglob("*.py")), *sorted(ROOT.glob("docs/examples/*.py"))]
+MODULES = sorted(
+    path
+    for pattern in ("src/**/*.py", "docs/*.py", "docs/examples/*.py", "benchmarks/*.py")
+    for path in ROOT.glob(pattern)
+)
 FILES = [*PAGES, *TEMPLATES, *MODULES]
 
 STANDARD_TERMS = {
@@ -32,7 +36,7 @@ STANDARD_TERMS = {
     r"rivals?": "ambiguous pose, alternative",
     r"alike|faint(?:ly)?|glimpses?|visits?|knobs?": "the technical term",
     r"honest(?:ly|y)?": "consistent",
-    r"trust(?:s|ed|ing|worthy)?": "reliable, verdict",
+    r"trust(?:s|ed|ing|worthy)?(?! region)": "reliable, verdict",
     r"anew": "again",
     r"(?<!ground )truth(?!\.yaml)": "ground truth",
     r"so many|for want of|held off|holds? off|at once|all the same": "how many, for lack of, jointly",
