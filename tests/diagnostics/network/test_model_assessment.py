@@ -145,6 +145,15 @@ def test_averages_are_evidence_against_legs_whatever_their_radii() -> None:
     assert any("from averaged pairs" in finding.text for finding in assess(legs, averaging_error=0.2).findings)
 
 
+def test_averages_of_legs_may_be_farther_off_than_their_covariance_states() -> None:
+    """5.5 standard deviations of 2 cm, of which legs make 28 mm."""
+    problem, state = build_network()
+    legs = SolvedNetwork(problem, state, linearize_network(problem, state))
+    for solved, disagree in ((legs, False), (solve(), True)):
+        found = assess(solved, averaging_error=0.11).findings
+        assert any("from averaged pairs" in finding.text for finding in found) is disagree
+
+
 @pytest.mark.parametrize("axes", [(0.18, 0.15), (0.25, 0.19)])
 def test_averages_with_stated_radii_that_are_wrong_are_no_evidence(axes: tuple[float, float]) -> None:
     assert assess(solve(), averaging_error=0.2, axes=axes).findings == ()

@@ -73,8 +73,10 @@ def assess_network_model(
         if scatter.ratio > settings.max_good_scatter:
             findings.append(_describe_scatter(scatter, names, settings))
     refuted = any(finding.refutes for finding in findings)
-    if _measure_radius_deviation(target, solved) < settings.max_radius_deviation:
+    legs = isinstance(solved.problem.bodies[0], LegObservations)
+    if legs or _measure_radius_deviation(target, solved) < settings.max_radius_deviation:
         covariance = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
+        covariance *= settings.leg_averaging_variance if legs else 1.0
         disagreement = [*find_disagreement(joint, averaged.T_root_node, covariance, names, settings)]
         refuted |= bool(findings and disagreement)
         findings += disagreement
@@ -102,9 +104,7 @@ def _describe_scatter(scatter: Scatter, names: Sequence[str], settings: NetworkM
 
 
 def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) -> float:
-    """Largest relative deviation of the mean radii of all bodies from the stated ones; 0 for legs without any."""
-    if isinstance(solved.problem.bodies[0], LegObservations):
-        return 0.0
+    """Largest relative deviation of the mean radii of all bodies from the stated ones."""
     stated: Array = np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
     beams = [sum(len(scans.ranges) for scans in body.scans) for body in solved.problem.bodies]
     radii = np.average([path.radii for path in solved.state.paths], axis=0, weights=beams)
