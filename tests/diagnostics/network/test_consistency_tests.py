@@ -25,8 +25,8 @@ NAMES = ("west", "east", "north")
 SETTINGS = NetworkModelSettings()
 
 
-def find(change: Change = no_change, seed: int = 0) -> list[Finding]:
-    return list(find_inconsistent_parts(split(change, seed), NAMES, SETTINGS))
+def find(change: Change = no_change, seed: int = 0, variance_factor: float = 1.0) -> list[Finding]:
+    return list(find_inconsistent_parts(split(change, seed), NAMES, variance_factor, SETTINGS))
 
 
 def split(change: Change = no_change, seed: int = 0) -> Contributions:
@@ -55,6 +55,14 @@ def test_a_scanner_that_turned_gives_halves_that_differ() -> None:
     assert angle == pytest.approx(0.4, abs=0.2)
     assert "east" in halves.sensors
     assert not halves.refutes
+
+
+def test_differences_are_compared_with_the_variance_that_parts_have() -> None:
+    def change(_body: int, scans: BodyScans) -> BodyScans:
+        return turn(scans, 0.002, (scans.times > MIDDLE) & (scans.scanner == 1))
+
+    assert find(change)
+    assert find(change, variance_factor=25.0) == []
 
 
 def test_a_clock_that_steps_gives_halves_that_differ() -> None:
@@ -100,7 +108,7 @@ def test_one_body_cannot_be_compared_with_another() -> None:
         equations=replace(solved.equations, bodies=solved.equations.bodies[:1]),
     )
     parts = split_contributions(one, SETTINGS.interval)
-    assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, SETTINGS))
+    assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS))
 
 
 def disagree(error: float, sigma: float) -> list[Finding]:
@@ -153,7 +161,7 @@ def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
     network = replace(solved.problem, bodies=bodies)
     state, equations = optimize_network(network, solved.state, iterations=6)
     parts = split_contributions(SolvedNetwork(network, state, equations), SETTINGS.interval)
-    found = find_inconsistent_parts(parts, NAMES, SETTINGS)
+    found = find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS)
     assert not any("the first and the second half" in one.text for one in found)
 
 

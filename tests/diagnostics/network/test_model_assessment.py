@@ -51,7 +51,7 @@ def assess(
     axes: tuple[float, float] = AXES,
     *,
     replaceable: bool = True,
-    max_good_scatter: float = 1.5,
+    max_good_scatter: float = 2.0,
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
     joint = NetworkSolution(T_ROOT, OFFSET, 1e-6 * np.eye(12), True, 0.005, solved)

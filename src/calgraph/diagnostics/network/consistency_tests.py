@@ -25,13 +25,14 @@ _DIFFERENCE_RIDGE = 1.0
 
 
 def find_inconsistent_parts(
-    parts: Contributions, names: Sequence[str], settings: NetworkModelSettings
+    parts: Contributions, names: Sequence[str], variance_factor: float, settings: NetworkModelSettings
 ) -> Iterator[Finding]:
     """Halves of the recording, or groups of people, that give other poses.
 
     Args:
         parts: of the joint solution.
         names: of its scanners, the root first.
+        variance_factor: observed over expected variance of the parts, at least 1.
         settings: probability of a false alarm.
     """
     halves: Mapping[str, NDArray[np.bool_]] = {
@@ -39,7 +40,7 @@ def find_inconsistent_parts(
         "two groups of people, each over the whole recording,": _split_by_body(parts),
     }
     for description, first in halves.items():
-        yield from _test_halves(parts, first, description, names, settings)
+        yield from _test_halves(parts, first, description, names, variance_factor, settings)
 
 
 def _split_by_time(parts: Contributions) -> NDArray[np.bool_]:
@@ -67,6 +68,7 @@ def _test_halves(
     first: NDArray[np.bool_],
     description: str,
     names: Sequence[str],
+    variance_factor: float,
     settings: NetworkModelSettings,
 ) -> Iterator[Finding]:
     """Score tests of a difference of poses and clocks between two halves: of each scanner alone, and of all.
@@ -77,9 +79,10 @@ def _test_halves(
     if first.all() or not first.any():
         return
     score, information, scale = parts.test_difference(first)
+    normalized = score / np.sqrt(variance_factor)
 
     def test(unknowns: NDArray[np.intp]) -> float:
-        return compute_p_value(score[unknowns], information[np.ix_(unknowns, unknowns)], scale[unknowns])
+        return compute_p_value(normalized[unknowns], information[np.ix_(unknowns, unknowns)], scale[unknowns])
 
     scanners = np.unique(parts.scanner[parts.scanner > 0]).tolist()
     columns = [np.flatnonzero(parts.is_placement & (parts.scanner == s)) for s in scanners]

@@ -64,14 +64,14 @@ def assess_network_model(
         return ModelAssessment(joint)
     parts = split_contributions(solved, settings.interval)
     scatter = measure_scatter(parts)
+    variance_factor = max(scatter.ratio, 1.0)
     findings = [
         *find_poor_fit(solved, names, np.array([one.sigma for one in tracked]), settings),
-        *find_inconsistent_parts(parts, names, settings),
+        *find_inconsistent_parts(parts, names, variance_factor, settings),
     ]
-    if scatter.p < settings.false_alarm_probability:
-        joint = joint.scale_covariance(scatter.ratio)
-        if scatter.ratio > settings.max_good_scatter:
-            findings.append(_describe_scatter(scatter, names, settings))
+    joint = joint.scale_covariance(variance_factor)
+    if scatter.p < settings.false_alarm_probability and scatter.ratio > settings.max_good_scatter:
+        findings.append(_describe_scatter(scatter, names, settings))
     refuted = any(finding.refutes for finding in findings)
     legs = isinstance(solved.problem.bodies[0], LegObservations)
     if legs or _measure_radius_deviation(target, solved) < settings.max_radius_deviation:
