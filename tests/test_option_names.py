@@ -9,8 +9,10 @@ import calgraph
 
 SOURCE = Path(calgraph.__file__).parent
 OF_OTHER_PROGRAMS = {
+    "config/draft.py": "options of ros2 topic pub",
     "report/figures.py": "variables of CSS",
     "result/exports/launch.py": "options of tf2_ros's static_transform_publisher",
+    "result/exports/tf.py": "options of ros2 topic pub",
 }
 OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
 

@@ -100,3 +100,26 @@ def test_a_missing_urdf_is_named(run: Run, out: Path, tmp_path: Path) -> None:
     result = run("export", out, "--force", "-f", "urdf", "--urdf", tmp_path / "none.urdf")
     assert result.exit_code == 2
     assert result.stderr == f"calgraph: {tmp_path / 'none.urdf'}: cannot be read (No such file or directory)\n"
+
+
+@pytest.mark.parametrize(
+    ("format", "line"),
+    [
+        ("launch", "to publish it: ros2 launch"),
+        ("tf", "to publish it: ros2 topic pub --qos-durability transient_local /tf_static"),
+    ],
+)
+def test_the_line_that_publishes_a_file_is_printed(
+    run: Run, out: Path, tmp_path: Path, format: str, line: str
+) -> None:
+    file = tmp_path / "sensors"
+    result = run("export", out, "-f", format, "--force", "-o", file)
+    assert result.stderr.startswith(f"Wrote {file}; {line}")
+    assert str(file) in result.stderr.partition(line)[2]
+
+
+@pytest.mark.parametrize("arguments", [["-f", "json"], ["-f", "kalibr"], ["-f", "urdf", "--urdf", "robot.urdf"]])
+def test_parents_are_for_formats_with_a_tree(run: Run, out: Path, arguments: list[str]) -> None:
+    result = run("export", out, "--force", *arguments, "--parents", "tree")
+    assert result.exit_code == 2
+    assert result.stderr == "calgraph: --parents: goes with --format launch, tf, and urdf without --urdf\n"

@@ -1,19 +1,28 @@
 """``calgraph export``: a calibration in the format of another program."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from calgraph.cli.common_options import list_choices
+from calgraph.cli.console import console
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import write_text
 from calgraph.io.yaml_reading import read_text
 from calgraph.result import Calibration, load_calibration
 from calgraph.result import export as export_text
+from calgraph.result.exports import Parents
 
 Format = Literal["launch", "tf", "urdf", "kalibr", "json"]
+_PUBLISH = {
+    "launch": "; to publish it: ros2 launch {file}",
+    "tf": "; to publish it: ros2 topic pub --qos-durability transient_local /tf_static tf2_msgs/msg/TFMessage "
+    '"$(cat {file})"',
+}
+"""What to do with a file of a format."""
 
 
 def export(
@@ -30,6 +39,14 @@ def export(
     ],
     urdf: Annotated[
         Path | None, typer.Option(metavar="FILE", help="urdf: correct the joints of this one.")
+    ] = None,
+    parents: Annotated[
+        Parents | None,
+        typer.Option(
+            metavar=list_choices(Parents),
+            help="launch, tf, new urdf: every frame has the root's as its parent (default), or that of the "
+            "sensor's parent in the spanning tree.",
+        ),
     ] = None,
     rig: Annotated[
         Path | None,
@@ -52,6 +69,8 @@ def export(
     for name, value, its_format in (("--urdf", urdf, "urdf"), ("--rig", rig, "kalibr")):
         if value and format != its_format:
             raise InputError(f"{name}: goes with --format {its_format}, got --format {format}")
+    if parents and (urdf or format not in ("launch", "tf", "urdf")):
+        raise InputError("--parents: goes with --format launch, tf, and urdf without --urdf")
     file = result / "calibration.yaml" if result.is_dir() else result
     calibration = load_calibration(file)
     if not force and format != "json":  # which states the verdicts
@@ -61,9 +80,12 @@ def export(
         format,
         rig=_rig(rig, file) if format == "kalibr" else None,
         urdf=read_text(urdf) if urdf else None,
+        parents=parents or "root",
     )
     if out:
         write_text(out, text)
+        next_step = _PUBLISH.get(format, "").format(file=shlex.quote(str(out)))
+        console(stderr=True).print(f"Wrote {out}{next_step}", markup=False, soft_wrap=True)
     else:
         typer.echo(text, nl=not text.endswith("\n"))
 

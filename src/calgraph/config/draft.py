@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -109,7 +110,9 @@ def draft_rig(
         for t in chosen
     ]
     parts = [
-        _head(recording),
+        _head(
+            recording, [name for s in sensors for name in (s.topic.name, s.info.name if s.info else "") if name]
+        ),
         _root(sensors),
         target or _missing_target(chosen),
         _capture(topics, background),
@@ -166,11 +169,15 @@ def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: i
     return by_name or (in_frame[0] if len(in_frame) == 1 else None) or (alone[0] if len(alone) == 1 else None)
 
 
-def _head(recording: str) -> str:
+def _head(recording: str, topics: Sequence[str]) -> str:
+    named = " ".join(shlex.quote(_single_line(name)) for name in topics)
     return (
         f"# Drafted by calgraph init from the topics of {_single_line(recording)}.\n"
         "# Go through the comments, state your board, then run\n"
         "#   calgraph calibrate rig.yaml RECORDING -o result\n"
+        "# To record more, and to mark each time from which on the board rests:\n"
+        f"#   ros2 bag record -o RECORDING {named} /trigger\n"
+        "#   ros2 topic pub --once /trigger std_msgs/msg/Empty\n"
     )
 
 

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.result.calibration import Calibration
+from calgraph.result.exports.frames import parent_to_root
 from calgraph.result.exports.json_text import to_json
 from calgraph.result.exports.kalibr import to_camchain
 from calgraph.result.exports.launch import to_launch
@@ -13,6 +15,8 @@ from calgraph.result.exports.tf import to_tf_yaml
 from calgraph.result.exports.urdf import to_urdf
 from calgraph.result.exports.urdf_update import update_urdf
 from calgraph.sensors import CameraModel
+
+Parents = Literal["root", "tree"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ def export(
     rig: Rig | None = None,
     cameras: Mapping[str, CameraModel] | None = None,
     urdf: str | None = None,
+    parents: Parents = "root",
 ) -> str:
     """The calibration as the text of a file of another program.
 
@@ -58,10 +63,14 @@ def export(
         rig: kalibr: topics of the cameras, and their intrinsics where rig.yaml states them.
         cameras: kalibr: intrinsics by sensor; they take precedence over those of the rig.
         urdf: urdf: text of a URDF whose joints are to be corrected; without it a new one is made.
+        parents: launch, tf and new urdf: the parent of every frame is that of the root, or that of the sensor's
+            parent in the spanning tree.
 
     Raises:
         InputError: there is no such format, or this calibration cannot be written in it, with the reason.
     """
     if format not in FORMATS:
         raise InputError(f"there is no export format {format!r}; there are {', '.join(FORMATS)}")
+    if parents == "root" and format != "json":
+        calibration = parent_to_root(calibration)
     return FORMATS[format](_Request(calibration, rig, cameras or {}, urdf))

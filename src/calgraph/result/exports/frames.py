@@ -1,7 +1,7 @@
 """The calibrated tree in terms of frames, as ROS names them."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,15 @@ def frame_ids(calibration: Calibration) -> dict[str, str]:
             f"distinguished; give them different ones in rig.yaml (sensors.{same[-1]}.frame_id)"
         )
     return by_sensor
+
+
+def parent_to_root(calibration: Calibration) -> Calibration:
+    """The same poses, with the root as the parent of every sensor.
+
+    A driver may publish the frames below a sensor's frame, and its frame may have one parent only.
+    """
+    sensors = (s if s.parent is None else replace(s, parent=calibration.root) for s in calibration.sensors)
+    return replace(calibration, sensors=tuple(sensors))
 
 
 def tree_edges(calibration: Calibration) -> list[TreeEdge]:

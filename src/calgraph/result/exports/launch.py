@@ -6,7 +6,7 @@ from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import TreeEdge, format_coordinate, tree_edges
 
 _HEAD = '''\
-"""Static transforms of the sensors, calibrated by calgraph (root: {root})."""
+"""Static transforms of the sensors, calibrated by calgraph (root: {root}): ros2 launch ./FILE publishes them."""
 
 from launch import LaunchDescription
 from launch_ros.actions import Node

@@ -8,7 +8,8 @@ from calgraph.result.exports.frames import TreeEdge, format_coordinate, tree_edg
 
 _COMMENT = """\
 Static transforms in the layout of tf2_msgs/TFMessage: each maps coordinates in child_frame_id to header.frame_id.
-translation in metres; rotation is a unit quaternion. Calibrated by calgraph."""
+translation in metres; rotation is a unit quaternion. Calibrated by calgraph.
+ros2 topic pub --qos-durability transient_local /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)" publishes them."""
 
 
 def to_tf_yaml(calibration: Calibration) -> str:
