@@ -38,7 +38,7 @@ class _File:
 
 
 class FolderRecording(IndexedRecording):
-    """A folder with one folder of files a sensor; its topics are the names of those folders.
+    """A folder with one folder of files per sensor; its topics are the names of those folders.
 
     A file's name is its stamp and its arrival. A ``camera_info.yaml`` is one message on the topic
     ``<sensor>/camera_info`` that arrives with the sensor's first file.

@@ -16,7 +16,7 @@ def open_recording(path: Path) -> Recording:
 
     Args:
         path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, or a plain
-            folder with one folder a sensor.
+            folder with one folder per sensor.
 
     Raises:
         InputError: there is nothing, or something else.
@@ -31,7 +31,7 @@ def open_recording(path: Path) -> Recording:
         return FolderRecording(path)
     raise InputError(
         f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, or a folder with one "
-        "folder of files a sensor"
+        "folder of files per sensor"
     )
 
 

@@ -1,4 +1,4 @@
-"""Writing calibration.yaml, which other programs read, and captures.csv, one row a capture and sensor."""
+"""Writing calibration.yaml, which other programs read, and captures.csv, one row per capture and sensor."""
 
 import csv
 import json
@@ -60,7 +60,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 
 
 def save_captures(calibration: Calibration, path: Path) -> None:
-    """Writes captures.csv in one step: one row a capture and sensor: used, or why not.
+    """Writes captures.csv in one step: one row per capture and sensor: used, or why not.
 
     Raises:
         InputError: ``path`` cannot be written.

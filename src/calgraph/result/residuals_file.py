@@ -1,4 +1,4 @@
-"""residuals.csv: every residual that the report draws, one row a corner or beam end, for other programs."""
+"""residuals.csv: every residual that the report draws, one row per corner or beam end, for other programs."""
 
 import csv
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""A calibration as a pandas table, one row a sensor."""
+"""A calibration as a pandas table, one row per sensor."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
