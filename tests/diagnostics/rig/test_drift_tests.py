@@ -8,7 +8,13 @@ from scipy.stats import chi2, kstest
 
 from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.rig.drift_tests import find_drifts, include_drifts, measure_drifts
+from calgraph.diagnostics.rig.drift_tests import (
+    DriftStatistics,
+    compute_drift_moments,
+    find_drifts,
+    include_drifts,
+    measure_drifts,
+)
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
@@ -108,6 +114,44 @@ def test_covariances_hold_at_the_end_of_drifts_that_are_not_found() -> None:
                 outside.append(np.max(np.abs(off) / np.sqrt(np.diag(covariance)[6:])))
     assert len(outside) > 20
     assert max(outside) < 5
+
+
+def two_bodies(drift: Array, serial_correlation: float = 1.0) -> DriftStatistics:
+    """Statistics without noise of two bodies of which only the relative drift (6,) shows."""
+    relative = np.diag(np.repeat([1 / 4e-4, 1 / np.radians(0.04)], 3) ** 2)
+    difference = np.asarray(np.kron([[1.0, -1.0], [-1.0, 1.0]], relative), dtype=np.float64)
+    score = -difference @ np.concatenate([drift, np.zeros(6)])
+    return DriftStatistics((("a",), ("b",)), difference, score, np.zeros((12, 0)), 30, serial_correlation)
+
+
+@pytest.mark.parametrize(("size", "serial_correlation"), [(0.0, 1.0), (1.5, 1.0), (3.0, 2.0)])
+def test_moments_of_drifts_are_those_of_samples_from_the_prior(size: float, serial_correlation: float) -> None:
+    statistics = two_bodies(size * DIRECTION / 8, serial_correlation)
+    drifts = SETTINGS.drifts
+    rng, count = np.random.default_rng(0), 400_000
+    small = np.tile(np.repeat([drifts.translation, drifts.rotation], 3), 2)
+    multiple = rng.choice(np.geomspace(drifts.min_large_multiple, drifts.max_large_multiple, 8), count)
+    large = rng.random(count) < 2 / 3
+    of_first = rng.random(count) < 0.5
+    factor = np.where(large, multiple, 1.0)[:, None] ** np.stack([of_first, ~of_first], axis=1)
+    sample = rng.normal(size=(count, 12)) * small * np.repeat(factor, 6, axis=1)
+    log_likelihood = -sample @ statistics.score - np.sum(sample @ statistics.information * sample, axis=1) / 2
+    weight = np.exp((log_likelihood - log_likelihood.max()) / serial_correlation)
+    expected = (weight[:, None] * sample).T @ sample / weight.sum()
+    moments = compute_drift_moments(statistics, drifts)
+    np.testing.assert_allclose(np.diag(moments), np.diag(expected), rtol=0.15)
+    stddev = np.sqrt(np.diag(moments))
+    np.testing.assert_allclose((moments - expected) / np.outer(stddev, stddev), 0, atol=0.15)
+
+
+def test_bodies_share_a_drift_that_both_explain() -> None:
+    drift = np.array([0.0, 0.0, 0.0, np.radians(0.4), 0.0, 0.0])
+    moments = compute_drift_moments(two_bodies(drift), SETTINGS.drifts)
+    # It is that of either with a probability of one half, and shrinks little.
+    assert moments[3, 3] == pytest.approx(drift[3] ** 2 / 2, rel=0.15)
+    assert moments[9, 9] == pytest.approx(moments[3, 3])
+    relative = np.concatenate([np.eye(6), -np.eye(6)], axis=1)
+    assert (relative @ moments @ relative.T)[3, 3] == pytest.approx(drift[3] ** 2, rel=0.15)
 
 
 def test_right_recordings_keep_their_covariances() -> None:
