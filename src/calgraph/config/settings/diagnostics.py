@@ -163,9 +163,10 @@ class DriftTestSettings(StrictModel):
     """rad (0.01°); the same about each axis: 0.1 mm over 0.6 m, the distance of a bracket's screws from its end.
     Drifts of this size and more that no test can find are an error of the pose at the end of the recording."""
     min_large_multiple: float = Field(default=5.0, gt=1)
-    """Least multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small drifts
-    explain. In 204 simulated recordings with drifts of 0.15° to 1°, good poses at the end are off by more than five
-    standard deviations in 3, and right ones are weak by their covariance in 2 of 102; with 10 in 3 and 5."""
+    """Least multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small
+    drifts explain. In 204 simulated recordings with drifts of 0.15° to 1°, good poses at the end are off by more
+    than five standard deviations in 3, and right ones are weak by their covariance in 2 of 102; with 10 in 3 and
+    5."""
     max_large_multiple: float = Field(default=100.0, gt=1)
     """The largest, 10 mm and 1°: larger ones show in any recording."""
     false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
