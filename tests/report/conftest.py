@@ -262,7 +262,7 @@ def network_rig() -> Rig:
 @pytest.fixture
 def network() -> Calibration:
     """Three scanners on a floor, one without tracks, a walk along x = 2 m, and a wall along y = -1 m."""
-    spread = np.zeros((6, 6))
+    spread = np.full((6, 6), np.nan)
     spread[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([0.01**2, 0.02**2, 0.001**2])
     sensors = tuple(
         SensorPose(name, None if name == "hall" else "hall", name, "lidar2d",

@@ -15,7 +15,7 @@ from calgraph.result.exports.json_text import to_json
 
 def in_the_plane(count: int) -> Calibration:
     """Scanners on a floor, with what is uncertain there."""
-    covariance = np.zeros((6, 6))
+    covariance = np.full((6, 6), np.nan)
     covariance[np.ix_([0, 1, 5], [0, 1, 5])] = np.diag([1e-4, 4e-4, 1e-6])
     number = np.arange(count, dtype=np.float64)
     poses = se2.to_se3(se2.pose(number * 1.1, np.stack([2 * number, -number], axis=-1)))
@@ -23,7 +23,9 @@ def in_the_plane(count: int) -> Calibration:
         SensorPose(f"s{k}", "s0" if k else None, f"s{k}", "lidar2d", T, Verdict("good"))
         for k, T in enumerate(poses)
     )
-    return Calibration("s0", tuple(sensors), join_covariances([covariance * (k > 0) for k in range(count)]))
+    return Calibration(
+        "s0", tuple(sensors), join_covariances([covariance if k else np.zeros((6, 6)) for k in range(count)])
+    )
 
 
 def with_last(calibration: Calibration, T: Array) -> Calibration:
@@ -56,18 +58,30 @@ def test_files_state_what_a_network_does_not_measure_as_null(tmp_path: Path) -> 
     np.testing.assert_allclose(load_calibration(path).joint_covariance, network.joint_covariance)
 
 
+def test_zeros_of_version_0_1_are_read_as_not_measured(tmp_path: Path) -> None:
+    network, path = in_the_plane(3), tmp_path / "calibration.yaml"
+    save_calibration(network, path)
+    path.write_text(path.read_text(encoding="utf-8").replace("null", "0.0"), encoding="utf-8")
+    read = load_calibration(path)
+    assert read.planar
+    for before, after in zip(network.sensors, read.sensors, strict=True):
+        np.testing.assert_allclose(after.covariance, before.covariance)
+
+
+def test_relative_poses_of_a_network_have_no_covariance_out_of_the_plane() -> None:
+    network = in_the_plane(3)
+    joint = np.array(network.joint_covariance).reshape(3, 6, 3, 6)
+    joint[1, :, 2] = joint[2, :, 1] = np.where(np.isnan(joint[1, :, 1]), np.nan, 0.0)
+    relative = dataclasses.replace(network, joint_covariance=joint.reshape(18, 18)).covariance("s1", "s2")
+    unmeasured = np.isin(np.arange(6), [2, 3, 4])
+    np.testing.assert_array_equal(np.isnan(relative), unmeasured[:, None] | unmeasured)
+    # Both positions, and the yaw of s1 at a distance of the square root of 5.
+    assert np.trace(relative[:2, :2]) == pytest.approx(2 * 5e-4 + 5 * 1e-6)
+    assert relative[5, 5] == pytest.approx(2e-6)
+
+
 def test_a_rig_is_not_planar(calibration: Calibration) -> None:
     assert not calibration.planar
-
-
-@pytest.mark.parametrize("lifted", [(2, 3, 0.1), (0, 2, 0.01)], ids=["higher", "tilted"])
-def test_a_sensor_out_of_the_plane_makes_it_no_plane(lifted: tuple[int, int, float]) -> None:
-    network = in_the_plane(3)
-    T = network.sensors[-1].T_root_sensor.copy()
-    row, column, by = lifted
-    T[row, column] = by
-    T[2, :3] = np.cross(T[0, :3], T[1, :3])
-    assert not with_last(network, T).planar
 
 
 def test_a_scanner_upside_down_is_in_the_plane() -> None:

@@ -155,6 +155,8 @@ def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:
         cells = [
             f"{1000 * axis.offset if i < 3 else np.degrees(axis.offset):+.{1 if i < 3 else 2}f}"
             f"{'' if axis.outcome == 'pass' else _SIGNS[axis.outcome]}"
+            if np.isfinite(axis.stddev)
+            else ""
             for i, axis in enumerate(sensor.axes)
         ]
         table.add_row(escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), _SIGNS[sensor.outcome])

@@ -143,7 +143,7 @@ def _deviations(sensor: SensorPose) -> tuple[str, str]:
         max_std_deviation,  # brings plots along, which --help should not wait for
     )
 
-    position, rotation = sensor.covariance[:3, :3], sensor.covariance[3:, 3:]
+    position, rotation = sensor.measured_covariance[:3, :3], sensor.measured_covariance[3:, 3:]
     return _format_fixed(1000 * max_std_deviation(position), 1), _format_fixed(
         np.degrees(max_std_deviation(rotation)), 3
     )

@@ -25,14 +25,14 @@ class SignificanceTest:
     """Limits of a test with a given probability of a false alarm."""
 
     max_chi2: float
-    """Of the squared Mahalanobis distance of six parameters."""
+    """Of the squared Mahalanobis distance of a pose."""
     max_sigmas: float
     """Of the error of one axis, in standard deviations."""
 
     @classmethod
-    def of(cls, false_alarm_probability: float) -> "SignificanceTest":
-        """The limits for a probability of a false alarm."""
-        return cls(float(chdtri(6, false_alarm_probability)), float(-ndtri(false_alarm_probability / 2)))
+    def of(cls, false_alarm_probability: float, axes: int = 6) -> "SignificanceTest":
+        """The limits for a probability of a false alarm, of poses with a number of measured axes."""
+        return cls(float(chdtri(axes, false_alarm_probability)), float(-ndtri(false_alarm_probability / 2)))
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,8 @@ class AxisComparison:
     offset: float
     """Given minus estimated, m or rad."""
     stddev: float
-    """Of the estimate, and of the given pose where that has a covariance, m or rad."""
+    """Of the estimate, and of the given pose where that has a covariance, m or rad; NaN where it was not measured,
+    and is not compared."""
     outcome: Outcome
 
 
@@ -143,18 +144,26 @@ class MatchedPoses:
         to_sensor = np.kron(np.eye(2), T_estimated[:3, :3].T)
         offset = to_sensor @ se3.difference(T_given, T_estimated)
         both = estimated.covariance(reference, name) + self.given.covariance(*frames)
-        covariance = to_sensor @ both @ to_sensor.T + _ROUNDING**2 * np.eye(6)
-        allowed = self.tolerance.limits
-        outcomes = _grade_axes(offset, covariance, allowed, self.test)
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        distance = float(np.linalg.norm(whiten @ offset))
-        axes = tuple(
-            AxisComparison(axis, float(x), float(s), outcome)
-            for axis, x, s, outcome in zip(
-                axis_names(estimated[name].kind), offset, np.sqrt(np.diag(covariance)), outcomes, strict=True
+        # Scanners of a network have a common horizontal plane: what is not measured is the same along all axes.
+        measured = np.flatnonzero(~np.isnan(np.diag(both)))
+        covariance = to_sensor @ np.nan_to_num(both) @ to_sensor.T + _ROUNDING**2 * np.eye(6)
+        allowed, compared = self.tolerance.limits, np.ix_(measured, measured)
+        outcomes: dict[int, Outcome] = dict(
+            zip(
+                measured.tolist(),
+                _grade_axes(offset[measured], covariance[compared], allowed[measured], self.test),
+                strict=True,
             )
         )
-        outcome = _worst_outcome([*outcomes, "warn" if distance**2 > self.test.max_chi2 else "pass"])
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance[compared]))
+        distance = float(np.linalg.norm(whiten @ offset[measured]))
+        axes = tuple(
+            AxisComparison(axis, float(offset[i]), float(np.sqrt(covariance[i, i])), outcomes[i])
+            if i in outcomes
+            else AxisComparison(axis, float(offset[i]), np.nan, "pass")
+            for i, axis in enumerate(axis_names(estimated[name].kind))
+        )
+        outcome = _worst_outcome([*outcomes.values(), "warn" if distance**2 > self.test.max_chi2 else "pass"])
         return SensorComparison(name, outcome, _explain_axes(axes, allowed, distance, self.test), distance, axes)
 
 
@@ -173,7 +182,7 @@ def match_poses(
         given,
         given.frames_of_sensors(frame_ids),
         tolerance,
-        SignificanceTest.of(false_alarm_probability),
+        SignificanceTest.of(false_alarm_probability, 3 if estimated.planar else 6),
     )
 
 

@@ -105,7 +105,7 @@ def _choose_enlargement(sensors: Sequence[SensorPose], extent: float) -> int:
 
 def _with_uncertainty(sensors: Sequence[SensorPose]) -> list[SensorPose]:
     """The sensors with a finite, nonzero covariance: the root has none."""
-    return [s for s in sensors if np.isfinite(s.covariance).all() and s.covariance[:2, :2].any()]
+    return [s for s in sensors if np.isfinite(s.covariance[:2, :2]).all() and s.covariance[:2, :2].any()]
 
 
 def _scanner_traces(
@@ -162,7 +162,7 @@ def _axis_arrow(sensor: SensorPose, size: float) -> Array:
 def _describe_pose(sensor: SensorPose) -> str:
     x, y = sensor.T_root_sensor[:2, 3]
     yaw = np.degrees(np.arctan2(sensor.T_root_sensor[1, 0], sensor.T_root_sensor[0, 0]))
-    sigma = np.sqrt(np.maximum(np.diag(sensor.covariance), 0))
+    sigma = np.sqrt(np.maximum(np.diag(sensor.measured_covariance), 0))
     position = f"{format_fixed(x, 3)}, {format_fixed(y, 3)} m"
     place = f"<b>{escape_plotly(sensor.name)}</b><br>{position}, yaw {format_fixed(yaw, 2)}°"
     if sensor.parent is None:

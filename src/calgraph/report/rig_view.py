@@ -55,7 +55,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
             "boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
     ]  # fmt: skip
     fixed = [trace for trace in fixed if len(trace["x"])]
-    sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.covariance[:3, :3])]
+    sensors = [s for s in calibration.sensors if s.parent is not None and np.any(s.measured_covariance[:3, :3])]
     limit, factor = 3 * size, _choose_enlargement(sensors, size)
     sizes = (1,) if factor == 1 else (1, factor)
     groups = [
@@ -83,7 +83,7 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
 
 def _choose_enlargement(sensors: Sequence[SensorPose], size: float) -> int:
     """Smallest enlargement at which half of the ellipsoids are visible beside axes of a length, m."""
-    covariances = [s.covariance[:3, :3] for s in sensors if np.isfinite(s.covariance).all()]
+    covariances = [s.measured_covariance[:3, :3] for s in sensors if np.isfinite(s.measured_covariance).all()]
     if not covariances:
         return 1
     longest = SCALE_95 * np.sqrt(np.median([np.linalg.eigvalsh(one)[-1] for one in covariances]))
@@ -155,7 +155,7 @@ def _disc_traces(calibration: Calibration, radius: float) -> list[dict[str, Any]
 
 def _ellipsoid_trace(sensor: SensorPose, exaggeration: float, limit: float, visible: bool) -> dict[str, Any]:
     vertices, triangles = ellipsoid_mesh(
-        sensor.T_root_sensor[:3, 3], sensor.covariance[:3, :3], exaggeration, limit
+        sensor.T_root_sensor[:3, 3], sensor.measured_covariance[:3, :3], exaggeration, limit
     )
     x, y, z = vertices.T
     i, j, k = triangles.T

@@ -119,7 +119,8 @@ def max_std_deviation(covariance: Array) -> float:
 def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> dict[str, str]:
     """By name: uncertainty of a sensor's pose, its residuals, those on held-out captures, and captures used."""
     evidence = calibration.evidence
-    sigma_t, sigma_r = max_std_deviation(sensor.covariance[:3, :3]), max_std_deviation(sensor.covariance[3:, 3:])
+    covariance = sensor.measured_covariance
+    sigma_t, sigma_r = max_std_deviation(covariance[:3, :3]), max_std_deviation(covariance[3:, 3:])
     facts = {"σ of the pose": f"{format_length(sigma_t)}, {format_angle(sigma_r)}"}
     fit, held_out = evidence.fit.get(sensor.name), evidence.cross_validation.get(sensor.name)
     name = words.fit.get(sensor.kind, "residual")

@@ -14,6 +14,9 @@ from calgraph.result.pictures import Pictures
 from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
 
+UNMEASURED_IN_PLANE = np.array([2, 3, 4])
+"""Axes z, roll and pitch of a tangent vector: what a network in one plane does not measure."""
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -24,7 +27,8 @@ class Calibration:
     """The root first; unconnected sensors are not in it."""
     joint_covariance: Array
     """(S·6, S·6) of the errors of all ``sensors``, in their order and in the root's fixed axes; zero for the root.
-    NaN where the correlation of two sensors is unknown. All other covariances are views of it."""
+    NaN in rows and columns of what was not measured, and where the correlation of two sensors is unknown. All
+    other covariances are views of it."""
     systematic: tuple[EstimatedParameter, ...] = ()
     """Parameters that were estimated besides poses."""
     evidence: Evidence = field(default_factory=Evidence)
@@ -62,28 +66,15 @@ class Calibration:
 
     @property
     def has_correlations(self) -> bool:
-        """Whether the joint covariance is finite: all directions are observed and all correlations known."""
-        return bool(np.isfinite(self.joint_covariance).all())
+        """Whether all that was measured is observed, and all its correlations are known."""
+        measured = ~np.isnan(np.diag(self.joint_covariance))
+        return bool(np.isfinite(self.joint_covariance[np.ix_(measured, measured)]).all())
 
     @property
     def planar(self) -> bool:
-        """Whether all poses lie in one plane, either way up; it is taken for exact, as that of a network is."""
+        """Whether only x, y and yaw were measured, as in a network, whose scanners are taken to scan one plane."""
         others = [sensor for sensor in self.sensors if sensor.parent is not None]
-        in_plane = [np.allclose(np.abs(s.T_root_sensor[2]), [0, 0, 1, 0], rtol=0, atol=1e-12) for s in others]
-        return bool(others) and all(in_plane) and not any(s.covariance[2:5].any() for s in others)
-
-    @property
-    def reported_covariance(self) -> Array:
-        """The joint covariance (6S, 6S) for files: NaN where nothing was measured.
-
-        A network in one plane measures neither height (z) nor roll and pitch of its scanners.
-        """
-        joint = self.joint_covariance.copy()
-        if self.planar:
-            others = np.array([k for k, sensor in enumerate(self.sensors) if sensor.parent is not None])
-            rows = (6 * others[:, None] + np.arange(2, 5)).ravel()
-            joint[rows] = joint[:, rows] = np.nan
-        return joint
+        return bool(others) and all(np.isnan(np.diag(s.covariance)[UNMEASURED_IN_PLANE]).all() for s in others)
 
     def transform(self, a: str, b: str) -> Array:
         """``T_a_b`` (4, 4), which maps coordinates in sensor b to coordinates in sensor a.
@@ -97,6 +88,8 @@ class Calibration:
     def covariance(self, a: str, b: str) -> Array:
         """Covariance (6, 6) of the error of ``T_a_b`` in the fixed axes of a, (translation, rotation), m and rad.
 
+        NaN in the rows and columns of z, roll and pitch of a network, which does not measure them.
+
         Raises:
             InputError: there is no sensor a or b.
             CalibrationError: a or b is not connected to the root, or the correlation of their errors is unknown.
@@ -105,11 +98,17 @@ class Calibration:
         names = [sensor.name for sensor in self.sensors]
         rows = np.concatenate([6 * names.index(name) + np.arange(6) for name in (a, b)])
         joint = self.joint_covariance[np.ix_(rows, rows)]
+        unmeasured = np.isnan(np.diag(joint))
+        joint[unmeasured] = joint[:, unmeasured] = 0.0
         if np.isnan(joint).any():
             raise CalibrationError(
                 f"the correlation of the errors of {a!r} and {b!r} is unknown: this result has no joint_covariance"
             )
-        return se3.relative_covariance(T_root_a, T_root_b, joint)
+        relative = se3.relative_covariance(T_root_a, T_root_b, joint)
+        if unmeasured.any():
+            # All frames have the same horizontal plane.
+            relative[UNMEASURED_IN_PLANE] = relative[:, UNMEASURED_IN_PLANE] = np.nan
+        return relative
 
 
 def join_covariances(covariances: Sequence[Array]) -> Array:

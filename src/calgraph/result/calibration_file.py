@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ruamel.yaml.comments import CommentedSeq
 
-from calgraph.geometry import Array, diagonal_blocks, so3
+from calgraph.geometry import Array, so3
 from calgraph.io import format_yaml, write_atomically, write_text
 from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
 from calgraph.result.calibration import Calibration
@@ -40,12 +40,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     content: dict[str, Any] = {
         "format": FORMAT,
         "root": calibration.root,
-        "sensors": {
-            sensor.name: _sensor(sensor, covariance)
-            for sensor, covariance in zip(
-                calibration.sensors, diagonal_blocks(calibration.reported_covariance, 6), strict=True
-            )
-        },
+        "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
     text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
@@ -53,7 +48,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         text += format_yaml({"systematic": [_estimated_parameter(one) for one in calibration.systematic]})
     if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
-        text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.reported_covariance)
+        text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
     if calibration.provenance:
         text += format_yaml({"provenance": _provenance(calibration.provenance)})
     write_text(path, text)
@@ -77,14 +72,14 @@ def _capture_row(row: CaptureRow) -> tuple[object, ...]:
     return row.capture, f"{row.start:.3f}", f"{row.end:.3f}", row.sensor, used, row.reason, residual
 
 
-def _sensor(sensor: SensorPose, covariance: Array) -> dict[str, Any]:
+def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry: dict[str, Any] = {} if sensor.parent is None else {"parent": sensor.parent}
     entry["kind"] = sensor.kind
     entry["frame_id"] = sensor.frame_id
     # These digits keep poses to better than 1e-12 at any distance within a rig.
     entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
     entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
-    entry["covariance"] = _symmetric(covariance, 9)
+    entry["covariance"] = _symmetric(sensor.covariance, 9)
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
     if sensor.clock_offset_stddev is not None:

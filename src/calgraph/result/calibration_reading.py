@@ -11,7 +11,7 @@ from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.calibration import Calibration, join_covariances
+from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, Suggestion
@@ -37,8 +37,8 @@ _SYMMETRY_TOLERANCE = 1e-6
 
 
 def _to_array(rows: Sequence[Sequence[float | None]]) -> Array:
-    """A matrix; zero where nothing was measured, as in a calibration in one plane."""
-    return np.array([[0.0 if value is None else value for value in row] for row in rows])
+    """A matrix; NaN where nothing was measured, as in a calibration in one plane."""
+    return np.array([[np.nan if value is None else value for value in row] for row in rows])
 
 
 class _Verdict(StrictModel):
@@ -68,7 +68,8 @@ class _Sensor(StrictModel):
         if abs(length - 1) > _UNIT_TOLERANCE:
             raise invalid("rotation", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
         covariance = _to_array(self.covariance)
-        if np.isnan(covariance).any() or np.any(np.diag(covariance) < 0):
+        numbers = [value for row in self.covariance for value in row if value is not None]
+        if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
             raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
         _check_symmetric(covariance, "covariance")
         return self
@@ -306,9 +307,15 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
 def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
     entry = file.joint_covariance
     if entry is None:
-        return join_covariances([_to_array(file.sensors[name].covariance) for name in names])
-    order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
-    return np.asarray(_to_array(entry.matrix)[np.ix_(order, order)])
+        joint = join_covariances([_to_array(file.sensors[name].covariance) for name in names])
+    else:
+        order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
+        joint = np.asarray(_to_array(entry.matrix)[np.ix_(order, order)])
+    # Version 0.1 states zero for what a network does not measure.
+    out_of_plane = (6 * np.arange(1, len(names))[:, None] + UNMEASURED_IN_PLANE).ravel()
+    if not np.diag(joint)[out_of_plane].any() and all(file.sensors[name].kind == "lidar2d" for name in names):
+        joint[out_of_plane] = joint[:, out_of_plane] = np.nan
+    return joint
 
 
 def _held_out_error(entry: _HeldOutError) -> HeldOutError:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from calgraph.geometry import Array
 
 Grade = Literal["good", "weak", "unobservable"]
@@ -34,5 +36,11 @@ class SensorPose:
     """Sensor clock minus root clock, s; None where it was not estimated."""
     clock_offset_stddev: float | None = None
     covariance: Array = field(init=False, repr=False)
-    """(6, 6) of the error in the root's fixed axes, (translation, rotation), m and rad; zero for the root. A view
-    of the joint covariance, set by the calibration."""
+    """(6, 6) of the error in the root's fixed axes, (translation, rotation), m and rad; zero for the root, and NaN
+    where nothing was measured. A view of the joint covariance, set by the calibration."""
+
+    @property
+    def measured_covariance(self) -> Array:
+        """The covariance (6, 6) with zero where nothing was measured: z, roll and pitch of a network's scanner."""
+        unmeasured = np.isnan(np.diag(self.covariance))
+        return np.where(unmeasured | unmeasured[:, None], 0.0, self.covariance)

@@ -72,7 +72,7 @@ class SceneDisplay:
         self._nodes["uncertainty"] = {
             sensor.name: self._ellipsoid(sensor, exaggeration)
             for sensor in self._calibration.sensors
-            if exaggeration and sensor.covariance[:3, :3].any()
+            if exaggeration and sensor.measured_covariance[:3, :3].any()
         }
 
     def show_points(self, size: float) -> None:
@@ -206,7 +206,7 @@ class SceneDisplay:
 
     def _ellipsoid(self, sensor: SensorPose, exaggeration: float) -> "SceneNodeHandle":
         half, R = uncertainty_ellipsoid(
-            sensor.T_root_sensor, sensor.covariance, 3 * self.axis_length / exaggeration
+            sensor.T_root_sensor, sensor.measured_covariance, 3 * self.axis_length / exaggeration
         )
         # A network's ellipsoids are flat, and would not be visible from the side.
         half = np.maximum(exaggeration * half, 0.02 * self.axis_length)

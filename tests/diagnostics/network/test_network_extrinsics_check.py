@@ -11,7 +11,7 @@ from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.estimation.network.planar_poses import PlanarPoses
-from calgraph.geometry import se2
+from calgraph.geometry import se2, so3
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
 from known_networks import calibration
@@ -76,7 +76,22 @@ def test_covariances_of_given_poses_are_added_to_those_of_the_estimate() -> None
 
 
 def test_a_failure_that_the_joint_test_does_not_confirm_is_a_warning() -> None:
-    # A squared distance of 30 fails the test of one scanner (22.5, six degrees of freedom), but not that of the
+    # A squared distance of 30 fails the test of one scanner (16.3, three degrees of freedom), but not that of the
     # network (37.7, fifteen).
     found = outcomes(compare(estimated(10.0), (0.01 * np.sqrt(30), 0.0, 0.0)))
     assert found["c"] == "warn"
+
+
+def test_heights_and_tilts_of_given_poses_are_not_compared() -> None:
+    """A network does not measure them."""
+    poses = estimated()
+    T = se2.to_se3(poses.T_root_scanner)
+    T[1:, 2, 3] = 0.5
+    T[2, :3, :3] = so3.exp(np.array([0.02, 0.01, 0.0])) @ T[2, :3, :3]
+    links = {name: FrameLink("a", T_k) for name, T_k in zip(NAMES[1:], T[1:], strict=True)}
+    file = ExtrinsicsFile(Path("given.yaml"), FrameTree("given.yaml", links))
+    found = compare_network_poses(calibration(poses), file, TOLERANCE, settings=DiagnosticsSettings())
+    assert set(outcomes(found).values()) == {"pass"}
+    for sensor in found.sensors:
+        assert [np.isnan(axis.stddev) for axis in sensor.axes] == [False, False, True, True, True, False]
+    assert found.sensors[0].axes[2].offset == pytest.approx(0.5)

@@ -95,7 +95,7 @@ def assemble_network(
                     name,
                     "lidar2d",
                     T_root_sensor[k],
-                    blocks[k],
+                    np.nan_to_num(blocks[k]),  # what is not measured has no verdict
                     reasons.get(name, ""),
                     tolerance=rig.tolerance,
                     settings=rig.settings.diagnostics.verdict,

@@ -45,10 +45,15 @@ class PlanarPoses:
 
 
 def lift_covariance(planar: Array) -> Array:
-    """Covariance (6N, 6N) of poses in SE(3) from that in SE(2) (3N, 3N); the common plane is taken as exact."""
+    """Covariance (6N, 6N) of poses in SE(3) from that in SE(2) (3N, 3N), of which the first is the root's.
+
+    NaN in rows and columns of z, roll and pitch of all others, which are not measured.
+    """
     rows = _planar_rows(len(planar) // 3)
-    covariance = np.zeros((2 * len(planar), 2 * len(planar)))
+    covariance = np.full((2 * len(planar), 2 * len(planar)), np.nan)
     covariance[np.ix_(rows, rows)] = planar
+    covariance[:6, rows] = covariance[rows, :6] = 0.0
+    covariance[:6, :6] = 0.0
     return covariance
 
 

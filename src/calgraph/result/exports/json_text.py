@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.geometry import Array, diagonal_blocks, so3
+from calgraph.geometry import so3
 from calgraph.io import format_json
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT
@@ -22,12 +22,7 @@ def to_json(calibration: Calibration) -> str:
         "format": FORMAT,
         "root": calibration.root,
         "estimator": evidence.estimator,
-        "sensors": {
-            sensor.name: _sensor(sensor, covariance)
-            for sensor, covariance in zip(
-                calibration.sensors, diagonal_blocks(calibration.reported_covariance, 6), strict=True
-            )
-        },
+        "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "systematic": [vars(one) for one in calibration.systematic],
         "joint_covariance": _joint_covariance(calibration),
         "unconnected": dict(evidence.unconnected),
@@ -47,7 +42,7 @@ def to_json(calibration: Calibration) -> str:
     })  # fmt: skip
 
 
-def _sensor(sensor: SensorPose, covariance: Array) -> dict[str, Any]:
+def _sensor(sensor: SensorPose) -> dict[str, Any]:
     T = sensor.T_root_sensor
     return {
         "parent": sensor.parent,
@@ -56,7 +51,7 @@ def _sensor(sensor: SensorPose, covariance: Array) -> dict[str, Any]:
         "translation": T[:3, 3],
         "rotation": so3.quaternion(T[:3, :3]),
         "T_root_sensor": T,
-        "covariance": covariance,
+        "covariance": sensor.covariance,
         "clock_offset": sensor.clock_offset,
         "clock_offset_stddev": sensor.clock_offset_stddev,
         "verdict": vars(sensor.verdict),
@@ -66,7 +61,7 @@ def _sensor(sensor: SensorPose, covariance: Array) -> dict[str, Any]:
 def _joint_covariance(calibration: Calibration) -> dict[str, Any] | None:
     if not calibration.has_correlations:
         return None
-    return {"order": [sensor.name for sensor in calibration.sensors], "matrix": calibration.reported_covariance}
+    return {"order": [sensor.name for sensor in calibration.sensors], "matrix": calibration.joint_covariance}
 
 
 def _edge(edge: Edge) -> dict[str, Any]:
