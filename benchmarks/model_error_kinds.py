@@ -161,7 +161,7 @@ def _footprints(size: float, world: World, rng: np.random.Generator) -> Wrong:  
 _DEGREE = float(np.degrees(1.0))
 KINDS: Mapping[str, Kind] = {
     "print_scale": Kind(
-        (0.01, 0.02), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_scale=_sign(rng) * s))
+        (0.01, 0.02, 0.05, 0.1), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_scale=_sign(rng) * s))
     ),
     "print_aspect": Kind(
         (0.005, 0.01), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_aspect=_sign(rng) * s))

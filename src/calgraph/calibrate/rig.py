@@ -38,6 +38,7 @@ from calgraph.estimation import (
     locate_boards,
     round_trip,
     save_problem,
+    scale_boards,
     solve_bundle,
     solve_poses,
     with_prior_poses,
@@ -153,10 +154,9 @@ def build_problem_from_captures(
     """From detections to the joint problem: every pair, and the tree they span."""
     log_captures(captures)
     captures = locate_boards(rig, captures)
-    detections = captures.detections
     settings = rig.settings.pairwise.board
     pairs = estimate_pairs(
-        detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
+        captures.detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
     )
     start = select_initialization(options.start, rig.settings.baselines)
     tree = initialize_rig(
@@ -164,8 +164,9 @@ def build_problem_from_captures(
     )
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
-        poses = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
-        pairs = reselect_all_inliers(pairs, poses, detections, rig.board_size, settings)
+        joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
+        captures = scale_boards(captures, joint.print_scale)
+        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size, settings)
         tree = initialize_rig(
             rig.root,
             select_successful(pairs),

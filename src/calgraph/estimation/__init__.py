@@ -2,7 +2,7 @@
 
 from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
-from calgraph.estimation.rig.camera_boards import locate_boards
+from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
 from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle, solve_poses
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attach_by_priors
 from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions, check_problem, with_prior_poses
@@ -13,5 +13,5 @@ __all__ = [
     "Estimator", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
     "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolvedNetwork", "SolverOptions",
     "attach_by_priors", "check_problem", "cramer_rao", "load_problem", "locate_boards", "round_trip",
-    "save_problem", "solve_bundle", "solve_network", "solve_poses", "with_prior_poses",
+    "save_problem", "scale_boards", "solve_bundle", "solve_network", "solve_poses", "with_prior_poses",
 ]  # fmt: skip

@@ -1,13 +1,15 @@
-"""Boards located by each camera alone, where its lens is not as stated."""
+"""Boards located by each camera alone, where its lens or the print is not as stated."""
 
 import numpy as np
 import pytest
 
+from calgraph.calibrate import RigOptions, build_problem_from_captures
 from calgraph.captures import CaptureSet
 from calgraph.detection import BoardCorners
-from calgraph.estimation import locate_boards
+from calgraph.errors import Rejected
+from calgraph.estimation import locate_boards, scale_boards
 from calgraph.geometry import Array, se3
-from calgraph.simulation import CameraErrors, ModelErrors
+from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors
 from detected_rigs import DetectedRig, detect_rig
 
 
@@ -41,3 +43,24 @@ def test_boards_hardly_move_where_the_lens_is_as_stated() -> None:
     assert {name: one.captures.detections[name] for name in ("lidar", "laser_front")} == {
         name: located.detections[name] for name in ("lidar", "laser_front")
     }
+
+
+@pytest.mark.parametrize("print_scale", [-0.05, 0.1])
+def test_camera_keeps_its_captures_where_the_print_has_another_size(print_scale: float) -> None:
+    one = detect_rig(errors=ModelErrors(BoardErrors(print_scale=print_scale)))
+    problem = build_problem_from_captures(one.rig, one.captures, RigOptions(), np.random.default_rng(0))
+    pair = problem.pairs["camera", "lidar"]
+    assert not isinstance(pair, Rejected)
+    shared = one.captures.detections["camera"].keys() & one.captures.detections["lidar"].keys()
+    assert pair.inliers.sum() > 0.9 * len(shared)
+    assert np.median(position_errors(one, problem.captures)) < 0.25 * np.median(position_errors(one, one.captures))
+
+
+def test_boards_of_a_larger_print_are_farther_away() -> None:
+    one = detect_rig()
+    scaled = scale_boards(one.captures, {0: 1.1})
+    before, after = camera_detections(one.captures), camera_detections(scaled)
+    for c in before:
+        np.testing.assert_allclose(after[c].center, 1.1 * before[c].center)
+        np.testing.assert_allclose(after[c].plane, before[c].plane * [1, 1, 1, 1.1])
+    assert scaled.detections["lidar"] is one.captures.detections["lidar"]

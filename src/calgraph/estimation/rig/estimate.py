@@ -1,7 +1,7 @@
 """The default joint estimator of a rig: a bundle over all sensors and boards, with estimated noise."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from calgraph.estimation.rig.priors import PosePrior, RigidGroup, apply_rigid_gr
 from calgraph.estimation.rig.settling import settle_variances
 from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.estimation.rig.systematic_parameters import (
+    estimated_print_scales,
     summarize_systematic_parameters,
 )
 from calgraph.estimation.rig.view_return import SettledBundle, return_excluded_views
@@ -92,9 +93,19 @@ def solve_bundle(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class PrintScaledPoses:
+    """Joint poses of sensors, and the scale of the prints that they imply."""
+
+    T_root_sensor: Mapping[str, Array]
+    """(4, 4) by sensor, the root first."""
+    print_scale: Mapping[int, float]
+    """True over stated size by index of the board; boards whose size is exact are left out."""
+
+
 def solve_poses(
     rig: Rig, captured: CaptureSet, estimates: Sequence[PairwiseEstimate], T_root_sensor: Mapping[str, Array]
-) -> dict[str, Array]:
+) -> PrintScaledPoses:
     """Joint poses of all connected sensors with the stated noise, to reselect the inliers of pairs.
 
     Args:
@@ -102,17 +113,17 @@ def solve_poses(
         captured: detections, and the cameras' intrinsics.
         estimates: pairs with their inliers.
         T_root_sensor: start poses (4, 4) of the connected sensors, the root first.
-
-    Returns:
-        ``T_root_sensor`` (4, 4) by sensor.
     """
     connected = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
     if not connected:
-        return dict(T_root_sensor)
+        return PrintScaledPoses(T_root_sensor, {})
     boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in connected])
     bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
     solution = minimize_bundle(without_priors(bundle), state, tolerance=COARSE_TOLERANCE, exact=False)
-    return dict(zip(bundle.sensors, solution.state.T_root_sensor, strict=True))
+    return PrintScaledPoses(
+        dict(zip(bundle.sensors, solution.state.T_root_sensor, strict=True)),
+        estimated_print_scales(bundle, solution.state, len(rig.boards)),
+    )
 
 
 def cramer_rao(

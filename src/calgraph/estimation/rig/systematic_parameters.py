@@ -26,6 +26,8 @@ _ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 """Number of estimated distortion coefficients: those of the denominator of a rational model, which come after
 these, have nearly the same effect."""
 
+_PRINT_SCALE = "print scale"
+
 
 @dataclass(frozen=True)
 class _Candidate:
@@ -176,6 +178,16 @@ def board_name(number: int, count: int) -> str:
     return f"board {number + 1}" if count > 1 else "board"
 
 
+def estimated_print_scales(bundle: Bundle, state: BundleState, count: int) -> dict[int, float]:
+    """True over stated size of the print on each of the rig's boards (``count``) for which the bundle has it."""
+    numbers = {board_name(number, count): number for number in range(count)}
+    return {
+        numbers[one.of]: one.stated + one.scale * float(value)
+        for one, value in zip(bundle.extra_parameters, state.extra, strict=True)
+        if one.quantity == _PRINT_SCALE
+    }
+
+
 def _add_to_camera(
     table: ParameterTable,
     k: int,
@@ -246,7 +258,7 @@ class _Print:
         """In the order of a corner's local parameters, for up to ``most_tags`` tags."""
         prior, several = self.board.uncertainty, len(self.tags) > 1
         placed = self.placed_tags if several else ()
-        yield _Candidate(self.name, "print scale", "", prior.print_scale, 1.0)
+        yield _Candidate(self.name, _PRINT_SCALE, "", prior.print_scale, 1.0)
         yield _Candidate(self.name, "print aspect", "", prior.print_aspect, 1.0)
         # A single tag defines the board's frame and scale: it has no other tags to disagree with.
         yield _Candidate(self.name, "tag size", "", prior.tag_size, 1.0) if several else None
