@@ -30,18 +30,44 @@ def test_each_kind_gives_a_page_and_a_target_that_loads(
     assert pages(tmp_path / "board.pdf") == 1
     (tmp_path / "target.yaml").write_text(result.stdout)
     (board,) = read_boards(tmp_path / "target.yaml")
-    assert (board.size, type(board.pattern)) == ((0.297, 0.21), pattern)
+    assert (board.size, type(board.pattern)) == ((1.2, 0.9), pattern)
 
 
-def test_a_large_board_is_spread_over_pages(run: Run, tmp_path: Path) -> None:
-    result = run("board", "--size", "1200x900", "--paper", "A3", "-o", tmp_path / "board.pdf")
-    assert f"{pages(tmp_path / 'board.pdf')} pages" in result.stderr
-    assert pages(tmp_path / "board.pdf") == 15
+def page_sizes(path: Path) -> list[tuple[int, int]]:
+    """Width and height of the pages of a PDF, mm."""
+    with pypdfium2.PdfDocument(path) as pdf:
+        return [(round(page.get_width() * 25.4 / 72), round(page.get_height() * 25.4 / 72)) for page in pdf]
 
 
-def test_a_large_board_is_one_page_of_its_size(run: Run, tmp_path: Path) -> None:
-    assert run("board", "--size", "1200x900", "--paper", "fit", "-o", tmp_path / "board.pdf").exit_code == 0
-    assert pages(tmp_path / "board.pdf") == 1
+@pytest.mark.parametrize(
+    ("options", "page", "board"),
+    [
+        ([], (1230, 930), (1.2, 0.9)),
+        (["--paper", "A4"], (297, 210), (0.297, 0.21)),
+        (["--paper", "a3"], (420, 297), (0.42, 0.297)),
+        (["--size", "200x150"], (297, 210), (0.2, 0.15)),
+        (["--size", "400x280"], (420, 297), (0.4, 0.28)),
+        (["--size", "1100x800"], (1189, 841), (1.1, 0.8)),
+        (["--size", "1300x800"], (1330, 830), (1.3, 0.8)),
+        (["--size", "200x150", "--paper", "A3"], (297, 420), (0.2, 0.15)),
+        (["--size", "200x150", "--paper", "fit"], (230, 180), (0.2, 0.15)),
+    ],
+)
+def test_a_board_is_one_page_of_the_smallest_common_paper_or_of_its_size(
+    run: Run, tmp_path: Path, options: list[str], page: tuple[int, int], board: tuple[float, float]
+) -> None:
+    result = run("board", *options, "-o", tmp_path / "board.pdf")
+    assert page_sizes(tmp_path / "board.pdf") == [page]
+    assert f"1 page of {page[0]}x{page[1]} mm" in result.stderr
+    assert ("--tile A4" in result.stderr) == (page[0] > 420)
+    (tmp_path / "target.yaml").write_text(result.stdout)
+    assert read_boards(tmp_path / "target.yaml")[0].size == board
+
+
+def test_a_large_board_is_spread_over_pages_where_asked_for(run: Run, tmp_path: Path) -> None:
+    result = run("board", "--tile", "A3", "-o", tmp_path / "board.pdf")
+    assert "15 pages of 297x420 mm, to be joined; print at 100 %" in result.stderr
+    assert page_sizes(tmp_path / "board.pdf") == [(297, 420)] * 15
 
 
 def test_the_target_goes_into_a_rig(run: Run, simulated: Path, tmp_path: Path) -> None:
@@ -77,7 +103,17 @@ def test_a_rig_and_wishes_contradict_each_other(run: Run, tmp_path: Path) -> Non
         (["--kind", "charuco", "--square", "-3"], "--square: must be greater than 0, got -3"),
         (["--paper", "B7"], "--paper: is none of a0, a1"),
         (["--size", "12"], "--size: must be WIDTHxHEIGHT in mm, such as 1200x900; got '12'"),
-        (["--paper", "fit"], "--size: is needed for --paper fit"),
+        (
+            ["--size", "1.2x0.9"],
+            "--size: must be WIDTHxHEIGHT in mm, such as 1200x900; got '1.2x0.9', which seems to be in m",
+        ),
+        (["--size", "1.2x0.9m"], "'1.2x0.9m', which seems to be in m"),
+        (["--paper", "A3", "--tile", "A4"], "--tile: spreads the board over pages"),
+        (
+            ["--size", "1200x900", "--paper", "A3"],
+            "--paper: a board of 1200x900 mm does not fit on one page of A3; leave --paper out for one page of "
+            "its size, or give --tile A3 for 15 pages to be joined",
+        ),
         (["--dictionary", "DICT_5X5_50"], "--dictionary: applies to charuco only"),
         (["-o", "missing/board.pdf"], "missing"),
     ],

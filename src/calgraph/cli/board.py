@@ -1,5 +1,6 @@
 """``calgraph board``: boards as PDF, and the target of rig.yaml that belongs to them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,8 +12,11 @@ from calgraph.config import Board
 from calgraph.errors import InputError
 from calgraph.io import check_output_path, write_text
 from calgraph.printing import (
+    DEFAULT_SIZE,
     BoardOptions,
+    Page,
     Paper,
+    choose_paper,
     design_board,
     format_target,
     layout_pages,
@@ -22,6 +26,8 @@ from calgraph.printing import (
     replace_target,
 )
 
+_MAX_OFFICE_PAPER = 420.0
+"""mm: longer paper than A3 does not go into the printers of offices."""
 _MODEL_OPTIONS = {option.parameter: option for option in list_options(BoardOptions, {"kind": "Print"})}
 
 
@@ -35,16 +41,24 @@ def board_options(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="PDF to write.")] = Path("board.pdf"),
     size: Annotated[
         str | None,
-        typer.Option(metavar="WxH", help="Of the board, mm; as large as the paper, lying, if left out."),
+        typer.Option(
+            metavar="WxH",
+            help="Of the board, mm; if left out, as large as the paper given, or 1200x900 without.",
+        ),
     ] = None,
     paper: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="PAPER",
-            help="A5 to A0, letter, legal, tabloid, ansi-c to ansi-e, or WxH in mm, turned as it suits; a larger "
-            "board is spread over pages to be joined. Or fit: one page as large as the board needs.",
+            help="One page of A5 to A0, letter, legal, tabloid, ansi-c to ansi-e, or WxH in mm, turned as it "
+            "suits. If left out, the smallest of A4 to A0 that takes the board, or a page of the board's size "
+            "for a print shop; fit: always such a page.",
         ),
-    ] = "A4",
+    ] = None,
+    tile: Annotated[
+        str | None,
+        typer.Option(metavar="PAPER", help="Spread the board over pages of this paper, to be joined."),
+    ] = None,
     overlap: Annotated[float, typer.Option(metavar="MM", help="Of pages to be joined.")] = 10.0,
     into: Annotated[
         Path | None,
@@ -57,16 +71,23 @@ def board_options(
     Print at 100 %, check the rulers on the print, and glue it to something flat and stiff.
     """
     check_output_path(out)
-    chosen = None if paper.strip().lower() == "fit" else parse_paper(paper)
+    if paper and tile:
+        raise InputError("--tile: spreads the board over pages, --paper is for one page; give one of them")
+    fit = bool(paper) and str(paper).strip().lower() == "fit"
+    given = parse_paper(paper or tile or "") if (paper and not fit) or tile else None
     if rig is None:
         boards: tuple[Board, ...] = (
-            design_board(_board_size(size, chosen), apply_options(BoardOptions(), _MODEL_OPTIONS, options)),
+            design_board(
+                _board_size(size, given if paper else None), apply_options(BoardOptions(), _MODEL_OPTIONS, options)
+            ),
         )
     elif size is None and not options:
         boards = read_boards(rig)
     else:
         raise InputError(f"{rig}: defines the boards to print; give either it, or options of another")
-    pages = [(one, layout_pages(one, chosen, overlap)) for one in boards]
+    pages = [(one, layout_pages(one, given or (None if fit else choose_paper(one)), overlap)) for one in boards]
+    if not tile:
+        _check_single(pages, paper)
     changed = replace_target(into, boards) if into else ""
 
     from calgraph.printing.pdf import write_pdf  # its library takes a while, which --help should not
@@ -75,8 +96,9 @@ def board_options(
     if into:
         write_text(into, changed)
     typer.echo(format_target(boards), nl=False)
-    count = sum(len(of_one) for _, of_one in pages)
-    console(stderr=True).print(f"Wrote {out}: {count} page{'s'[: count > 1]}; print at 100 %", markup=False)
+    console(stderr=True).print(
+        f"Wrote {out}: {_describe([page for _, of_one in pages for page in of_one])}", markup=False
+    )
 
 
 def _board_size(size: str | None, paper: Paper | None) -> tuple[float, float]:
@@ -84,8 +106,30 @@ def _board_size(size: str | None, paper: Paper | None) -> tuple[float, float]:
     if size is not None:
         return parse_size(size, "--size: must be")
     if paper is None:
-        raise InputError("--size: is needed for --paper fit, which is as large as the board")
+        return DEFAULT_SIZE
     return max(paper.width, paper.height), min(paper.width, paper.height)
+
+
+def _check_single(pages: Sequence[tuple[Board, Sequence[Page]]], paper: str | None) -> None:
+    """Raises InputError if a board does not fit on one page."""
+    for board, of_one in pages:
+        if len(of_one) > 1:
+            width, height = (1000 * length for length in board.size)
+            raise InputError(
+                f"--paper: a board of {width:g}x{height:g} mm does not fit on one page of {paper}; leave --paper "
+                f"out for one page of its size, or give --tile {paper} for {len(of_one)} pages to be joined"
+            )
+
+
+def _describe(pages: Sequence[Page]) -> str:
+    """Number and size of the pages, and how to print them."""
+    count, paper = len(pages), pages[0].paper
+    size = f"{count} page{'s'[: count > 1]} of {paper.width:g}x{paper.height:g} mm"
+    if any(page.is_tile for page in pages):
+        return f"{size}, to be joined; print at 100 %"
+    is_large = max(paper.width, paper.height) > _MAX_OFFICE_PAPER
+    shop = " in a print shop, or give --tile A4 for pages to be joined" if is_large else ""
+    return f"{size}; print at 100 %{shop}"
 
 
 board = add_options(board_options, _MODEL_OPTIONS, BoardOptions())

@@ -1,11 +1,11 @@
 """Printed boards: designs that fill a board, their pages, and the target block of rig.yaml."""
 
-from calgraph.printing.designs import BoardKind, BoardOptions, design_board
-from calgraph.printing.pages import Page, Window, layout_pages
+from calgraph.printing.designs import DEFAULT_SIZE, BoardKind, BoardOptions, design_board
+from calgraph.printing.pages import Page, Window, choose_paper, layout_pages
 from calgraph.printing.paper import Paper, parse_paper, parse_size
 from calgraph.printing.target_block import format_target, read_boards, replace_target
 
 __all__ = [
-    "BoardKind", "BoardOptions", "Page", "Paper", "Window", "design_board", "format_target", "layout_pages",
-    "parse_paper", "parse_size", "read_boards", "replace_target",
+    "DEFAULT_SIZE", "BoardKind", "BoardOptions", "Page", "Paper", "Window", "choose_paper", "design_board",
+    "format_target", "layout_pages", "parse_paper", "parse_size", "read_boards", "replace_target",
 ]  # fmt: skip

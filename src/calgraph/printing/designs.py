@@ -14,6 +14,8 @@ from calgraph.printing.paper import MARGIN
 
 BoardKind = Literal["tags", "aprilgrid", "charuco", "checkerboard"]
 
+DEFAULT_SIZE = (1200.0, 900.0)
+"""Width and height of the usual board, mm: that of the simulator and of the README."""
 _MIN_RIM = MARGIN + 5.0
 """Minimum white rim around the print, mm: on a board as large as the paper it holds the rulers."""
 _TAG_EDGE = (0.32 / 1.2, 0.32 / 0.9)

@@ -13,7 +13,7 @@ import numpy as np
 from calgraph.config import Board, black_rectangles
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.printing.paper import MARGIN, Paper
+from calgraph.printing.paper import COMMON_PAPERS, MARGIN, Paper, parse_paper
 
 MM_PER_METER = 1000.0
 """Millimetres per metre."""
@@ -115,6 +115,12 @@ def layout_pages(board: Board, paper: Paper | None = None, overlap: float = 10.0
     if len(pages) > _MAX_PAGES:
         raise InputError(f"`paper`: it would take {len(pages)} pages; choose larger paper, or a smaller board")
     return tuple(pages)
+
+
+def choose_paper(board: Board) -> Paper | None:
+    """The smallest common paper that takes a board on one page; None if none does."""
+    papers = (parse_paper(name) for name in COMMON_PAPERS)
+    return next((paper for paper in papers if any(_single(board, p) for p in (paper, paper.rotated))), None)
 
 
 def _single(board: Board, paper: Paper) -> Page | None:

@@ -8,6 +8,8 @@ from calgraph.errors import InputError
 MARGIN = 15.0
 """Margin around the board, mm: space for rulers and marks, and more than any printer leaves blank."""
 
+COMMON_PAPERS = ("A4", "A3", "A2", "A1", "A0")
+"""Papers that a board is put on unless another is asked for, the smallest first."""
 _MAX_EDGE = 5000.0
 """A PDF's page has at most 14400 points, 5080 mm, along an edge."""
 _PAPER_SIZES = {
@@ -64,6 +66,8 @@ def parse_size(text: str, message: str) -> tuple[float, float]:
     Raises:
         InputError: the text has another form.
     """
+    if re.fullmatch(r"\s*[\d.]+\s*[x×]\s*[\d.]+\s*m\s*|\s*\d\.\d*\s*[x×]\s*\d\.\d*\s*", text, re.IGNORECASE):
+        raise InputError(f"{message} WIDTHxHEIGHT in mm, such as 1200x900; got {text!r}, which seems to be in m")
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*[x×]\s*(\d+(?:\.\d*)?)\s*(?:mm)?\s*", text, re.IGNORECASE)
     if not match or not all(float(length) > 0 for length in match.groups()):
         raise InputError(f"{message} WIDTHxHEIGHT in mm, such as 1200x900; got {text!r}")
