@@ -97,7 +97,7 @@ def main() -> None:
         for done, task in enumerate(tasks, start=1):
             changes.append(task.result())
             print(f"\r{done} of {len(tasks)}", end="", file=sys.stderr, flush=True)
-    print(f"{'story':8} {'setting':55} {'value':>14} {'placed':>6} {'moved':>8} {'RMSE':>6} {'NEES':>6}")
+    print(f"{'target':8} {'setting':55} {'value':>14} {'placed':>6} {'moved':>8} {'RMSE':>6} {'NEES':>6}")
     for change in sorted(changes, key=lambda c: (abs(c.placed), np.nan_to_num(c.moved)), reverse=True):
         print(
             f"{change.story:8} {change.name:55} {written(change.value):>14} {change.placed:+6d} "
@@ -119,7 +119,7 @@ def default_outcomes(pool: ProcessPoolExecutor, story: Story, folders: Sequence[
 
 
 def variations(only: str) -> Iterator[tuple[Story, str, Any, Settings]]:
-    """Each number among the settings, halved and doubled, for the stories that use it."""
+    """Each number among the settings, halved and doubled, for the targets (rig, network) that use it."""
     for name, value in numbers(Settings()):
         if name.startswith(only):
             for factor in FACTORS:
@@ -186,7 +186,7 @@ def calibrated(folder: Path, settings: Settings) -> Outcome | str:
 
 
 def calibrate(rig: Rig, recording: Recording) -> Calibration:
-    """Calibrates by the story that the rig's target belongs to."""
+    """Calibrates a rig, or a network, by its target."""
     if rig.boards:
         return calibrate_rig(rig, recording, RigOptions())
     return calibrate_network(rig, recording, NetworkOptions())
@@ -209,7 +209,7 @@ def judged(found: Calibration, truth: GroundTruth) -> Outcome:
 def compare(
     story: Story, name: str, value: Any, settings: Settings, folders: Sequence[Path], defaults: Sequence[Outcome]
 ) -> Change:
-    """Calibrates all recordings of a story with one setting changed."""
+    """Calibrates all recordings of rigs, or of networks, with one setting changed."""
     outcomes = [calibrated(folder, settings) for folder in folders]
     failures = [outcome for outcome in outcomes if isinstance(outcome, str)]
     pairs = [(o, d) for o, d in zip(outcomes, defaults, strict=True) if isinstance(o, Outcome)]

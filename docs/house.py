@@ -1,6 +1,6 @@
-"""Draws the rooms of the source from the import contract in pyproject.toml: `python docs/house.py`.
+"""Draws the packages of the source in layers from the import contract in pyproject.toml: `python docs/house.py`.
 
-Each room may import those below it; rooms on one line do not import each other. The picture is
+Each package may import those below it; packages on one line do not import each other. The picture is
 docs/images/house.svg.
 """
 
@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PURPOSE = {
     "cli": "commands",
-    "calibrate": "the two stories",
+    "calibrate": "rigs and networks",
     "report": "page of a result",
     "simulation": "ground truth",
     "printing": "boards on paper",
@@ -38,14 +38,14 @@ WIDTH, HEIGHT, GAP = 860, 44, 8
 
 
 def layers() -> list[list[str]]:
-    """The rooms, from the top of the house, as the import contract has them."""
+    """The packages, from the top layer down, as the import contract has them."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     house = next(contract for contract in contracts if contract["type"] == "layers")
     return [[room.strip() for room in line.split("|")] for line in house["layers"]]
 
 
 def room(x: float, y: float, width: float, name: str) -> str:
-    """One room: a box with its name and purpose."""
+    """One package: a box with its name and purpose."""
     middle = x + width / 2
     return (
         f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{HEIGHT}" rx="4" fill="#eef3f7" '

@@ -44,6 +44,7 @@ STANDARD_TERMS = {
     r"errs?|erred|erring": "has an error",
     r"sheets? (?:of|is|was|are|on|has|with)(?! paper| A\d)": "board, board outline",
     r"likeliest": "most likely",
+    r"stor(?:y|ies)": "pipeline",
     r"(?:row|folder|files|topic) a (?:sensor|capture|scanner|corner|measurement)": "one row per sensor",
     r"amidst|whilst|thereof|therein|hereby|wherein|whereby|upon|lest|unto": "plain words",
 }  # fmt: skip

@@ -1,7 +1,7 @@
 """Extrinsic calibration of rigs of cameras, 2-D laser scanners and 3-D LiDARs from one recording.
 
 The steps of the command line as functions on NumPy arrays and frozen dataclasses. Names are re-exported from
-their rooms, which are loaded on first use: ``import calgraph`` itself takes no time.
+their packages, which are loaded on first use: ``import calgraph`` itself takes no time.
 """
 
 from importlib import import_module
@@ -76,7 +76,7 @@ _ROOMS = (
 
 
 def __getattr__(name: str) -> object:
-    """The public name, from the lowest room that hands it on."""
+    """The public name, from the lowest package that exports it."""
     if name in __all__:
         for room in _ROOMS:
             found = getattr(import_module(f"{__name__}.{room}"), name, None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 class CalgraphError(Exception):
-    """Base of every error a user can cause or meet; the launcher prints its message on one line."""
+    """Base class of errors that users can cause; the command line prints the message in one line."""
 
 
 class InputError(CalgraphError):
@@ -24,7 +24,7 @@ class CalibrationError(CalgraphError):
 
 @dataclass(frozen=True)
 class Rejected:
-    """A value instead of a result: the data of one step do not suffice, and why."""
+    """Returned instead of a result where the data of a step do not suffice, with the reason."""
 
     reason: str
     """One sentence that a user can act on."""

@@ -1,4 +1,4 @@
-"""The two stories, one screen each: from a recording to a calibrated tree of transforms."""
+"""The pipelines of rigs and networks: from a recording to a calibrated tree of transforms."""
 
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.network import calibrate_network, calibrate_tracks

@@ -60,7 +60,7 @@ def calibrate_tracks(
     start: float | None = None,
     findings: Sequence[InputFinding] = (),
 ) -> Calibration:
-    """Calibrates stationary 2-D scanners from the tracks of each, however these were obtained.
+    """Calibrates stationary 2-D scanners from the tracks of each, which may be those of another program.
 
     Args:
         rig: the network.
@@ -70,10 +70,10 @@ def calibrate_tracks(
         progress: called with the step and the fraction done.
         frames: frame_id by scanner, where the rig does not state it.
         start: of the recording, s; the time of the first track if left out.
-        findings: what does not fit the rig in the messages of the recording.
+        findings: contradictions between the rig and the messages of the recording.
 
     Raises:
-        InputError: the rig is none of 2-D scanners, or has not all that were followed.
+        InputError: a sensor of the rig is not a 2-D scanner, or tracks are of a scanner that the rig lacks.
         CalibrationError: nothing is connected to the root of a network that is to be extended.
     """
     earlier = _calibration_to_extend(rig, options)

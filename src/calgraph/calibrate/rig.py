@@ -1,4 +1,4 @@
-"""The first story: from one recording of a board carried around a robot to its tree of transforms."""
+"""Rigs: from one recording of a board carried around a robot to its tree of transforms."""
 
 from collections.abc import Iterable, Mapping
 
@@ -78,7 +78,7 @@ def calibrate_detections(
     cameras: Mapping[str, CameraModel] | None = None,
     progress: Progress = no_progress,
 ) -> Calibration:
-    """Calibrates a robot's sensors from detections made elsewhere, without any recording.
+    """Calibrates a robot's sensors from detections of another program, without a recording.
 
     Args:
         rig: sensors and board; topics and captures do not matter.
@@ -111,7 +111,7 @@ def _save_and_solve(problem: Problem, options: RigOptions) -> Calibration:
 def build_problem(
     rig: Rig, recording: Recording, options: RigOptions, progress: Progress = no_progress
 ) -> Problem:
-    """From a recording to the joint problem; arguments and errors are those of :func:`calibrate_rig`."""
+    """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig)
     rng = np.random.default_rng(options.seed)
     rig = resolve_background(rig, recording)
@@ -151,7 +151,7 @@ def collect_captures(
 def build_problem_from_captures(
     rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
-    """From detections to the joint problem: every pair, and the tree they span."""
+    """Builds the joint problem from detections: relative poses of all pairs, and the spanning tree."""
     log_captures(captures)
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
@@ -181,7 +181,7 @@ def build_problem_from_captures(
 
 
 def solve_problem(problem: Problem) -> Calibration:
-    """From the joint problem to a calibration of all sensors; deterministic to the last bit."""
+    """Solves the joint problem: the calibration of all sensors, bit-identical for one problem."""
     problem, joint, tree = solve_after_bumps(
         problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly
     )
@@ -191,7 +191,7 @@ def solve_problem(problem: Problem) -> Calibration:
     settings = rig.settings.diagnostics
     held_out = cross_validate(solved, folds, settings.rig) if folds else {}
     joint = include_drifts(joint, solved, settings)
-    # Candidate board poses are sampled with a fixed seed: the result hardly depends on the sample.
+    # Candidate board poses are sampled with a fixed seed: the result depends little on the sample.
     return add_suggestions(
         assemble_rig(problem, tree, joint, held_out),
         solved,

@@ -25,7 +25,7 @@ from calgraph.result import Calibration, ExtrinsicsFile
 def bootstrap_covariances(
     problem: Problem, rounds: int, rng: np.random.Generator, progress: Progress = no_progress
 ) -> tuple[Calibration, dict[str, BootstrapScatter]]:
-    """A calibration, and by sensor the scatter of its pose in a bootstrap over captures.
+    """Calibrates, and returns the scatter of each sensor's pose in a bootstrap over captures.
 
     Raises:
         CalibrationError: no two sensors detected the board in common captures.

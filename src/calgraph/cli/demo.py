@@ -1,4 +1,4 @@
-"""``calgraph demo``: the whole story on a simulated robot."""
+"""``calgraph demo``: simulation and calibration of a robot."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -68,7 +68,7 @@ def plane_patch_from_points(
         The plane by least squares along the beams, without outliers; or why there is none.
 
     Raises:
-        InputError: the array is no (N, 3) of finite numbers.
+        InputError: the array is not (N, 3), or not finite.
     """
     points = _check_rows("points", points, (3,))
     _check_beams(points)
@@ -98,7 +98,7 @@ def segment_from_points(
         The line by least squares along the beams, without outliers; or why there is none.
 
     Raises:
-        InputError: the array is neither, or points are off the scan plane.
+        InputError: the array has another shape, or points are off the scan plane.
     """
     points = _check_points("points", points)
     if points[:, 2].any():

@@ -19,7 +19,7 @@ def open_recording(path: Path) -> Recording:
             folder with one folder per sensor.
 
     Raises:
-        InputError: there is nothing, or something else.
+        InputError: the path does not exist, or is not a recording.
         RecordingError: it is damaged.
     """
     if not path.exists():
@@ -39,7 +39,7 @@ def open_recordings(paths: Sequence[Path]) -> Recording:
     """Opens several recordings as one, merged by arrival time.
 
     Raises:
-        InputError: no path is given, or one of them is no recording.
+        InputError: no path is given, or one of them is not a recording.
         RecordingError: one of them is damaged.
     """
     if not paths:

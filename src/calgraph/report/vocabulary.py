@@ -8,7 +8,7 @@ from calgraph.config import Rig
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """The terms and captions of one story; captions are HTML."""
+    """The terms and captions of rigs, or of networks; captions are HTML."""
 
     item: str
     """The unit of a row of captures.csv."""

@@ -111,8 +111,8 @@ def load_problem(path: Path) -> Problem:
     """Reads what :func:`save_problem` wrote.
 
     Raises:
-        InputError: the file is missing, is no problem, has another version, is truncated, damaged or inconsistent;
-            the message names the member and the allowed values.
+        InputError: the file is missing, is not a problem, has another version, is truncated, damaged or
+            inconsistent; the message names the member and the allowed values.
     """
     content, arrays = read_archive(path, _STRUCTURE, FORMAT)
     structure = validate_content(_Structure, content, path / _STRUCTURE)
