@@ -26,7 +26,7 @@ def test_parameters_with_the_same_effect_are_alternatives() -> None:
     assert causes == [0, 1]
     assert text.startswith(
         "ranges of a are 4.95e+03 mm longer than they should be, or ranges of b are 4.99e+03 mm shorter than they "
-        "should be (these 2 cannot be distinguished here); this is 2.2 times as much as its uncertainty in rig"
+        "should be (these 2 cannot be distinguished here); this is 2.2 times its uncertainty in rig"
     )
 
 

@@ -59,7 +59,7 @@ def test_facts_and_edges_count_walks_and_positions(html: str) -> None:
 def test_sensors_without_a_reason_get_advice_on_walking(html: str) -> None:
     words = words_of(html)
     assert "Let people walk longer paths in several directions" in words
-    assert "Let people walk where two views overlap." in words
+    assert "Let people walk longer where its view and that of another scanner with a pose overlap." in words
 
 
 def test_poses_are_those_in_the_plane(html: str) -> None:

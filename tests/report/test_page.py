@@ -15,7 +15,7 @@ from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.report import write_report
 from calgraph.report.page import render_report
-from calgraph.result import Calibration, CaptureRow, Edge, FitError, HeldOutError, Pictures, Verdict
+from calgraph.result import Calibration, CaptureRow, Edge, FitError, HeldOutError, Pictures, Suggestion, Verdict
 
 VOID = {"meta", "br", "input", "link", "img"}
 
@@ -113,7 +113,7 @@ def test_every_figure_has_its_place(page: Page) -> None:
 
 
 def test_the_headline_summarizes_the_grades(page: Page) -> None:
-    assert "Of 4 sensors besides the root: 3 calibrated well, 1 weak." in page.words
+    assert "3 of 4 sensors are calibrated well: 1 weak." in page.words
 
 
 def test_the_page_states_the_tolerance(calibration: Calibration, rig: Rig, page: Page) -> None:
@@ -183,6 +183,34 @@ def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibrati
     page = Page(render_report(lost, rig))
     assert "sonar ✕ not connected Detected no board" in page.words
     assert "1 not connected." in page.words
+
+
+@pytest.mark.parametrize(
+    ("reason", "advice"),
+    [
+        (
+            "detected the board in none of 48 captures, mostly because: no tag found",
+            "Check the target in rig.yaml",
+        ),
+        ("detected the board in 2 captures, but lidar: 3 are needed", "Record more captures in which both it"),
+    ],
+)
+def test_advice_for_an_unconnected_sensor_follows_its_reason(
+    calibration: Calibration, rig: Rig, reason: str, advice: str
+) -> None:
+    evidence = dataclasses.replace(calibration.evidence, unconnected={"sonar": reason})
+    page = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig))
+    assert f"{reason[1:]}. {advice}" in page.words
+
+
+def test_next_captures_are_collapsed_where_all_poses_are_good(calibration: Calibration, rig: Rig) -> None:
+    """They reduce the uncertainty of poses, and do not connect a sensor that has none."""
+    step = Suggestion("hold it there", "laser", "x", "m", 0.01, 0.005, np.eye(4))
+    evidence = dataclasses.replace(calibration.evidence, suggestions=(step,), unconnected={"sonar": "no board"})
+    weak = dataclasses.replace(calibration, evidence=evidence)
+    good = tuple(dataclasses.replace(s, verdict=Verdict("good")) for s in calibration.sensors)
+    assert "<h3>Next captures</h3>" in render_report(weak, rig)
+    assert "<h3>Next captures</h3>" not in render_report(dataclasses.replace(weak, sensors=good), rig)
 
 
 def test_remarks_follow_the_verdicts(calibration: Calibration, rig: Rig) -> None:

@@ -52,14 +52,11 @@ def _draw_bars(fitted: float, held_out: float) -> str:
 
 
 def render_suggestions(calibration: Calibration) -> str:
-    """The next best captures in order; collapsed where all sensors are good, empty where there are none."""
+    """The next best captures in order; collapsed where all poses are good, empty where there are none."""
     if not calibration.evidence.suggestions:
         return ""
     items = "".join(f"<li>{escape_html(one)}</li>" for one in calibration.evidence.suggestions)
     content = f"<p>{_SUGGESTIONS_CAPTION}</p><ol>{items}</ol>"
-    if (
-        all(sensor.verdict.grade == "good" for sensor in calibration.sensors)
-        and not calibration.evidence.unconnected
-    ):
+    if all(sensor.verdict.grade == "good" for sensor in calibration.sensors):
         return f"<details><summary>Captures that would improve the result further</summary>{content}</details>"
     return f'<div class="next"><h3>Next captures</h3>{content}</div>'

@@ -99,12 +99,15 @@ def _depth_first_names(calibration: Calibration) -> list[str]:
 
 def _place_nodes(names: list[str], unconnected: list[str], width: float, height: float) -> dict[str, Array]:
     """Centres (2,) of the sensors' boxes, pixels."""
-    center = np.array([width - (_NODE_SIZE[0] + 50 if unconnected else 0), height]) / 2
+    columns = min(len(unconnected), 2)
+    center = np.array([width - columns * (_NODE_SIZE[0] + 25) - 25 * (columns > 0), height]) / 2
     radii = center - _NODE_SIZE / 2 - 8 if len(names) > 1 else np.zeros(2)
     angles = np.pi + 2 * np.pi * np.arange(len(names)) / max(len(names), 1)
     on_ellipse = center + radii * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     heights = (np.arange(len(unconnected)) + 1) * height / (len(unconnected) + 1)
-    beside = [np.array([width - _NODE_SIZE[0] / 2 - 8, y]) for y in heights]
+    # In two columns, so that lines between them do not pass behind others.
+    stagger = (_NODE_SIZE[0] + 20) * (np.arange(len(unconnected)) % 2)
+    beside = [np.array([width - _NODE_SIZE[0] / 2 - 8 - dx, y]) for dx, y in zip(stagger, heights, strict=True)]
     return dict(zip([*names, *unconnected], [*on_ellipse, *beside], strict=True))
 
 

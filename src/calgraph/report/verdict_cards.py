@@ -30,13 +30,13 @@ def summarize_verdicts(calibration: Calibration) -> str:
     if good_count == total:
         return "Every sensor is calibrated well." if total > 1 else "The sensor is calibrated well."
     parts = [
-        (good_count, "calibrated well"),
         (weak, "weak"),
         (lost, "unobservable"),
         (unconnected, "not connected"),
     ]
     outcomes = ", ".join(f"{count} {words}" for count, words in parts if count)
-    return f"Of {format_count(total, 'sensor')} besides the root: {outcomes}."
+    well = f"{good_count} of {format_count(total, 'sensor')}" if good_count else "No sensor"
+    return f"{well} {'is' if good_count < 2 else 'are'} calibrated well: {outcomes}."
 
 
 def describe_good(tolerance: Tolerance, confidence: float) -> str:
@@ -57,7 +57,9 @@ def describe_next_step(calibration: Calibration) -> str:
     usable = [name for name, grade in grades.items() if grade == "good"]
     others = [name for name, grade in grades.items() if grade != "good"]
     if not others:
-        return "All poses can be used. Next: <code>calgraph export</code> writes them as URDF, tf, Kalibr, …"
+        remarks = " Read the remarks below first." if calibration.evidence.remarks else ""
+        export = "Next: <code>calgraph export</code> writes them as URDF, tf, Kalibr, …"
+        return f"All poses can be used.{remarks} {export}"
     use = f"Only {_list_names(usable)} can be used." if usable else "No pose can be used yet."
     which = "Its card states" if len(others) == 1 else "Their cards state"
     if len(others) == 1 and others[0] in calibration.evidence.unconnected:
@@ -81,9 +83,8 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
         key=lambda sensor: order[sensor.verdict.grade],
     )
     advice = words.advice
-    lost = advice["unconnected"]
     shown = [
-        *(_render_card("unconnected", name, {}, f"{why}. {lost}" if why else lost)
+        *(_render_card("unconnected", name, {}, _explain_unconnected(why, advice))
           for name, why in calibration.evidence.unconnected.items()),
         *(_render_card(
             s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
@@ -136,10 +137,21 @@ def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Voca
     return facts
 
 
+def _explain_unconnected(reason: str, advice: Mapping[str, str]) -> str:
+    """Why a sensor has no pose, and what to do."""
+    if not reason:
+        return advice["unconnected"]
+    # Reasons of sensors with detections name what is missing with the others.
+    next_step = advice["unconnected" if ", but " in reason else "undetected"]
+    return f"{reason}. {next_step}"
+
+
 def _render_card(grade: str, name: str, facts: Mapping[str, str], reason: str, kind: str = "") -> str:
     css, _, _ = _BADGES[grade]
     words = f'<p class="reason">{escape_html(reason[:1].upper() + reason[1:])}</p>' if reason else ""
-    listed = "".join(f"<dt>{escape_html(key)}</dt><dd>{escape_html(value)}</dd>" for key, value in facts.items())
+    listed = "".join(
+        f"<div><dt>{escape_html(key)}</dt><dd>{escape_html(value)}</dd></div>" for key, value in facts.items()
+    )
     return (
         f'<article class="card {css}"><h3>{escape_html(name)}<small>{kind}</small></h3>{render_badge(grade)}'
         f"{words}{f'<dl>{listed}</dl>' if listed else ''}</article>"

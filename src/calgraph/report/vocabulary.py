@@ -36,7 +36,7 @@ class Vocabulary:
     """Title of the section with the figure of the result."""
     view_caption: str
     advice: Mapping[str, str]
-    """Advice for a sensor, by grade, where its verdict gives none."""
+    """Advice for a sensor by grade, where its verdict gives none; without a pose, by its detections."""
 
 
 BOARD_VOCABULARY = Vocabulary(
@@ -78,7 +78,9 @@ Frames with x, y, z axes in red, green and blue; drag to rotate, scroll to zoom,
 ellipsoid contains the sensor's true position with 95 % probability; long axes are clipped.""",
     advice={
         "weak": "Record more captures with the board at other angles, heights and distances.",
-        "unconnected": "It shares no capture with another sensor. Hold the board where both detect it.",
+        "unconnected": "Record more captures in which both it and a sensor with a pose detect the board.",
+        "undetected": "Check the target in rig.yaml against the board that was used, and in the thumbnails below "
+        "whether the board is in its view; then record captures there.",
         "unobservable": "Do not use this pose. Record captures in which the board is tilted about several axes.",
     },
 )
@@ -121,7 +123,8 @@ tracks of two colours that do not coincide indicate a wrong pose. Arrows are the
 double-click to reset, click in the legend to hide a scanner.""",
     advice={
         "weak": "Let people walk longer paths in several directions where its view overlaps with others.",
-        "unconnected": "It shares no track with another scanner. Let people walk where two views overlap.",
+        "unconnected": "Let people walk longer where its view and that of another scanner with a pose overlap.",
+        "undetected": "Check its topic and its mounting, and let people walk where its view and others overlap.",
         "unobservable": "Do not use this pose. Let people walk in several directions where views overlap.",
     },
 )

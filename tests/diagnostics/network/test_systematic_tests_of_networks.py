@@ -26,8 +26,8 @@ def test_errors_within_their_priors_are_not_named() -> None:
 def test_an_error_beyond_its_prior_is_named_with_its_size() -> None:
     [(text, scanners)] = find(1, 0, -4.0)
     assert text.startswith(
-        "ranges of east are 80 mm shorter than they should be; this is 4.0 times as much as its uncertainty in "
-        "rig.yaml, 20 mm, lets expect"
+        "ranges of east are 80 mm shorter than they should be; this is 4.0 times its uncertainty in "
+        "rig.yaml (20 mm): check it"
     )
     assert scanners == ("east",)
 
@@ -48,7 +48,7 @@ def test_stretches_are_compared_as_the_tilts_that_cause_them() -> None:
     [(text, scanners)] = find(1, STRETCH_X, -5.0)
     assert text.startswith(
         "ranges of east along its x axis are 0.3 % shorter than on average, as by a tilt of its scan plane; this "
-        "is 3.3 times as much as its uncertainty in rig.yaml, 0.09 %, lets expect"
+        "is 3.3 times its uncertainty in rig.yaml (0.09 %): check it"
     )
     assert scanners == ("east",)
 

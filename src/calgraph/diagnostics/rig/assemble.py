@@ -232,9 +232,9 @@ def _explain_no_pair(name: str, captures: CaptureSet, pairs: PairwiseEstimates) 
         rejections = [reason for (_, sensor), reason in captures.rejections.items() if sensor == name]
         commonest = max(rejections, key=rejections.count)
         return f"detected the board in none of {len(captures.holds)} captures, mostly because: {commonest}"
-    reasons = [
-        f"{b if a == name else a}: {pair.reason}"
-        for (a, b), pair in pairs.items()
-        if name in (a, b) and isinstance(pair, Rejected)
-    ]
+    partners: dict[str, list[str]] = {}
+    for (a, b), pair in pairs.items():
+        if name in (a, b) and isinstance(pair, Rejected):
+            partners.setdefault(pair.reason, []).append(b if a == name else a)
+    reasons = [f"{', '.join(others)}: {reason}" for reason, others in partners.items()]
     return f"detected the board in {len(detected)} captures, but " + "; ".join(reasons or ["no other sensor did"])

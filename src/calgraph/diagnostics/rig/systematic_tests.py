@@ -116,8 +116,8 @@ def _find_wrong_distortion(
     if displacement > max(max_deviation * expected, prior):
         yield Finding(
             f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "
-            f"{displacement:.0f} px, {displacement / expected:.1f} times as much as their uncertainty in rig.yaml "
-            "lets expect: calibrate its intrinsics again, and check that its images are not rectified",
+            f"{displacement:.0f} px, {displacement / expected:.1f} times their uncertainty in rig.yaml: "
+            "calibrate its intrinsics again, and check that its images are not rectified",
             affected_sensors(bundle, (k,)),
         )
 

@@ -100,7 +100,7 @@ def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions
             bodies.append(index)
             times.append(time)
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
-    # in its weights lets expect. Scaled to that information, priors weigh more.
+    # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
     prior = (equations.H + np.diag(equations.regularizer))[np.ix_(unknowns, unknowns)]
     count = len(unknowns)
