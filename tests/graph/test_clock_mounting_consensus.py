@@ -5,7 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from calgraph.config.settings import ScannerPairSettings
 from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.graph.clock_consensus import average_clocks
 from calgraph.pairwise import ClockMountingHypothesis
 
 NAMES = ("a", "b", "c", "d", "e")
@@ -175,3 +177,19 @@ def test_offsets_within_the_prior_of_clocks_are_left_to_the_estimators() -> None
     found = resolve([pair("a", "b", clock=0.08, spread=0.1)])
     assert found.clock_offset["b"] == 0.0
     assert found.refused == ()
+
+
+def test_clocks_of_agreeing_pairs_are_averaged_with_their_deviations() -> None:
+    """Least squares of three pairs, each with a standard deviation of 12 ms, of which 5 ms are noise."""
+    pairs = [pair(*ends, clock=clock, stddev=np.sqrt(0.012**2 - 0.005**2)) for ends, clock in (
+        ("ab", 0.030), ("bc", -0.010), ("ac", 0.023))]  # fmt: skip
+    clocks = average_clocks(("a", "b", "c"), pairs, ScannerPairSettings().clock_mounting)
+    np.testing.assert_array_equal(clocks[0], np.nan)
+    np.testing.assert_allclose(clocks[1:, 0], [0.031, 0.022], atol=2e-4)
+    np.testing.assert_allclose(clocks[1:, 1], 0.012 * np.sqrt(2 / 3), rtol=0.02)
+
+
+def test_a_scanner_without_clock_offsets_has_no_clock() -> None:
+    pairs = [pair("a", "b", clock=0.03), pair("b", "c", stddev=np.inf)]
+    clocks = average_clocks(("a", "b", "c"), pairs, ScannerPairSettings().clock_mounting)
+    np.testing.assert_array_equal(np.isnan(clocks).all(axis=1), [True, False, True])

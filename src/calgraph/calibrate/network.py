@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
-from calgraph.calibrate.scanner_pairs import describe_ambiguous_parts, pair_scanners
+from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import moving_target, scanner_spec, track_people
 from calgraph.captures import InputFinding, InputMonitor
@@ -18,10 +18,8 @@ from calgraph.diagnostics import (
     assemble_network,
     assess_network_model,
     build_consistent_prior,
-    describe_bumps,
+    collect_network_findings,
     extract_earlier_poses,
-    find_poorly_supported_parts,
-    find_systematic_errors,
     find_track_bump,
     merge_calibrations,
     remove_scanners,
@@ -78,90 +76,67 @@ def calibrate_tracks(
     """
     earlier = _calibration_to_extend(rig, options)
     tracks = _complete_tracks(rig, tracks)
-    rng = np.random.default_rng(options.seed)
     tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
-    settings = rig.settings.pairwise.scanners
+    rng = np.random.default_rng(options.seed)
     corrected = pair_scanners(rig, tracked, options, rng, progress)
-    tracked = dict(corrected.tracked)
-    observations = {name: ScannerObservations.from_tracks(scanner, settings) for name, scanner in tracked.items()}
-    initialization = initialize_network(
-        rig.root,
-        corrected.pairs,
-        observations,
-        rng,
-        settings=rig.settings.graph,
-        hypothesis_settings=rig.settings.pairwise.scanners.hypotheses,
-        averaging=select_averaging(options.average, rig.settings.baselines),
-        weighted=options.weights == "weighted",
-    )
-    graph, names, averaged = initialization.graph, initialization.names, initialization.solution
+    initialization = _initialize(rig, corrected, options, rng)
     joint = prior = None
-    contradictions: Sequence[Finding] = ()
     # A root without connections may have no tracks.
-    if options.estimator == "joint" and len(names) > 1:
+    if options.estimator == "joint" and len(initialization.names) > 1:
         progress("solving", 0.0)
-        joint, prior = _solve_jointly(rig, tracked, initialization, earlier)
+        joint, prior = _solve_jointly(rig, corrected, initialization, earlier)
         progress("solving", 1.0)
-    if len(names) > 1:
-        bump = find_track_bump(
-            tracked,
-            names,
-            averaged.T_root_node if joint is None else joint.T_root_scanner,
-            np.zeros(len(names)) if joint is None else joint.clock_offset,
-            rig.settings.diagnostics.network.track_bumps,
-            settings.resampling,
-        )
-        if bump:
-            name, step = bump
-            offset = corrected.clock_offset.get(name, 0.0)
-            later = {**tracks, name: _select_after(tracks[name], step, offset, rig.settings.tracking.stationarity)}
-            return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
+    if bump := _find_bump(rig, corrected, initialization, joint):
+        name, step = bump
+        later = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
+        return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
+    contradictions: Sequence[Finding] = ()
     if joint is not None:
         assessment = assess_network_model(
             moving_target(rig),
             joint,
-            [tracked[name] for name in names],
-            averaged,
-            graph,
-            names,
-            rig.settings.diagnostics.network.model,
+            [corrected.tracked[name] for name in initialization.names],
+            initialization,
+            rig.settings.diagnostics,
             replaceable=earlier is None,  # averaged poses do not contain the earlier ones
         )
         joint, contradictions = assessment.joint, assessment.findings
-        if joint is not None and joint.systematic:
-            errors = find_systematic_errors(joint.systematic, names, rig.settings.diagnostics.rig)
-            contradictions = (*contradictions, *errors)
-    stated_frames = {name: (frames or {}).get(name, "") for name in rig.sensors}
-    start = _first_time(tracked) if start is None else start
-    findings = [*findings, *describe_bumps(rig.root, tracks, start)]
-    ambiguous = describe_ambiguous_parts(names, initialization.ambiguous)
-    supported = find_poorly_supported_parts(
-        graph.select_edges(averaged.inliers),
-        names,
-        averaged.T_root_node,
-        initialization.pairs,
-        rig.settings.diagnostics.network.min_matched_share,
-    )
+    start = _first_time(corrected.tracked) if start is None else start
+    of_poses = collect_network_findings(tracks, initialization, start, rig.settings.diagnostics.network)
     calibration = assemble_network(
         rig,
-        stated_frames,
-        {**tracks, **tracked},
-        initialization.pairs,
-        graph,
-        names,
-        averaged,
+        {name: (frames or {}).get(name, "") for name in rig.sensors},
+        {**tracks, **corrected.tracked},
+        initialization,
         start,
         joint,
-        (*findings, *corrected.findings, *ambiguous, *supported, *contradictions),
+        (*findings, *corrected.findings, *of_poses, *contradictions),
         clock_offset=corrected.clock_offset,
         inverted=corrected.inverted,
     )
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
 
 
+def _initialize(
+    rig: Rig, corrected: CorrectedPairs, options: NetworkOptions, rng: np.random.Generator
+) -> NetworkInitialization:
+    """Averaged poses of the scanners that pairs connect to the root."""
+    settings = rig.settings.pairwise.scanners
+    return initialize_network(
+        rig.root,
+        corrected.pairs,
+        {name: ScannerObservations.from_tracks(one, settings) for name, one in corrected.tracked.items()},
+        rng,
+        settings=rig.settings.graph,
+        hypothesis_settings=settings.hypotheses,
+        averaging=select_averaging(options.average, rig.settings.baselines),
+        weighted=options.weights == "weighted",
+    )
+
+
 def _solve_jointly(
     rig: Rig,
-    tracked: Mapping[str, ScannerTracks],
+    corrected: CorrectedPairs,
     initialization: NetworkInitialization,
     earlier: Calibration | None,
 ) -> tuple[NetworkSolution, ScannerPrior | None]:
@@ -170,7 +145,7 @@ def _solve_jointly(
     solution = partial(
         solve_network,
         moving_target(rig),
-        [tracked[name] for name in names],
+        [corrected.tracked[name] for name in names],
         initialization.solution,
         initialization.graph,
         uncertainties=[scanner_spec(name, rig.sensors[name]).uncertainty for name in names],
@@ -184,6 +159,28 @@ def _solve_jointly(
     poses = extract_earlier_poses(earlier, rig.root)
     prior = build_consistent_prior(poses, names, joint, rig.settings.diagnostics)
     return solution(prior=prior), prior
+
+
+def _find_bump(
+    rig: Rig, corrected: CorrectedPairs, initialization: NetworkInitialization, joint: NetworkSolution | None
+) -> tuple[str, ScannerBump] | None:
+    """The most significant bump of a scanner with too little background, with stamps of its clock."""
+    if len(initialization.names) < 2:
+        return None
+    settings = rig.settings.pairwise.scanners
+    bump = find_track_bump(
+        corrected.tracked,
+        initialization.names,
+        initialization.solution.T_root_node if joint is None else joint.T_root_scanner,
+        np.nan_to_num(initialization.average_clocks(settings)[:, 0]) if joint is None else joint.clock_offset,
+        rig.settings.diagnostics.network.track_bumps,
+        settings.resampling,
+    )
+    if bump is None:
+        return None
+    name, step = bump
+    offset = corrected.clock_offset.get(name, 0.0)
+    return name, replace(step, interval=(step.interval[0] + offset, step.interval[1] + offset))
 
 
 def _calibration_to_extend(rig: Rig, options: NetworkOptions) -> Calibration | None:
@@ -207,12 +204,11 @@ def _complete_tracks(
 
 
 def _select_after(
-    tracks: ScannerTracks | Rejected, bump: ScannerBump, clock_offset: float, settings: StationaritySettings
+    tracks: ScannerTracks | Rejected, bump: ScannerBump, settings: StationaritySettings
 ) -> ScannerTracks | Rejected:
-    """The tracks of a scanner after a bump, whose times are of a clock with an offset, s; or before, if longer."""
+    """The tracks of a scanner after a bump, or before it if these are longer."""
     if isinstance(tracks, Rejected):
         return tracks
-    bump = replace(bump, interval=(bump.interval[0] + clock_offset, bump.interval[1] + clock_offset))
     times = [track.times for track in tracks.tracks]
     stamps = float(min(t[0] for t in times)), float(max(t[-1] for t in times))
     selected = tracks.select(select_interval(stamps, [bump], settings))

@@ -1,6 +1,6 @@
 """Pairs of a network's scanners, with clocks that differ and scanners mounted upside-down corrected."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -14,7 +14,7 @@ from calgraph.captures import InputFinding
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.errors import Rejected
-from calgraph.graph import AmbiguousPart, ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.pairwise import (
     ScannerObservations,
     ScannerPairEstimate,
@@ -151,19 +151,6 @@ def _reject_refused(
                 "do not confirm"
             )
     return kept
-
-
-def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart]) -> list[InputFinding]:
-    """Reasons why scanners are weak that may as well be elsewhere."""
-    return [
-        InputFinding(
-            f"another pose of {' and '.join(names[k] for k in part.pair)}, {part.distance:.1f} m and "
-            f"{np.degrees(part.rotation):.0f}° off, matches the tracks nearly as well, as where people walk "
-            "side by side: let people walk alone or apart",
-            tuple(names[k] for k in part.nodes),
-        )
-        for part in parts
-    ]
 
 
 def _report_findings(rig: Rig, solution: ClockMountingSolution, clocks: Mapping[str, float]) -> list[InputFinding]:

@@ -15,10 +15,8 @@ from calgraph.diagnostics.network.extension import (
     remove_scanners,
 )
 from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
+from calgraph.diagnostics.network.findings import collect_network_findings
 from calgraph.diagnostics.network.model_assessment import ModelAssessment, assess_network_model
-from calgraph.diagnostics.network.pair_support import find_poorly_supported_parts
-from calgraph.diagnostics.network.scanner_bumps import describe_bumps
-from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
 from calgraph.diagnostics.network.track_bumps import find_track_bump
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
@@ -33,7 +31,7 @@ __all__ = [
     "AxisComparison", "BootstrapScatter", "Bump", "ExtrinsicsComparison", "Finding", "ModelAssessment",
     "NetworkPairs", "ResidualComparison", "SensorComparison", "add_suggestions", "assemble_network",
     "assemble_rig", "assess_network_model", "axis_names", "bootstrap_poses", "build_consistent_prior",
-    "compare_network_poses", "compare_rig_poses", "cross_validate", "describe_bumps", "extract_earlier_poses",
-    "find_bumps", "find_poorly_supported_parts", "find_systematic_errors", "find_track_bump", "include_drifts",
+    "collect_network_findings", "compare_network_poses", "compare_rig_poses", "cross_validate",
+    "extract_earlier_poses", "find_bumps", "find_track_bump", "include_drifts",
     "merge_calibrations", "remove_scanners",
 ]  # fmt: skip

@@ -59,6 +59,26 @@ def resolve_clocks(
         remaining = [h for h in remaining if h not in unconfirmed]
 
 
+def average_clocks(
+    names: Sequence[str], hypotheses: Sequence[ClockMountingHypothesis], settings: ClockMountingSettings
+) -> Array:
+    """(N, 2) clock offsets of connected scanners from the first one, and their standard deviations, s.
+
+    NaN for the first one, whose clock is the reference, and for those that no clock offset connects to it.
+
+    Args:
+        names: of the scanners.
+        hypotheses: of pairs that agree with the poses.
+        settings: the noise of clock offsets.
+    """
+    node = {name: k for k, name in enumerate(names)}
+    used = _best_of_pairs([h for h in hypotheses if np.isfinite(h.clock_stddev)])
+    tree = _spanning_tree(len(node), node, used)
+    clocks = np.column_stack(_average_clocks(len(node), node, used, tree, settings))
+    clocks[clocks[:, 1] == 0] = np.nan
+    return clocks
+
+
 def _best_of_pairs(hypotheses: Sequence[ClockMountingHypothesis]) -> tuple[ClockMountingHypothesis, ...]:
     """The hypothesis of most evidence of each pair, by descending evidence."""
     best: dict[tuple[str, str], ClockMountingHypothesis] = {}

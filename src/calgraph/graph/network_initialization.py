@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import GraphSettings, HypothesisSettings
+from calgraph.config.settings import GraphSettings, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
+from calgraph.geometry import Array
 from calgraph.graph.ambiguous_parts import AmbiguousPart, find_ambiguous_parts
+from calgraph.graph.clock_consensus import average_clocks
 from calgraph.graph.conflicting_evidence import find_conflicting_evidence
 from calgraph.graph.network_graph import (
     average_network,
@@ -19,7 +21,7 @@ from calgraph.graph.network_graph import (
 )
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
 from calgraph.graph.visibility_check import find_visibility_conflict, is_confirmed_by_visibility
-from calgraph.pairwise import ScannerObservations, ScannerPairEstimate
+from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, describe_difference
 
 Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
@@ -37,6 +39,23 @@ class NetworkInitialization:
     solution: PoseGraphSolution
     ambiguous: tuple[AmbiguousPart, ...] = ()
     """Parts that other hypotheses put elsewhere with nearly as much evidence."""
+
+    def average_clocks(self, settings: ScannerPairSettings = ScannerPairSettings()) -> Array:
+        """(N, 2) clock offsets of the scanners from the root and their standard deviations, s; NaN for the root.
+
+        They are averages of those with which the pairs that agree with the poses were registered.
+        """
+        inlier = iter(self.solution.inliers)
+        of_nodes = (
+            pair
+            for pair in self.pairs.values()
+            if isinstance(pair, ScannerPairEstimate) and pair.sensor_a in self.names
+        )
+        agreeing = ((pair, tuple(h for h in pair.hypotheses if next(inlier))) for pair in of_nodes)
+        differences = [
+            describe_difference(replace(pair, hypotheses=kept), settings) for pair, kept in agreeing if kept
+        ]
+        return average_clocks(self.names, differences, settings.clock_mounting)
 
 
 def initialize_network(

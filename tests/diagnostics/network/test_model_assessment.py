@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from calgraph.config import People
-from calgraph.config.settings import NetworkModelSettings
+from calgraph.config.settings import DiagnosticsSettings, NetworkDiagnosticsSettings, NetworkModelSettings
 from calgraph.diagnostics import ModelAssessment, assess_network_model
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import Array, se2
-from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks
 from leg_scenes import build_network
 from network_scenes import OFFSET, SETTINGS, SIGMA, T_ROOT
@@ -63,10 +63,10 @@ def assess(
         People(kind="people", axes=axes),
         joint,
         TRACKED,
-        PoseGraphSolution(averaged, np.array([True, True])),
-        graph,
-        NAMES,
-        NetworkModelSettings(max_good_scatter=max_good_scatter),
+        NetworkInitialization({}, graph, NAMES, PoseGraphSolution(averaged, np.array([True, True]))),
+        DiagnosticsSettings(
+            network=NetworkDiagnosticsSettings(model=NetworkModelSettings(max_good_scatter=max_good_scatter))
+        ),
         replaceable=replaceable,
     )
 

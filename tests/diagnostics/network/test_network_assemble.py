@@ -16,7 +16,7 @@ from calgraph.diagnostics.network.assemble import (
 from calgraph.errors import Rejected
 from calgraph.estimation import NetworkSolution
 from calgraph.geometry import se2
-from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.result import Calibration, Verdict
 from calgraph.tracking import ScannerTracks, Track
@@ -46,7 +46,9 @@ def build_pair(k: int, error: float = 0.0) -> ScannerPairEstimate:
     i, j = PAIRS[k]
     T = se2.inverse(T_ROOT[i]) @ T_ROOT[j]
     T[0, 2] += error
-    hypothesis = PoseHypothesis(T, INFORMATION[k] * np.eye(3), 30, 1.0, 0.5, 0.2, 0.0, uses_background=False)
+    hypothesis = PoseHypothesis(
+        T, INFORMATION[k] * np.eye(3), 30, 1.0, 0.5, 0.2, 0.0, False, float(OFFSET[j] - OFFSET[i]), 0.012
+    )
     return ScannerPairEstimate(NAMES[i], NAMES[j], (hypothesis,))
 
 
@@ -71,10 +73,7 @@ def assemble(
         rig,
         dict.fromkeys((*NAMES, "cellar"), ""),
         {**{name: build_tracks(k) for k, name in enumerate(NAMES)}, "cellar": build_tracks(0)},
-        pairs,
-        graph,
-        NAMES,
-        PoseGraphSolution(T_ROOT, np.array(inliers)),
+        NetworkInitialization(pairs, graph, NAMES, PoseGraphSolution(T_ROOT, np.array(inliers))),
         1000.0,
         NetworkSolution(T_ROOT, OFFSET, covariance, True, 0.005) if joint else None,
         findings,
@@ -106,6 +105,17 @@ def test_rows_are_by_the_clock_of_the_root() -> None:
 def test_clock_offsets_are_stated_but_for_the_root() -> None:
     clocks = [(one.clock_offset, one.clock_offset_stddev) for one in assemble().sensors]
     assert clocks == [(None, None), (0.7, pytest.approx(0.001)), (-0.4, pytest.approx(0.001))]
+
+
+def test_without_a_joint_solution_clocks_are_those_of_the_pairs() -> None:
+    """The standard deviation of a pair is 12 ms, and 5 ms that its covariance does not contain."""
+    found = assemble(joint=False)
+    assert (found.sensors[0].clock_offset, found.sensors[0].clock_offset_stddev) == (None, None)
+    assert [one.clock_offset for one in found.sensors[1:]] == pytest.approx(OFFSET[1:].tolist())
+    stddev = 0.013 * np.sqrt(2 / 3)
+    assert [one.clock_offset_stddev for one in found.sensors[1:]] == pytest.approx([stddev, stddev])
+    used = [(row.sensor, row.used) for row in found.evidence.captures if row.sensor != "cellar"]
+    assert used == [(name, True) for name in sorted(NAMES)]
 
 
 def test_parents_follow_the_edges_with_the_most_information() -> None:
@@ -145,7 +155,7 @@ def test_without_a_joint_solution_the_covariance_is_that_of_averaging() -> None:
     assert covariance is not None
     # North is measured directly with 1 mm, and through east with 10 mm.
     assert np.sqrt(covariance[12, 12]) == pytest.approx(0.001, rel=0.05)
-    assert (found.evidence.estimator, found["north"].clock_offset) == ("averaging", None)
+    assert found.evidence.estimator == "averaging"
 
 
 def test_an_outlier_pair_states_the_expected_positions_of_its_first_hypothesis() -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import NetworkDiagnosticsSettings
-from calgraph.diagnostics import Finding, find_poorly_supported_parts
+from calgraph.diagnostics import Finding
+from calgraph.diagnostics.network.pair_support import find_poorly_supported_parts
 from calgraph.graph import PoseGraph
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 

@@ -16,7 +16,7 @@ from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.planar_poses import lift_covariance
 from calgraph.geometry import Array, diagonal_blocks, se2
-from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
+from calgraph.graph import NetworkInitialization, PoseGraph, compute_joint_covariance
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, Evidence, Pictures, SensorPose
@@ -31,10 +31,7 @@ def assemble_network(
     rig: Rig,
     frames: Mapping[str, str],
     followed: Mapping[str, ScannerTracks | Rejected],
-    pairs: NetworkPairs,
-    graph: PoseGraph,
-    names: tuple[str, ...],
-    averaged: PoseGraphSolution,
+    initialization: NetworkInitialization,
     start: float,
     joint: NetworkSolution | None = None,
     findings: Sequence[InputFinding | Finding] = (),
@@ -48,32 +45,30 @@ def assemble_network(
         rig: the network.
         frames: frame_id by scanner, as its messages state it.
         followed: the tracks of each scanner, or why it has none.
-        pairs: hypotheses, or the reason why there are none, by pair of scanners.
-        graph: of all hypotheses of the connected scanners.
-        names: the connected scanners in the order of the graph's nodes, the root first.
-        averaged: their averaged poses, and the hypotheses that are inliers.
+        initialization: averaged poses of the connected scanners, and the pairs.
         start: of the recording, s.
-        joint: the joint solution, if there is one; its poses replace the averaged ones.
+        joint: the joint solution, if there is one; its poses and clocks replace the averaged ones.
         findings: what does not fit the rig in the messages of the recording, and what contradicts the solution.
         clock_offset: by which the times of tracks were corrected, s.
         inverted: scanners whose tracks were mirrored, as they are mounted the other way up than the root.
     """
     tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
-    clock_offsets = {} if joint is None else dict(zip(names, joint.clock_offset.tolist(), strict=True))
-    settings = rig.settings.pairwise.scanners.resampling
+    names, averaged = initialization.names, initialization.solution
+    settings = rig.settings.pairwise.scanners
+    clocks = initialization.average_clocks(settings) if joint is None else joint.clocks
+    remaining_offset = dict(zip(names, np.nan_to_num(clocks[:, 0]).tolist(), strict=True))
     samples = {
-        name: resample_tracks(_correct_clock(one, clock_offsets.get(name, 0.0)), settings)
+        name: resample_tracks(_correct_clock(one, remaining_offset.get(name, 0.0)), settings.resampling)
         for name, one in tracked.items()
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
     matches = match_across_scanners(samples, planar, rig.settings.estimation.network.grouping.max_distance)
-    inliers = graph.select_edges(averaged.inliers)
+    inliers = initialization.graph.select_edges(averaged.inliers)
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
     )
     blocks = diagonal_blocks(covariance, 6)
-    clocks = np.full((len(names), 2), np.nan) if joint is None else joint.clocks
     parents = _find_parents(inliers, names)
     reasons = collect_findings(findings)
     clocks[:, 0] += [clock_offset.get(name, 0.0) for name in names]
@@ -111,10 +106,12 @@ def assemble_network(
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
-            edges=tuple(_build_edge(pair, found, inlier_poses, parents) for pair, found in pairs.items()),
+            edges=tuple(
+                _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
+            ),
             captures=build_walk_rows(samples, matches, start, rig.settings.diagnostics.network.min_shared_ticks),
             unconnected={
-                name: _explain_unconnected(name, rig.root, followed, pairs)
+                name: _explain_unconnected(name, rig.root, followed, initialization.pairs)
                 for name in rig.sensors
                 if name not in names
             },

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import Cylinder, People
-from calgraph.config.settings import NetworkModelSettings
+from calgraph.config.settings import DiagnosticsSettings, NetworkModelSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.consistency_tests import (
     Scatter,
@@ -15,11 +15,12 @@ from calgraph.diagnostics.network.consistency_tests import (
     measure_scatter,
 )
 from calgraph.diagnostics.network.fit_tests import find_poor_fit
+from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.contributions import split_contributions
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
-from calgraph.graph import PoseGraph, PoseGraphSolution, compute_joint_covariance
+from calgraph.graph import NetworkInitialization, compute_joint_covariance
 from calgraph.tracking import ScannerTracks
 
 
@@ -38,14 +39,12 @@ def assess_network_model(
     target: People | Cylinder,
     joint: NetworkSolution,
     tracked: Sequence[ScannerTracks],
-    averaged: PoseGraphSolution,
-    graph: PoseGraph,
-    names: Sequence[str],
-    settings: NetworkModelSettings,
+    initialization: NetworkInitialization,
+    settings: DiagnosticsSettings,
     *,
     replaceable: bool = True,
 ) -> ModelAssessment:
-    """Tests the model of a joint solution on the recording that it was fitted to.
+    """Tests the model of a joint solution on the recording that it was fitted to, and its systematic errors.
 
     The model is refuted where an estimate is at its limit or parts of the data contradict each other strongly; and
     where anything but the averaged pairs contradicts it, and these do as well.
@@ -54,14 +53,29 @@ def assess_network_model(
         target: the kind of bodies, with their stated size.
         joint: the joint solution.
         tracked: the tracks of each of its scanners.
-        averaged: poses of the same from the pairs alone, and the pairs that are inliers.
-        graph: of these pairs.
-        names: of the scanners, the root first.
+        initialization: averaged poses of the same from the pairs alone.
         settings: of the tests.
         replaceable: whether averaged poses may replace the joint solution.
     """
+    assessment = _test_model(target, joint, tracked, initialization, settings.network.model, replaceable)
+    if assessment.joint is None or assessment.joint.systematic is None:
+        return assessment
+    errors = find_systematic_errors(assessment.joint.systematic, initialization.names, settings.rig)
+    return replace(assessment, findings=(*assessment.findings, *errors))
+
+
+def _test_model(
+    target: People | Cylinder,
+    joint: NetworkSolution,
+    tracked: Sequence[ScannerTracks],
+    initialization: NetworkInitialization,
+    settings: NetworkModelSettings,
+    replaceable: bool,
+) -> ModelAssessment:
+    """The tests of the model; those of systematic errors need one that holds."""
     if (solved := joint.solved) is None or not solved.problem.bodies:
         return ModelAssessment(joint)
+    names, averaged = initialization.names, initialization.solution
     parts = split_contributions(solved, settings.interval)
     scatter = measure_scatter(parts)
     variance_factor = max(scatter.ratio, 1.0)
@@ -75,7 +89,8 @@ def assess_network_model(
     refuted = any(finding.refutes for finding in findings)
     legs = isinstance(solved.problem.bodies[0], LegObservations)
     if legs or _measure_radius_deviation(target, solved) < settings.max_radius_deviation:
-        covariance = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
+        inliers = initialization.graph.select_edges(averaged.inliers)
+        covariance = compute_joint_covariance(inliers, averaged.T_root_node)
         covariance *= settings.leg_averaging_variance if legs else 1.0
         disagreement = [*find_disagreement(joint, averaged.T_root_node, covariance, names, settings)]
         refuted |= bool(findings and disagreement)

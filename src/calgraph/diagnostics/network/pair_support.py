@@ -1,4 +1,4 @@
-"""Parts of a network whose place rests on one pair of scanners that disagrees about most positions."""
+"""Parts of a network whose place rests on one pair of scanners that disagrees, or that may be elsewhere."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from calgraph.diagnostics.finding import Finding
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import PoseGraph
+from calgraph.graph import AmbiguousPart, PoseGraph
 from calgraph.pairwise import ScannerPairEstimate
 
 
@@ -55,6 +55,19 @@ def find_poorly_supported_parts(
             )
         )
     return findings
+
+
+def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart]) -> list[Finding]:
+    """Reasons why scanners are weak that may as well be elsewhere."""
+    return [
+        Finding(
+            f"another pose of {' and '.join(names[k] for k in part.pair)}, {part.distance:.1f} m and "
+            f"{np.degrees(part.rotation):.0f}° off, matches the tracks nearly as well, as where people walk "
+            "side by side: let people walk alone or apart",
+            tuple(names[k] for k in part.nodes),
+        )
+        for part in parts
+    ]
 
 
 def _separate(ends: Array, count: int) -> Array:
