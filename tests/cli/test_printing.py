@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from calgraph.cli.printing import print_calibration, print_errors
+from calgraph.config import Tolerance
 from calgraph.geometry import se3, so3
-from calgraph.result import Calibration, SensorPose, Verdict, join_covariances, save_calibration
+from calgraph.result import (
+    Calibration,
+    FitError,
+    HeldOutError,
+    SensorPose,
+    Verdict,
+    join_covariances,
+    save_calibration,
+)
 from terminal import on_a_terminal
 
 LONG = "the_front_left_short_range_corner_radar_replacement"
@@ -45,6 +54,11 @@ def test_it_is_readable_on_80_columns(calibration: Calibration, tmp_path: Path) 
         f"print_calibration(load_calibration(Path({str(tmp_path / 'c.yaml')!r})))"
     )
     assert max(map(len, lines)) <= 80
+    # Numbers of a column end below its heading.
+    table = lines[1:4]
+    for head in ("z, m", "yaw, °", "± mm", "± °"):
+        end = table[0].index(head) + len(head)
+        assert all(len(line) == end or line[end] == " " for line in table[1:])
     [camera] = [line for line in lines if line.startswith("camera")]
     assert camera.split() == [
         "camera",
@@ -83,8 +97,8 @@ def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) 
         join_covariances([np.zeros((6, 6)), spread]),
     )
     head, hall, door = (line.split() for line in printed(lambda: print_calibration(network), capsys)[1:4])
-    assert head == ["sensor", "x", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
-    assert hall == ["hall", "0.000", "0.000", "0.00", "root", "✓"]
+    assert head == ["sensor", "x,", "m", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
+    assert hall == ["hall", "0.000", "0.000", "0.00", "root"]
     assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.172", "✓"]
 
 
@@ -93,6 +107,44 @@ def test_verdicts_are_printed_as_sentences(calibration: Calibration, capsys: pyt
         f"! {LONG} is weak: height (z) is loose: hold the board tilted, above and below the scan plane",
         "✕ lost is unobservable: x is not observed",
     ]
+
+
+def test_the_tolerance_of_good_poses_is_named(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tolerant = replace(
+        calibration, evidence=replace(calibration.evidence, tolerance=Tolerance(translation=0.02, rotation=0.5))
+    )
+    lines = printed(lambda: print_calibration(tolerant), capsys)
+    assert "✓ good: within the tolerance of 20 mm and 0.5° along and about each axis (95 %)" in lines
+
+
+def test_residuals_are_printed_beside_held_out_errors(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evidence = replace(
+        calibration.evidence,
+        fit={"camera": FitError(320, "px", 0.41)},
+        cross_validation={"camera": HeldOutError(20, "px", 0.53, 0.4, 1.1)},
+    )
+    lines = printed(lambda: print_calibration(replace(calibration, evidence=evidence)), capsys)
+    assert ["camera", "20", "0.41", "px", "0.53", "px", "0.40", "px", "1.10"] in [line.split() for line in lines]
+
+
+def test_residuals_are_printed_without_cross_validation(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evidence = replace(calibration.evidence, fit={"camera": FitError(320, "m", 0.0104)})
+    lines = printed(lambda: print_calibration(replace(calibration, evidence=evidence)), capsys)
+    assert ["camera", "320", "10.4", "mm"] in [line.split() for line in lines]
+
+
+def test_a_remark_that_is_the_reason_of_a_verdict_is_not_repeated(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    remarked = replace(calibration, evidence=replace(calibration.evidence, remarks=("x is not observed",)))
+    lines = printed(lambda: print_calibration(remarked), capsys)
+    assert sum("x is not observed" in line for line in lines) == 1
 
 
 def test_remarks_are_printed_below_the_verdicts(

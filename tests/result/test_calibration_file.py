@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from calgraph.config import Tolerance
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import (
@@ -108,6 +109,13 @@ def test_residuals_of_sensors_come_back(calibration: Calibration, tmp_path: Path
     evidence = dataclasses.replace(calibration.evidence, fit=fit)
     save_calibration(dataclasses.replace(calibration, evidence=evidence), tmp_path / "fit.yaml")
     assert load_calibration(tmp_path / "fit.yaml").evidence.fit == fit
+
+
+def test_the_tolerance_of_verdicts_comes_back(calibration: Calibration, tmp_path: Path) -> None:
+    tolerance = Tolerance(translation=0.02, rotation=0.5)
+    evidence = dataclasses.replace(calibration.evidence, tolerance=tolerance)
+    save_calibration(dataclasses.replace(calibration, evidence=evidence), tmp_path / "tolerant.yaml")
+    assert load_calibration(tmp_path / "tolerant.yaml").evidence.tolerance == tolerance
 
 
 def test_writing_what_was_read_gives_the_same_file(saved: Path, tmp_path: Path) -> None:

@@ -19,31 +19,20 @@ _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[re
 
 
 def print_calibration(calibration: Calibration) -> None:
-    """Prints each sensor's pose, its standard deviation, and its verdict."""
+    """Prints each sensor's pose, its standard deviation, its residuals, and its verdict."""
     output = console()
-    output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: in the worst direction)")
-    table = _table()
-    axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
-    heads = " ".join(("x", "y", "z")[axes]), " ".join(("roll", "pitch", "yaw")[turns])
-    timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
-    clock = ("clock, ms",) if timed else ()
-    for head in (f"{heads[0]}, m", f"{heads[1]}, °", "± mm", "± °", *clock, ""):
-        table.add_column(head, justify="right", no_wrap=True)
-    for sensor in calibration.sensors:
-        T = sensor.T_root_sensor
-        table.add_row(
-            escape(sensor.name) + (" (upside-down)" if calibration.planar and T[2, 2] < 0 else ""),
-            " ".join(f"{_format_fixed(v, 3):>6}" for v in T[:3, 3][axes]),
-            " ".join(f"{_format_fixed(v, 2):>7}" for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
-            *_deviations(sensor),
-            *([_clock(sensor)] if timed else []),
-            _GRADES[sensor.verdict.grade] if len(calibration.sensors) > 1 else "",
-        )
-    output.print(table)
+    output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: one σ, along the worst axis)")
+    _print_poses(output, calibration)
+    if calibration.evidence.tolerance:
+        tolerance = calibration.evidence.tolerance
+        limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"
+        output.print(f"{_GRADES['good']} good: within the tolerance of {limits} along and about each axis (95 %)")
     if any(_is_notable(one) for one in calibration.systematic):
         _print_systematic(output, calibration)
     if calibration.evidence.cross_validation:
         _print_cross_validation(output, calibration)
+    elif calibration.evidence.fit:
+        _print_fit(output, calibration)
     for sensor in calibration.sensors:
         if sensor.verdict.grade != "good" or sensor.verdict.reason:
             reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
@@ -54,6 +43,27 @@ def print_calibration(calibration: Calibration) -> None:
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
             output.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
+
+
+def _print_poses(output: Console, calibration: Calibration) -> None:
+    """Prints positions and rotations with their standard deviations and verdicts, a line for each sensor."""
+    table = _table()
+    axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
+    timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
+    positions, rotations = ("x, m", "y, m", "z, m")[axes], ("roll, °", "pitch, °", "yaw, °")[turns]
+    for head in (*positions, *rotations, "± mm", "± °", *(("clock, ms",) if timed else ()), ""):
+        table.add_column(head, justify="right", no_wrap=True)
+    for sensor in calibration.sensors:
+        T = sensor.T_root_sensor
+        table.add_row(
+            escape(sensor.name) + (" (upside-down)" if calibration.planar and T[2, 2] < 0 else ""),
+            *(_format_fixed(v, 3) for v in T[:3, 3][axes]),
+            *(_format_fixed(v, 2) for v in np.degrees(roll_pitch_yaw(T[:3, :3]))[turns]),
+            *_deviations(sensor),
+            *([_clock(sensor)] if timed else []),
+            _GRADES[sensor.verdict.grade] if sensor.parent is not None else "",
+        )
+    output.print(table)
 
 
 def print_provenance(provenance: Provenance) -> None:
@@ -68,19 +78,32 @@ def print_provenance(provenance: Provenance) -> None:
 
 
 def print_remarks(calibration: Calibration) -> None:
-    """Prints the remarks on the whole result, one line each."""
-    for remark in calibration.evidence.remarks:
+    """Prints the remarks on the whole result that no verdict contains, one line each."""
+    for remark in calibration.further_remarks:
         console().print(f"[yellow]![/] {escape(remark)}")
 
 
 def _print_cross_validation(output: Console, calibration: Calibration) -> None:
-    """Prints the cross-validation by sensor."""
-    output.print("[bold]Cross-validation: error on held-out captures[/] (ratio = observed / expected)")
+    """Prints the residuals of each sensor, RMS, and its errors on held-out captures."""
+    output.print("[bold]Residuals, fitted and on held-out captures[/] (ratio = observed / expected)")
     table = _table()
-    for head in ("captures", "RMS", "median", "along beam", "tilt", "ratio"):
+    fit = calibration.evidence.fit
+    for head in ("captures", "fitted", "held out", "median", "along beam", "tilt", "ratio"):
         table.add_column(head, justify="right", no_wrap=True)
     for name, one in calibration.evidence.cross_validation.items():
-        table.add_row(escape(name), str(one.views), *one.formatted, f"{one.ratio:.2f}")
+        fitted = fit[name].formatted if name in fit else ""
+        table.add_row(escape(name), str(one.views), fitted, *one.formatted, f"{one.ratio:.2f}")
+    output.print(table)
+
+
+def _print_fit(output: Console, calibration: Calibration) -> None:
+    """Prints the residuals of each sensor, RMS."""
+    output.print("[bold]Residuals[/] (of single measurements; poses are averages of all)")
+    table = _table()
+    for head in ("measurements", "RMS"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, one in calibration.evidence.fit.items():
+        table.add_row(escape(name), str(one.count), one.formatted)
     output.print(table)
 
 
@@ -92,10 +115,9 @@ def _is_notable(one: EstimatedParameter) -> bool:
 def _print_systematic(output: Console, calibration: Calibration) -> None:
     """Prints the systematic parameters that are off their stated values."""
     output.print("[bold]Systematic parameters more than one prior σ off their stated values[/]")
-    table = Table(box=None, pad_edge=False)
-    table.add_column("of", overflow="fold")
-    table.add_column("")
-    for head in ("stated", "prior σ", "estimate", "±", "", "deviation"):
+    table = _table("of")
+    table.add_column("parameter", overflow="fold")
+    for head in ("stated", "prior σ", "estimate", "± σ", "unit", "deviation"):
         table.add_column(head, justify="right", no_wrap=True)
     for one in filter(_is_notable, calibration.systematic):
         table.add_row(escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
@@ -128,10 +150,10 @@ def print_output_path(out: Path) -> None:
     console().print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
 
 
-def _table() -> Table:
-    """A table whose first column takes the sensors' names, folded where they are too long for the terminal."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("sensor", overflow="fold")
+def _table(first: str = "sensor") -> Table:
+    """A table whose first column has names, which are folded where they are too long for the terminal."""
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
+    table.add_column(first, overflow="fold")
     return table
 
 

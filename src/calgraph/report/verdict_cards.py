@@ -96,11 +96,9 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
 
 def render_remarks(calibration: Calibration) -> str:
     """Remarks on the whole result, but for those that are on cards; empty if there are none."""
-    reasons = [sensor.verdict.reason for sensor in calibration.sensors if sensor.parent is not None]
-    remarks = [one for one in calibration.evidence.remarks if not any(one in reason for reason in reasons)]
-    if not remarks:
+    if not calibration.further_remarks:
         return ""
-    items = "".join(f"<li>{escape_html(remark)}</li>" for remark in remarks)
+    items = "".join(f"<li>{escape_html(remark)}</li>" for remark in calibration.further_remarks)
     return f'<div class="next"><h3>Remarks</h3><ul>{items}</ul></div>'
 
 

@@ -71,6 +71,12 @@ class Calibration:
         return bool(np.isfinite(self.joint_covariance[np.ix_(measured, measured)]).all())
 
     @property
+    def further_remarks(self) -> tuple[str, ...]:
+        """The remarks on the whole result that are not part of the reason of a verdict."""
+        reasons = [sensor.verdict.reason for sensor in self.sensors if sensor.parent is not None]
+        return tuple(one for one in self.evidence.remarks if not any(one in reason for reason in reasons))
+
+    @property
     def planar(self) -> bool:
         """Whether only x, y and yaw were measured, as in a network, whose scanners are taken to scan one plane."""
         others = [sensor for sensor in self.sensors if sensor.parent is not None]

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
+from calgraph.config import Tolerance
 from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
@@ -130,6 +131,8 @@ class _Suggestion(StrictModel):
 class _Quality(StrictModel):
     estimator: str
     """The name of the joint estimator."""
+    tolerance: Tolerance | None = None
+    """With which verdicts were given."""
     verdicts: dict[str, _Verdict]
     """The verdict on each sensor's pose."""
     unconnected: dict[str, str] = Field(default_factory=dict)
@@ -273,6 +276,7 @@ def load_calibration(path: Path) -> Calibration:
         systematic=tuple(EstimatedParameter(**vars(one)) for one in file.systematic),
         evidence=Evidence(
             estimator=quality.estimator,
+            tolerance=quality.tolerance,
             edges=tuple(_edge(edge) for edge in quality.edges),
             captures=_rows(quality.captures),
             unconnected=quality.unconnected,

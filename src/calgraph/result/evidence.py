@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
 
@@ -134,6 +135,8 @@ class Evidence:
 
     estimator: str = "hypergraph"
     """The joint estimator of the poses."""
+    tolerance: Tolerance | None = None
+    """With which verdicts were given; None in a result from before it was kept."""
     edges: tuple[Edge, ...] = ()
     captures: tuple[CaptureRow, ...] = ()
     """Captures of a rig, or tracks of a network, with how each sensor's measurements were used."""

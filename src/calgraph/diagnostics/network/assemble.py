@@ -106,6 +106,7 @@ def assemble_network(
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
+            tolerance=rig.tolerance,
             edges=tuple(
                 _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
             ),

@@ -85,6 +85,7 @@ def assemble_rig(
         systematic=solution.systematic,
         evidence=Evidence(
             estimator=solution.estimator,
+            tolerance=rig.tolerance,
             edges=tuple(_assemble_edge(names, pair, tree, captures) for names, pair in pairs.items()),
             captures=tuple(
                 _assemble_row(hold, name, captures, used, solution)
