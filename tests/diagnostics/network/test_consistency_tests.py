@@ -136,17 +136,18 @@ def test_a_joint_solution_beyond_it_makes_all_poses_weak() -> None:
 def test_p_values_are_those_of_chi_squared() -> None:
     # 5.991 is the 95 % quantile with two degrees of freedom.
     error = np.sqrt(5.991 / 2) * np.array([2.0, 3.0])
-    assert compute_p_value(error, np.diag([4.0, 9.0])) == pytest.approx(0.05, abs=1e-4)
+    assert compute_p_value(error, np.diag([4.0, 9.0]), 1e-3) == pytest.approx(0.05, abs=1e-4)
 
 
 def test_directions_without_variance_do_not_count() -> None:
-    assert compute_p_value(np.array([1.0, 1.0]), np.ones((2, 2))) == pytest.approx(0.3173, abs=1e-4)
+    assert compute_p_value(np.array([1.0, 1.0]), np.ones((2, 2)), 1e-3) == pytest.approx(0.3173, abs=1e-4)
 
 
 def test_variance_that_is_small_beside_the_scale_is_none() -> None:
     error, covariance = np.array([1.0, 1.0]), np.diag([1.0, 1e-4])
-    assert compute_p_value(error, covariance, np.ones(2)) == pytest.approx(0.3173, abs=1e-4)
-    assert compute_p_value(error, covariance) < 1e-100
+    assert compute_p_value(error, covariance, 1e-3, np.ones(2)) == pytest.approx(0.3173, abs=1e-4)
+    assert compute_p_value(error, covariance, 1e-5, np.ones(2)) < 1e-100
+    assert compute_p_value(error, covariance, 1e-3) < 1e-100
 
 
 def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
@@ -167,8 +168,8 @@ def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
 
 def test_an_unknown_without_information_does_not_take_part() -> None:
     error, covariance = np.array([2.0, 0.0]), np.diag([1.0, 0.0])
-    assert compute_p_value(error, covariance, np.array([1.0, 0.0])) == pytest.approx(0.0455, abs=1e-4)
+    assert compute_p_value(error, covariance, 1e-3, np.array([1.0, 0.0])) == pytest.approx(0.0455, abs=1e-4)
 
 
 def test_without_any_information_nothing_is_unlikely() -> None:
-    assert compute_p_value(np.zeros(2), np.zeros((2, 2)), np.zeros(2)) == 1.0
+    assert compute_p_value(np.zeros(2), np.zeros((2, 2)), 1e-3, np.zeros(2)) == 1.0

@@ -207,6 +207,10 @@ class NetworkModelSettings(StrictModel):
     false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
     """Probability with which each of the tests of halves, groups of bodies, scatter and averaging rejects a right
     recording. On 96 simulated ones, halves have p < 0.01 in none, and groups in two."""
+    min_relative_variance: float = Field(default=1e-3, gt=0, lt=1)
+    """Least variance, relative to that of the components it is along, of a direction in which parts, or averaged
+    and joint poses, are compared: below it the difference is that of the linearization. One of two halves without
+    data of a scanner leaves such directions, in which squared distances would be any number."""
     interval: float = Field(default=5.0, gt=0)
     """Length of the intervals whose contributions are compared, s: several strides, over which the deviations of
     walking people average out, and a tenth of a short recording."""
@@ -223,6 +227,9 @@ class NetworkModelSettings(StrictModel):
 class TrackBumpSettings(StrictModel):
     """Tests of steps in the poses of a network's scanners that measure too little static background."""
 
+    rounds: int = Field(default=2, ge=1)
+    """Rounds of locating a step in time and fitting the poses before and after it: the first one starts from poses
+    of thirds of the recording, of which one may contain the step, and the second from poses without it."""
     block_ticks: int = Field(default=20, ge=1)
     """Ticks (``tick_period`` of pairs) within which errors of positions may depend on each other: 2 s, in which
     people turn by less than a right angle to a scanner and one side of them is measured."""

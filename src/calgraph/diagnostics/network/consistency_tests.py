@@ -16,9 +16,6 @@ from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.contributions import Contributions
 from calgraph.geometry import Array, se2
 
-# Directions with a smaller variance, in units of the scale of each component, are without error, but for rounding
-# and first-order effects: in one of the halves, hardly any data determine them.
-_RANK_TOLERANCE = 1e-3
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:
 # standard deviations of 1 m, 1 rad and 1 s.
 _DIFFERENCE_RIDGE = 1.0
@@ -82,7 +79,8 @@ def _test_halves(
     normalized = score / np.sqrt(variance_factor)
 
     def test(unknowns: NDArray[np.intp]) -> float:
-        return compute_p_value(normalized[unknowns], information[np.ix_(unknowns, unknowns)], scale[unknowns])
+        covariance = information[np.ix_(unknowns, unknowns)]
+        return compute_p_value(normalized[unknowns], covariance, settings.min_relative_variance, scale[unknowns])
 
     scanners = np.unique(parts.scanner[parts.scanner > 0]).tolist()
     columns = [np.flatnonzero(parts.is_placement & (parts.scanner == s)) for s in scanners]
@@ -146,7 +144,7 @@ def find_disagreement(
         settings: probability of a false alarm.
     """
     difference = se2.difference(joint.T_root_scanner, T_root_averaged)
-    p = compute_p_value(difference[1:].ravel(), averaged_covariance[3:, 3:])
+    p = compute_p_value(difference[1:].ravel(), averaged_covariance[3:, 3:], settings.min_relative_variance)
     if p < settings.false_alarm_probability:
         distance = np.hypot(difference[:, 0], difference[:, 1])
         farthest = int(np.argmax(distance))
@@ -158,14 +156,16 @@ def find_disagreement(
         )
 
 
-def compute_p_value(error: Array, covariance: Array, scale: Array | None = None) -> float:
+def compute_p_value(
+    error: Array, covariance: Array, min_relative_variance: float, scale: Array | None = None
+) -> float:
     """Probability of a larger squared Mahalanobis distance, along directions whose variance is not zero.
 
     Args:
         error: (n,).
         covariance: (n, n).
-        scale: (n,) standard deviations that others have to be compared with to be zero; those of the covariance
-            if left out.
+        min_relative_variance: below which a variance is zero, in squares of the scale.
+        scale: (n,) standard deviations; those of the covariance if left out.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny)) if scale is None else scale
     if not (scale > 0).any():
@@ -173,8 +173,9 @@ def compute_p_value(error: Array, covariance: Array, scale: Array | None = None)
     if not (scale > 0).all():
         # Unknowns without any information have a scale of zero.
         informed = np.flatnonzero(scale > 0)
-        return compute_p_value(error[informed], covariance[np.ix_(informed, informed)], scale[informed])
+        part = covariance[np.ix_(informed, informed)]
+        return compute_p_value(error[informed], part, min_relative_variance, scale[informed])
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    regular = values > _RANK_TOLERANCE
+    regular = values > min_relative_variance
     along = vectors.T @ (error / scale)
     return float(chdtrc(regular.sum(), np.sum(along[regular] ** 2 / values[regular])))

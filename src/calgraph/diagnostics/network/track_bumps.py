@@ -25,8 +25,6 @@ from calgraph.tracking import ScannerBump, ScannerTracks, correct_tracks
 _MAX_STEPS, _STEP_TOLERANCE = 30, 1e-4
 # Information on a step, 1/m² and 1/rad²: keeps directions invertible that no position measures.
 _STEP_PRIOR_INFORMATION = 1e-6
-# Rounds of fitting poses and time of a step.
-_MAX_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +175,7 @@ def _refine_step(
     matches: _Matches, before: Array, after: Array, scanners: int, settings: TrackBumpSettings
 ) -> _Step | None:
     """The step between poses near two given ones, at the most likely time; None if it is not significant."""
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(settings.rounds):
         begin, end = _locate_step(matches, before, after, settings)
         parts = matches.select(matches.tick <= begin), matches.select(matches.tick >= end)
         if not all(map(len, parts)):
