@@ -97,6 +97,15 @@ KINDS: Mapping[str, Kind] = {
     "legs_height": Kind(
         lambda cm: {"people": {"shape": "legs"}, "scanner": {"height": cm / 100}}, (15, 45, 60), "cm"
     ),
+    "mixed_heights": Kind(
+        lambda cm: {
+            "people": {"shape": "legs"},
+            "scanner": {"height": 0.4},
+            "errors": {"height": cm / 100},
+        },
+        (28,),
+        "cm",
+    ),
     "legs_square": Kind(lambda n: {"people": {"shape": "legs", "leg_squareness": n}}, (4,), "exp."),
     "heavy": Kind(lambda _: _HEAVY),
     "couples": Kind(lambda n: {"people": {"count": int(n), "couples": 1}}, (2, 4), "people"),

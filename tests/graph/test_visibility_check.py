@@ -1,11 +1,21 @@
 """Places in a network that are refuted by people who would have passed unnoticed, and what is done about them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from calgraph.config.settings import VisibilitySettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import NetworkInitialization, PoseGraphSolution, build_network_graph, initialize_network
+from calgraph.graph import (
+    NetworkInitialization,
+    PoseGraphSolution,
+    build_network_graph,
+    initialize_network,
+    visibility_check,
+)
 from calgraph.graph.visibility_check import VisibilityConflict, _compare_detections, find_visibility_conflict
 from calgraph.pairwise import PoseHypothesis, ScannerObservations, ScannerPairEstimate
 from calgraph.tracking import ScannerTracks, Track
@@ -71,6 +81,25 @@ def test_a_scanner_among_others_who_saw_nobody_where_it_did_is_refuted() -> None
 
 def test_it_is_not_if_it_saw_hardly_anything() -> None:
     assert judged(ELSEWHERE, sights(0.8)) is None
+
+
+def test_of_several_cuts_the_weakest_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where a stronger one misses more: a wrong edge misplaces whole parts, relative to the others."""
+
+    class Detections:
+        settings = VisibilitySettings()
+
+        def count_across(self, part: NDArray[np.bool_]) -> tuple[int, int]:
+            return 100, 70 if part.tolist() == [False, False, False, True] else 90
+
+    monkeypatch.setattr(visibility_check, "_compare_detections", lambda *_: Detections())
+    chain = [ScannerPairEstimate(a, b, (right(a, b),)) for a, b in pairwise(NAMES)]
+    graph, names = build_network_graph("a", chain)
+    solution = PoseGraphSolution(np.array([T[name] for name in names]), np.ones(3, dtype=np.bool_))
+    found = find_visibility_conflict(graph, [], solution, np.array([300.0, 200.0, 100.0]))
+    assert found
+    assert found.edges.tolist() == [False, False, True]
+    assert found.missed_share == 0.7
 
 
 def test_a_refuted_hypothesis_gives_way_to_another_one(rng: np.random.Generator) -> None:

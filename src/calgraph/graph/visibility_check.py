@@ -36,10 +36,11 @@ class VisibilityConflict:
 def find_visibility_conflict(
     graph: PoseGraph, observations: Sequence[ScannerObservations], solution: PoseGraphSolution, evidence: Array
 ) -> VisibilityConflict | None:
-    """The part of a network with the largest share of missed detections; None if no part misses too many.
+    """The part of a network that misses too many detections and is connected by least evidence; None without one.
 
     The parts are those beyond the edges of the maximum spanning tree by evidence. What one side detects within the
-    open view of the other, some scanner of the other side should detect, too.
+    open view of the other, some scanner of the other side should detect, too. A wrong edge contradicts the cuts of
+    correct ones, too, where these have the scanners that it misplaces on one side: the weakest is rejected first.
 
     Args:
         graph: of the network.
@@ -49,15 +50,14 @@ def find_visibility_conflict(
     """
     detections = _compare_detections(observations, solution.T_root_node)
     i, j = graph.edges.T
-    worst: VisibilityConflict | None = None
+    conflicts: list[tuple[float, VisibilityConflict]] = []
     limits = detections.settings
     for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
         expected, missed = detections.count_across(part)
-        least_share = worst.missed_share if worst else limits.max_missed_share
-        if expected >= limits.min_expected_of_part and missed > least_share * expected:
+        if expected >= limits.min_expected_of_part and missed > limits.max_missed_share * expected:
             edges = solution.inliers & (part[i] != part[j])
-            worst = VisibilityConflict(part, edges, missed / expected)
-    return worst
+            conflicts.append((float(evidence[edges].sum()), VisibilityConflict(part, edges, missed / expected)))
+    return min(conflicts, key=lambda conflict: conflict[0])[1] if conflicts else None
 
 
 def is_confirmed_by_visibility(
