@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.baselines import estimate_mean_plane
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector, PlaneEstimator
+from calgraph.detection import BoardCorners, CameraDetector, InconsistentTags, PlaneEstimator
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
@@ -175,6 +175,22 @@ def test_a_covered_tag_is_left_out(render: Render, rng: np.random.Generator) -> 
 def test_a_tag_half_out_of_the_image_is_left_out(render: Render, rng: np.random.Generator) -> None:
     found = detect(TAGGED, render(TAGGED, CAMERA, a_pose((0, 0, 0), (-1.45, 0, 2)), rng))
     assert found.corners_board[:, 0].min() > -0.13
+
+
+def test_a_tag_that_stands_elsewhere_is_an_outlier(render: Render, rng: np.random.Generator) -> None:
+    stated = Board(size=(1.0, 0.8), tags=(*TAGS[:2], Tag(id=7, size=0.24, center=(0, -0.1))))
+    found = detect(stated, render(TAGGED, CAMERA, a_pose(), rng))
+    assert found.outlier_tags == (7,)
+    assert len(found.pixels) == 8
+
+
+def test_exchanged_tags_are_inconsistent(render: Render, rng: np.random.Generator) -> None:
+    stated = Board(
+        size=(1.0, 0.8), tags=(Tag(id=5, size=0.3, center=(-0.28, 0.16)), Tag(id=3, size=0.3, center=(0.28, 0.16)))
+    )
+    found = find_boards([image(render(TAGGED, CAMERA, a_pose(), rng))], [stated], CAMERA, NOISE)
+    assert isinstance(found, InconsistentTags)
+    assert found.tags == (3, 5)
 
 
 def test_small_tags_are_found_where_large_ones_predict_them(render: Render, rng: np.random.Generator) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.captures.holds import Hold
 from calgraph.captures.input_checks import InputFinding
+from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Rig
-from calgraph.detection import Detection, DetectionResult
+from calgraph.detection import Detection, DetectionResult, InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
@@ -65,12 +66,15 @@ def collect_detections(
     """Sorts by detections and rejections; scales covariances of cameras by the noise of all their corners."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}
     rejections: dict[tuple[int, str], str] = {}
+    inconsistent: dict[str, list[InconsistentTags]] = {}
     snapshots: list[Snapshot] = []
     for sensor_capture in sensor_captures:
         if sensor_capture.snapshot:
             snapshots.append(sensor_capture.snapshot)
         if isinstance(sensor_capture.detections, Rejected):
             rejections[sensor_capture.capture, sensor_capture.sensor] = sensor_capture.detections.reason
+            if isinstance(sensor_capture.detections, InconsistentTags):
+                inconsistent.setdefault(sensor_capture.sensor, []).append(sensor_capture.detections)
         else:
             detections[sensor_capture.sensor][sensor_capture.capture] = sensor_capture.detections
     for name, spec in rig.cameras().items():
@@ -78,8 +82,22 @@ def collect_detections(
             detections[name], spec.noise.pixel, rig.settings.captures.camera_noise
         )
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
+    misplaced = [
+        finding
+        for name in cameras
+        for finding in find_misplaced_tags(
+            name, detections[name].values(), inconsistent.get(name, ()), rig.settings.captures.misplaced_tags
+        )
+    ]
     return CaptureSet(
-        timeline.start, frames, tuple(holds), detections, rejections, cameras, tuple(snapshots), tuple(findings)
+        timeline.start,
+        frames,
+        tuple(holds),
+        detections,
+        rejections,
+        cameras,
+        tuple(snapshots),
+        (*findings, *misplaced),
     )
 
 

@@ -7,6 +7,7 @@ from calgraph.detection.detections import (
     BoardCorners,
     Detection,
     DetectionResult,
+    InconsistentTags,
     PlanePatch,
     Segment,
     plane_of,
@@ -22,8 +23,8 @@ from calgraph.detection.lidar2d import find_segments
 from calgraph.detection.lidar3d import find_patches
 
 __all__ = [
-    "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "DetectionResult", "Landmarks",
-    "PlaneEstimator", "PlanePatch", "Segment", "board_corners_from_pixels", "compute_landmarks", "find_patches",
-    "find_segments", "learn_cloud_background", "learn_scan_background", "plane_of", "plane_patch_from_points",
-    "segment_from_points", "to_beams",
+    "BoardCorners", "CameraDetector", "CloudBackground", "Detection", "DetectionResult", "InconsistentTags",
+    "Landmarks", "PlaneEstimator", "PlanePatch", "Segment", "board_corners_from_pixels", "compute_landmarks",
+    "find_patches", "find_segments", "learn_cloud_background", "learn_scan_background", "plane_of",
+    "plane_patch_from_points", "segment_from_points", "to_beams",
 ]  # fmt: skip

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.config.settings import BoardPoseSettings
+from calgraph.detection.detections import InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.levenberg_marquardt import DenseLinearization, minimize
@@ -166,8 +167,9 @@ def _select_consistent_marks(
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
             minima = _find_minima(corners[consensus], pixels[consensus], camera, settings.max_steps)
             return consensus, minima, corners
-    names = ", ".join(map(str, np.unique(ids[in_view])))
-    return Rejected(f"tags {names} do not lie on one board as printed: no two of them agree")
+    tags = tuple(np.unique(ids[in_view]).tolist())
+    names = ", ".join(map(str, tags))
+    return InconsistentTags(f"tags {names} do not lie on one board as printed: no two of them agree", tags)
 
 
 def _fit_size(T: Array, corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> float:

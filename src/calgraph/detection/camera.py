@@ -5,12 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
 from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
-from calgraph.detection.detections import BoardCorners
+from calgraph.detection.detections import BoardCorners, InconsistentTags
 from calgraph.detection.landmarks import Landmarks, compute_landmarks
 from calgraph.detection.rectified_view import is_undistorted, rectify_view
 from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
@@ -79,6 +80,7 @@ class CameraDetector:
         grays = [self._to_gray(image) for image in images]
         detections: list[BoardCorners] = []
         reasons: list[str] = []
+        inconsistent: list[int] = []
         marks_by_image = [
             {printed.finder: printed.finder.find(gray) for printed in self._printed} for gray in grays
         ]
@@ -87,6 +89,7 @@ class CameraDetector:
             if isinstance(detection, BoardCorners):
                 detections.append(detection)
             else:
+                inconsistent += detection.tags if isinstance(detection, InconsistentTags) else ()
                 reasons.append(
                     f"board {printed.number}: {detection.reason}" if len(self._printed) > 1 else detection.reason
                 )
@@ -94,7 +97,8 @@ class CameraDetector:
             for reason in reasons:
                 _log.debug("in the image at %.3f s: %s", images[0].stamp, reason)
             return tuple(detections)
-        return Rejected("; ".join(reasons) + _explain_exposure(grays))
+        reason = "; ".join(reasons) + _explain_exposure(grays)
+        return InconsistentTags(reason, tuple(inconsistent)) if inconsistent else Rejected(reason)
 
     def _to_gray(self, image: Image) -> Gray:
         gray = image.gray
@@ -120,14 +124,15 @@ class CameraDetector:
                 detected.append(result)
         if not detected:
             return first_rejection or Rejected("no image in this capture")
+        on_board = np.intersect1d(np.concatenate([marks.ids for marks in marks_by_image]), printed.landmarks.ids)
         if len(detected) == 1:
-            return self._make_detection(printed, *detected[0])
+            return self._make_detection(printed, *detected[0], on_board)
         noise = max(self._noise.pixel, self._settings.min_motion_noise)
         averaged = _average_marks([marks for marks, _ in detected], self._settings.pose.outlier_sigmas * noise)
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)
-        return pose if isinstance(pose, Rejected) else self._make_detection(printed, averaged, pose)
+        return pose if isinstance(pose, Rejected) else self._make_detection(printed, averaged, pose, on_board)
 
     def _find_in_image(
         self, printed: _PrintedBoard, gray: Gray, found: Marks
@@ -181,9 +186,15 @@ class CameraDetector:
             marks.ids, corners, marks.pixels, self._camera, self._noise.pixel, settings=self._settings.pose
         )
 
-    def _make_detection(self, printed: _PrintedBoard, marks: Marks, pose: BoardPose) -> BoardCorners:
+    def _make_detection(
+        self, printed: _PrintedBoard, marks: Marks, pose: BoardPose, on_board: NDArray[np.intp]
+    ) -> BoardCorners:
+        """The detection from the marks that were used, of all that are on the board by their ids."""
         corners = printed.landmarks.corners_of(marks.ids)
         detection = make_board_corners(pose, corners, marks.pixels, printed.number)
+        if marks.pixels.shape[1] == 4:
+            used = marks.ids[pose.inliers.any(axis=1)]
+            detection = replace(detection, outlier_tags=tuple(np.setdiff1d(on_board, used).tolist()))
         if self._plane_estimator and marks.pixels.shape[1] == 4:
             sigma = max(self._noise.pixel, pose.rms)
             estimate = self._plane_estimator(marks, corners, self._camera, sigma, self._settings.pose)

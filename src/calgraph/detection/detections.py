@@ -81,11 +81,21 @@ class BoardCorners:
     """Root mean square reprojection error, pixels."""
     board: int = 0
     """Index of the board among the rig's boards."""
+    outlier_tags: tuple[int, ...] = ()
+    """Ids of the board's tags that were detected, but not where the others imply. Not saved with a problem."""
 
     @property
     def center(self) -> Array:
         """(3,) the centre of the board in the camera frame, m."""
         return self.T_camera_board[:3, 3]
+
+
+@dataclass(frozen=True)
+class InconsistentTags(Rejected):
+    """Tags of a board were detected, but no two of them fit together as printed."""
+
+    tags: tuple[int, ...] = ()
+    """Their ids."""
 
 
 Detection = PlanePatch | Segment | BoardCorners

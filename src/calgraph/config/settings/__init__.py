@@ -7,6 +7,7 @@ from calgraph.config.settings.captures import (
     EmptyStartSettings,
     InputCheckSettings,
     MaxMessageSettings,
+    MisplacedTagSettings,
     MotionDetectionSettings,
 )
 from calgraph.config.settings.detection import (
@@ -119,7 +120,7 @@ __all__ = [
     "LegTrackSettings",
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
-    "MaxMessageSettings",
+    "MaxMessageSettings", "MisplacedTagSettings",
     "ModelErrorSettings",
     "MotionDetectionSettings",
     "MotionSettings",

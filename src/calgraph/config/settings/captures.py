@@ -92,6 +92,16 @@ class EmptyStartSettings(StrictModel):
     most of them; people who pass cover others."""
 
 
+class MisplacedTagSettings(StrictModel):
+    """When tags contradict the board in rig.yaml. A tag that is blurred or partly hidden is an outlier, too."""
+
+    min_captures: int = Field(default=3, ge=1)
+    """Least number of captures in which a tag is an outlier: one or two may be accidents."""
+    min_share: float = Field(default=0.5, gt=0, le=1)
+    """The same over the captures in which the camera detected several tags: a misplaced tag is an outlier in all
+    in which the others are the majority, or in half where two tags contradict each other."""
+
+
 class CaptureSettings(StrictModel):
     """When the board rests, and which messages of a capture are used."""
 
@@ -100,6 +110,7 @@ class CaptureSettings(StrictModel):
     max_messages: MaxMessageSettings = MaxMessageSettings()
     input_checks: InputCheckSettings = InputCheckSettings()
     empty_start: EmptyStartSettings = EmptyStartSettings()
+    misplaced_tags: MisplacedTagSettings = MisplacedTagSettings()
     min_hold: float = Field(default=0.5, gt=0)
     """Least duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
     max_motion_period: float = Field(default=0.5, gt=0)
