@@ -8,9 +8,10 @@ import pytest
 from calgraph.config import Board
 from calgraph.detection import BoardCorners, Detection
 from calgraph.estimation import RigSolution
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.geometry import se3
 from calgraph.result import EstimatedParameter
-from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
+from calgraph.simulation import BoardErrors, CameraOptions, LaserOptions, ModelErrors, MultibeamOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
 
 FINE = QUICK.model_copy(
@@ -39,6 +40,25 @@ def test_without_cameras_boards_are_registered_by_their_outlines() -> None:
     centers, turns = np.linalg.norm(off[:, :2, 3], axis=1), np.abs(off[:, 0, 1])
     # A rectangle is ambiguous by half a turn; a few boards cannot be registered.
     assert np.mean((centers < 0.01) & (turns < 0.02)) > 0.8
+
+
+def test_the_bow_acts_on_boards_that_only_their_outlines_locate() -> None:
+    """Half of the boards are beside the camera's field of view."""
+    scenario = FINE.model_copy(update={"bearings": (-80, -60, -20, 0, 20, 60, 80)})
+    flat, bent = (
+        detect_rig(scenario, errors=ModelErrors(board=BoardErrors(bow=(bow, 0.0, 0.0)))) for bow in (0.0, 0.004)
+    )
+    joint = bent.solve()
+    assert joint.solved_bundle is not None
+    bundle = joint.solved_bundle.bundle
+    lidar, camera = (bundle.views[bundle.sensors.index(name)] for name in ("lidar", "camera"))
+    assert isinstance(lidar, RangeObservations)
+    assert len(camera.board) < 0.7 * len(lidar.board)
+    assert np.isfinite(lidar.half_size).all(axis=1).mean() > 0.9
+    (bow,) = [one for one in joint.systematic if one.quantity == "bow along x"]
+    assert bow.value == pytest.approx(0.004, abs=0.0004)
+    moved = joint.T_root_sensor["camera"][:3, 3] - flat.solve().T_root_sensor["camera"][:3, 3]
+    assert np.linalg.norm(moved) < 0.0015
 
 
 def test_outlines_that_fit_cause_no_remark() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, PlanePatch, Segment
@@ -11,7 +12,7 @@ from calgraph.estimation.rig.board_observations import BoardObservation, board_n
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.outline_observations import OutlineObservations
-from calgraph.estimation.rig.range_observations import RangeObservations
+from calgraph.estimation.rig.range_observations import SCANNER_PARAMETERS, RangeObservations
 from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.estimation.rig.systematic_parameters import add_outline_parameters
 from calgraph.geometry import Array, Index
@@ -66,10 +67,17 @@ def add_outlines(
         outline.update_noise(relative_poses(state.T_root_sensor[s], T_root_board[outline.board]), 1.0)
         for s, outline in zip(edges, outlines, strict=True)
     ]
+    views = [
+        _bow_registered_boards(of_sensor, registered & (number < 0), half, relative_poses(T, T_root_board))
+        if isinstance(of_sensor, RangeObservations)
+        else of_sensor
+        for of_sensor, T in zip(bundle.views, state.T_root_sensor, strict=True)
+    ]
     bias_variances = np.zeros((len(outlines), 3))
     bias_variances[:, 0] = bias_variance
     with_outlines = replace(
         bundle,
+        views=tuple(views),
         outlines=tuple(outlines),
         outline_sensor=tuple(edges),
         bias_variance=np.concatenate([bundle.bias_variance, bias_variances]),
@@ -77,6 +85,28 @@ def add_outlines(
     )
     extra = np.append(state.extra, np.zeros(len(parameters) - len(state.extra)))
     return with_outlines, replace(state, T_root_board=T_root_board, extra=extra)
+
+
+def _bow_registered_boards(
+    views: RangeObservations, registered: NDArray[np.bool_], half_size: Array, T_sensor_board: Array
+) -> RangeObservations:
+    """The views with the bow of boards that outlines registered, as of those that cameras identified.
+
+    Args:
+        views: of one scanner.
+        registered: (C,) boards.
+        half_size: (C, 2) of the boards, m.
+        T_sensor_board: (C, 4, 4) of the boards.
+    """
+    bowed, of_extra = registered[views.board], views.extra_of_local.copy()
+    columns = np.flatnonzero(np.char.startswith(SCANNER_PARAMETERS, "bow"))
+    if not (of_extra.shape[1] and bowed.any() and np.any(of_extra[:, columns] >= 0)):
+        return views
+    of_extra[np.ix_(bowed, columns)] = of_extra[:, columns].max(axis=0)
+    half = np.where(bowed[:, None], half_size[views.board], views.half_size)
+    return replace(views, half_size=half, extra_of_local=of_extra).update_noise(
+        T_sensor_board[views.board], views.noise_scale
+    )
 
 
 def _surface_of(detections: Mapping[str, Candidates], board: BoardObservation, name: str) -> PlanePatch | Segment:

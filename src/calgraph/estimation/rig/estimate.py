@@ -166,7 +166,9 @@ def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet)
     )
     if not outlined.outlines:
         return bundle, solution
-    cache = (*solution.equations.cache, *[None] * len(outlined.outlines))
+    same = [new is old for new, old in zip(outlined.views, bundle.views, strict=True)]
+    cached = [cached if kept else None for cached, kept in zip(solution.equations.cache, same, strict=True)]
+    cache = (*cached, *[None] * len(outlined.outlines))
     solution = minimize_bundle(
         outlined, state, cache, iterations=settings.steps_per_round, tolerance=COARSE_TOLERANCE, exact=False
     )

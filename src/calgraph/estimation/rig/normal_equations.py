@@ -98,7 +98,7 @@ class ViewNormalEquations:
 
     def squared_change(self, change: Array) -> Array:
         """(V,) sum of squared changes of the residuals for changes (V, q) of the local parameters."""
-        return np.asarray(np.einsum("vi,vij,vj->v", change, self.JtJ, change))
+        return np.asarray(np.sum(change * _matvec(self.JtJ, change), axis=-1))
 
     def extrapolate(self, change: Array, local_jacobian: Array) -> "ViewNormalEquations":
         """The equations after a change (V, q) of the local parameters, to first order of the residuals in it.
@@ -128,7 +128,13 @@ class ViewNormalEquations:
         A, b = self.JtJ, self.Jtr
         if variance[6]:
             to_rings, P, shift = self._ring_biases(variance[6])
-            A = A - (to_rings * P[:, None]) @ se_n.transpose(to_rings)
+            n = A.shape[-1] - self.ring_count
+            # Rings are coupled to the other parameters, but not to each other.
+            left = 1 - P * self.JtJ[:, np.arange(n, A.shape[-1]), np.arange(n, A.shape[-1])]
+            coupling, A = to_rings[:, :n], A.copy()
+            A[:, :n, :n] -= (coupling * P[:, None]) @ se_n.transpose(coupling)
+            A[:, :n, n:] = coupling * left[:, None]
+            A[:, n:] *= left[..., None]
             b = b - _matvec(to_rings, shift)
             cost = cost - 0.5 * np.sum(self._of_rings(self.Jtr) * shift, axis=-1)
         return marginalize_bias(A, b, cost, self._pose_bias_prior(variance))
