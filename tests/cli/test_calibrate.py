@@ -153,7 +153,10 @@ def test_a_topic_that_is_not_recorded_is_named(simulated: Path, tmp_path: Path, 
 
 def test_a_missing_recording_is_named(simulated: Path, tmp_path: Path, run: Run) -> None:
     result = run("calibrate", simulated / "rig.yaml", tmp_path / "none", "-o", tmp_path / "out")
-    assert (result.exit_code, result.stderr) == (2, f"calgraph: {tmp_path / 'none'}: does not exist\n")
+    assert (result.exit_code, result.stderr) == (
+        2,
+        f"calgraph: {tmp_path / 'none'}: does not exist; check the path\n",
+    )
 
 
 def test_a_truncated_recording_is_bad_input(simulated: Path, tmp_path: Path, run: Run) -> None:

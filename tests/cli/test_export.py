@@ -91,15 +91,14 @@ def test_an_unknown_format_is_bad_usage_and_the_available_ones_are_named(run: Ru
 def test_a_folder_without_a_calibration_is_named(run: Run, tmp_path: Path) -> None:
     result = run("export", tmp_path, "-f", "tf")
     assert result.exit_code == 2
-    assert (
-        result.stderr == f"calgraph: {tmp_path / 'calibration.yaml'}: cannot be read (No such file or directory)\n"
-    )
+    expected = f"{tmp_path}: has no calibration.yaml; give the folder that calibrate wrote with -o"
+    assert result.stderr == f"calgraph: {expected}\n"
 
 
 def test_a_missing_urdf_is_named(run: Run, out: Path, tmp_path: Path) -> None:
     result = run("export", out, "--force", "-f", "urdf", "--urdf", tmp_path / "none.urdf")
     assert result.exit_code == 2
-    assert result.stderr == f"calgraph: {tmp_path / 'none.urdf'}: cannot be read (No such file or directory)\n"
+    assert result.stderr == f"calgraph: {tmp_path / 'none.urdf'}: does not exist; check the path\n"
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,7 @@ def test_a_recording_is_checked_as_a_dump_is(simulated: Path, calibrated: tuple[
     ("options", "message"),
     [
         (["--tolerance", "0", "1"], "--tolerance: must be two numbers above 0, m and degrees, got 0 1"),
-        (["--against", "missing.yaml"], "missing.yaml: cannot be read (No such file or directory)"),
+        (["--against", "missing.yaml"], "missing.yaml: does not exist; check the path"),
     ],
 )
 def test_bad_usage_of_check_is_refused(known: Known, run: Run, options: list[str], message: str) -> None:

@@ -271,12 +271,12 @@ def test_a_long_value_is_shortened(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.yaml: cannot be read \(No such file"):
+    with pytest.raises(InputError, match=r"none\.yaml: does not exist; check the path$"):
         load_rig(tmp_path / "none.yaml")
 
 
 def test_a_folder_is_not_a_rig(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot be read \(Is a directory\)"):
+    with pytest.raises(InputError, match="is a folder; give a file in it"):
         load_rig(tmp_path)
 
 

@@ -244,7 +244,7 @@ def test_a_quaternion_typed_with_three_digits_is_normalised(saved: Path) -> None
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.yaml: cannot be read \(No such file"):
+    with pytest.raises(InputError, match=r"none\.yaml: does not exist; check the path$"):
         load_calibration(tmp_path / "none.yaml")
 
 

@@ -16,6 +16,8 @@ from calgraph.captures import (
     RecordingTimeline,
     build_timeline,
     captures_from_detections,
+    check_background,
+    check_intrinsics,
     check_timeline,
     collect_detections,
     detect_in_holds,
@@ -145,7 +147,12 @@ def collect_captures(
         recording.records(rig.topics.values()), holds, rig.topics, detect,
         preview_sizes=plan_previews(holds, rig), progress=detecting,
     )  # fmt: skip
-    return collect_detections(rig, timeline, holds, observations, cameras, monitor.findings())
+    findings = [
+        *monitor.findings(),
+        *check_intrinsics(cameras, rig.settings.captures.input_checks),
+        *check_background(rig, timeline),
+    ]
+    return collect_detections(rig, timeline, holds, observations, cameras, findings)
 
 
 def build_problem_from_captures(

@@ -14,6 +14,7 @@ from calgraph.captures.from_detections import GivenDetections, captures_from_det
 from calgraph.captures.holds import Hold, find_holds, is_snapshot_recording
 from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.captures.motion_detection import ActivityMeter
+from calgraph.captures.plausibility import check_background, check_intrinsics
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.captures.validate_recording import check_timeline
@@ -21,7 +22,8 @@ from calgraph.captures.validate_recording import check_timeline
 __all__ = [
     "ActivityMeter", "CaptureSet", "Detector", "EmptyStart", "GivenDetections", "Hold", "InputFinding",
     "InputMonitor", "PreviewSize", "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline",
-    "captures_from_detections", "check_timeline", "collect_detections", "detect_in_holds", "find_empty_start",
-    "find_holds", "is_snapshot_recording", "learn_backgrounds", "limit_messages", "make_detectors",
-    "plan_previews", "resolve_background", "to_scans",
+    "captures_from_detections", "check_background", "check_intrinsics", "check_timeline",
+    "collect_detections", "detect_in_holds", "find_empty_start", "find_holds", "is_snapshot_recording",
+    "learn_backgrounds", "limit_messages", "make_detectors", "plan_previews", "resolve_background",
+    "to_scans",
 ]  # fmt: skip

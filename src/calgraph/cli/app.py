@@ -103,7 +103,7 @@ def calgraph(
     ] = False,
 ) -> None:
     """Find where cameras, laser scanners and LiDARs are, relative to each other, from one recording."""
-    logging.basicConfig(level=logging.WARNING, format="calgraph: %(message)s")
+    logging.basicConfig(level=logging.WARNING, format="calgraph: %(message)s", force=True)
     if verbose:
         log_steps()
 

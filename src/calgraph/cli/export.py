@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from calgraph.cli.common_options import list_choices
+from calgraph.cli.common_options import find_calibration, list_choices
 from calgraph.cli.console import console
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
@@ -71,7 +71,7 @@ def export(
             raise InputError(f"{name}: goes with --format {its_format}, got --format {format}")
     if parents and (urdf or format not in ("launch", "tf", "urdf")):
         raise InputError("--parents: goes with --format launch, tf, and urdf without --urdf")
-    file = result / "calibration.yaml" if result.is_dir() else result
+    file = find_calibration(result)
     calibration = load_calibration(file)
     if not force and format != "json":  # which states the verdicts
         _check_poses_are_good(calibration)

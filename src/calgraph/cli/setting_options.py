@@ -27,6 +27,8 @@ SetOption = Annotated[
 
 def load_rig_with(path: Path, assignments: Sequence[str] | None) -> Rig:
     """Reads a rig.yaml, and overrides settings; raises InputError as :func:`override_settings` does."""
+    if path.is_dir() or path.suffix in (".mcap", ".db3", ".bag"):
+        raise InputError(f"{path}: seems to be a recording; give RIG.yaml first, then the recordings")
     return override_settings(load_rig(path), assignments)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from calgraph.cli.common_options import find_calibration
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.result import calibrated_cameras, load_calibration, load_scene
@@ -30,7 +31,7 @@ def view(
 
     if not result.is_dir():
         raise InputError(f"{result}: is no folder; give the one that calibrate wrote with -o")
-    calibration = load_calibration(result / "calibration.yaml")
+    calibration = load_calibration(find_calibration(result))
     calibration = replace(calibration, pictures=load_scene(result / "scene.npz"))
     rig = load_rig(result / "rig.resolved.yaml")
     with Viewer(calibration, calibrated_cameras(calibration, rig), host, port) as viewer:

@@ -8,12 +8,16 @@ from pydantic import Field, Strict, model_validator
 
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
-from calgraph.config.strict_model import StrictModel, invalid
+from calgraph.config.strict_model import StrictModel, invalid, limit_to
 from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
 from calgraph.config.uncertainty import CameraUncertainty, Lidar2dUncertainty, Lidar3dUncertainty, Tolerance
 from calgraph.sensors import CameraModel
 
-Sigma = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
+_POSITIVE = Field(gt=0, allow_inf_nan=False)
+# More noise than this makes a sensor useless, and is a number in another unit.
+PixelSigma = Annotated[float, Strict(), _POSITIVE, limit_to(20, "pixels")]
+RangeSigma = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m")]
+AngleSigma = Annotated[float, Strict(), _POSITIVE, limit_to(0.2, "rad")]
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
 Name = Annotated[str, Field(min_length=1)]
@@ -83,16 +87,16 @@ class Intrinsics(StrictModel):
 class PixelNoise(StrictModel):
     """Noise of a camera's corners."""
 
-    pixel: Sigma = 0.3
+    pixel: PixelSigma = 0.3
     """Standard deviation of a corner in x and in y, pixels."""
 
 
 class RangeNoise(StrictModel):
     """Noise of a scanner's beams (MSG-Cal, eqs. 7–9)."""
 
-    range: Sigma = 0.02
+    range: RangeSigma = 0.02
     """Standard deviation along the beam, m."""
-    angle: Sigma = 0.001
+    angle: AngleSigma = 0.001
     """Standard deviation of the beam's direction, rad."""
 
 

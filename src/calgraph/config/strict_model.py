@@ -1,6 +1,6 @@
 """The base of all parts of rig.yaml: frozen, and strict about unknown keys."""
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
 
 
@@ -13,3 +13,14 @@ class StrictModel(BaseModel):
 def invalid(key: str, message: str) -> PydanticCustomError:
     """The error for a validator to raise: ``key``, below the part it checks, is invalid because of ``message``."""
     return PydanticCustomError("calgraph", "{message}", {"key": key, "message": message})
+
+
+def limit_to(limit: float, unit: str) -> AfterValidator:
+    """The validator of a number that states its unit: most numbers beyond the limit are in another unit."""
+
+    def check(value: float) -> float:
+        if value > limit:
+            raise invalid("", f"is in {unit} and must be {limit:g} or less, got {value:g}")
+        return value
+
+    return AfterValidator(check)

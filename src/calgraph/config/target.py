@@ -7,11 +7,14 @@ import pydantic
 from pydantic import Discriminator, Field, Strict, field_validator, model_validator
 
 from calgraph.config.markers import DICTIONARIES, FAMILIES, Family, marker_count
-from calgraph.config.strict_model import StrictModel, invalid
+from calgraph.config.strict_model import StrictModel, invalid, limit_to
 from calgraph.config.uncertainty import BoardUncertainty
 
 # Strict: YAML has types, so a quoted number or a `yes` where a number belongs is reported as an error.
 Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
+# Larger boards and bodies are numbers in mm or cm.
+BoardLength = Annotated[Length, limit_to(10, "m")]
+BodyLength = Annotated[Length, limit_to(5, "m")]
 Coordinate = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Index = Annotated[int, Strict(), Field(ge=0)]
 AtLeastOne = Annotated[int, Strict(), Field(ge=1)]
@@ -137,7 +140,7 @@ class Board(StrictModel):
     """
 
     kind: Literal["board"] = "board"
-    size: tuple[Length, Length]
+    size: tuple[BoardLength, BoardLength]
     """Width (x) and height (y), m."""
     family: Family = "tag36h11"
     """AprilTag family of the tags."""
@@ -186,9 +189,9 @@ class People(StrictModel):
     """Walking people, whose cross-sections are ellipses to horizontal scanners, or two legs below the hip."""
 
     kind: Literal["people"] = "people"
-    axes: tuple[Length, Length] = (0.25, 0.15)
+    axes: tuple[BodyLength, BodyLength] = (0.25, 0.15)
     """Start values of the ellipse's radii, m."""
-    height: Length | None = None
+    height: BodyLength | None = None
     """Of the scan plane above the floor, m; without it, the widths of objects show whether they are legs."""
 
 
@@ -196,7 +199,7 @@ class Cylinder(StrictModel):
     """A moving vertical cylinder."""
 
     kind: Literal["cylinder"] = "cylinder"
-    diameter: Length
+    diameter: BodyLength
     """Its diameter, m."""
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, Strict
 
-from calgraph.config.strict_model import StrictModel, invalid
+from calgraph.config.strict_model import StrictModel, invalid, limit_to
 from calgraph.geometry import Array
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.]\S*)\s*")
@@ -41,9 +41,9 @@ Ratio = Annotated[float, Strict(), _BOUNDED, _parse_with(_RATIOS)]
 LengthStddev = Annotated[float, Strict(), _BOUNDED, _parse_with(_LENGTHS)]
 PixelStddev = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False), _parse_with(_PIXELS)]
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
-LengthLimit = Annotated[float, Strict(), _POSITIVE, _parse_with(_LENGTHS)]
+LengthLimit = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m"), _parse_with(_LENGTHS)]
 DegreeStddev = Annotated[float, Strict(), Field(ge=0, lt=45, allow_inf_nan=False), _parse_with(_DEGREES)]
-DegreeLimit = Annotated[float, Strict(), _POSITIVE, _parse_with(_DEGREES)]
+DegreeLimit = Annotated[float, Strict(), _POSITIVE, limit_to(45, "degrees"), _parse_with(_DEGREES)]
 
 
 class CameraUncertainty(StrictModel):

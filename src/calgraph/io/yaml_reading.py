@@ -60,10 +60,21 @@ def read_text(path: Path) -> str:
     """
     try:
         return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: does not exist{suggest_name(path)}") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; give a file in it") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+
+
+def suggest_name(path: Path) -> str:
+    """The end of a message that a path does not exist: the most similar name beside it, if there is one."""
+    beside = [one.name for one in path.parent.iterdir()] if path.parent.is_dir() else []
+    close = difflib.get_close_matches(path.name, beside, n=1, cutoff=0.6)
+    return f"; did you mean {str(path.parent / close[0])!r}?" if close else "; check the path"
 
 
 def validate_content(model: type[Model], content: dict[Any, Any], source: Path) -> Model:

@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from calgraph.errors import InputError
+from calgraph.io.yaml_reading import suggest_name
 from calgraph.recording.bag_files import find_bag_files
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.folder import FolderRecording
@@ -23,11 +24,14 @@ def open_recording(path: Path) -> Recording:
         RecordingError: it is damaged.
     """
     if not path.exists():
-        raise InputError(f"{path}: does not exist")
+        raise InputError(f"{path}: does not exist{suggest_name(path)}")
     bag = find_bag_files(path)
     if bag is not None:
         return BagRecording(path, bag)
     if path.is_dir():
+        inner = [one for one in sorted(path.iterdir()) if one.is_dir() and find_bag_files(one) is not None]
+        if inner:
+            raise InputError(f"{path}: is no recording, but contains {', '.join(map(str, inner))}: give that")
         return FolderRecording(path)
     raise InputError(
         f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, or a folder with one "

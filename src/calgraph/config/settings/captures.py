@@ -63,6 +63,12 @@ class InputCheckSettings(StrictModel):
     max_intrinsics_change: float = Field(default=1e-5, gt=0)
     """Largest change of K over the focal length, and of a distortion coefficient, that is rounding: values with
     six digits, or single precision; it moves a pixel by 0.01 px."""
+    max_focal_difference: float = Field(default=0.1, gt=0)
+    """Largest relative difference of fx and fy without a remark: pixels are square within 1 %, and those of analog
+    cameras within 10 %."""
+    max_principal_point_offset: float = Field(default=0.15, gt=0)
+    """Largest distance of a principal point from the middle of the image, as a share of its size, without a
+    remark: lenses are mounted within 5 %; K of half the resolution is off by 25 %."""
 
 
 class EmptyStartSettings(StrictModel):

@@ -229,13 +229,15 @@ def _explain_unconnected(
 
 def _explain_no_pair(name: str, captures: CaptureSet, pairs: PairwiseEstimates) -> str:
     detected = captures.detections[name]
+    rejections = [reason for (_, sensor), reason in captures.rejections.items() if sensor == name]
+    commonest = max(rejections, key=rejections.count, default="")
     if not detected:
-        rejections = [reason for (_, sensor), reason in captures.rejections.items() if sensor == name]
-        commonest = max(rejections, key=rejections.count)
         return f"detected the board in none of {len(captures.holds)} captures, mostly because: {commonest}"
     partners: dict[str, list[str]] = {}
     for (a, b), pair in pairs.items():
         if name in (a, b) and isinstance(pair, Rejected):
             partners.setdefault(pair.reason, []).append(b if a == name else a)
     reasons = [f"{', '.join(others)}: {reason}" for reason, others in partners.items()]
+    if len(rejections) > len(detected):
+        reasons.append(f"in {len(rejections)} captures it did not, mostly because: {commonest}")
     return f"detected the board in {len(detected)} captures, but " + "; ".join(reasons or ["no other sensor did"])
