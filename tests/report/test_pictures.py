@@ -12,7 +12,7 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
-from calgraph.report.fused_view import render_fused_cloud
+from calgraph.report.fused_view import _color_points, render_fused_cloud
 from calgraph.report.gallery import render_gallery
 from calgraph.report.image_view import render_camera_images
 from calgraph.report.overlays import compute_overlay
@@ -141,6 +141,28 @@ def test_only_points_in_view_of_a_camera_are_coloured(pictured: Calibration, rig
         # Coordinates are rounded to millimetres on the page.
         in_view |= (np.abs(pixels / [1280, 720] - 0.5) < 0.51).all(axis=1)
     assert in_view.all()
+
+
+def test_points_of_one_scanner_occlude_those_of_another(pictured: Calibration, rig: Rig) -> None:
+    """A point of a 2-D scanner 5 m in front of a camera, behind a board that a LiDAR measures at 2 m."""
+    poses = {s.name: s.T_root_sensor for s in pictured.sensors}
+    board = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 80), np.linspace(-0.5, 0.5, 80), [2.0]), axis=-1)
+    clouds = {"lidar": board.reshape(-1, 3), "laser": np.array([[0.1, 0.05, 5.0]])}
+    image = next(s for s in pictured.pictures.snapshots if s.sensor == "camera")
+    taken = [
+        Snapshot(0, name, 0.0, points=_from_camera(points, poses, name).astype(np.float32))
+        for name, points in clouds.items()
+    ]
+    cloud = _color_points([image, *taken], calibrated_cameras(pictured, rig), poses, np.inf)
+    assert cloud["lidar"].colored.all()
+    assert not cloud["laser"].colored.any()
+    alone = _color_points([image, taken[1]], calibrated_cameras(pictured, rig), poses, np.inf)
+    assert alone["laser"].colored.all()
+
+
+def _from_camera(points: Array, poses: dict[str, Array], name: str) -> Array:
+    """Points (N, 3) in the frame of the camera as those of another sensor."""
+    return se3.apply(se3.inverse(poses[name]) @ poses["camera"], points)
 
 
 def test_points_outside_of_images_are_coloured_by_height_or_scanner(pictured: Calibration, rig: Rig) -> None:

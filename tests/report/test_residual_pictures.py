@@ -32,10 +32,12 @@ def trace(figure: dict[str, Any], name: str) -> dict[str, Any]:
     return next(one for one in figure["data"] if one.get("name") == name)
 
 
-def test_every_sensor_with_residuals_has_three_figures(pictured: Calibration, rig: Rig) -> None:
+def test_every_sensor_with_residuals_has_its_figures(pictured: Calibration, rig: Rig) -> None:
     with_residuals = {v.sensor for v in pictured.pictures.board_views}
-    numbers = [k for k, s in enumerate(pictured.sensors) if s.name in with_residuals]
-    assert set(drawn(pictured, rig)) == {f"errors-{k}-{i}" for k in numbers for i in range(3)}
+    counts = {
+        k: 4 if s.kind == "camera" else 3 for k, s in enumerate(pictured.sensors) if s.name in with_residuals
+    }
+    assert set(drawn(pictured, rig)) == {f"errors-{k}-{i}" for k, count in counts.items() for i in range(count)}
 
 
 def test_a_result_without_residuals_has_no_pictures(calibration: Calibration, rig: Rig) -> None:
@@ -55,6 +57,31 @@ def test_errors_over_the_image_are_enlarged_by_the_stated_factor(pictured: Calib
     lengths = np.hypot(x[:, 1] - x[:, 0], y[:, 1] - y[:, 0])
     # Errors in x and y.
     np.testing.assert_allclose(np.sqrt(np.mean(lengths**2)), stated * np.sqrt(2) * PIXEL, rtol=0.15)
+
+
+def test_a_wrong_focal_length_is_a_radial_error(pictured: Calibration, rig: Rig) -> None:
+    def stretch(view: BoardView) -> BoardView:
+        assert view.residuals is not None
+        if view.sensor != "camera":
+            return view
+        return dataclasses.replace(view, residuals=view.residuals + 0.01 * (view.measured - [639.5, 359.5]))
+
+    wrong = with_views(pictured, tuple(map(stretch, pictured.pictures.board_views)))
+    corners = trace(drawn(wrong, rig)["errors-1-2"], "single")
+    slope, _ = np.polyfit(corners["x"], corners["y"], 1)
+    assert 0.008 < slope < 0.012
+
+
+def test_corners_that_were_not_used_are_marked(pictured: Calibration, rig: Rig) -> None:
+    rejected = tuple(
+        dataclasses.replace(view, used=False, residuals=None) if view.capture < 24 else view
+        for view in pictured.pictures.board_views
+    )
+    figure = drawn(with_views(pictured, rejected), rig)["errors-1-1"]
+    corners = [view.measured for view in rejected if view.sensor == "camera" and view.residuals is None]
+    marks = trace(figure, "not used")
+    np.testing.assert_allclose(np.column_stack([marks["x"], marks["y"]]), np.concatenate(corners), rtol=1e-4)
+    assert figure["layout"]["showlegend"]
 
 
 def test_a_range_scale_is_a_slope_over_range(pictured: Calibration, rig: Rig) -> None:

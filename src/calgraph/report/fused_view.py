@@ -124,13 +124,14 @@ def _color_points(
     taken: Sequence[Snapshot], cameras: Mapping[str, CameraModel], poses: Mapping[str, Array], reach: float
 ) -> _Cloud:
     """The points of each scanner up to a distance from the root, m, with the colours of simultaneous images."""
-    cloud = {}
-    for s in taken:
-        if len(s.points):
-            points = se3.apply(poses[s.sensor], s.points.astype(np.float64))
-            points = points[np.linalg.norm(points, axis=1) < reach]
-            cloud[s.sensor] = _ColoredPoints(points, *colorize_from_snapshots(points, taken, cameras, poses))
-    return cloud
+    scans = {s.sensor: se3.apply(poses[s.sensor], s.points.astype(np.float64)) for s in taken if len(s.points)}
+    near = {name: points[np.linalg.norm(points, axis=1) < reach] for name, points in scans.items()}
+    # The points of all scanners jointly: each occludes points behind it in the cameras.
+    together = np.concatenate([np.zeros((0, 3)), *near.values()])
+    found = colorize_from_snapshots(together, taken, cameras, poses)
+    cuts = np.cumsum([len(points) for points in near.values()])[:-1]
+    colors, colored = (np.split(one, cuts) for one in found)
+    return {name: _ColoredPoints(*part) for name, *part in zip(near, near.values(), colors, colored, strict=True)}
 
 
 def _count_points(taken: Sequence[Snapshot]) -> int:

@@ -50,6 +50,8 @@ class _Residuals:
     """(N, 2) px of a camera; (N, 3) of a scanner in its frame, m."""
     error: Array
     """(N, 2) px, or (N, 1) mm."""
+    unused: Array
+    """(M, 2) corners of a camera that the joint solution did not use, px; of a scanner none."""
 
 
 def render_residual_pictures(calibration: Calibration, rig: Rig, words: Vocabulary) -> str:
@@ -80,7 +82,14 @@ def _collect(calibration: Calibration, sensor: SensorPose) -> _Residuals | None:
     time, points, error = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     error = error if error.ndim == 2 else 1e3 * error[:, None]
     finite = np.isfinite(error).all(axis=1) & np.isfinite(points).all(axis=1)
-    return _Residuals(time[finite], points[finite], error[finite]) if finite.any() else None
+    unused = [
+        view.measured
+        for view in calibration.pictures.board_views
+        if view.sensor == sensor.name and view.residuals is None and sensor.kind == "camera"
+    ]
+    if not finite.any():
+        return None
+    return _Residuals(time[finite], points[finite], error[finite], np.concatenate([np.zeros((0, 2)), *unused]))
 
 
 def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: CameraModel | None) -> str:
@@ -93,15 +102,16 @@ def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: Camera
                 float(np.median(np.linalg.norm(of.error, axis=1))), _VISIBLE_ERROR * camera.width
             )
             figures.append((f"Over the image, enlarged {factor} ×", _over_image(of, camera, factor)))
+            figures.append(("Radial error, outwards", _over_radius(of, camera)))
     else:
         facts = f"residual {format_significant(size)} mm RMS"
         x, y, z = of.points.T
         planar = not np.ptp(z)
         angle = np.degrees(np.arctan2(y, x) if planar else np.arctan2(z, np.hypot(x, y)))
         figures = [
-            ("Over range", _over(np.linalg.norm(of.points, axis=1), of.error[:, 0], "range, m")),
+            ("Over range", _over(np.linalg.norm(of.points, axis=1), of.error[:, 0], "range, m", "mm")),
             (f"Over {'azimuth' if planar else 'elevation'}",
-             _over(angle, of.error[:, 0], "azimuth, °" if planar else "elevation, °")),
+             _over(angle, of.error[:, 0], "azimuth, °" if planar else "elevation, °", "mm")),
         ]  # fmt: skip
     figures.append(("Over time", _over_time(of)))
     title = escape_html(sensor.name)
@@ -109,7 +119,7 @@ def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: Camera
         f"<div><h4>{caption}</h4>{render_figure(f'{name}-{i}', figure, _HEIGHT, f'{title}: {caption}')}</div>"
         for i, (caption, figure) in enumerate(figures)
     )
-    return f"<h3>{title}</h3><p class='facts'>{facts}</p><div class='grid'>{cells}</div>"
+    return f"<h3>{title}</h3><p class='facts'>{facts}</p><div class='grid errors'>{cells}</div>"
 
 
 def _scatter(of: _Residuals) -> Figure:
@@ -151,27 +161,40 @@ def _over_image(of: _Residuals, camera: CameraModel, factor: int) -> Figure:
         "text": [format_significant(float(value)) for value in size],
         "hovertemplate": "%{text} px at %{x:.0f}, %{y:.0f}<extra></extra>",
     }  # fmt: skip
+    unused = _dots(*of.unused[_thin(len(of.unused))].T) | {
+        "name": "not used", "showlegend": len(of.unused) > 0,
+        "marker": {"symbol": "x-thin", "size": 5, "line": {"width": 1, "color": VERMILION}},
+    }  # fmt: skip
     return _finish(
-        [_line(lines[:, 0], lines[:, 1], BLUE, "errors"), dots],
+        [unused, _line(lines[:, 0], lines[:, 1], BLUE, "errors", legend=False), dots | {"showlegend": False}],
         {**_axis("x, px"), "range": [-0.5, camera.width - 0.5], "constrain": "domain"},
         {**_axis("y, px"), "range": [camera.height - 0.5, -0.5], "scaleanchor": "x", "constrain": "domain"},
+        legend=len(of.unused) > 0,
     )
 
 
-def _over(x: Array, error: Array, title: str) -> Figure:
+def _over_radius(of: _Residuals, camera: CameraModel) -> Figure:
+    """Errors towards the border of the image, which a wrong focal length or distortion causes."""
+    offset = of.points - of.error - (np.array([camera.width, camera.height]) - 1) / 2
+    radius = np.linalg.norm(offset, axis=1)
+    outwards = np.sum(of.error * offset, axis=1) / np.maximum(radius, 1e-9)
+    return _over(radius, outwards, "distance from the image centre, px", "px")
+
+
+def _over(x: Array, error: Array, title: str, unit: str) -> Figure:
     """Residuals over a quantity, with the mean and the standard deviation in each bin."""
     rows = _thin(len(error))
     dots = _dots(x[rows], error[rows]) | {"marker": {"size": 3, "color": MUTED, "opacity": 0.35}}
     centers, means, deviations = _bin(x, error)
     return _finish(
         [
-            dots | {"name": "beams"},
+            dots | {"name": "single"},
             _line(centers, means - deviations, ORANGE, "mean ± σ", dash="dot"),
             _line(centers, means + deviations, ORANGE, "", dash="dot", legend=False),
             _line(centers, means, BLUE, "mean", mode="lines+markers"),
         ],
         _axis(title),
-        {**_axis("residual, mm", tick=True), "range": _symmetric_limits(error)},
+        {**_axis(f"residual, {unit}", tick=True), "range": _symmetric_limits(error)},
         legend=True,
     )  # fmt: skip
 

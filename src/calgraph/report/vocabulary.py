@@ -59,8 +59,8 @@ estimated.""",
     errors_caption="""\
 Measured minus predicted by the joint solution, of all measurements that it used: reprojection errors of printed
 corners, and distances of beam ends from the board, positive beyond it. They should scatter about zero without a
-pattern. A pattern over the image indicates the lens or the print; a slope over range a range scale; a dependence
-on elevation single rings; a step or drift over time a sensor that moved.""",
+pattern. A pattern over the image, or a radial error, indicates the lens or the print; a slope over range a range
+scale; a dependence on elevation single rings; a step or drift over time a sensor that moved.""",
     residuals_caption="""\
 Residuals of the joint solution, each divided by its predicted standard deviation. With correct noise they
 follow the standard normal distribution (dotted) and have an RMS of 1; an RMS above 1 means that the noise is
@@ -95,8 +95,9 @@ NETWORK_VOCABULARY = Vocabulary(
     pair_columns=("shared<br>positions", "inliers", "pose<br>difference"),
     graph_caption="""\
 An edge joins two scanners that tracked a person simultaneously. Labels: inliers / positions (10 Hz) visible to
-both, and the difference of the pair's pose from the final one. Bold: spanning tree of the result; dashed: pairs
-that are inconsistent with the others.""",
+both, and the difference of the pair's pose from the final one. Poses of single pairs are from tracks alone and may
+be centimetres off: they are start values, which the joint solution replaces. Bold: spanning tree of the result;
+dashed: pairs that are inconsistent with the others.""",
     fit={"lidar2d": "range residual"},
     errors_caption="""\
 Measured minus predicted range of the beams on people, in the joint solution, which models bodies or legs and
