@@ -183,6 +183,15 @@ def _report_findings(rig: Rig, solution: ClockMountingSolution, clocks: Mapping[
         if h.evidence >= limits.firm_evidence
     ]
     findings += [
+        InputFinding(
+            f"the clock offset of {h.sensor_a} and {h.sensor_b}, {h.clock_offset:+.2f} s, rests on people who "
+            "walk on one line, where those who follow each other fit a delay as well: set the clocks, or let "
+            "people turn",
+            tuple(name for name in (h.sensor_a, h.sensor_b) if name != rig.root),
+        )
+        for h in solution.on_a_line
+    ]
+    findings += [
         InputFinding(f"{name} is mounted upside-down relative to {rig.root}: recognised from mirrored tracks")
         for name in sorted(solution.inverted)
     ]

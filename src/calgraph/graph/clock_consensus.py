@@ -29,6 +29,8 @@ class ClockSolution:
     """(N,) their standard deviations, s."""
     refused: tuple[ClockMountingHypothesis, ...]
     """The hypothesis of most evidence of each pair whose clock offset is not confirmed."""
+    on_a_line: tuple[ClockMountingHypothesis, ...]
+    """Hypotheses that are used, and that a clock offset rests on alone though people walked on one line."""
 
 
 def resolve_clocks(
@@ -37,8 +39,8 @@ def resolve_clocks(
     """Averages the clock offsets of pairs, without those that other pairs do not confirm.
 
     Each edge of the maximum spanning tree by evidence defines a fundamental cut. If its clocks differ, more pairs
-    across the cut have to agree with the offset than not; a pair alone has to match people who turn, with more
-    evidence than for any other offset. Hypotheses that are not confirmed are left out, until all are.
+    across the cut have to agree with the offset than not; a pair alone has to be firm, with clearly more evidence
+    than for any other offset. Hypotheses that are not confirmed are left out, until all are.
 
     Args:
         node: index of each scanner, of which 0 is the reference.
@@ -54,7 +56,8 @@ def resolve_clocks(
             (found for h in tree if (found := _unconfirmed(h, tree, node, hypotheses, offset, settings))), None
         )
         if unconfirmed is None:
-            return ClockSolution(offset, stddev, _best_of_pairs(refused))
+            on_a_line = tuple(h for h in tree if _rests_on_a_line(h, tree, node, used, settings))
+            return ClockSolution(offset, stddev, _best_of_pairs(refused), on_a_line)
         refused += [h for h in remaining if h in unconfirmed]
         remaining = [h for h in remaining if h not in unconfirmed]
 
@@ -133,14 +136,22 @@ def _unconfirmed(
     if len(supporting) > max(len(contradicting), 1):
         return []
     others = max((h.evidence for h in across if h not in agreeing), default=0.0)
-    if (
-        not contradicting
-        and edge.evidence >= settings.firm_evidence
-        and edge.lateral_spread >= settings.min_lateral_spread
-        and others <= settings.max_evidence_ratio * edge.evidence
-    ):
-        return []
-    return agreeing
+    alone_but_firm = not contradicting and edge.evidence >= settings.firm_evidence
+    return [] if alone_but_firm and others <= settings.max_evidence_ratio * edge.evidence else agreeing
+
+
+def _rests_on_a_line(
+    edge: ClockMountingHypothesis,
+    tree: Sequence[ClockMountingHypothesis],
+    node: Mapping[str, int],
+    used: Sequence[ClockMountingHypothesis],
+    settings: ClockMountingSettings,
+) -> bool:
+    """Whether clocks across an edge differ by what no other pair confirms, where people may follow each other."""
+    part = _beyond(edge, tree, node)
+    across = sum((node[h.sensor_a] in part) != (node[h.sensor_b] in part) for h in used)
+    differs = abs(edge.clock_offset) > settings.min_clock_offset
+    return differs and across == 1 and edge.lateral_spread < settings.min_lateral_spread
 
 
 def _residual(h: ClockMountingHypothesis, node: Mapping[str, int], offset: Array) -> float:

@@ -33,6 +33,8 @@ class ClockMountingSolution:
     """Clock offsets beyond the range of the search, s."""
     refused: tuple[ClockMountingHypothesis, ...]
     """Of each pair the hypothesis of most evidence, where others do not confirm its clock offset."""
+    on_a_line: tuple[ClockMountingHypothesis, ...]
+    """Hypotheses that a clock offset rests on alone though people walked on one line."""
 
 
 def resolve_clocks_and_mountings(
@@ -78,6 +80,7 @@ def resolve_clocks_and_mountings(
         tuple(name for name in stated if contradicted[node[name]]),
         {name: offset for name, offset in clock_offset.items() if abs(offset) > limits.max_clock_offset},
         clocks.refused,
+        clocks.on_a_line,
     )
 
 
