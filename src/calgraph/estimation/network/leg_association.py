@@ -8,8 +8,9 @@ import numpy as np
 from calgraph.config.settings import LegAssociationSettings
 from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.problem import BodyScans
+from calgraph.estimation.network.scanner_unknowns import correct_points
 from calgraph.estimation.network.splines import Knots, evaluate_spline
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se2
 from calgraph.tracking import Foreground
 
 # Distance from a leg where there is none, m: above all limits.
@@ -57,6 +58,7 @@ def associate_beams(
     scanner: int,
     T_root_scanner: Array,
     clock_offset: float,
+    systematic: Array,
     sigma: float,
     legs: Sequence[LegCandidate],
     settings: LegAssociationSettings,
@@ -70,6 +72,7 @@ def associate_beams(
         scanner: its index.
         T_root_scanner: (3, 3).
         clock_offset: its clock minus the root clock, s.
+        systematic: (E,) its ``SYSTEMATIC_ERRORS``, of which those that displace points are corrected.
         sigma: its noise, m.
         legs: with paths in the root frame.
         settings: of the association.
@@ -80,7 +83,7 @@ def associate_beams(
     nearest, second = np.full((2, len(beams.times)), _FAR)
     leg_of = np.full(len(beams.times), -1)
     direction = beams.direction @ T_root_scanner[:2, :2].T
-    points = T_root_scanner[:2, 2] + beams.ranges[:, None] * direction
+    points = se2.apply(T_root_scanner, correct_points(beams.ranges[:, None] * beams.direction, systematic))
     times = beams.times - clock_offset
     for k, leg in enumerate(legs):
         inside = slice(*np.searchsorted(times, [leg.start, leg.end]))

@@ -96,6 +96,7 @@ def _associate(
             s,
             state.T_root_scanner[s],
             float(state.clock_offset[s]),
+            state.systematic[s],
             float(network.range_sigma[s]),
             candidates,
             settings.association,
