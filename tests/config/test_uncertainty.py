@@ -10,6 +10,7 @@ import pytest
 from calgraph.config import (
     BoardUncertainty,
     CameraUncertainty,
+    Lidar2dSpec,
     Lidar2dUncertainty,
     Lidar3dUncertainty,
     Rig,
@@ -144,3 +145,38 @@ def test_the_page_on_rig_yaml_has_every_key(model: type[StrictModel]) -> None:
         else:
             rows = [line.split("|") for line in page.splitlines() if f"| `{name}` |" in line]
             assert [float(row[4]) for row in rows] == [field.default], name
+
+
+NETWORK = """\
+root: north
+target: {{kind: people}}
+sensors:
+  north: {{kind: lidar2d, topic: /north, height: 0.3}}
+  east: {{kind: lidar2d, topic: /east, {east}}}
+"""
+
+
+def load_network(folder: Path, east: str) -> Rig:
+    path = folder / "rig.yaml"
+    path.write_text(NETWORK.format(east=east), encoding="utf-8")
+    return load_rig(path)
+
+
+def test_heights_and_tilts_of_a_network_have_units(tmp_path: Path) -> None:
+    for text in ("height: 2.1, roll: 0.5, pitch: -1", "height: 210 cm, roll: 0.5 deg, pitch: -1°"):
+        east = load_network(tmp_path, text).sensors["east"]
+        assert isinstance(east, Lidar2dSpec)
+        assert [east.height, east.roll, east.pitch] == pytest.approx([2.1, 0.5, -1.0])
+
+
+def test_a_tilt_of_a_network_is_small(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sensors\.east\.roll: must be less than 45"):
+        load_network(tmp_path, "roll: 180")
+
+
+@pytest.mark.parametrize("key", ["mounting: upright", "height: 2.1", "roll: 0", "pitch: 0"])
+def test_a_board_determines_all_of_a_pose(tmp_path: Path, key: str) -> None:
+    with pytest.raises(
+        InputError, match=rf"sensors\.laser\.{key.split(':', maxsplit=1)[0]}: applies to networks only"
+    ):
+        load(tmp_path, laser="}, " + key + ", noise: {")

@@ -10,7 +10,14 @@ from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
 from calgraph.config.strict_model import StrictModel, invalid, limit_to
 from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
-from calgraph.config.uncertainty import CameraUncertainty, Lidar2dUncertainty, Lidar3dUncertainty, Tolerance
+from calgraph.config.uncertainty import (
+    CameraUncertainty,
+    Lidar2dUncertainty,
+    Lidar3dUncertainty,
+    Metres,
+    Tilt,
+    Tolerance,
+)
 from calgraph.sensors import CameraModel
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
@@ -134,6 +141,13 @@ class Lidar2dSpec(StrictModel):
     mounting: Literal["upright", "inverted"] | None = None
     """Of a network's scanner: inverted if it is mounted upside-down. Recognised from mirrored tracks if left out;
     the root is then taken as upright."""
+    height: Metres | None = None
+    """Of a network's scanner above the floor, m. It is not measured; exports state it relative to the root's."""
+    roll: Tilt | None = None
+    """Of a network's scanner about its levelled x axis, degrees; not measured, but exported. That of a scanner
+    mounted upside-down is without the 180°."""
+    pitch: Tilt | None = None
+    """The same about its levelled y axis, degrees."""
     uncertainty: Lidar2dUncertainty = Lidar2dUncertainty()
 
 
@@ -195,10 +209,11 @@ class Rig(StrictModel):
     @model_validator(mode="after")
     def _mountings_are_of_networks(self) -> "Rig":
         for name, sensor in self.sensors.items():
-            if isinstance(sensor, Lidar2dSpec) and sensor.mounting and not self.is_network:
-                raise invalid(
-                    f"sensors.{name}.mounting", "applies to networks only: a board determines all of a pose"
-                )
+            for key in ("mounting", "height", "roll", "pitch"):
+                if not self.is_network and getattr(sensor, key, None) is not None:
+                    raise invalid(
+                        f"sensors.{name}.{key}", "applies to networks only: a board determines all of a pose"
+                    )
         return self
 
     @model_validator(mode="after")

@@ -44,6 +44,8 @@ _POSITIVE = Field(gt=0, allow_inf_nan=False)
 LengthLimit = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m"), _parse_with(_LENGTHS)]
 DegreeStddev = Annotated[float, Strict(), Field(ge=0, lt=45, allow_inf_nan=False), _parse_with(_DEGREES)]
 DegreeLimit = Annotated[float, Strict(), _POSITIVE, limit_to(45, "degrees"), _parse_with(_DEGREES)]
+Metres = Annotated[float, Strict(), Field(allow_inf_nan=False), _parse_with(_LENGTHS)]
+Tilt = Annotated[float, Strict(), Field(gt=-45, lt=45, allow_inf_nan=False), _parse_with(_DEGREES)]
 
 
 class CameraUncertainty(StrictModel):

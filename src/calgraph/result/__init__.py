@@ -15,12 +15,14 @@ from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.snapshots import Snapshot
+from calgraph.result.stated_pose import StatedPose
 from calgraph.result.table import to_dataframe
 
 __all__ = [
     "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
     "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "Pictures", "Provenance",
-    "SensorPose", "Snapshot", "Suggestion", "Verdict", "calibrated_cameras", "colorize_from_snapshots", "export",
+    "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict", "calibrated_cameras",
+    "colorize_from_snapshots", "export",
     "join_covariances", "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures",
     "save_residuals", "save_scene", "to_dataframe", "to_json",
 ]  # fmt: skip

@@ -80,6 +80,8 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry["translation"] = flow_sequence(_round_digits(sensor.T_root_sensor[:3, 3], 15))
     entry["rotation"] = flow_sequence(_round_digits(so3.quaternion(sensor.T_root_sensor[:3, :3]), 14))
     entry["covariance"] = _symmetric(sensor.covariance, 9)
+    if sensor.stated is not None:
+        entry["stated"] = {key: value for key, value in asdict(sensor.stated).items() if value is not None}
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
     if sensor.clock_offset_stddev is not None:

@@ -18,6 +18,7 @@ from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, Suggestion
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, Verdict
+from calgraph.result.stated_pose import StatedPose
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
@@ -47,6 +48,13 @@ class _Verdict(StrictModel):
     reason: str = ""
 
 
+class _StatedPose(StrictModel):
+    height: Finite | None = None
+    roll: Finite = 0.0
+    pitch: Finite = 0.0
+    inverted: Flag = False
+
+
 class _Sensor(StrictModel):
     parent: str | None = None
     """The parent in the tree; none for the root."""
@@ -60,6 +68,8 @@ class _Sensor(StrictModel):
     """Unit quaternion x, y, z, w."""
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
     """6 x 6, translation first, in the root's fixed axes, m and rad."""
+    stated: _StatedPose | None = None
+    """What rig.yaml states of a network's scanner: height, m, roll and pitch, rad."""
     clock_offset: Finite | None = None
     clock_offset_stddev: NonNegative | None = None
 
@@ -303,6 +313,7 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
         kind=entry.kind,
         T_root_sensor=se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation)),
         verdict=Verdict(verdict.grade, verdict.reason),
+        stated=StatedPose(**vars(entry.stated)) if entry.stated else None,
         clock_offset=entry.clock_offset,
         clock_offset_stddev=entry.clock_offset_stddev,
     )

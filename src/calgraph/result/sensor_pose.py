@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.geometry import Array
+from calgraph.result.stated_pose import StatedPose
 
 Grade = Literal["good", "weak", "unobservable"]
 
@@ -35,6 +36,8 @@ class SensorPose:
     clock_offset: float | None = None
     """Sensor clock minus root clock, s; None where it was not estimated."""
     clock_offset_stddev: float | None = None
+    stated: StatedPose | None = None
+    """Height, roll and pitch of a network's scanner, where rig.yaml states any of them."""
     covariance: Array = field(init=False, repr=False)
     """(6, 6) of the error in the root's fixed axes, (translation, rotation), m and rad; zero for the root, and NaN
     where nothing was measured. A view of the joint covariance, set by the calibration."""

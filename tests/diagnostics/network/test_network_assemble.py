@@ -1,5 +1,6 @@
 """The calibration of a network from its solution: clocks, tree, and evidence of pairs."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from calgraph.estimation import NetworkSolution
 from calgraph.geometry import se2
 from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
-from calgraph.result import Calibration, Verdict
+from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.tracking import ScannerTracks, Track
 
 NAMES = ("west", "east", "north")
@@ -53,13 +54,19 @@ def build_pair(k: int, error: float = 0.0) -> ScannerPairEstimate:
 
 
 def assemble(
-    joint: bool = True, inliers: tuple[bool, ...] = (True, True, True), findings: tuple[InputFinding, ...] = ()
+    joint: bool = True,
+    inliers: tuple[bool, ...] = (True, True, True),
+    findings: tuple[InputFinding, ...] = (),
+    stated: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Calibration:
     rig = Rig.model_validate(
         {
             "root": "west",
             "target": {"kind": "people"},
-            "sensors": {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in (*NAMES, "cellar")},
+            "sensors": {
+                name: {"kind": "lidar2d", "topic": f"/{name}", **(stated or {}).get(name, {})}
+                for name in (*NAMES, "cellar")
+            },
         }
     )
     estimates = [build_pair(k, 0.03 if k == 0 else 0.0) for k in range(3)]
@@ -180,3 +187,10 @@ def test_a_rejected_pair_has_an_edge_without_positions_that_states_the_reason() 
 
 def test_scanners_without_frame_are_in_the_frame_of_their_name() -> None:
     assert tuple(one.frame_id for one in assemble().sensors) == NAMES
+
+
+def test_heights_and_tilts_are_those_of_rig_yaml() -> None:
+    assert [one.stated for one in assemble().sensors] == [None, None, None]
+    found = assemble(stated={"west": {"mounting": "inverted"}, "east": {"height": 2.1, "roll": 1.0}})
+    assert found["east"].stated == StatedPose(2.1, float(np.radians(1.0)), 0.0, inverted=True)
+    assert found["north"].stated == StatedPose(inverted=True)

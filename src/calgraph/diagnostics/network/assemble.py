@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from calgraph.captures import InputFinding
-from calgraph.config import Rig
+from calgraph.config import Lidar2dSpec, Rig
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
@@ -19,7 +19,7 @@ from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph import NetworkInitialization, PoseGraph, compute_joint_covariance
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
-from calgraph.result import Calibration, Edge, Evidence, Pictures, SensorPose
+from calgraph.result import Calibration, Edge, Evidence, Pictures, SensorPose, StatedPose
 from calgraph.tracking import ScannerTracks
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
@@ -76,6 +76,7 @@ def assemble_network(
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
     T_root_sensor = se2.to_se3(T_root_scanner) @ flips
     beam_views, fit = ((), {}) if joint is None else collect_beam_views(joint, names, start)
+    stated = _collect_stated_poses(rig, dict(zip(names, T_root_sensor, strict=True)))
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
@@ -97,6 +98,7 @@ def assemble_network(
                     data="tracks",
                     advice=_ADVICE,
                 ),
+                stated=stated.get(name),
                 clock_offset=_finite_or_none(clocks[k, 0]),
                 clock_offset_stddev=_finite_or_none(clocks[k, 1]),
             )
@@ -125,6 +127,23 @@ def assemble_network(
         ),
         pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start), beam_views=beam_views),
     )
+
+
+def _collect_stated_poses(rig: Rig, T_root_sensor: Mapping[str, Array]) -> dict[str, StatedPose]:
+    """What rig.yaml states of heights and tilts, for all scanners if for any."""
+    specs = {name: spec for name, spec in rig.sensors.items() if isinstance(spec, Lidar2dSpec)}
+    if all(value is None for one in specs.values() for value in (one.height, one.roll, one.pitch)):
+        return {}
+    root_inverted = specs[rig.root].mounting == "inverted"
+    return {
+        name: StatedPose(
+            specs[name].height,
+            float(np.radians(specs[name].roll or 0.0)),
+            float(np.radians(specs[name].pitch or 0.0)),
+            root_inverted != bool(T[2, 2] < 0),
+        )
+        for name, T in T_root_sensor.items()
+    }
 
 
 def _correct_clock(tracked: ScannerTracks, clock_offset: float) -> ScannerTracks:

@@ -14,6 +14,7 @@ from calgraph.result.exports.launch import to_launch
 from calgraph.result.exports.tf import to_tf_yaml
 from calgraph.result.exports.urdf import to_urdf
 from calgraph.result.exports.urdf_update import update_urdf
+from calgraph.result.stated_pose import apply_stated_poses
 from calgraph.sensors import CameraModel
 
 Parents = Literal["root", "tree"]
@@ -31,13 +32,13 @@ class _Request:
 
 def _urdf(request: _Request) -> str:
     if request.urdf is None:
-        return to_urdf(request.calibration)
+        return to_urdf(apply_stated_poses(request.calibration))
     return update_urdf(request.calibration, request.urdf)
 
 
 FORMATS: Mapping[str, Callable[[_Request], str]] = {
-    "launch": lambda request: to_launch(request.calibration),
-    "tf": lambda request: to_tf_yaml(request.calibration),
+    "launch": lambda request: to_launch(apply_stated_poses(request.calibration)),
+    "tf": lambda request: to_tf_yaml(apply_stated_poses(request.calibration)),
     "urdf": _urdf,
     "kalibr": lambda request: to_camchain(request.calibration, request.rig, request.cameras),
     "json": lambda request: to_json(request.calibration),
@@ -55,6 +56,9 @@ def export(
     parents: Parents = "root",
 ) -> str:
     """The calibration as the text of a file of another program.
+
+    A network does not measure height, roll and pitch of its scanners: they are those of rig.yaml, and 0 where it
+    states none; in a URDF that is corrected, they remain as they are.
 
     Args:
         calibration: what to export.

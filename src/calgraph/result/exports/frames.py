@@ -77,6 +77,15 @@ def tree_edges(calibration: Calibration) -> list[TreeEdge]:
     return found
 
 
+def describe_origin(calibration: Calibration) -> str:
+    """Where the transforms are from, for the comment of a file."""
+    if not calibration.planar:
+        return "Calibrated by calgraph."
+    stated = any(sensor.stated for sensor in calibration.sensors)
+    source = "as rig.yaml states them, or 0" if stated else "0, as rig.yaml does not state them"
+    return f"Calibrated by calgraph. Height, roll and pitch were not measured: they are {source}."
+
+
 def format_coordinate(value: float) -> str:
     """A coordinate as text: to 1e-13, and 0 for -0."""
     return repr(round(float(value), 13) + 0.0)

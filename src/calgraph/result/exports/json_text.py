@@ -52,6 +52,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
         "rotation": so3.quaternion(T[:3, :3]),
         "T_root_sensor": T,
         "covariance": sensor.covariance,
+        "stated": sensor.stated and vars(sensor.stated),
         "clock_offset": sensor.clock_offset,
         "clock_offset_stddev": sensor.clock_offset_stddev,
         "verdict": vars(sensor.verdict),

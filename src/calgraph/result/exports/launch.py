@@ -3,10 +3,13 @@
 import re
 
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import TreeEdge, format_coordinate, tree_edges
+from calgraph.result.exports.frames import TreeEdge, describe_origin, format_coordinate, tree_edges
 
 _HEAD = '''\
-"""Static transforms of the sensors, calibrated by calgraph (root: {root}): ros2 launch ./FILE publishes them."""
+"""Static transforms of the sensors (root: {root}): ros2 launch ./FILE publishes them.
+
+{origin}
+"""
 
 from launch import LaunchDescription
 from launch_ros.actions import Node
@@ -26,7 +29,7 @@ def to_launch(calibration: Calibration) -> str:
     nodes = "".join(_node(index, link) for index, link in enumerate(tree_edges(calibration)))
     # The root's name goes into a docstring; only what cannot end it is let through.
     root = re.sub(r"[^\w .:/-]", "_", calibration.root)
-    return _HEAD.format(root=root) + nodes + "    ])\n"
+    return _HEAD.format(root=root, origin=describe_origin(calibration)) + nodes + "    ])\n"
 
 
 def _node(index: int, link: TreeEdge) -> str:

@@ -4,11 +4,11 @@ from typing import Any
 
 from calgraph.io import format_yaml
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import TreeEdge, format_coordinate, tree_edges
+from calgraph.result.exports.frames import TreeEdge, describe_origin, format_coordinate, tree_edges
 
 _COMMENT = """\
 Static transforms in the layout of tf2_msgs/TFMessage: each maps coordinates in child_frame_id to header.frame_id.
-translation in metres; rotation is a unit quaternion. Calibrated by calgraph.
+translation in metres; rotation is a unit quaternion.
 ros2 topic pub --qos-durability transient_local /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)" publishes them."""
 
 
@@ -21,7 +21,8 @@ def to_tf_yaml(calibration: Calibration) -> str:
     Raises:
         InputError: a sensor has no frame_id, or two have the same.
     """
-    return format_yaml({"transforms": [_stamped(link) for link in tree_edges(calibration)]}, _COMMENT)
+    comment = f"{_COMMENT}\n{describe_origin(calibration)}"
+    return format_yaml({"transforms": [_stamped(link) for link in tree_edges(calibration)]}, comment)
 
 
 def _stamped(link: TreeEdge) -> dict[str, Any]:

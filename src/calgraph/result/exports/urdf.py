@@ -4,7 +4,14 @@ from xml.sax.saxutils import quoteattr
 
 from calgraph.geometry import Array
 from calgraph.result.calibration import Calibration
-from calgraph.result.exports.frames import TreeEdge, format_coordinate, frame_ids, roll_pitch_yaw, tree_edges
+from calgraph.result.exports.frames import (
+    TreeEdge,
+    describe_origin,
+    format_coordinate,
+    frame_ids,
+    roll_pitch_yaw,
+    tree_edges,
+)
 
 
 def to_urdf(calibration: Calibration) -> str:
@@ -13,7 +20,7 @@ def to_urdf(calibration: Calibration) -> str:
     Raises:
         InputError: a sensor has no frame_id, or two have the same.
     """
-    lines = ['<?xml version="1.0"?>', "<!-- Calibrated by calgraph. -->", '<robot name="calgraph">']
+    lines = ['<?xml version="1.0"?>', f"<!-- {describe_origin(calibration)} -->", '<robot name="calgraph">']
     lines += [f"  <link name={quoteattr(frame)}/>" for frame in frame_ids(calibration).values()]
     for link in tree_edges(calibration):
         lines += _joint(link)

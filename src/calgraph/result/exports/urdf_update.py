@@ -3,13 +3,16 @@
 import logging
 from collections.abc import Mapping
 
+import numpy as np
+
 from calgraph.errors import InputError
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se3, so3
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import frame_ids
 from calgraph.result.exports.urdf import origin_attributes
 from calgraph.result.exports.urdf_text import frames_from_joints, read_joints, replace_origins
 from calgraph.result.frame_tree import FrameTree
+from calgraph.result.stated_pose import apply_stated_poses
 
 _log = logging.getLogger(__name__)
 
@@ -45,7 +48,10 @@ def update_urdf(calibration: Calibration, urdf: str) -> str:
 
 
 def _poses_of_links(calibration: Calibration, frame_tree: FrameTree) -> dict[str, Array]:
-    """``T_root_link`` (4, 4) of the sensors that have a link, by the link's name."""
+    """``T_root_link`` (4, 4) of the sensors that have a link, by the link's name.
+
+    Height, roll and pitch that a network does not measure, and rig.yaml does not state, are those of the URDF.
+    """
     frame_of = frame_ids(calibration)
     missing = {name: frame for name, frame in frame_of.items() if frame not in frame_tree.frames}
     if calibration.root in missing:
@@ -54,7 +60,21 @@ def _poses_of_links(calibration: Calibration, frame_tree: FrameTree) -> dict[str
         raise InputError(f"the URDF has no joint whose child link is one of {', '.join(missing.values())}")
     for name, frame in missing.items():
         _log.warning("sensor %s is not in the URDF: no joint has the child link %r", name, frame)
-    return {frame: calibration[name].T_root_sensor for name, frame in frame_of.items() if name not in missing}
+    stated = any(sensor.stated for sensor in calibration.sensors)
+    placed, root = apply_stated_poses(calibration), frame_of[calibration.root]
+    poses = {frame: placed[name].T_root_sensor for name, frame in frame_of.items() if name not in missing}
+    if not calibration.planar or stated:
+        return poses
+    return {frame: _keep_out_of_plane(T, frame_tree.transform(root, frame)) for frame, T in poses.items()}
+
+
+def _keep_out_of_plane(T_planar: Array, T_before: Array) -> Array:
+    """A planar pose (4, 4) with height, roll and pitch of another one, if that is the same way up."""
+    if T_planar[2, 2] * T_before[2, 2] < 0:
+        return T_planar
+    yaw = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_planar, T_before))
+    turn = so3.exp(np.array([0.0, 0.0, next(yaw) - next(yaw)]))
+    return se3.pose(turn @ T_before[:3, :3], np.array([*T_planar[:2, 3], T_before[2, 3]]))
 
 
 def _link_pose(frame_tree: FrameTree, poses: Mapping[str, Array], anchor: str, link: str) -> Array:
