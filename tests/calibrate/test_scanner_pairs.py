@@ -5,9 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from calgraph.calibrate import NetworkEstimator, NetworkOptions, calibrate_tracks
+from calgraph.calibrate import NetworkEstimator, NetworkOptions, calibrate_tracks, scanner_pairs
 from calgraph.config import Lidar2dSpec, People, Rig
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
+from calgraph.graph import ClockMountingSolution
+from calgraph.pairwise import ClockMountingHypothesis
 from calgraph.result import Calibration
 from calgraph.simulation import (
     GroundTruth,
@@ -139,3 +142,26 @@ def test_a_cart_before_a_person_is_no_delay() -> None:
     assert any(remark.startswith(refused) for remark in found.evidence.remarks)
     assert not any("found from the tracks, and corrected" in remark for remark in found.evidence.remarks)
     assert found["scanner_4"].verdict.grade == "weak"
+
+
+@pytest.mark.parametrize(("offset", "named"), [(3.0, True), (-3.0, True), (0.9, False)])
+def test_only_clocks_beyond_the_search_are_named_as_distant(
+    lab: Network, monkeypatch: pytest.MonkeyPatch, offset: float, named: bool
+) -> None:
+    """A scanner without a pair may match others within the search, too: its clock was not confirmed."""
+    rig, tracked, _ = lab
+    found = ClockMountingHypothesis("scanner_1", LATE, False, offset, 0.001, 200.0, 0.0, 1.0)
+    monkeypatch.setattr(scanner_pairs, "search_clocks_and_mountings", lambda *_args, **_options: [found])
+    tracked = {name: tracked[name] for name in ("scanner_1", LATE)}
+    pairs = {("scanner_1", LATE): Rejected("too little time")}
+    findings = scanner_pairs._find_distant_clocks(rig, tracked, pairs, {}, NetworkOptions())
+    assert any(f"the clock of {LATE} may differ from that of scanner_1" in one.text for one in findings) == named
+
+
+def test_a_clock_found_from_people_on_one_line_makes_its_scanners_weak(lab: Network) -> None:
+    rig, _, _ = lab
+    on_a_line = ClockMountingHypothesis("scanner_1", LATE, False, 0.4, 0.001, 400.0, 0.0, 0.2)
+    solution = ClockMountingSolution({LATE: 0.4}, frozenset(), (), (), {}, (), (on_a_line,))
+    corrected, unsure = scanner_pairs._report_findings(rig, solution, {LATE: 0.4})
+    assert (corrected.sensors, unsure.sensors) == ((), (LATE,))
+    assert "the clock offset of scanner_1 and scanner_2, +0.40 s, rests on people" in unsure.text
