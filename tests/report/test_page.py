@@ -156,6 +156,24 @@ def test_cards_state_the_residual_in_the_unit_of_the_sensor(calibration: Calibra
     assert "camera 20 0.41 px 0.53 px 0.40 px" in words
 
 
+def test_the_headline_of_a_single_sensor_is_its_grade(calibration: Calibration, rig: Rig) -> None:
+    root, camera = calibration.sensors[:2]
+    weak = dataclasses.replace(camera, verdict=Verdict("weak", "x is loose"))
+    pair = dataclasses.replace(
+        calibration, sensors=(root, weak), joint_covariance=calibration.joint_covariance[:12, :12]
+    )
+    assert "<h1>The sensor is weak.</h1>" in render_report(pair, rig)
+
+
+def test_the_graph_of_few_sensors_is_low(calibration: Calibration, rig: Rig) -> None:
+    pair = dataclasses.replace(
+        calibration, sensors=calibration.sensors[:2], joint_covariance=calibration.joint_covariance[:12, :12]
+    )
+    size = re.compile(r'class="graph[^"]*" viewBox="0 0 1040 (\d+)"')
+    heights = [size.findall(render_report(one, rig)) for one in (calibration, pair)]
+    assert heights == [["440"], ["180"]]
+
+
 def test_the_first_lines_name_the_poses_that_can_be_used(page: Page) -> None:
     lead = "Do not rely on laser_low . Its card states why, and what to do next. Only camera"
     assert lead in page.words

@@ -9,7 +9,15 @@ import pytest
 from ruamel.yaml import YAML
 
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, SensorPose, Verdict, join_covariances, load_calibration, save_calibration
+from calgraph.result import (
+    Calibration,
+    SensorPose,
+    Suggestion,
+    Verdict,
+    join_covariances,
+    load_calibration,
+    save_calibration,
+)
 from calgraph.result.exports.json_text import to_json
 
 
@@ -90,3 +98,8 @@ def test_a_scanner_upside_down_is_in_the_plane() -> None:
 
 def test_a_root_alone_has_no_plane() -> None:
     assert not in_the_plane(1).planar
+
+
+def test_a_suggestion_states_large_deviations_without_exponents() -> None:
+    step = Suggestion("hold it there", "laser", "height (z)", "m", 0.16, 0.032, np.eye(4))
+    assert str(step) == "hold it there: height (z) of laser ±160 mm → ±32 mm"

@@ -10,7 +10,7 @@ from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, Edge
 
 # Sizes of the drawing, of a sensor's box and of a label, pixels.
-_WIDTH, _HEIGHT = 1040, 440
+_WIDTH, _HEIGHT, _HEIGHT_PER_SENSOR = 1040, 440, 90
 _NODE_SIZE = np.array([150.0, 44.0])
 _LABEL_SIZE = np.array([128.0, 20.0])
 _MAX_LABELED_SENSORS = 8
@@ -36,7 +36,8 @@ def render_graph(calibration: Calibration, words: Vocabulary) -> str:
     """The drawing: sensors on an ellipse, in the order of the tree; unconnected ones at the right."""
     names = _depth_first_names(calibration)
     growth = max(1.0, len(names) / _MAX_UNSCALED_SENSORS) ** 0.5
-    width, height = _WIDTH * growth, _HEIGHT * growth**2
+    count = len(names) + len(calibration.evidence.unconnected)
+    width, height = _WIDTH * growth, min(_HEIGHT, _HEIGHT_PER_SENSOR * count) * growth**2
     places = _place_nodes(names, list(calibration.evidence.unconnected), width, height)
     drawn = [
         e

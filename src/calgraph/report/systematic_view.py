@@ -30,7 +30,9 @@ def render_systematic_parameters(calibration: Calibration) -> str:
         '<section id="systematic"><h2>Systematic parameters</h2>'
         "<p>Errors of sensors and target that are estimated jointly with the poses, from the data and from the "
         "priors of <code>uncertainty</code> in rig.yaml. On the right, in prior standard deviations: the shaded "
-        f"band is the prior (±1 σ), the bar the estimate (±1 σ); the axis ends at ±{_END:g}.</p>"
+        f"band is the prior (±1 σ), the bar the estimate (±1 σ); the axis ends at ±{_END:g}. "
+        "Coefficients of a distortion are correlated: single ones may be far off where their joint effect in the "
+        "image, which is tested, is small.</p>"
         f"{first}{others}</section>"
     )
 

@@ -35,6 +35,8 @@ def summarize_verdicts(calibration: Calibration) -> str:
         (unconnected, "not connected"),
     ]
     outcomes = ", ".join(f"{count} {words}" for count, words in parts if count)
+    if total == 1:
+        return f"The sensor is {next(words for count, words in parts if count)}."
     well = f"{good_count} of {format_count(total, 'sensor')}" if good_count else "No sensor"
     return f"{well} {'is' if good_count < 2 else 'are'} calibrated well: {outcomes}."
 

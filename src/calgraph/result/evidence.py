@@ -172,7 +172,8 @@ def format_error(value: float, unit: Literal["px", "m"]) -> str:
 def _format_stddev(stddev: float, unit: Literal["m", "rad"]) -> str:
     if stddev > _UNOBSERVABLE_STDDEV[unit]:
         return "unknown"
-    return f"±{1000 * stddev:.2g} mm" if unit == "m" else f"±{np.degrees(stddev):.2g}°"
+    value, suffix = (1000 * stddev, " mm") if unit == "m" else (float(np.degrees(stddev)), "°")
+    return f"±{value:.0f}{suffix}" if value >= 100 else f"±{value:.2g}{suffix}"
 
 
 def rms(values: Array) -> float | None:
