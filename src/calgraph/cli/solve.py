@@ -21,6 +21,7 @@ from calgraph.cli.common_options import (
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, override_settings
+from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically
 
 
@@ -73,6 +74,8 @@ def solve(
     from calgraph.estimation import load_problem, round_trip, with_prior_poses
 
     check_not_overwriting(out, RESULT_FILES, force=force)
+    if file.is_dir() or file.suffix in (".yaml", ".yml"):
+        raise InputError(f"{file}: is not what calibrate --dump writes, a file .npz")
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     problem = load_problem(file)
     given = {"estimator": estimator, "keep": keep}
