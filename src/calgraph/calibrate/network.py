@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
+from calgraph.calibrate.step_log import log_network
 from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import moving_target, scanner_spec, track_people
 from calgraph.captures import InputFinding, InputMonitor
@@ -86,6 +87,7 @@ def calibrate_tracks(
         progress("solving", 0.0)
         joint, prior = _solve_jointly(rig, corrected, initialization, earlier)
         progress("solving", 1.0)
+    log_network(corrected.pairs, initialization, joint)
     if bump := _find_bump(rig, corrected, initialization, joint):
         name, step = bump
         later = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}

@@ -64,9 +64,14 @@ def log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
             _log.info("tracks of %s: %d", name, len(found.tracks))
 
 
-def log_network(start: NetworkInitialization, joint: NetworkSolution | None) -> None:
-    """Logs the size of a network's solution."""
-    _log.info("start poses: %d scanners from %d pairs", len(start.names), len(start.graph.edges))
+def log_network(
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    start: NetworkInitialization,
+    joint: NetworkSolution | None,
+) -> None:
+    """Logs the pairs of a network, and the size of its solution."""
+    log_pairs(pairs)
+    _log.info("start poses: %d scanners from %d poses of pairs", len(start.names), len(start.graph.edges))
     if joint is not None:
         clocks = "with clocks" if joint.clocks_estimated else "without clocks"
         _log.info("joint solution: %d scanners, %s", len(joint.T_root_scanner), clocks)
