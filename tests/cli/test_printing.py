@@ -14,6 +14,7 @@ from calgraph.result import (
     Calibration,
     FitError,
     HeldOutError,
+    ModelledBodies,
     SensorPose,
     Verdict,
     join_covariances,
@@ -100,6 +101,14 @@ def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) 
     assert head == ["sensor", "x,", "m", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
     assert hall == ["hall", "0.000", "0.000", "0.00", "root"]
     assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.172", "✓"]
+
+
+def test_what_people_are_taken_for_is_printed(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evidence = replace(calibration.evidence, bodies=ModelledBodies("legs", 24))
+    walked = replace(calibration, evidence=evidence)
+    assert "Targets: legs (24 tracked)" in printed(lambda: print_calibration(walked), capsys)
 
 
 def test_verdicts_are_printed_as_sentences(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.report.page import render_report
-from calgraph.result import Calibration, CaptureRow, FloorView
+from calgraph.result import Calibration, CaptureRow, FloorView, ModelledBodies
 
 
 def without_scripts(html: str) -> str:
@@ -54,6 +54,12 @@ def test_facts_and_edges_count_walks_and_positions(html: str) -> None:
     assert "root hall · 3 walks · estimator averaging" in words
     assert "300 / 340 · 4.0 mm" in words
     assert "door &lt;b&gt; – stairs 50 0 – inconsistent with the other pairs" in words
+
+
+def test_what_people_are_taken_for_is_stated(network: Calibration, network_rig: Rig) -> None:
+    evidence = dataclasses.replace(network.evidence, estimator="joint", bodies=ModelledBodies("legs", 24))
+    html = render_report(dataclasses.replace(network, evidence=evidence), network_rig)
+    assert "estimator joint · targets: legs (24 tracked)" in words_of(html)
 
 
 def test_sensors_without_a_reason_get_advice_on_walking(html: str) -> None:

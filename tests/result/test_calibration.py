@@ -11,6 +11,8 @@ from ruamel.yaml import YAML
 from calgraph.geometry import Array, se2
 from calgraph.result import (
     Calibration,
+    Evidence,
+    ModelledBodies,
     SensorPose,
     Suggestion,
     Verdict,
@@ -86,6 +88,12 @@ def test_relative_poses_of_a_network_have_no_covariance_out_of_the_plane() -> No
     # Both positions, and the yaw of s1 at a distance of the square root of 5.
     assert np.trace(relative[:2, :2]) == pytest.approx(2 * 5e-4 + 5 * 1e-6)
     assert relative[5, 5] == pytest.approx(2e-6)
+
+
+def test_bodies_are_read_back(tmp_path: Path) -> None:
+    evidence = Evidence(estimator="joint", bodies=ModelledBodies("legs", 24))
+    save_calibration(dataclasses.replace(in_the_plane(2), evidence=evidence), tmp_path / "calibration.yaml")
+    assert load_calibration(tmp_path / "calibration.yaml").evidence.bodies == evidence.bodies
 
 
 def test_a_rig_is_not_planar(calibration: Calibration) -> None:

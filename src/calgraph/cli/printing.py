@@ -27,6 +27,8 @@ def print_calibration(calibration: Calibration) -> None:
         tolerance = calibration.evidence.tolerance
         limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"
         output.print(f"{_GRADES['good']} good: within the tolerance of {limits} along and about each axis (95 %)")
+    if calibration.evidence.bodies:
+        output.print(f"Targets: {calibration.evidence.bodies}")
     if any(_is_notable(one) for one in calibration.systematic):
         _print_systematic(output, calibration)
     if calibration.evidence.cross_validation:

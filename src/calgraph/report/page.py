@@ -105,4 +105,6 @@ def _render_facts(calibration: Calibration, words: Vocabulary) -> str:
         format_count(count, words.item),
         f"estimator {calibration.evidence.estimator}",
     ]
+    if calibration.evidence.bodies:
+        facts.append(f"targets: {calibration.evidence.bodies}")
     return " · ".join(map(escape_html, facts))

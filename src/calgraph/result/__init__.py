@@ -6,7 +6,15 @@ from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colorize_from_snapshots
 from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, Suggestion
+from calgraph.result.evidence import (
+    CaptureRow,
+    Edge,
+    Evidence,
+    FitError,
+    HeldOutError,
+    ModelledBodies,
+    Suggestion,
+)
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures
@@ -20,9 +28,9 @@ from calgraph.result.table import to_dataframe
 
 __all__ = [
     "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
-    "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "Pictures", "Provenance",
-    "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict", "calibrated_cameras",
-    "colorize_from_snapshots", "export",
-    "join_covariances", "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures",
-    "save_residuals", "save_scene", "to_dataframe", "to_json",
+    "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
+    "Pictures", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
+    "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances", "load_calibration",
+    "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_residuals", "save_scene",
+    "to_dataframe", "to_json",
 ]  # fmt: skip

@@ -106,6 +106,7 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
     return {
         "estimator": calibration.evidence.estimator,
         **({"tolerance": tolerance.model_dump()} if (tolerance := calibration.evidence.tolerance) else {}),
+        **({"bodies": asdict(bodies)} if (bodies := calibration.evidence.bodies) else {}),
         "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
         "unconnected": dict(calibration.evidence.unconnected),
         **({"remarks": list(calibration.evidence.remarks)} if calibration.evidence.remarks else {}),

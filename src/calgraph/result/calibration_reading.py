@@ -15,7 +15,7 @@ from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, Suggestion
+from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, Verdict
 from calgraph.result.stated_pose import StatedPose
@@ -138,11 +138,18 @@ class _Suggestion(StrictModel):
     """Of the board, a quaternion x, y, z, w."""
 
 
+class _ModelledBodies(StrictModel):
+    shape: Literal["legs", "ellipses", "cylinders"]
+    count: Count
+
+
 class _Quality(StrictModel):
     estimator: str
     """The name of the joint estimator."""
     tolerance: Tolerance | None = None
     """With which verdicts were given."""
+    bodies: _ModelledBodies | None = None
+    """What the joint solution of a network takes moving objects for."""
     verdicts: dict[str, _Verdict]
     """The verdict on each sensor's pose."""
     unconnected: dict[str, str] = Field(default_factory=dict)
@@ -287,6 +294,7 @@ def load_calibration(path: Path) -> Calibration:
         evidence=Evidence(
             estimator=quality.estimator,
             tolerance=quality.tolerance,
+            bodies=ModelledBodies(**vars(quality.bodies)) if quality.bodies else None,
             edges=tuple(_edge(edge) for edge in quality.edges),
             captures=_rows(quality.captures),
             unconnected=quality.unconnected,

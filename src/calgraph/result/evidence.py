@@ -129,6 +129,20 @@ class Suggestion:
         return f"{self.hold}: {self.axis} of {self.sensor} {before} → {after}"
 
 
+@dataclass(frozen=True)
+class ModelledBodies:
+    """What the joint solution of a network takes the moving objects for."""
+
+    shape: Literal["legs", "ellipses", "cylinders"]
+    """Single legs, whole people, or cylinders."""
+    count: int
+    """Of tracked objects; one that leaves all views and returns counts twice."""
+
+    def __str__(self) -> str:
+        """The shape and count in words."""
+        return f"{self.shape} ({self.count} tracked)"
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What supports a calibration, and what contradicts it."""
@@ -137,6 +151,8 @@ class Evidence:
     """The joint estimator of the poses."""
     tolerance: Tolerance | None = None
     """With which verdicts were given; None in a result from before it was kept."""
+    bodies: ModelledBodies | None = None
+    """Of a network's joint solution; None for averages of pairs."""
     edges: tuple[Edge, ...] = ()
     captures: tuple[CaptureRow, ...] = ()
     """Captures of a rig, or tracks of a network, with how each sensor's measurements were used."""

@@ -7,20 +7,24 @@ import numpy as np
 import pytest
 
 from calgraph.captures import InputFinding
-from calgraph.config import Rig
+from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics.network.assemble import (
     NetworkPairs,
     _build_edge,
+    _describe_bodies,
     _explain_unconnected,
     assemble_network,
 )
 from calgraph.errors import Rejected
-from calgraph.estimation import NetworkSolution
+from calgraph.estimation import NetworkSolution, SolvedNetwork
+from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import se2
 from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.tracking import ScannerTracks, Track
+from leg_scenes import build_network
+from solved_networks import solve_two_walks
 
 NAMES = ("west", "east", "north")
 T_ROOT = se2.pose(np.array([0.0, 2.5, -1.5]), np.array([[0.0, 0.0], [8.0, 1.0], [4.0, 6.0]]))
@@ -194,3 +198,19 @@ def test_heights_and_tilts_are_those_of_rig_yaml() -> None:
     found = assemble(stated={"west": {"mounting": "inverted"}, "east": {"height": 2.1, "roll": 1.0}})
     assert found["east"].stated == StatedPose(2.1, float(np.radians(1.0)), 0.0, inverted=True)
     assert found["north"].stated == StatedPose(inverted=True)
+
+
+def test_bodies_of_the_joint_solution_are_named() -> None:
+    problem, state = build_network()
+    solved = SolvedNetwork(problem, state, linearize_network(problem, state))
+    ellipse = replace(
+        solved, problem=replace(problem, bodies=solve_two_walks(np.random.default_rng(0)).problem.bodies)
+    )
+    for target, one, expected in (
+        (People(), solved, f"legs ({len(problem.bodies)} tracked)"),
+        (People(), ellipse, "ellipses (2 tracked)"),
+        (Cylinder(diameter=0.5), ellipse, "cylinders (2 tracked)"),
+    ):
+        joint = NetworkSolution(T_ROOT, OFFSET, np.eye(12), True, 0.005, one)
+        assert str(_describe_bodies(target, joint)) == expected
+    assert assemble().evidence.bodies is None

@@ -3,23 +3,26 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from calgraph.captures import InputFinding
-from calgraph.config import Lidar2dSpec, Rig
+from calgraph.config import Cylinder, Lidar2dSpec, Rig
+from calgraph.config.target import Target
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.diagnostics.verdict import collect_findings, grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import NetworkSolution
+from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.estimation.network.planar_poses import lift_covariance
 from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph import NetworkInitialization, PoseGraph, compute_joint_covariance
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
-from calgraph.result import Calibration, Edge, Evidence, Pictures, SensorPose, StatedPose
+from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
 from calgraph.tracking import ScannerTracks
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
@@ -108,6 +111,7 @@ def assemble_network(
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
+            bodies=_describe_bodies(rig.target, joint) if joint else None,
             tolerance=rig.tolerance,
             edges=tuple(
                 _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
@@ -127,6 +131,13 @@ def assemble_network(
         ),
         pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start), beam_views=beam_views),
     )
+
+
+def _describe_bodies(target: Target, joint: NetworkSolution) -> ModelledBodies | None:
+    if joint.solved is None or not (bodies := joint.solved.problem.bodies):
+        return None
+    whole: Literal["ellipses", "cylinders"] = "cylinders" if isinstance(target, Cylinder) else "ellipses"
+    return ModelledBodies("legs" if isinstance(bodies[0], LegObservations) else whole, len(bodies))
 
 
 def _collect_stated_poses(rig: Rig, T_root_sensor: Mapping[str, Array]) -> dict[str, StatedPose]:

@@ -22,6 +22,7 @@ def to_json(calibration: Calibration) -> str:
         "format": FORMAT,
         "root": calibration.root,
         "estimator": evidence.estimator,
+        "bodies": evidence.bodies and vars(evidence.bodies),
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "systematic": [vars(one) for one in calibration.systematic],
         "joint_covariance": _joint_covariance(calibration),
