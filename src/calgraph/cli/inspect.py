@@ -63,9 +63,11 @@ def _print(recording: Path, inspection: Inspection) -> None:
     for head in ("count", "Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms"):
         table.add_column(head, justify="right", no_wrap=True)
     for topic in inspection.topics:
-        table.add_row(escape("\n".join((topic.name, *_details(topic)))), str(topic.count), *_times(topic))
+        table.add_row(escape(topic.name), str(topic.count), *_times(topic))
     output.print(table)
     output.print("gap: longest time between stamps; delay: median arrival minus stamp")
+    for topic in inspection.topics:
+        output.print(f"[bold]{escape(topic.name)}[/]: {escape(_describe(topic))}")
     findings = [(topic.name, finding) for topic in inspection.topics for finding in topic.findings]
     for name, finding in findings:
         output.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")
@@ -73,13 +75,12 @@ def _print(recording: Path, inspection: Inspection) -> None:
         output.print("No anomalies were found.")
 
 
-def _details(topic: TopicReport) -> Sequence[str]:
-    """Type, kind, frame and content of the first message, in lines below the topic's name."""
+def _describe(topic: TopicReport) -> str:
+    """Type, kind, frame and content of the first message."""
     frame = f"frame {topic.frame_id}" if topic.frame_id else ""
     short_type = topic.type.rpartition("/")[2]
     kind = topic.kind if topic.kind in SENSORS else ""
-    first = ", ".join(dict.fromkeys(text for text in (short_type, kind, frame) if text))
-    return [f"  {line}" for line in (first, topic.content) if line]
+    return ", ".join(dict.fromkeys(text for text in (short_type, kind, frame, topic.content) if text))
 
 
 def _times(topic: TopicReport) -> Sequence[str]:
