@@ -110,4 +110,4 @@ def test_a_root_alone_has_no_plane() -> None:
 
 def test_a_suggestion_states_large_deviations_without_exponents() -> None:
     step = Suggestion("hold it there", "laser", "height (z)", "m", 0.16, 0.032, np.eye(4))
-    assert str(step) == "hold it there: height (z) of laser ±160 mm → ±32 mm"
+    assert str(step) == "hold it there: σ of height (z) of laser 160 mm → 32 mm"

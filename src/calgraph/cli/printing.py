@@ -134,7 +134,7 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
         T_root_sensor: true poses (4, 4) by sensor.
     """
     output = console()
-    output.print("[bold]Errors against the ground truth[/]")
+    output.print("[bold]Errors against the ground truth[/] (±: one σ, along the worst axis)")
     table = _table()
     for head in ("error mm", "± mm", "error °", "± °"):
         table.add_column(head, justify="right", no_wrap=True)

@@ -207,13 +207,12 @@ def _explain_axes(axes: Sequence[AxisComparison], allowed: Array, distance: floa
     """The reasons of the axes that do not pass."""
     parts = []
     for i, (axis, limit) in enumerate(zip(axes, allowed, strict=True)):
-        displacement = (
-            f"{axis.axis} {format_displacement(axis.offset, i, sign=True)} ±{format_displacement(axis.stddev, i)}"
-        )
+        sigma = f"σ {format_displacement(axis.stddev, i)}"
+        displacement = f"{axis.axis} {format_displacement(axis.offset, i, sign=True)} ({sigma})"
         if axis.outcome == "fail":
             parts.append(f"{displacement}, beyond {format_displacement(limit, i)}")
         elif axis.outcome == "warn" and test.max_sigmas * axis.stddev > limit:
-            parts.append(f"{axis.axis} is too uncertain: ±{format_displacement(axis.stddev, i)}")
+            parts.append(f"{axis.axis} is too uncertain: {sigma}")
         elif axis.outcome == "warn":
             parts.append(f"{displacement}: significant, but within {format_displacement(limit, i)}")
     if not parts and distance**2 > test.max_chi2:

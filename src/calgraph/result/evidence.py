@@ -124,9 +124,9 @@ class Suggestion:
     def __str__(self) -> str:
         """The suggestion as a sentence."""
         if self.expected > _UNOBSERVABLE_STDDEV[self.unit]:
-            return f"{self.hold}: a step towards {self.axis} of {self.sensor}, which takes more than one"
+            return f"{self.hold}: the first of several captures that {self.axis} of {self.sensor} needs"
         before, after = (_format_stddev(value, self.unit) for value in (self.stddev, self.expected))
-        return f"{self.hold}: {self.axis} of {self.sensor} {before} → {after}"
+        return f"{self.hold}: σ of {self.axis} of {self.sensor} {before} → {after}"
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _format_stddev(stddev: float, unit: Literal["m", "rad"]) -> str:
     if stddev > _UNOBSERVABLE_STDDEV[unit]:
         return "unknown"
     value, suffix = (1000 * stddev, " mm") if unit == "m" else (float(np.degrees(stddev)), "°")
-    return f"±{value:.0f}{suffix}" if value >= 100 else f"±{value:.2g}{suffix}"
+    return f"{value:.0f}{suffix}" if value >= 100 else f"{value:.2g}{suffix}"
 
 
 def rms(values: Array) -> float | None:

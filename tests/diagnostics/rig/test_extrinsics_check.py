@@ -123,7 +123,7 @@ def test_what_the_captures_cannot_tell_is_said() -> None:
     weak = replace(found, sensors=(*found.sensors[:3], loose), joint_covariance=joint)
     result = compare_rig_poses(weak, None, true_poses("laser_2", step(2, 0.1)), TOLERANCE)
     assert result.outcome == "warn"
-    assert result.sensors[2].reason == "height (z) is too uncertain: ±120.0 mm"
+    assert result.sensors[2].reason == "height (z) is too uncertain: σ 120.0 mm"
 
 
 def test_axes_that_are_sure_only_together_fail_together() -> None:
