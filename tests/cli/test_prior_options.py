@@ -244,7 +244,8 @@ def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_
     assert "laser_left is weak: no capture connects laser_left to another sensor" in result.stdout
     left = load_calibration(tmp_path / "b/calibration.yaml")["laser_left"]
     np.testing.assert_allclose(left.T_root_sensor, known.T_root_sensor["laser_left"], atol=1e-9)
-    np.testing.assert_allclose(np.sqrt(np.diag(left.covariance)[:3]), 0.01, rtol=1e-3)
+    # Drifts that no capture excludes, of about 1.5 mm, add to the prior's standard deviation.
+    np.testing.assert_allclose(np.sqrt(np.diag(left.covariance)[:3]), np.hypot(0.01, 0.0015), rtol=5e-3)
 
 
 @pytest.mark.parametrize(
