@@ -59,7 +59,7 @@ def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[s
             )
         except InputError as error:
             # A scanner without measurements does not keep the others from being calibrated.
-            _log.warning("%s: %s; it looks for the board by size and shape", name, error)
+            _log.warning("%s: %s; it detects the board by size and shape", name, error)
     return backgrounds
 
 

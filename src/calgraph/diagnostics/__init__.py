@@ -1,4 +1,4 @@
-"""Whether a result can be trusted: verdicts, cross-validation, bootstrap, comparisons, suggestions."""
+"""Tests of a result: verdicts, cross-validation, bootstrap, comparisons, suggestions."""
 
 from calgraph.diagnostics.comparison import (
     AxisComparison,

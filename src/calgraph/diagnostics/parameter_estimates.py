@@ -1,4 +1,4 @@
-"""Estimated deviations of systematic parameters from their stated values, and what the data tell apart of them."""
+"""Estimated deviations of systematic parameters from their stated values, and which the data distinguish."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class ParameterEstimates:
         return np.setdiff1d(np.flatnonzero(np.abs(correlation) > min_correlation), [i])
 
     def describe(self, i: int, others: Index) -> tuple[str, list[int]]:
-        """The contradiction of parameter i, or of others that could explain the data as well, likeliest first.
+        """The contradiction of parameter i, or of others that explain the data as well, the most likely first.
 
         Returns:
             The text, and the parameters that it names.

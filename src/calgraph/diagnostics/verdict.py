@@ -52,7 +52,7 @@ def grade_pose(
         kind: camera, lidar2d or lidar3d; decides what its axes are called.
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
-        inconsistency: why the pose cannot be good whatever its covariance (:func:`find_inconsistent_sensors`), or
+        inconsistency: why the pose cannot be good with any covariance (:func:`find_inconsistent_sensors`), or
             empty.
         ambiguity: angle to another pose that fits equally well, rad; 0 without one.
         tolerance: the largest acceptable error.

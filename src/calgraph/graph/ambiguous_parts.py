@@ -1,7 +1,7 @@
-"""Parts of a network that may as well be elsewhere: other hypotheses explain the tracks nearly alike.
+"""Parts of a network whose pose is ambiguous: other hypotheses explain the tracks nearly as well.
 
-The two people of a couple match correctly and crosswise: a pair alone often does not tell which is right. Cycles
-do, where pairs of other scanners agree with one of both.
+The two people of a couple match correctly and crosswise: a pair alone often does not determine which is right.
+Cycles do, where pairs of other scanners agree with one of both.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Scanners whose pose is contradicted by hypotheses with more evidence than those that it rests on.
 
-People who walk side by side are associated wrongly by several scanners alike, so that wrong pairs agree with each
+People who walk side by side are associated wrongly by several scanners, so that wrong pairs agree with each
 other, and the number of agreeing pairs is a weak test. The test here compares evidence: the best hypothesis that
 supports the pose of a part of the network against the best one that contradicts it.
 """

@@ -1,4 +1,4 @@
-"""Consensus over spanning trees: the node poses that most edges agree with, whatever the error of the others.
+"""Consensus over spanning trees: the node poses that most edges agree with, for any errors of the others.
 
 A tree of inliers gives all poses, and all inliers agree with them. Trees are drawn at random, edges of consistent
 cycles more often. The best trees by truncated residuals of whole transforms are refined.

@@ -1,8 +1,8 @@
 """Contradictions between the poses of a whole network and what its scanners detect of each other's people.
 
 The same test of a single pair rejects most wrong hypotheses, but not all: the two scanners may share a few seconds
-only, in which people move alike. A part of a network at a wrong pose is among many scanners, whose detections it
-should share.
+only, in which people move similarly. A part of a network at a wrong pose is among many scanners, whose
+detections it should share.
 """
 
 from collections.abc import Sequence

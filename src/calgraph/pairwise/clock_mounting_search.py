@@ -66,7 +66,7 @@ def _summarize_hypothesis(
 
 
 def is_firm(pair: ScannerPairEstimate, clock_sigma: float, settings: ScannerPairSettings) -> bool:
-    """Whether a pair, registered as if clocks and mountings were the same, leaves no doubt that they are.
+    """Whether a pair, registered as if clocks and mountings were the same, shows that they are.
 
     Tracks on one line fit mirrored ones as well: the matched positions must spread to the sides, too.
     """

@@ -138,7 +138,7 @@ def match_surfaces(reference: ReferenceScan, points: Array, poses: Array, max_di
     within = np.abs(direction - reference.angles[beam]) <= reference.spacing
     beside = np.abs(ny * dx - nx * dy) > reference.settings.max_tangential
     distance[~within] = np.nan
-    # Whatever is nearer than the surface may hide it; beyond it nothing is, if the scanner did not move.
+    # A nearer surface may occlude it; no surface is beyond it if the scanner did not move.
     hidden = distance > max_distance
     jacobian = np.stack([nx, ny, ny * rx - nx * ry], axis=-1)
     distance[(np.abs(distance) < max_distance) & beside] = np.nan
@@ -210,7 +210,7 @@ def _search_rotations(reference: ReferenceScan, ranges: Array) -> Array:
         both = np.isfinite(window) & np.isfinite(shifted)
         difference = np.where(both, window, np.inf) - np.where(np.isfinite(shifted), shifted, 0)
         agreeing = (np.abs(difference) < settings.rotation_tolerance).sum(axis=1)
-        # The share of agreeing beams and their number count alike.
+        # The share of agreeing beams and their number have equal weight.
         score = agreeing / np.sqrt(np.maximum(both.sum(axis=1), 1))
         better = score > best
         best[better], poses[better, 2] = score[better], shift * step * reference.spacing

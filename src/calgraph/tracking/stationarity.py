@@ -301,7 +301,7 @@ def _median_of_windows(ranges: Array) -> Array:
 def _is_majority_displaced(
     reference: ReferenceScan, ranges: Array, pose: Array, noise: float, settings: StationaritySettings
 ) -> bool:
-    """Whether most points on which a pose and none can be told apart agree better with the pose."""
+    """Whether most points that distinguish a step from no step agree better with the step."""
     points, poses = to_points(reference.angles, ranges)[None], np.array([np.zeros(3), pose])
     distances = match_surfaces(
         reference, np.broadcast_to(points, (2, *points.shape[1:])), poses, settings.initial_scale

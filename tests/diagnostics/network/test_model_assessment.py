@@ -116,7 +116,7 @@ def test_a_refuted_solution_that_nothing_can_replace_stays() -> None:
 
 def test_scatter_widens_the_covariance_and_makes_all_poses_weak() -> None:
     found = assess(solve(alternating=True))
-    (scatter,) = (one for one in found.findings if "contribute to the poses scatters" in one.text)
+    (scatter,) = (one for one in found.findings if "recording to the poses scatter" in one.text)
     assert scatter.sensors == NAMES
     ratio = float(scatter.text.split(" times")[0].split()[-1])
     np.testing.assert_allclose(np.diag(covariance_of(found)), 1e-6 * ratio**2, rtol=0.1)
@@ -124,7 +124,7 @@ def test_scatter_widens_the_covariance_and_makes_all_poses_weak() -> None:
 
 def test_scatter_that_the_covariance_contains_is_no_reason_for_weak_poses() -> None:
     found = assess(solve(alternating=True), max_good_scatter=100.0)
-    assert not any("contribute to the poses scatters" in one.text for one in found.findings)
+    assert not any("recording to the poses scatter" in one.text for one in found.findings)
     assert covariance_of(found)[0, 0] > 1.5e-6
 
 

@@ -30,21 +30,22 @@ class CameraNoiseSettings(StrictModel):
     """The noise of a camera's corners, estimated from PnP residuals."""
 
     min_noise: float = Field(default=0.05, gt=0)
-    """Least noise of a corner, px: errors of the distortion model shift all corners of a board, which the
+    """Minimum noise of a corner, px: errors of the distortion model shift all corners of a board, which the
     residuals of one PnP do not show; corners of the AprilTag library scatter by 0.05 to 0.1 px."""
     min_degrees_of_freedom: int = Field(default=24, gt=0)
-    """Least degrees of freedom of an estimate: its relative standard deviation is 1 / sqrt(2 x 24) = 14 %."""
+    """Minimum degrees of freedom of an estimate: its relative standard deviation is 1 / sqrt(2 x 24) = 14 %."""
 
 
 class MaxMessageSettings(StrictModel):
-    """Most messages of one hold that are used; noise that is common to all messages limits what more give."""
+    """Maximum numbers of messages of one hold; noise that is common to all messages limits what more give."""
 
     camera: int = Field(default=2, ge=1)
-    """Most images: each costs as much as all scans and clouds; a second one reveals motion during the hold."""
+    """Maximum number of images: each costs as much as all scans and clouds; a second one reveals motion during the
+    hold."""
     lidar2d: int = Field(default=20, ge=1)
-    """Most scans: noise of their average is 4 mm at 20 mm a beam, below the bias of a scanner."""
+    """Maximum number of scans: noise of their average is 4 mm at 20 mm a beam, below the bias of a scanner."""
     lidar3d: int = Field(default=5, ge=1)
-    """Most clouds: with some hundred points each on the board, biases of rings dominate."""
+    """Maximum number of clouds: with some hundred points each on the board, biases of rings dominate."""
 
     def of(self, kind: str) -> int:
         """The limit of sensors of this kind."""
@@ -55,19 +56,19 @@ class InputCheckSettings(StrictModel):
     """The checks of all messages of a recording."""
 
     max_identical_share: float = Field(default=0.5, gt=0, lt=1)
-    """Share of identical messages beyond which two topics carry the data of one sensor; of two sensors hardly any
+    """Share of identical messages beyond which two topics carry the data of one sensor; of two sensors almost no
     message is identical, as noise differs, and a relay that drops messages passes most."""
     min_identical_messages: int = Field(default=3, ge=1)
-    """Least number of different messages that both topics have: a covered scanner, or a dark image, repeats
+    """Minimum number of different messages that both topics have: a covered scanner, or a dark image, repeats
     one."""
     max_intrinsics_change: float = Field(default=1e-5, gt=0)
-    """Largest change of K over the focal length, and of a distortion coefficient, that is rounding: values with
+    """Maximum change of K over the focal length, and of a distortion coefficient, that is rounding: values with
     six digits, or single precision; it moves a pixel by 0.01 px."""
     max_focal_difference: float = Field(default=0.1, gt=0)
-    """Largest relative difference of fx and fy without a remark: pixels are square within 1 %, and those of analog
+    """Maximum relative difference of fx and fy without a remark: pixels are square within 1 %, and those of analog
     cameras within 10 %."""
     max_principal_point_offset: float = Field(default=0.15, gt=0)
-    """Largest distance of a principal point from the middle of the image, as a share of its size, without a
+    """Maximum distance of a principal point from the middle of the image, as a share of its size, without a
     remark: lenses are mounted within 5 %; K of half the resolution is off by 25 %."""
 
 
@@ -77,7 +78,7 @@ class EmptyStartSettings(StrictModel):
     reference_duration: float = Field(default=1.0, gt=0)
     """Time at the start that later measurements are compared with, s: several messages of any scanner."""
     min_duration: float = Field(default=1.5, gt=0)
-    """Least duration of an empty start, s: a background needs several messages of each scanner."""
+    """Minimum duration of an empty start, s: a background needs several messages of each scanner."""
     max_duration: float = Field(default=60.0, gt=0)
     """Time from the start that is searched, s: operators who wait longer state a window in rig.yaml."""
     entry_margin: float = Field(default=0.3, ge=0)
@@ -90,7 +91,7 @@ class EmptyStartSettings(StrictModel):
     min_range_change_ratio: float = Field(default=0.02, ge=0)
     """The same over the range: noise of directions and of angles of incidence grows with it."""
     min_directions: int = Field(default=3, ge=1)
-    """Least number of cells with something else: an object of 0.5 m at 10 m covers three in a row."""
+    """Minimum number of cells with something else: an object of 0.5 m at 10 m covers three in a row."""
     later_messages: int = Field(default=20, ge=5)
     """Messages of each scanner that are searched for what was uncovered, spread over the recording."""
     max_uncovered_share: float = Field(default=0.5, gt=0, lt=1)
@@ -102,7 +103,7 @@ class MisplacedTagSettings(StrictModel):
     """When tags contradict the board in rig.yaml. A tag that is blurred or partly hidden is an outlier, too."""
 
     min_captures: int = Field(default=3, ge=1)
-    """Least number of captures in which a tag is an outlier: one or two may be accidents."""
+    """Minimum number of captures in which a tag is an outlier: one or two may be accidents."""
     min_share: float = Field(default=0.5, gt=0, le=1)
     """The same over the captures in which the camera detected several tags: a misplaced tag is an outlier in all
     in which the others are the majority, or in half where two tags contradict each other."""
@@ -118,10 +119,11 @@ class CaptureSettings(StrictModel):
     empty_start: EmptyStartSettings = EmptyStartSettings()
     misplaced_tags: MisplacedTagSettings = MisplacedTagSettings()
     min_hold: float = Field(default=0.5, gt=0)
-    """Least duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
+    """Minimum duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
     max_motion_period: float = Field(default=0.5, gt=0)
     """Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds."""
     max_snapshot_gap: float = Field(default=1.0, gt=0)
     """Longest time between messages of one pose in a recording of snapshots, s; poses are at least twice apart."""
     max_background_messages: int = Field(default=60, ge=1)
-    """Most messages that a background is learned from: fast scanners send them in one or two seconds."""
+    """Maximum number of messages that a background is learned from: fast scanners send them in one or two
+    seconds."""

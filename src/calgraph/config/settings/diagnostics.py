@@ -13,7 +13,7 @@ class VerdictSettings(StrictModel):
     """Probability with which the error along or about an axis of a good pose is within the tolerance of rig.yaml;
     the usual level of data sheets and of error bars: 1.96 standard deviations."""
     unobservable_translation_stddev: float = Field(default=0.2, gt=0)
-    """m; beyond it an axis is called unobservable: no application tolerates it, and a tape measure is better."""
+    """m; beyond it an axis is called unobservable: a tape measure is more accurate."""
     unobservable_rotation_stddev: float = Field(default=float(np.radians(10)), gt=0)
     """rad (10°); the same about an axis. At this size first-order covariances cease to be valid."""
     max_normalized_rms: float = Field(default=3.0, gt=1)
@@ -41,18 +41,19 @@ class RigDiagnosticsSettings(StrictModel):
     """Deviation of a systematic parameter from its stated value, in prior standard deviations, beyond which it
     contradicts rig.yaml: 1 in 370 right values does."""
     min_learned_share: float = Field(default=0.05, gt=0, lt=1)
-    """Least share of the prior variance that the data are taken to have removed when a deviation is tested: with
+    """Minimum share of the prior variance that the data are taken to have removed when a deviation is tested: with
     less, the deviation and the standard deviation that it may have are both rounding."""
     max_parameter_correlation: float = Field(default=0.9, gt=0, lt=1)
-    """Posterior correlation of two systematic parameters beyond which the data do not tell them apart: given the
+    """Posterior correlation of two systematic parameters beyond which the data do not distinguish them: given the
     other, the standard deviation of each is 2.3 times as small."""
     max_noise_ratio: float = Field(default=2.0, gt=1)
-    """Largest measured noise of a sensor, and RMS residual of its kept captures, over the stated noise: rig.yaml
+    """Maximum measured noise of a sensor, and RMS residual of its kept captures, over the stated noise: rig.yaml
     is right to a factor of about 1.5."""
     max_good_noise_ratio: float = Field(default=4.0, gt=1)
-    """The same beyond which a sensor is weak: no data sheet errs by this factor, so that the model is wrong."""
+    """The same beyond which a sensor is weak: no data sheet is wrong by this factor, so that the model is
+    wrong."""
     max_view_bias: float = Field(default=0.005, gt=0)
-    """m; largest standard deviation of the displacement of a sensor's views. That of flat boards and calibrated
+    """m; maximum standard deviation of the displacement of a sensor's views. That of flat boards and calibrated
     ranges is 1 to 2 mm."""
     max_ring_bias: float = Field(default=0.01, gt=0)
     """m; the same of the ranges of each ring in each view: a real VLP-16 has 5 to 6 mm."""
@@ -65,7 +66,7 @@ class RigDiagnosticsSettings(StrictModel):
     min_held_out_views: int = Field(default=8, ge=1)
     """Predicted captures of a sensor at which its held-out error is tested."""
     max_held_out_ratio: float = Field(default=1.5, gt=1)
-    """Largest observed over expected error of held-out captures of a good sensor."""
+    """Maximum observed over expected error of held-out captures of a good sensor."""
     max_bootstrap_captures: int = Field(default=15, ge=1)
     """Captures from which on a calibration does without a bootstrap."""
     bootstrap_rounds: int = Field(default=50, ge=20)
@@ -81,15 +82,15 @@ class RigDiagnosticsSettings(StrictModel):
     """Board poses tried for a suggestion; the best of 300 random poses is within the best 1 % with a probability
     of 95 %."""
     suggestions: int = Field(default=3, ge=0)
-    """Most board poses suggested; each is planned beside those before it."""
+    """Maximum number of board poses suggested; each is planned in addition to those before it."""
     min_suggestion_gain: float = Field(default=0.05, gt=0)
-    """Least decrease of the log volume of the error ellipsoid for a pose to be suggested: 5 % of one standard
-    deviation, what one more capture beside ten like it gives."""
+    """Minimum decrease of the log volume of the error ellipsoid for a pose to be suggested: 5 % of one standard
+    deviation, what one more capture gives in addition to ten similar ones."""
     candidate_radius: float = Field(default=0.3, gt=0)
     """m; candidates are within this distance, along each axis, of recorded board positions, where a person can
     stand."""
     max_candidate_tilt: float = Field(default=float(np.radians(60)), gt=0, lt=float(np.pi / 2))
-    """rad (60°); largest tilt of candidates from the line of sight. Tags are decoded reliably up to about this
+    """rad (60°); maximum tilt of candidates from the line of sight. Tags are decoded reliably up to about this
     angle."""
     max_bearing_change: float = Field(default=float(np.radians(12)), gt=0)
     """rad (12°); a sensor is predicted to detect boards within this angle of one that it detected."""
@@ -97,7 +98,7 @@ class RigDiagnosticsSettings(StrictModel):
     """The same for the ratio of distances: the density of points changes by 1.3² = 1.7, within what detection
     accepts."""
     max_predicted_tilt: float = Field(default=float(np.radians(65)), gt=0, lt=float(np.pi / 2))
-    """rad (65°); largest angle between the board normal and the line of sight at which a detection is
+    """rad (65°); maximum angle between the board normal and the line of sight at which a detection is
     predicted."""
     min_segment_share: float = Field(default=1 / 3, gt=0, lt=1)
     """Shortest intersection of scan plane and board that is predicted to be detected, as a share of the shorter
@@ -116,7 +117,7 @@ class BumpTestSettings(StrictModel):
     together; Bonferroni's bound is conservative, as neighbouring times have nearly the same statistic. A false
     alarm costs captures, a bump that is missed an error of up to several standard deviations."""
     min_views: int = Field(default=4, ge=2)
-    """Least number of captures of a sensor on either side of a step: a board that slips in a few captures in a
+    """Minimum number of captures of a sensor on either side of a step: a board that slips in a few captures in a
     row is not a bump."""
     trigger_probability: float = Field(default=0.1, gt=0, lt=1)
     """Probability with which a recording without bumps is tested with estimated variances, which takes as long as
@@ -129,17 +130,17 @@ class BumpTestSettings(StrictModel):
     """m; where views scatter with a larger standard deviation on either side of a step, another error of the model
     is larger than the step: flat boards and working scanners vary by 1 to 3 mm."""
     max_rounds: int = Field(default=8, ge=1)
-    """Rounds of estimating the variances beside a step; they start at those of the solution."""
+    """Rounds of estimating the variances together with a step; they start at those of the solution."""
     permutations: int = Field(default=199, ge=0)
-    """Random orders of a sensor's captures, none of which may have a larger statistic than that of time: 0.5 %
-    of them, whatever the distribution of outliers."""
+    """Random orders of a sensor's captures, none of which may have a larger statistic than that of time: 0.5 % of
+    them, for any distribution of outliers."""
     min_time_likelihood: float = Field(default=20.0, gt=1)
     """Captures are neither before nor after a step if the likelihood of times on either side of them is less than
     this factor below the largest: about 95 %."""
     indistinguishable_ratio: float = Field(default=1e4, gt=1)
     """Sensors whose steps have a likelihood smaller than the largest by less than this factor are all named."""
     max_bumps: int = Field(default=4, ge=0)
-    """Most steps found in a recording; 0 does not search."""
+    """Maximum number of steps found in a recording; 0 does not search."""
 
 
 class SerialCorrelationSettings(StrictModel):
@@ -163,18 +164,18 @@ class DriftTestSettings(StrictModel):
     """rad (0.01°); the same about each axis: 0.1 mm over 0.6 m, the distance of a bracket's screws from its end.
     Drifts of this size and more that no test can find are an error of the pose at the end of the recording."""
     min_large_multiple: float = Field(default=5.0, gt=1)
-    """Least multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small
+    """Minimum multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small
     drifts explain. In 204 simulated recordings with drifts of 0.15° to 1°, good poses at the end are off by more
     than five standard deviations in 3, and right ones are weak by their covariance in 2 of 102; with 10 in 3 and
     5."""
     max_large_multiple: float = Field(default=100.0, gt=1)
     """The largest, 10 mm and 1°: larger ones show in any recording."""
     false_alarm_probability: float = Field(default=1e-3, gt=0, lt=1)
-    """Probability with which a sensor that rests is said to drift; a false alarm makes a good result weak, so that
-    1 in 1000 sensors is rare enough."""
+    """Probability with which a drift is reported of a sensor at rest; a false alarm makes a good result weak, so
+    that 1 in 1000 sensors is rare enough."""
     trigger_probability: float = Field(default=0.1, gt=0, lt=1)
-    """Probability with which a recording without drifts is tested with variances that are estimated beside drifts,
-    which takes as long as a third of its solution."""
+    """Probability with which a recording without drifts is tested with variances that are estimated together with
+    drifts, which takes as long as a third of its solution."""
     max_rounds: int = Field(default=4, ge=1)
     """Rounds of estimating these variances; they start at those of the solution."""
     indistinguishable_ratio: float = Field(default=1e4, gt=1)
@@ -187,15 +188,15 @@ class NetworkModelSettings(StrictModel):
 
     limit_share: float = Field(default=0.95, gt=0, lt=1)
     """A range noise or model error of more than this share of its limit counts as at the limit: an estimate that
-    is cut off there. Right models reach 0.3 of them, also with swinging arms."""
+    is cut off there. Valid models reach 0.3 of them, also with swinging arms."""
     min_weighted_share: float = Field(default=0.6, gt=0, lt=1)
-    """Least share of a scanner's beams on bodies that have a weight: robust estimates hold up to about half of
+    """Minimum share of a scanner's beams on bodies that have a weight: robust estimates hold up to about half of
     outliers. 0.89 to 0.95 in simulation, 0.63 and more where arms swing by 0.15 m; 0.4 to 0.56 where ellipses are
     fitted to two people's legs."""
     max_beam_correlation: float = Field(default=0.2, gt=0, lt=1)
-    """Largest correlation of the residuals of a scanner's adjacent beams on a body: a body of another shape has
-    residuals of one sign along its outline. In simulation it is below 0.02, below 0.1 where arms swing, and 0.5
-    to 0.9 where ellipses are fitted to legs or a clock is wrong. On a real recording of legs it is 0.7, although
+    """Maximum correlation of the residuals of a scanner's adjacent beams on a body: a body of another shape has
+    residuals of one sign along its outline. In simulation it is below 0.02, below 0.1 where arms swing, and 0.5 to
+    0.9 where ellipses are fitted to legs or a clock is wrong. On a real recording of legs it is 0.7, although
     poses are right to a centimetre, so that it does not refute the model."""
     max_good_scatter: float = Field(default=2.0, gt=1)
     """Ratio of the observed to the expected variance of contributions to the poses up to which the enlarged
@@ -208,7 +209,7 @@ class NetworkModelSettings(StrictModel):
     """Probability with which each of the tests of halves, groups of bodies, scatter and averaging rejects a right
     recording. On 96 simulated ones, halves have p < 0.01 in none, and groups in two."""
     min_relative_variance: float = Field(default=1e-3, gt=0, lt=1)
-    """Least variance, relative to that of the components it is along, of a direction in which parts, or averaged
+    """Minimum variance, relative to that of the components it is along, of a direction in which parts, or averaged
     and joint poses, are compared: below it the difference is that of the linearization. One of two halves without
     data of a scanner leaves such directions, in which squared distances would be any number."""
     interval: float = Field(default=5.0, gt=0)
@@ -234,7 +235,7 @@ class TrackBumpSettings(StrictModel):
     """Ticks (``tick_period`` of pairs) within which errors of positions may depend on each other: 2 s, in which
     people turn by less than a right angle to a scanner and one side of them is measured."""
     min_blocks: int = Field(default=5, ge=4)
-    """Least number of such blocks with common positions on either side of a step: the three components of a pose
+    """Minimum number of such blocks with common positions on either side of a step: the three components of a pose
     leave two for its variance."""
     initial_scale: float = Field(default=3.0, gt=0)
     """Distance of simultaneous positions at which the loss has a quarter of its weight in the first step, m: a
@@ -249,12 +250,12 @@ class TrackBumpSettings(StrictModel):
     """Times whose sum of squared distances exceeds the least one by up to this, in squares of ``final_scale``, are
     possible times of a step: twice the logarithm of 20 (95 %)."""
     min_difference: float = Field(default=0.03, gt=0)
-    """Positions can tell two poses if their distances differ by this, m: half of the errors of centres."""
+    """Positions distinguish two poses if their distances differ by this, m: half of the errors of centres."""
     min_votes: int = Field(default=20, ge=1)
-    """Least number of such positions on either side of a step: 2 s of one person."""
+    """Minimum number of such positions on either side of a step: 2 s of one person."""
     min_vote_share: float = Field(default=0.85, gt=0.5, le=1)
-    """Least share of them that agree with the step on either side: in simulated rooms at least 0.89 with steps of
-    1° and 3°, and 0.77 at most where four people who walk as legs are mistaken for each other."""
+    """Minimum share of them that agree with the step on either side: in simulated rooms at least 0.89 with steps
+    of 1° and 3°, and 0.77 at most where four people who walk as legs are mistaken for each other."""
     translation_error: float = Field(default=0.01, gt=0)
     """m; standard deviation of a step by errors of positions that depend on the paths: sides of people that are
     measured before and after it differ."""
@@ -283,7 +284,7 @@ class NetworkDiagnosticsSettings(StrictModel):
     """rad; the same of angles, of which files have about five decimals."""
     track_bumps: TrackBumpSettings = TrackBumpSettings()
     min_matched_share: float = Field(default=0.5, ge=0, le=1)
-    """Least share of matched positions of a pair that alone connects a part of the network: the majority. Right
+    """Minimum share of matched positions of a pair that alone connects a part of the network: the majority. Right
     pairs of simulated rooms match 0.6 to 0.9; one that matched reflections in mirrors matched 0.37."""
 
 

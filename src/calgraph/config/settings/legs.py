@@ -14,15 +14,15 @@ class LegClusterSettings(StrictModel):
     max_gap_sigmas: float = Field(default=3.0, ge=0)
     """The same in standard deviations of a range, also added to the greatest width."""
     min_width: float = Field(default=0.03, gt=0)
-    """Least diagonal of a cluster, m: two beams of a coarse scanner 4 m away."""
+    """Minimum diagonal of a cluster, m: two beams of a coarse scanner 4 m away."""
     max_width: float = Field(default=0.25, gt=0)
-    """Greatest diagonal of a cluster, m: a shin of 18 cm depth, which is visible from its side."""
+    """Maximum diagonal of a cluster, m: a shin of 18 cm depth, which is visible from its side."""
     min_width_beams: int = Field(default=4, ge=2)
-    """Fewest beams of an object whose width counts in the choice between legs and bodies: the width of four is
-    short by a quarter at most."""
+    """Minimum number of beams of an object whose width counts in the choice between legs and bodies: the width of
+    four is short by a quarter at most."""
     min_beams: int = Field(default=2, ge=2)
-    """Fewest beams: single ones are often mixed pixels between a leg and the background. With three, coarse
-    scanners (0.5°) lose legs from 7 m on."""
+    """Minimum number of beams: single ones are often mixed pixels between a leg and the background. With three,
+    coarse scanners (0.5°) lose legs from 7 m on."""
     radius: float = Field(default=0.065, gt=0)
     """Radius of a leg, m: of shins at 0.3 m height."""
     center_sigma: float = Field(default=0.03, gt=0)
@@ -38,41 +38,42 @@ class LegTrackSettings(StrictModel):
     """Spectral density of a leg's acceleration, m²/s³: a shin changes its speed by 3 m/s twice in a stride of a
     second, with a correlation time of 0.15 s."""
     gate: float = Field(default=13.8, gt=0)
-    """Largest squared Mahalanobis distance of a cluster from a prediction: a correct one exceeds it with
+    """Maximum squared Mahalanobis distance of a cluster from a prediction: a correct one exceeds it with
     probability 1e-3 (χ², two degrees of freedom)."""
     max_distance: float = Field(default=0.25, gt=0)
-    """Largest distance of a cluster from a prediction, m: legs side by side are 12 to 20 cm apart."""
+    """Maximum distance of a cluster from a prediction, m: legs side by side are 12 to 20 cm apart."""
     pose_sigma: float = Field(default=0.03, ge=0)
     """Error of the start poses, m; added to that of centres."""
     initial_speed_sigma: float = Field(default=1.5, gt=0)
     """Prior standard deviation of a new leg's velocity along each axis, m/s: legs swing at up to 4 m/s."""
     min_matches: int = Field(default=8, ge=2)
-    """Matches that confirm a leg: half a second at 15 Hz, in which clutter hardly moves like a leg."""
+    """Matches that confirm a leg: half a second at 15 Hz, in which clutter rarely moves like a leg."""
     max_coast_time: float = Field(default=0.4, gt=0)
     """Longest time without a match, s: a leg is hidden by the other one for a quarter of a stride."""
     min_duration: float = Field(default=1.0, gt=0)
     """Shortest track that is used, s: a stride."""
     min_travel: float = Field(default=0.4, gt=0)
-    """Least extent of a track that is used, m: chairs that were moved stand still."""
+    """Minimum extent of a track that is used, m: chairs that were moved stand still."""
 
 
 class LegAssociationSettings(StrictModel):
     """Which beam ends on which leg."""
 
     max_distance: float = Field(default=0.06, gt=0)
-    """Largest distance of a point from the outline of its leg, m, plus the one below: shins are up to 2 cm from
+    """Maximum distance of a point from the outline of its leg, m, plus the one below: shins are up to 2 cm from
     circles, and start paths 3 cm off."""
     max_distance_sigmas: float = Field(default=2.0, ge=0)
     """The same in standard deviations of a range."""
     min_margin: float = Field(default=0.02, ge=0)
-    """Least difference between the distances from the outlines of the nearest and the second nearest leg, m:
+    """Minimum difference between the distances from the outlines of the nearest and the second nearest leg, m:
     otherwise the beam is not used."""
     min_beams: int = Field(default=20, ge=1)
-    """Fewest beams of a scanner on a leg, otherwise they are not used: they would hardly determine its bias."""
+    """Minimum number of beams of a scanner on a leg, otherwise they are not used: they would determine its bias
+    poorly."""
 
 
 class LegBodySettings(StrictModel):
-    """The model of a leg: an ellipse with small harmonics, on a path of its own."""
+    """The model of a leg: an ellipse with small harmonics, on a separate path."""
 
     knot_interval: float = Field(default=0.06, gt=0)
     """Interval of a path's control points, s: a leg swings from rest to rest in 0.4 s."""
@@ -98,14 +99,14 @@ class LegBodySettings(StrictModel):
     Folds of trousers and the width of beams (0.2° are 14 mm at 4 m) move edges. Over eight simulated recordings,
     4 mm gave a NEES of 2.2, 8 mm 1.4 and 12 mm 1.05, at the same error of 1.8 mm."""
     acceleration_density_range: tuple[float, float] = (10.0, 100.0)
-    """Least and greatest spectral density of a leg's acceleration in the estimate of it, m²/s³. Legs that stand
+    """Minimum and maximum spectral density of a leg's acceleration in the estimate of it, m²/s³. Legs that stand
     and swing in turns have 2 to 5 in the mean, which smooths swings too much: clocks of real legs are right with
     10, and three times that of a fast walk is the limit above."""
     initial_bias_sigma: float = Field(default=0.01, gt=0)
     """Standard deviation of the bias of a scanner's ranges to a leg in the first round, m; later rounds estimate
     it."""
     min_bias_sigma: float = Field(default=0.0005, gt=0)
-    """Least standard deviation of this bias, m: below, it has no effect."""
+    """Minimum standard deviation of this bias, m: below, it has no effect."""
     heading_sigma: float = Field(default=0.2, gt=0)
     """Standard deviation of a leg's heading about the direction of the walk, rad: feet turn outwards by 3 to 10°,
     and the path over a stride turns."""
@@ -130,14 +131,14 @@ class LegSettings(StrictModel):
     min_narrow_share: float = Field(default=0.5, gt=0, lt=1)
     """Share of objects narrower than ``max_narrow_width`` above which they are legs, where no height is stated."""
     max_narrow_width: float = Field(default=0.2, gt=0)
-    """Greatest width of a narrow object, m: bodies are wider from all sides, and two legs are where they touch."""
+    """Maximum width of a narrow object, m: bodies are wider from all sides, and two legs are where they touch."""
     rounds: int = Field(default=3, ge=1)
     """Rounds of association, weights, walls, solution and noise for one tracking."""
     iterations: int = Field(default=3, ge=1)
-    """Levenberg–Marquardt steps of each round: beams are associated anew afterwards."""
+    """Levenberg–Marquardt steps of each round: beams are associated again afterwards."""
     max_trackings: int = Field(default=4, ge=2)
-    """Most trackings of legs: the second one is under the poses and clocks of the first solution, further ones
-    follow as long as clocks change."""
+    """Maximum number of trackings of legs: the second one is under the poses and clocks of the first solution,
+    further ones follow as long as clocks change."""
     clock_tolerance: float = Field(default=0.002, gt=0)
     """Change of clock offsets by the solution of a tracking below which it was the last, s: a leg then moves by
     less than 8 mm."""

@@ -11,7 +11,8 @@ class TrackGroupingSettings(StrictModel):
 
     max_distance: float = Field(default=0.5, gt=0)
     """Simultaneous positions of one body in two scanners are at most this far apart, m. People keep about half a
-    metre from each other; start poses, centres and clocks err by less (50 ms of clock at 1.5 m/s are 8 cm)."""
+    metre from each other; the errors of start poses, centres and clocks are smaller (50 ms of clock at 1.5 m/s are
+    8 cm)."""
     min_ticks: int = Field(default=3, ge=1)
     """Ticks (``tick_period`` of pairs) at which two tracks have to be this close: two people who pass each other
     at 2.5 m/s relative speed are close for at most 4, and the share below decides then."""
@@ -64,10 +65,10 @@ class BeamSettings(StrictModel):
     noise, this one 64 %, but the former takes swinging arms for the torso."""
     initial_near_side_factor: float = Field(default=2.5, ge=1)
     """In the first rounds, the limit is divided by this for beams that end in front of the outline. Arms are in
-    front of the torso or beside it, never behind, and an outline that is fitted to arms keeps them."""
+    front of the torso or next to it, never behind, and an outline that is fitted to arms keeps them."""
     min_cos_incidence: float = Field(default=0.35, gt=0.05, lt=1)
-    """Least cosine of incidence, 70°: beyond, errors of a beam's direction exceed those of its range (1 mrad at 5
-    m gives 14 mm), and its width covers more than the outline."""
+    """Minimum cosine of incidence, 70°: beyond, errors of a beam's direction exceed those of its range (1 mrad at
+    5 m gives 14 mm), and its width covers more than the outline."""
     min_hit_cosine: float = Field(default=0.05, gt=0, lt=1)
     """Beams with a smaller cosine of incidence (87°) count as missing the ellipse during the iteration: the
     derivatives of their range grow beyond all bounds."""
@@ -83,11 +84,11 @@ class RangeNoiseSettings(StrictModel):
     """Beams that are needed, otherwise the background's noise is used: the median of 300 has a relative standard
     deviation of 1.17 / sqrt(300) = 7 %."""
     min_ratio: float = Field(default=0.5, gt=0, le=1)
-    """Least noise as a ratio to the background's: quantised or simulated ranges may show none."""
+    """Minimum noise as a ratio to the background's: quantised or simulated ranges may show none."""
     max_excess: float = Field(default=0.05, ge=0)
-    """Greatest noise beyond the background's, m: larger residuals are of other objects than the bodies."""
+    """Maximum noise beyond the background's, m: larger residuals are of other objects than the bodies."""
     max_leverage: float = Field(default=0.3, ge=0, le=0.5)
-    """Greatest mean leverage that is corrected for: the correction is an expansion to first order in it."""
+    """Maximum mean leverage that is corrected for: the correction is an expansion to first order in it."""
 
 
 class ModelErrorSettings(StrictModel):
@@ -102,14 +103,14 @@ class ModelErrorSettings(StrictModel):
     """Scanners are compared over this time, s: two steps of a walk, the period in which arms swing and deviations
     are correlated."""
     min_position_sigma: float = Field(default=0.0005, gt=0, le=0.01)
-    """Least standard deviation of a position, m: below a tenth of what the beams of one scan determine, it has no
-    effect."""
+    """Minimum standard deviation of a position, m: below a tenth of what the beams of one scan determine, it has
+    no effect."""
     max_position_sigma: float = Field(default=0.1, gt=0.01)
-    """Greatest standard deviation of a position, m: half the depth of a person."""
+    """Maximum standard deviation of a position, m: half the depth of a person."""
     min_heading_sigma: float = Field(default=0.002, gt=0, le=0.01)
-    """Least standard deviation of a heading, rad; as for positions."""
+    """Minimum standard deviation of a heading, rad; as for positions."""
     max_heading_sigma: float = Field(default=0.5, gt=0.01)
-    """Greatest standard deviation of a heading, rad: about 30°."""
+    """Maximum standard deviation of a heading, rad: about 30°."""
     tolerance: float = Field(default=0.3, gt=0)
     """Relative change of the variances at which the rounds end: 15 % of a standard deviation, less than its
     uncertainty from a minute of one person."""
@@ -123,7 +124,7 @@ class HeadingSearchSettings(StrictModel):
     path_sigma: float = Field(default=0.01, ge=0)
     """Error of paths at this stage, m; added to the noise of ranges."""
     max_beam_cost: float = Field(default=4.5, gt=0)
-    """Greatest cost of a beam, half squared standard deviations: three of them; beyond, a beam is of arms or of
+    """Maximum cost of a beam, half squared standard deviations: three of them; beyond, a beam is of arms or of
     other people."""
     beam_weight: float = Field(default=0.2, gt=0, le=1)
     """Weight of a beam: errors of path and outline are common to the beams of a scan, which count as a fifth of
@@ -136,11 +137,11 @@ class NetworkEstimationSettings(StrictModel):
     clock_sigma: float = Field(default=0.1, gt=0)
     """Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time."""
     min_systematic_share: float = Field(default=1 / 64, gt=0, le=1)
-    """Least standard deviation of systematic errors as a share of ``uncertainty`` in rig.yaml, whose share is
+    """Minimum standard deviation of systematic errors as a share of ``uncertainty`` in rig.yaml, whose share is
     estimated from the differences between scanners: 0.3 mm of 2 cm, well below what a minute determines."""
     common_error_share: float = Field(default=0.5, ge=0, lt=1)
-    """Share of the variance of errors of ranges and angles that all scanners of a network have in common: they
-    are mostly of one make, with one driver. What they have in common is hardly observable, so that a share of 0
+    """Share of the variance of errors of ranges and angles that all scanners of a network have in common: they are
+    mostly of one make, with one driver. What they have in common is almost unobservable, so that a share of 0
     would be optimistic; at one half, ten scanners are as uncertain in scale as two with independent errors.
     Stretches by tilts of scan planes are independent."""
     position_prior_information: float = Field(default=1e-4, gt=0)

@@ -31,9 +31,9 @@ class BoardPairSettings(StrictModel):
     (9400 samples of 3 plane matches, half of which take the first candidates), and with up to 61 % outliers in
     samples of 8 line matches."""
     minority_inliers: Annotated[int, Field(ge=0)] = 2
-    """Inliers, besides the least number, of a pose that less than half of the shared captures support: with eight
-    candidates of a LiDAR and its captures shuffled, 11 of 60 pairs had a pose of three or four inliers, none of
-    five."""
+    """Inliers, in addition to the minimum number, of a pose that less than half of the shared captures support:
+    with eight candidates of a LiDAR and its captures shuffled, 11 of 60 pairs had a pose of three or four inliers,
+    none of five."""
     flatness: Positive = 0.001
     """Standard deviation of a board's surface from its plane, m: a rigid panel of 1 m bends by 1 to 2 mm."""
     max_stddev: Positive = 0.1
@@ -48,11 +48,11 @@ class BoardPairSettings(StrictModel):
     """Angle between the normals of two planes above which they are not one board, rad (30 degrees): far more than
     the error of a plane through a distant board, and less than the angle between most surfaces of a room."""
     min_condition: Share = 0.02
-    """Least effect of every unknown of the linear plane–line solution on the residuals (RMS), over its effect on a
-    single point: below it noise decides the unknown, and poses are searched from axis-aligned mountings
+    """Minimum effect of every unknown of the linear plane–line solution on the residuals (RMS), over its effect on
+    a single point: below it noise decides the unknown, and poses are searched from axis-aligned mountings
     instead."""
     min_normal_spread: Share = 0.01
-    """Least singular value of the normals of three planes, over the largest, for a sample to have a solution."""
+    """Minimum singular value of the normals of three planes, over the largest, for a sample to have a solution."""
     min_translation_spread: Share = 0.05
     """The same for a direction of plane–line translations, which keep their start value where it is smaller."""
     refined_starts: Count = 6
@@ -64,7 +64,8 @@ class BoardPairSettings(StrictModel):
     """Change of the residuals' RMS per unit of a direction (m or rad) below which a sample does not determine
     it."""
     sample_steps: Count = 12
-    """Most least-squares steps for the pose of a sample: bounds the time, and the best pose is refined later."""
+    """Maximum number of least-squares steps for the pose of a sample: bounds the time, and the best pose is
+    refined later."""
     search_steps: Count = 40
     """The same for the search of other minima from axis-aligned rotations, up to 63 degrees off: their results are
     not refined."""
@@ -75,8 +76,8 @@ class BoardPairSettings(StrictModel):
     """Unobservable angle between the scan planes of two 2-D scanners, rad: small values bring the segments of each
     board near each other; near min_scan_plane_sine all lines would be coplanar."""
     center_gap_weight: Positive = 0.001
-    """Weight of the gap between the centres of two segments, in board diagonals, beside their coplanarity, in m:
-    it holds the dihedral angle without an effect on directions that are observable."""
+    """Weight of the gap between the centres of two segments, in board diagonals, in addition to their coplanarity,
+    in m: it determines the dihedral angle without an effect on directions that are observable."""
 
 
 class ResamplingSettings(StrictModel):
@@ -139,9 +140,9 @@ class ProposalSettings(StrictModel):
     min_duration: Positive = 0.6
     """Shortest part of a stretch that both tracked, s."""
     min_extent: Positive = 0.15
-    """Least standard deviation of the positions in a stretch, m: a shorter one does not determine the angle."""
+    """Minimum standard deviation of the positions in a stretch, m: a shorter one does not determine the angle."""
     max_rms: Positive = 0.3
-    """Largest RMS distance of an aligned stretch, m: twice the registration's max_model_error."""
+    """Maximum RMS distance of an aligned stretch, m: twice the registration's max_model_error."""
     noise: Positive = 0.05
     """RMS distance of tracks of one person, m, below which a better fit does not rank higher."""
     max_count: Count = 200
@@ -156,7 +157,7 @@ class RegistrationSettings(StrictModel):
     cauchy_scale2: Positive = 6.0
     """Squared Mahalanobis distance at which the Cauchy loss halves a weight: chi-squared, 95 %."""
     max_model_error: Positive = 0.15
-    """Largest standard deviation of distances beyond the tracks' covariances, and that of the coarse stage, m:
+    """Maximum standard deviation of distances beyond the tracks' covariances, and that of the coarse stage, m:
     half of a person's depth, as two scanners measure opposite sides."""
     fine_model_error: Positive = 0.1
     """The same where the fine stage starts, m: coarse poses have errors of some centimetres."""
@@ -171,8 +172,8 @@ class RegistrationSettings(StrictModel):
     min_variance_factor: Positive = 0.1
     """Lower limit of the factor by which covariances are scaled to the residuals: few matches may coincide."""
     min_lag_share: Share = 0.1
-    """Least share of the residuals with another one at a lag, for it to enter the correlation time: of fewer, the
-    autocorrelation is noise."""
+    """Minimum share of the residuals with another one at a lag, for it to enter the correlation time: of fewer,
+    the autocorrelation is noise."""
     max_lag: Count = 100
     """Lag at which the sum of autocorrelations ends at the latest, in steps of the pairs (10 s at every tick):
     residuals are correlated over some steps of a walk; the sum ends earlier where a pair of terms is negative."""
@@ -180,7 +181,7 @@ class RegistrationSettings(StrictModel):
     """Shortest correlation time of residuals, s: people turn another side to a scanner at every step, which a few
     seconds of residuals alone understate."""
     min_matches: Count = 4
-    """Least number of matches of a registration: eight coordinates for six unknowns."""
+    """Minimum number of matches of a registration: eight coordinates for six unknowns."""
     steps: Count = 3
     """Gauss–Newton steps of each stage, each with new matches: proposals are near enough for matches to settle."""
 
@@ -196,9 +197,9 @@ class IcpSettings(StrictModel):
     max_neighbour_ratio: Positive = 0.05
     """The same as a fraction of their range: half a degree at 10 degrees of incidence."""
     max_line_stddev: Positive = 0.03
-    """Largest standard deviation of neighbours from their line, m: three times the usual noise of a range."""
+    """Maximum standard deviation of neighbours from their line, m: three times the usual noise of a range."""
     min_elongation2: Positive = 9.0
-    """Least ratio of the neighbours' variances along and across the line: a standard deviation three times as
+    """Minimum ratio of the neighbours' variances along and across the line: a standard deviation three times as
     long."""
     max_normal_angle: Angle = float(np.radians(25))
     """Angle between the normals of matched points, rad (25 degrees): the error of a line through seven noisy
@@ -207,17 +208,17 @@ class IcpSettings(StrictModel):
     """Match distance of the first step over the standard deviation of points under the initial pose, within the
     next two limits: 99.7 % of a normal distribution."""
     min_initial_distance: Positive = 0.5
-    """Least match distance of the first step, m: a smaller one misses walls that contradict the initial pose."""
+    """Minimum match distance of the first step, m: a smaller one misses walls that contradict the initial pose."""
     max_initial_distance: Positive = 0.8
-    """Largest match distance of the first step, m: with a larger one the two walls of a corridor match."""
+    """Maximum match distance of the first step, m: with a larger one the two walls of a corridor match."""
     final_distance: Positive = 0.06
     """Match distance of the last step, m: three standard deviations of noise and walls."""
     distance_factor: Annotated[float, Field(gt=0, lt=1)] = 0.7
     """Factor of the match distance from one step to the next."""
     min_matches: Count = 25
-    """Least number of matches: a wall of 1 m at 2 m and one degree."""
+    """Minimum number of matches: a wall of 1 m at 2 m and one degree."""
     min_match_share: Share = 0.5
-    """Least share of matches among matching and contradicting points."""
+    """Minimum share of matches among matching and contradicting points."""
     free_space_margin: Positive = 0.3
     """Distance by which a point has to lie before the other scanner's background to contradict it, m."""
     correlated_points: Positive = 10.0
@@ -259,17 +260,18 @@ class HypothesisSettings(StrictModel):
     same_angle: Angle = float(np.radians(8))
     """Angle below which two hypotheses are one if their distance is, too, rad (8 degrees)."""
     min_matched_time: Positive = 2.0
-    """Least duration of matches, s: two steps of a person, which determine position and direction."""
+    """Minimum duration of matches, s: two steps of a person, which determine position and direction."""
     min_matched_share: Share = 0.25
-    """Least share of matches among expected ones: a quarter remains where furniture occludes half of the positions
-    from either scanner."""
+    """Minimum share of matches among expected ones: a quarter remains where furniture occludes half of the
+    positions from either scanner."""
     min_chance_ratio: Positive = 2.0
-    """Least ratio of matches to those by chance, where both scanners track people all the time in one passage."""
+    """Minimum ratio of matches to those by chance, where both scanners track people all the time in one
+    passage."""
     min_score_ratio: Share = 0.4
-    """Least ratio of a hypothesis's evidence to the best one's: alternatives below it are not kept."""
+    """Minimum ratio of a hypothesis's evidence to the best one's: alternatives below it are not kept."""
     unambiguous_evidence: Positive = 250.0
     """Weight of evidence below which hypotheses that match the two people of a couple crosswise are searched, too:
-    in simulated halls with nobody but a couple, wrong ones had up to 136."""
+    in simulated halls with a couple and no other people, wrong ones had up to 136."""
     couple_stddev: Positive = 0.06
     """Standard deviation of positions in that search, m: a tenth of the distance of two people who walk side by
     side, so that poses between correct and crosswise matches are not the best."""
@@ -289,8 +291,8 @@ class HypothesisSettings(StrictModel):
     """Standard deviation of the distance between two tracks of one person, m, below which fits do not count
     more."""
     min_weight_of_evidence: Positive = 45.0
-    """Least weight of evidence of a hypothesis, a log likelihood ratio: a perfect fit of 2 s has 52, a fit with 9
-    cm needs 9 s for the same. Chosen on benchmarks/short_networks.py."""
+    """Minimum weight of evidence of a hypothesis, a log likelihood ratio: a perfect fit of 2 s has 52, a fit with
+    9 cm needs 9 s for the same. Chosen on benchmarks/short_networks.py."""
     max_queries: Count = 300
     """Positions whose neighbours are counted at most: the standard error of a share is below 3 %."""
     neighbour_radius: Positive = 0.4
@@ -303,7 +305,7 @@ class ClockMountingSettings(StrictModel):
     """The search for clock offsets, and for scanners that are mounted upside-down."""
 
     max_clock_offset: Positive = 1.0
-    """Largest clock offset that is searched, s: clocks set by hand, or drivers that stamp messages on arrival.
+    """Maximum clock offset that is searched, s: clocks set by hand, or drivers that stamp messages on arrival.
     Within it, people take different steps; beyond, they often walk where they have just been."""
     max_named_offset: Positive = 5.0
     """The same for scanners without any pair, s: offsets up to it are named, but not corrected."""
@@ -320,7 +322,7 @@ class ClockMountingSettings(StrictModel):
     """Weight of evidence from which a pair is not searched, if clocks and mountings are those expected. Over 372
     pairs of simulated offices, labs and halls, the correct clock and mounting always had the most evidence."""
     min_lateral_spread: Positive = 0.3
-    """Least standard deviation of matched positions across their main direction for that, m: mirrored tracks are
+    """Minimum standard deviation of matched positions across their main direction for that, m: mirrored tracks are
     then off by 0.6 m, far more than the distance of two people who are taken for one."""
     clock_noise: Positive = 0.005
     """Standard deviation of errors of a pair's clock offset that its covariance does not contain, s: in those

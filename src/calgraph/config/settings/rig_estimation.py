@@ -33,7 +33,7 @@ class VarianceComponentSettings(StrictModel):
     stated_noise_weight: float = Field(default=3.0, gt=0)
     """Weight of the stated noise, in degrees of freedom: rig.yaml is right to a factor of about 1.5."""
     min_noise_ratio: float = Field(default=0.01, gt=0, le=1)
-    """Least noise over the stated one: a noise of zero, as of detections without noise, would be singular."""
+    """Minimum noise over the stated one: a noise of zero, as of detections without noise, would be singular."""
     fisher_ridge: float = Field(default=0.01, gt=0)
     """Relative ridge on the Fisher matrix: two sensors determine the sum of their variances only, and the step
     along the difference is zero."""
@@ -45,7 +45,8 @@ class VarianceComponentSettings(StrictModel):
     of ``noise_tolerance``."""
     min_redundancy: float = Field(default=1e-3, gt=0, lt=1)
     """Directions that the other views check with less than this redundancy number (Baarda) do not enter the test
-    for outliers, nor that of priors: an error there hardly shows, and the statistic would amplify rounding."""
+    for outliers, nor that of priors: an error there has little effect, and the statistic would amplify
+    rounding."""
     max_outlier_share: float = Field(default=0.5, gt=0, lt=1)
     """A sensor that would lose a larger share of its views keeps them: where most views are outliers, the model of
     the sensor is wrong instead."""
@@ -67,21 +68,21 @@ class OutlineSettings(StrictModel):
     """Observations of the board's outline by scanners. Distances in m."""
 
     max_beam_spacing: float = Field(default=0.05, gt=0)
-    """Largest distance of the two beams of an edge on the board's plane: their standard deviation is 14 mm, five
+    """Maximum distance of the two beams of an edge on the board's plane: their standard deviation is 14 mm, five
     times that of the usual spacing."""
     max_side_distance: float = Field(default=0.06, gt=0)
-    """Largest distance of an edge from its side: four standard deviations of the coarsest edge; farther ones are
+    """Maximum distance of an edge from its side: four standard deviations of the coarsest edge; farther ones are
     of an arm or a stand."""
     min_corner_distance: float = Field(default=0.04, ge=0)
-    """Least distance of an edge from the corners: three standard deviations of the coarsest edge; nearer, its
+    """Minimum distance of an edge from the corners: three standard deviations of the coarsest edge; nearer, its
     side is ambiguous."""
     min_cosine: float = Field(default=0.1, gt=0, lt=1)
-    """Least cosine of incidence (84°) of either beam: an error of 1 mrad moves a flatter one by more than 10 mm a
-    metre of range along the board."""
+    """Minimum cosine of incidence (84°) of either beam: an error of 1 mrad moves a flatter one by more than 10 mm
+    a metre of range along the board."""
     blur: float = Field(default=0.002, gt=0)
-    """Least standard deviation of an edge: boards are cut, and beams collimated, no more sharply."""
+    """Minimum standard deviation of an edge: boards are cut, and beams collimated, no more sharply."""
     min_view_bias: float = Field(default=0.008, ge=0)
-    """Least standard deviation of the bias of a view's edges, m: a scanner measures the board up to anywhere
+    """Minimum standard deviation of the bias of a view's edges, m: a scanner measures the board up to anywhere
     within the footprint of a beam, 9 mm of 3 mrad at 3 m. Edges fit each other better than this within a view; on
     the real VLP-16 (benchmarks/subsets.py), 2 mm make poses from different captures differ by 1.8 of the stated
     variance, 5 mm by 1.2, 10 mm by 1.0."""
@@ -94,16 +95,16 @@ class BoardRegistrationSettings(StrictModel):
     """Registration of boards that no camera detected to their edges in scans. Distances in m."""
 
     min_points: int = Field(default=6, ge=3)
-    """Least number of edges of a board: its pose in the plane has three parameters."""
+    """Minimum number of edges of a board: its pose in the plane has three parameters."""
     max_distance: float = Field(default=0.05, gt=0)
     """Distances of edges from the outline are truncated at this: three standard deviations of the coarsest."""
     max_mean_distance: float = Field(default=0.02, gt=0)
-    """Largest mean distance of edges from an accepted outline: edges between beams 5 cm apart have 12 mm."""
+    """Maximum mean distance of edges from an accepted outline: edges between beams 5 cm apart have 12 mm."""
     ambiguity_ratio: float = Field(default=1.5, gt=1)
-    """Least ratio of the mean distances of any other rotation and the best one: outlines of nearly square boards
+    """Minimum ratio of the mean distances of any other rotation and the best one: outlines of nearly square boards
     are ambiguous."""
     min_rotation_apart: float = Field(default=math.radians(20), gt=0)
-    """Least difference of other rotations, rad (20°): smaller ones belong to the same minimum."""
+    """Minimum difference of other rotations, rad (20°): smaller ones belong to the same minimum."""
 
 
 class SystematicParameterSettings(StrictModel):
@@ -114,21 +115,21 @@ class SystematicParameterSettings(StrictModel):
     (Huber, "Robust statistics", 1981, section 4.8): the deviation from which a finding names the error. Priors
     describe usual hardware, but distortion that is left out, or tags of another size, is ten times as far off."""
     min_ring_gap: float = Field(default=math.radians(0.1), gt=0)
-    """Least gap between the elevations of two rings of a 3-D scanner, rad (0.1°): the closest rings of scanners
+    """Minimum gap between the elevations of two rings of a 3-D scanner, rad (0.1°): the closest rings of scanners
     with 128 of them are 0.11° apart, and the elevations of one ring have no gaps."""
     max_rings: int = Field(default=32, ge=2)
-    """Largest number of ring biases of a scanner; neighbouring rings of scanners with more share one. The mean
+    """Maximum number of ring biases of a scanner; neighbouring rings of scanners with more share one. The mean
     bias of m rings is smaller by the root of m, and the time of a solution grows with the square of the number."""
 
 
 class ExtrapolationSettings(StrictModel):
-    """Linearizations of views that are extrapolated to nearby states instead of computed anew."""
+    """Linearizations of views that are extrapolated to nearby states instead of computed again."""
 
     max_residual_change: float = Field(default=0.3, ge=0)
-    """Largest root mean square change of the residuals of any view, in standard deviations: the error is of second
+    """Maximum root mean square change of the residuals of any view, in standard deviations: the error is of second
     order in it. 0 linearizes at every state."""
     max_rotation: float = Field(default=0.01, ge=0, lt=1)
-    """Largest rotation of a board, rad (0.6°): ranges change by its square, 1e-4, beyond first order."""
+    """Maximum rotation of a board, rad (0.6°): ranges change by its square, 1e-4, beyond first order."""
     max_cost_ratio: float = Field(default=20.0, ge=0)
     """The solution is linearized exactly if the cost fell by more than this multiple of the solver's tolerance
     since the last exact linearization: extrapolation is exact to second order below."""
@@ -141,7 +142,7 @@ class RigEstimationSettings(StrictModel):
     """Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
     information."""
     min_incidence_cosine: float = Field(default=0.05, gt=0, lt=1)
-    """Least cosine between a beam and the board's normal (87°), at which smaller ones are truncated: ranges at
+    """Minimum cosine between a beam and the board's normal (87°), at which smaller ones are truncated: ranges at
     grazing incidence are not linear in the pose."""
     max_steps: int = Field(default=50, ge=1)
     """Limit on steps of a solution, which states whether it converged: most take fewer than 10, and 0.3 %

@@ -110,7 +110,7 @@ def _test_model(
 
 def _describe_scatter(scatter: Scatter, names: Sequence[str], settings: NetworkModelSettings) -> Finding:
     return Finding(
-        f"what parts of the recording contribute to the poses scatters {np.sqrt(scatter.ratio):.1f} times as much "
+        f"contributions of parts of the recording to the poses scatter {np.sqrt(scatter.ratio):.1f} times as much "
         f"as noise explains (p = {scatter.p:.0e}), by which standard deviations are enlarged: people are not as "
         "modelled, or clocks or ranges are wrong",
         tuple(names),

@@ -65,7 +65,7 @@ def find_moved_scanners(
 def find_displaced_nodes(
     T_root_node: Array, difference: Array, covariance: Array, false_alarm_probability: float, max_sets: int
 ) -> tuple[int, ...]:
-    """The smallest set of nodes whose displacement explains a difference of poses; the likeliest of that size.
+    """The smallest set of nodes whose displacement explains a difference of poses; the most likely of its size.
 
     A moved node adds an unknown displacement to its difference; the root, whose frame all poses are in, to all of
     them. A set explains the difference if the squared Mahalanobis distance of the remainder is below the χ²

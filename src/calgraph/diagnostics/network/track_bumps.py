@@ -98,7 +98,8 @@ def find_track_bump(
     """The most significant step among the scanners that too little background was measured of to test them.
 
     The size of the step is significant at a false alarm rate for all scanners and times together (Bonferroni), and
-    most positions that can tell agree with it on either side: those of people who are confused with others do not.
+    most positions that distinguish both poses agree with it on either side: those of people who are confused with
+    others do not.
 
     Args:
         tracked: by scanner.
@@ -198,7 +199,7 @@ def _refine_step(
 
 
 def _locate_step(matches: _Matches, before: Array, after: Array, settings: TrackBumpSettings) -> tuple[int, int]:
-    """The last tick before and the first one after a step between two poses, as far as positions can tell."""
+    """The last tick before and the first one after a step between two poses, as far as positions show."""
     tick = matches.tick[matches.first]
     errors = [np.minimum(matches.nearest(T), settings.max_distance) ** 2 for T in (before, after)]
     total = np.cumsum(np.append(0.0, errors[0] - errors[1]))
@@ -207,7 +208,7 @@ def _locate_step(matches: _Matches, before: Array, after: Array, settings: Track
 
 
 def _agree(matches: _Matches, pose: Array, other: Array, settings: TrackBumpSettings) -> bool:
-    """Whether most positions that can tell two poses are nearer to those of other scanners under the first."""
+    """Whether most positions that distinguish two poses are nearer to those of other scanners under the first."""
     with_pose, with_other = matches.nearest(pose), matches.nearest(other)
     telling = np.minimum(with_pose, with_other) < settings.max_distance
     telling &= np.abs(with_pose - with_other) > settings.min_difference

@@ -221,7 +221,7 @@ def _explain_unconnected(
         if name not in connected
     }
     if not captures.detections[rig.root]:
-        # Then no sensor can be connected, whatever it detected.
+        # Then no sensor can be connected.
         of_root = f"the root {rig.root} {_explain_no_pair(rig.root, captures, pairs)}"
         return {name: f"{reason}; {of_root}" for name, reason in reasons.items()}
     return reasons

@@ -25,7 +25,7 @@ class Bump:
     """A step in the pose of a sensor between two of its captures."""
 
     sensors: tuple[str, ...]
-    """The sensor; several if the captures cannot tell which of them moved."""
+    """The sensor; several if the captures do not determine which of them moved."""
     before: tuple[int, ...]
     """Captures in which it detected the board before the step,"""
     after: tuple[int, ...]
@@ -44,7 +44,7 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[Bump, ...]:
     """Sensors whose pose changed between two captures, the most significant change first.
 
     A score test of all sensors and times, with the variances of the solution, selects one step. As these variances
-    contain the effect of the step, they are estimated anew with it, which selects again; then it is tested by its
+    contain the effect of the step, they are estimated again with it, which selects again; then it is tested by its
     covariance. All detections take part that are unambiguous, as those after a bump may be outliers of the
     solution without it. Further steps are searched beside those that were found.
 

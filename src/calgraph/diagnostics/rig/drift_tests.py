@@ -89,7 +89,7 @@ class DriftStatistics:
 def measure_drifts(solved: SolvedBundle, settings: DiagnosticsSettings) -> DriftStatistics:
     """The statistics of a solution.
 
-    Its variances contain the effect of drifts: where one may be significant, they are estimated anew beside them.
+    Its variances contain the effect of drifts: where one may be significant, they are estimated again with them.
     """
     bundle, state = solved.bundle, solved.minimized.state
     order = np.unique(solved.captures, return_inverse=True)[1]

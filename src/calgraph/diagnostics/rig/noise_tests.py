@@ -35,7 +35,7 @@ def find_excessive_noise(
         settings: the limits.
     """
     for name, noise in solution.noise.items():
-        # Several captures that all err make a sensor weak, and the root all others.
+        # Errors of several captures make a sensor weak, and those of the root all others.
         weak = tuple(solution.T_root_sensor) if name == next(iter(solution.T_root_sensor)) else (name,)
         if noise.scale > settings.max_noise_ratio:
             yield Finding(

@@ -35,7 +35,7 @@ class PoseStep:
     """A step in the pose of a sensor."""
 
     sensors: tuple[str, ...]
-    """The sensor; several if the views cannot tell which of them moved."""
+    """The sensor; several if the views do not determine which of them moved."""
     before: Index
     """Boards of its views before the step,"""
     after: Index

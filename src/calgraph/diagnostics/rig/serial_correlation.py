@@ -1,7 +1,7 @@
 """Serial correlation: errors that successive captures have in common.
 
-Variances of noise and view bias assume captures that err independently. A board that hardly moves between captures
-looks the same to lenses, clocks and shutters, whose errors are then the same as well.
+Variances of noise and view bias assume that errors of captures are independent. If the board moves little between
+captures, errors of lenses, clocks and shutters are the same in successive captures.
 """
 
 import numpy as np

@@ -18,7 +18,7 @@ Legs = Sequence[tuple[LegObservations, LegPath]]
 
 # Standard deviation of Gaussian noise as a multiple of its median absolute value.
 _MEDIAN_TO_SIGMA = 1.4826
-# Beams of a greater leverage determine the path: their residuals say nothing.
+# Beams of a greater leverage determine the path: their residuals have no information.
 _MAX_LEVERAGE = 0.7
 # Beams whose range changes faster with their offset from the centre are near the edge, and not used.
 _MAX_SLOPE = 1.0

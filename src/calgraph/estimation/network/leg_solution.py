@@ -1,7 +1,7 @@
 """The joint solution of a network whose scanners measure people's legs.
 
-Each leg is a body of its own. Legs are tracked through the views of all scanners under approximate poses; in every
-round, beams are associated anew with the nearest leg, under the poses and clocks of the round before.
+Each leg is a separate body. Legs are tracked through the views of all scanners under approximate poses; in every
+round, beams are associated again with the nearest leg, under the poses and clocks of the round before.
 """
 
 from collections.abc import Callable, Sequence

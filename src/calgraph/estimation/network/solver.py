@@ -2,7 +2,7 @@
 
 A body is an ellipse whose position and heading follow a spline. Residuals are ranges along the beams, each at its
 time of measurement. Given the scanners, bodies are independent, and the equations of a path are banded: each body
-is eliminated on its own, which leaves a small dense problem over scanners, however long the recording.
+is eliminated separately, which leaves a small dense problem over scanners, however long the recording.
 """
 
 from collections.abc import Sequence

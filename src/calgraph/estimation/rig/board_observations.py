@@ -65,7 +65,7 @@ def add_unambiguous_detections(
     """The boards with detections that no pair has as inliers, in order of captures.
 
     Added are detections that are the only one of a sensor in a capture, or the only one of a camera of one of the
-    rig's boards. They join the board that most sensors detected in the capture, or make a board of their own.
+    rig's boards. They join the board that most sensors detected in the capture, or make a new board.
 
     Args:
         boards: of the pairs' inliers.
