@@ -69,9 +69,8 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         graph=render_graph(calibration, words),
         edges=render_edge_table(calibration, words),
         poses=render_pose_table(calibration),
-        about_residuals=words.residuals_caption,
         errors=render_residual_pictures(calibration, rig, words),
-        residuals=render_histograms(calibration)
+        residuals=render_histograms(calibration, words)
         + render_distances(calibration, words)
         + render_cross_validation(calibration),
         view_title=words.view_title,

@@ -13,12 +13,13 @@ _MAX_RESIDUAL = 5.0
 _BIN_WIDTH = 0.25
 
 
-def render_histograms(calibration: Calibration) -> str:
-    """One histogram for each kind of residual."""
+def render_histograms(calibration: Calibration, words: Vocabulary) -> str:
+    """One histogram of whitened residuals for each kind."""
     kinds = [(kind, np.ravel(values)) for kind, values in calibration.evidence.residuals.items()]
     if not any(np.isfinite(values).any() for _, values in kinds):
         return _render_rms(calibration)
-    return '<div class="grid">' + "".join(_render_histogram(i, *kind) for i, kind in enumerate(kinds)) + "</div>"
+    drawn = "".join(_render_histogram(i, *kind) for i, kind in enumerate(kinds))
+    return f'<h3>Whitened residuals</h3><p>{words.residuals_caption}</p><div class="grid">{drawn}</div>'
 
 
 def _render_rms(calibration: Calibration) -> str:

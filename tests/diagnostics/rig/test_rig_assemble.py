@@ -119,6 +119,15 @@ def test_a_row_states_why_its_detection_was_not_used(detected: DetectedRig) -> N
     assert row(calibration, 2, "camera").used
 
 
+def test_a_sensor_without_a_relative_pose_has_no_outliers(detected: DetectedRig) -> None:
+    pairs = all_pairs(detected, {}) | {
+        names: Rejected("too few captures") for names in RESIDUALS if "laser_front" in names
+    }
+    calibration = assemble(detected, pairs, {"camera": "lidar"})
+    reasons = {r.reason for r in calibration.evidence.captures if r.sensor == "laser_front"}
+    assert reasons == {"no relative pose of it and another sensor was estimated"}
+
+
 def test_edges_count_shared_captures_and_inliers(detected: DetectedRig) -> None:
     partial = replace(detected, captures=without(detected.captures, {(1, "laser_front"): "no line"}))
     pairs = all_pairs(partial, {("lidar", "camera"): (0, 3)}) | {

@@ -53,6 +53,7 @@ def assemble_rig(
     connected = tree.T_root_sensor
     estimates = [e for e in select_successful(pairs) if e.sensor_a in connected and e.sensor_b in connected]
     used = {view: r for view, r in _used_residuals(estimates, solution).items() if view not in solution.rejected}
+    paired = {name for estimate in estimates for name in (estimate.sensor_a, estimate.sensor_b)}
     kinds = {name: rig.sensors[name].kind for name in connected}
     findings: list[InputFinding | Finding] = [
         *captures.findings,
@@ -88,7 +89,7 @@ def assemble_rig(
             tolerance=rig.tolerance,
             edges=tuple(_assemble_edge(names, pair, tree, captures) for names, pair in pairs.items()),
             captures=tuple(
-                _assemble_row(hold, name, captures, used, solution)
+                _assemble_row(hold, name, captures, used, solution, paired)
                 for hold in captures.holds
                 for name in rig.sensors
             ),
@@ -185,8 +186,14 @@ def _ends(pair: PairwiseEstimate, row: Sequence[int]) -> tuple[Node, Node]:
 
 
 def _assemble_row(
-    hold: Hold, name: str, captures: CaptureSet, used: InlierResiduals, solution: RigSolution
+    hold: Hold,
+    name: str,
+    captures: CaptureSet,
+    used: InlierResiduals,
+    solution: RigSolution,
+    paired: Collection[str],
 ) -> CaptureRow:
+    """The use of one sensor in one capture; those paired have a relative pose to another sensor."""
     residual, reason = None, ""
     if (hold.index, name) in used:
         # A returned detection has no match with a sensor of which RANSAC found no relative pose.
@@ -196,6 +203,8 @@ def _assemble_row(
         reason = captures.rejections[hold.index, name]
     elif (hold.index, name) in solution.rejected:
         reason = solution.rejected[hold.index, name]
+    elif name not in paired:
+        reason = "no relative pose of it and another sensor was estimated"
     elif any(hold.index in found for other, found in captures.detections.items() if other != name):
         reason = "outlier with respect to the other sensors"
     else:
