@@ -53,6 +53,17 @@ RIG_KEYS: Mapping[str, tuple[str, Any, str]] = {
     "no target": ("target", None, "target: is missing .*calgraph board prints"),
     "a pattern as target": ("target.kind", "checkerboard", "must be one of board, people, cylinder"),
     "people for a robot": ("target", {"kind": "people"}, "only 2-D scanners .lidar2d. track people, got camera"),
+    "a cylinder in mm": (
+        "target",
+        {"kind": "cylinder", "diameter": 500},
+        "diameter: is in m and must be 5 or less",
+    ),
+    "axes of people in cm": (
+        "target",
+        {"kind": "people", "axes": [25, 15]},
+        "is in m and must be 5 or less, got 25",
+    ),
+    "a cylinder without diameter": ("target", {"kind": "cylinder"}, "target.diameter: is missing"),
     "one topic for two sensors": ("sensors.laser_front.topic", "/lidar/points", "is also that of lidar"),
     "no sensors": ("sensors", {}, "sensors: must not be empty"),
     "background that ends first": ("capture.background", [2.5, 0], "must end after it starts"),

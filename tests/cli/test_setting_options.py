@@ -8,9 +8,11 @@ from typing import get_args
 import pytest
 from click.testing import Result
 
-from calgraph.cli.setting_options import SetOption, override_settings
+from calgraph.cli.setting_options import SetOption, list_settings, override_settings
 from calgraph.config import Rig, load_rig
+from calgraph.config.settings import Settings
 from calgraph.errors import InputError
+from test_settings import leaves
 
 Run = Callable[..., Result]
 RIG = Rig.model_validate({
@@ -58,3 +60,7 @@ def test_calibrate_writes_what_it_used(simulated: Path, run: Run, tmp_path: Path
     assert run(*arguments, "--set", "captures.min_hold=0.6").exit_code == 0
     assert load_rig(tmp_path / "out/rig.resolved.yaml").settings.captures.min_hold == 0.6
     assert run(*arguments, "--set", "captures.min_hald=0.6").exit_code == 2
+
+
+def test_every_setting_is_offered_for_completion() -> None:
+    assert list(list_settings()) == [name for name, _ in leaves(Settings)]

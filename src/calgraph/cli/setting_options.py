@@ -1,10 +1,11 @@
 """The option ``--set``, which overrides single settings of a rig.yaml."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import BaseModel
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
@@ -14,11 +15,27 @@ from calgraph.config.settings import Settings
 from calgraph.errors import InputError
 from calgraph.io.yaml_reading import validate_content
 
+
+def list_settings(model: type[BaseModel] = Settings, above: str = "") -> Iterator[str]:
+    """The keys of all settings, such as ``captures.min_hold``."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from list_settings(field.annotation, f"{above}{name}.")
+        else:
+            yield above + name
+
+
+def _complete(incomplete: str) -> list[str]:
+    """What a shell offers for the option."""
+    return [f"{key}=" for key in list_settings() if key.startswith(incomplete)]
+
+
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
+        autocompletion=_complete,
         help="Override a setting, such as captures.min_hold=2; repeatable. docs/settings.md lists all.",
         rich_help_panel=TUNING,
     ),
