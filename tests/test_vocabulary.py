@@ -94,8 +94,9 @@ def is_allowed(path: Path, around: str) -> bool:
 
 def replaceable(text: str) -> dict[str, str]:
     """Expressions of a text that have a standard term, with the words around them, and the term."""
+    text = " ".join(text.split())
     return {
-        " ".join(text[max(0, match.start() - 30) : match.end() + 30].split()): instead
+        text[max(0, match.start() - 30) : match.end() + 30]: instead
         for words, instead in STANDARD_TERMS.items()
         for match in re.finditer(rf"\b(?:{words})\b", text, re.IGNORECASE)
     }

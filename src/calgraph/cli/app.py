@@ -49,15 +49,14 @@ def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
 COMMANDS = {
     name: LazyCommand(f"calgraph.cli.{name}", name, summary)
     for name, summary in {
-        "calibrate": "Find the relative poses of all sensors of a rig or network.",
+        "calibrate": "Estimate the relative poses of all sensors of a rig or network.",
         "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
         "check": "Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and "
         "axis, and why.",
-        "verify": "Check whether the covariances of a rig's calibration hold, by a bootstrap over its captures.",
+        "verify": "Test the covariances of a rig's calibration by a bootstrap over its captures.",
         "demo": "Simulate a five-sensor robot, calibrate it, and compare with the ground truth.",
         "init": "Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure.",
-        "board": "Make a printable board: a PDF at true scale, and on stdout the target: that rig.yaml needs "
-        "for it.",
+        "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.",
         "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",
@@ -102,7 +101,7 @@ def calgraph(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Find where cameras, laser scanners and LiDARs are, relative to each other, from one recording."""
+    """Estimate the extrinsics of cameras, laser scanners and LiDARs from one recording."""
     logging.basicConfig(level=logging.WARNING, format="calgraph: %(message)s", force=True)
     if verbose:
         log_steps()

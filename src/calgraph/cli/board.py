@@ -59,14 +59,14 @@ def board_options(
         str | None,
         typer.Option(metavar="PAPER", help="Spread the board over pages of this paper, to be joined."),
     ] = None,
-    overlap: Annotated[float, typer.Option(metavar="MM", help="Of pages to be joined.")] = 10.0,
+    overlap: Annotated[float, typer.Option(metavar="MM", help="Overlap of pages to be joined, mm.")] = 10.0,
     into: Annotated[
         Path | None,
-        typer.Option(metavar="RIG", help="Put the target: into this rig.yaml, too, replacing the one in it."),
+        typer.Option(metavar="RIG", help="Also replace the target: of this rig.yaml."),
     ] = None,
     **options: Any,
 ) -> None:
-    """Make a printable board: a PDF at true scale, and on stdout the target: that rig.yaml needs for it.
+    """Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.
 
     Print at 100 %, check the rulers on the print, and glue it to something flat and stiff.
     """

@@ -74,7 +74,7 @@ def calibrate(
         Path | None,
         typer.Option(
             metavar="OLD",
-            help="People: add to this calibration.yaml instead of starting over.",
+            help="People: combine with this earlier calibration.yaml.",
             rich_help_panel=EARLIER,
         ),
     ] = None,
@@ -82,7 +82,7 @@ def calibrate(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="People: has moved since OLD: estimate it again; repeatable.",
+            help="People: scanner that has moved since OLD, whose pose is estimated again; repeatable.",
             rich_help_panel=EARLIER,
         ),
     ] = None,
@@ -92,7 +92,7 @@ def calibrate(
         typer.Option(
             min=0,
             metavar="N",
-            help="Board: parts in which captures are left out for cross-validation; 0: none.",
+            help="Board: number of folds of the cross-validation; 0: none.",
             rich_help_panel=TUNING,
         ),
     ] = 5,
@@ -102,7 +102,7 @@ def calibrate(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Board: write what the solution is made from, for solve.",
+            help="Board: write the input of the joint solution to FILE, for calgraph solve.",
             rich_help_panel=TUNING,
         ),
     ] = None,
@@ -120,7 +120,7 @@ def calibrate(
         typer.Option(
             "--filter",
             metavar=list_choices(FilterChoice),
-            help="Use the matches that agree, or all (the paper compares).",
+            help="Matches of pairs: inliers of RANSAC, or all (compared in the paper).",
             rich_help_panel=PAPERS,
         ),
     ] = "ransac",
@@ -128,7 +128,7 @@ def calibrate(
         StartChoice,
         typer.Option(
             metavar=list_choices(StartChoice),
-            help="Board: start of the joint solution; all but tree and identity use every pair.",
+            help="Board: start poses of the joint solution; all but tree and identity use every pair.",
             rich_help_panel=PAPERS,
         ),
     ] = "tree",
@@ -136,7 +136,7 @@ def calibrate(
         TagsChoice,
         typer.Option(
             metavar=list_choices(TagsChoice),
-            help="A camera's plane: from all corners, or averaged over tags (the paper).",
+            help="Board's plane in a camera: PnP over all corners, or mean over tags (the paper).",
             rich_help_panel=PAPERS,
         ),
     ] = "pnp",
@@ -144,7 +144,7 @@ def calibrate(
         FeatureChoice,
         typer.Option(
             metavar=list_choices(FeatureChoice),
-            help="People: follow centre of mass, direct ellipse, or ellipse of fixed radii.",
+            help="People: centre of an object: centroid, direct ellipse fit, or ellipse of fixed radii.",
             rich_help_panel=PAPERS,
         ),
     ] = "nls",
@@ -152,7 +152,7 @@ def calibrate(
         AverageChoice,
         typer.Option(
             metavar=list_choices(AverageChoice),
-            help="People: how pairs become poses; all but consensus are published.",
+            help="People: averaging of pairwise poses; all but consensus are published methods.",
             rich_help_panel=PAPERS,
         ),
     ] = "consensus",
@@ -165,15 +165,18 @@ def calibrate(
         ),
     ] = "weighted",
     icp: Annotated[
-        bool, typer.Option("--icp/--no-icp", help="People: match walls, too.", rich_help_panel=PAPERS)
+        bool,
+        typer.Option(
+            "--icp/--no-icp", help="People: also register static backgrounds (walls).", rich_help_panel=PAPERS
+        ),
     ] = True,
 ) -> None:
-    """Find the relative poses of all sensors of a rig or network.
+    """Estimate the relative poses of all sensors of a rig or network.
 
     Writes calibration.yaml, report.html, captures.csv, residuals.csv, scene.npz and rig.resolved.yaml into OUT.
 
-    Exit code 0: calibrated; 1: a sensor could not be, or is weak and --strict is given (results are written all
-    the same); 2: bad input.
+    Exit code 0: calibrated; 1: a sensor is not calibrated, or is weak and --strict is given (results are written
+    nevertheless); 2: invalid input.
     """
     from calgraph import calibrate as story  # takes seconds, which --help should not
 

@@ -52,12 +52,12 @@ def check(
         tuple[float, float] | None,
         typer.Option(
             metavar="M DEG",
-            help="What may be off without harm, m and degrees. [default: that of RIG.yaml, or 0.01 0.3]",
+            help="Acceptable errors, m and degrees. [default: that of RIG.yaml, or 0.01 0.3]",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the calibration found."),
+        typer.Option("--out", "-o", metavar="OUT", help="Folder for check.json, and the estimated calibration."),
     ] = None,
     force: ForceOption = False,
     seed: SeedOption = 0,
@@ -66,12 +66,12 @@ def check(
 ) -> None:
     """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
 
-    A sensor fails along an axis where FILE is off by more than the tolerance
-    and than chance explains. Warnings: significant, but within the tolerance;
-    or the recording is too weak to decide. Of a network, the fewest scanners that
-    explain what is off are named as moved: a minute of ordinary traffic does.
+    A sensor fails along an axis if the error of FILE exceeds the tolerance and is
+    significant. Warnings: a significant error within the tolerance, or a recording
+    that does not decide. Of a network, the smallest set of scanners whose movement
+    explains the differences is named: a minute of ordinary traffic is sufficient.
 
-    Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: bad input.
+    Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: invalid input.
     """
     if out:
         check_not_overwriting(out, [*RESULT_FILES, "check.json"], force=force)

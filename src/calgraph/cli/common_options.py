@@ -11,7 +11,7 @@ from calgraph.errors import InputError
 
 EVERYDAY, EARLIER, TUNING, PAPERS = (
     "Everyday",
-    "Poses that are known",
+    "Prior poses, earlier results",
     "Tuning",
     "Methods of the papers, for comparison",
 )
@@ -49,7 +49,7 @@ StrictOption = Annotated[
 SeedOption = Annotated[
     int,
     typer.Option(
-        min=0, metavar="N", help="Of the random samples: same seed, same result.", rich_help_panel=TUNING
+        min=0, metavar="N", help="Seed of random samples: same seed, same result.", rich_help_panel=TUNING
     ),
 ]
 JobsOption = Annotated[

@@ -24,7 +24,7 @@ def demo(
         Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for recording and results.")
     ] = Path("demo"),
     force: ForceOption = False,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of the simulated robot and its noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the simulated robot and its noise.")] = 0,
 ) -> None:
     """Simulate a five-sensor robot, calibrate it, and compare with the ground truth.
 

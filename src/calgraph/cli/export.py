@@ -52,7 +52,7 @@ def export(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="kalibr: rig with the cameras' intrinsics; rig.resolved.yaml beside RESULT if left out.",
+            help="kalibr: rig with the cameras' intrinsics; rig.resolved.yaml next to RESULT if left out.",
         ),
     ] = None,
     force: Annotated[

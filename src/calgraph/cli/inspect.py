@@ -29,7 +29,7 @@ def inspect(
     Of a recording: counts, rates, gaps, frames, clocks, and anomalies. Of a result, the folder that calibrate
     wrote: version, command, inputs, and poses.
 
-    Exit code 2: it is damaged; what could be read is shown.
+    Exit code 2: the recording is damaged; the readable part is shown.
     """
     if (recording / "calibration.yaml").is_file():
         show_result(load_calibration(recording / "calibration.yaml"), json=json)

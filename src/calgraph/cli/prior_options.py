@@ -29,7 +29,7 @@ DeviationOption = Annotated[
     typer.Option(
         "--prior-stddev",
         metavar="M DEG",
-        help="Of --prior's positions and rotations, m and degrees; 0 0: exact. A calibration.yaml contains them.",
+        help="Standard deviations of prior poses, m and degrees; 0 0: exact. A calibration.yaml contains them.",
         rich_help_panel=EARLIER,
     ),
 ]

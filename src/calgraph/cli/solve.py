@@ -40,7 +40,7 @@ def solve(
         typer.Option(
             min=0,
             metavar="N",
-            help="Parts in which captures are left out for cross-validation; as calibrate did.",
+            help="Number of folds of the cross-validation; that of calibrate if left out.",
             rich_help_panel=TUNING,
         ),
     ] = None,
@@ -49,7 +49,7 @@ def solve(
         typer.Option(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
-            help="Solution in the measured units, or the paper's; as calibrate did if left out.",
+            help="Bundle, or the paper's hypergraph; that of calibrate if left out.",
             rich_help_panel=PAPERS,
         ),
     ] = None,
@@ -58,15 +58,15 @@ def solve(
         typer.Option(
             "--filter",
             metavar=list_choices(FilterChoice),
-            help="Use the matches that agree, or all; as calibrate did if left out.",
+            help="Inliers of pairs, or all matches; those of calibrate if left out.",
             rich_help_panel=PAPERS,
         ),
     ] = None,
 ) -> None:
     """Repeat the joint solution from the problem that calibrate --dump wrote.
 
-    Writes the same files as calibrate into OUT; with the same options and on the same machine, to the last bit,
-    but for images, scans and clouds, of which there are none.
+    Writes the files of calibrate into OUT, without images, scans and clouds. With the same options and on the same
+    machine, they are bit-identical.
 
     Exit codes are those of calibrate.
     """

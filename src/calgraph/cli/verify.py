@@ -35,16 +35,16 @@ def verify(
         typer.Argument(metavar="DUMP | RIG.yaml RECORDING...", help="As for calibrate; or what --dump wrote."),
     ],
     rounds: Annotated[int, typer.Option(metavar="N", min=20, help="Number of bootstrap rounds.")] = 200,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the draws: same seed, same result.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the draws: same seed, same result.")] = 0,
     overrides: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Check whether the covariances of a rig's calibration hold, by a bootstrap over its captures.
+    """Test the covariances of a rig's calibration by a bootstrap over its captures.
 
-    The rig is solved again from as many captures, drawn with replacement. How far each sensor's pose scatters, by
-    axis, is compared with its standard deviation. The intervals of all ratios hold together with 95 %.
+    The rig is solved again from captures drawn with replacement. The scatter of each sensor's pose along each axis
+    is compared with its standard deviation. The intervals of all ratios hold jointly with 95 %.
 
-    Exit code 0: no covariance is optimistic; 1: one is, or a sensor could not be calibrated; 2: bad input.
+    Exit code 0: no covariance is optimistic; 1: one is, or a sensor could not be calibrated; 2: invalid input.
     """
     from calgraph.calibrate import bootstrap_covariances  # takes seconds, which --help should not
 

@@ -15,9 +15,7 @@ from calgraph.result import calibrated_cameras, load_calibration, load_scene
 
 def view(
     result: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that calibrate wrote.")],
-    port: Annotated[
-        int, typer.Option(metavar="N", min=1, max=65535, help="The first free one from this on is used.")
-    ] = 8080,
+    port: Annotated[int, typer.Option(metavar="N", min=1, max=65535, help="Port, or the next free one.")] = 8080,
     host: Annotated[
         str, typer.Option(help="Address to serve at; 0.0.0.0: also for other machines.")
     ] = "127.0.0.1",
