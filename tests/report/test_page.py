@@ -186,6 +186,13 @@ def test_the_first_lines_of_a_good_result_name_the_next_step(calibration: Calibr
     assert "All poses can be used. Next: calgraph export" in words
 
 
+def test_the_first_lines_count_many_sensors(calibration: Calibration, rig: Rig) -> None:
+    lost = {f"sonar_{k}": "detected no board" for k in range(9)}
+    evidence = dataclasses.replace(calibration.evidence, unconnected=lost)
+    words = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig)).words
+    assert "Do not rely on 10 sensors . Their cards state why" in words
+
+
 def test_a_remark_that_is_on_a_card_is_not_repeated(calibration: Calibration, rig: Rig) -> None:
     reason = next(s.verdict.reason for s in calibration.sensors if s.name == "laser_low")
     evidence = dataclasses.replace(calibration.evidence, remarks=(reason, "the clock jumped"))

@@ -125,3 +125,28 @@ def test_a_network_has_its_ranges_over_time_in_bins(network: Calibration, networ
     over_time = trace(figures["errors-1-2"], "RMS")
     assert len(over_time["x"]) == 40
     np.testing.assert_allclose(over_time["y"], 10, rtol=0.6)
+
+
+def test_many_sensors_are_collapsed_and_bounded(network: Calibration, network_rig: Rig) -> None:
+    rng = np.random.default_rng(0)
+    scanners = tuple(
+        dataclasses.replace(network.sensors[1], name=f"scanner_{k}", parent="hall") for k in range(60)
+    )
+    beams = tuple(
+        BeamView(one.name, np.linspace(0, 60, 900), rng.uniform(2, 8, (900, 2)), rng.normal(0, 0.01, 900))
+        for one in scanners
+    )
+    large = dataclasses.replace(
+        network,
+        sensors=(network.sensors[0], *scanners),
+        joint_covariance=np.zeros((6 * 61, 6 * 61)),
+        pictures=dataclasses.replace(network.pictures, beam_views=beams),
+    )
+    html = render_residual_pictures(large, network_rig, NETWORK_VOCABULARY)
+    assert html.count("<details>") == 60
+    figures = {n: json.loads(d) for n, d in re.findall(r'data-for="([^"]+)">(.*?)</script>', html, re.DOTALL)}
+    assert len(figures) == 180
+    assert max(len(one["data"][0]["x"]) for one in figures.values()) < 24_000 / 60
+    # Means are of all residuals.
+    assert sum(one["x"] is not None for one in figures["errors-1-0"]["data"]) >= 3
+    assert len(html) < 6_000_000

@@ -26,8 +26,12 @@ from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.result.residuals_file import capture_times
 from calgraph.sensors import CameraModel
 
-# Largest number of points of a figure; bins of a mean, and fewest residuals of a bin.
-_MAX_POINTS, _BINS, _MIN_IN_BIN = 1200, 16, 8
+# Largest number of points of a figure, and of one figure of each sensor in all, which bound the size of the page.
+_MAX_POINTS, _MAX_POINTS_IN_ALL = 1200, 24_000
+# With more sensors than this their figures are collapsed.
+_MAX_EXPANDED = 12
+# Bins of a mean, and fewest residuals of a bin.
+_BINS, _MIN_IN_BIN = 16, 8
 # Times that are drawn one by one, as captures are; more are binned.
 _MAX_TIMES = 80
 # Smallest drawn length of the median reprojection error, relative to the image width.
@@ -50,6 +54,8 @@ class _Residuals:
     """(N, 2) px of a camera; (N, 3) of a scanner in its frame, m."""
     error: Array
     """(N, 2) px, or (N, 1) mm."""
+    shown: slice
+    """Rows that are drawn one by one."""
     unused: Array
     """(M, 2) corners of a camera that the joint solution did not use, px; of a scanner none."""
 
@@ -57,15 +63,22 @@ class _Residuals:
 def render_residual_pictures(calibration: Calibration, rig: Rig, words: Vocabulary) -> str:
     """Three figures for each sensor; empty where the result has no residuals in their units."""
     cameras = calibrated_cameras(calibration, rig)
-    shown = ""
-    for k, sensor in enumerate(calibration.sensors):
-        residuals = _collect(calibration, sensor)
-        if residuals is not None:
-            shown += _render_sensor(f"errors-{k}", sensor, residuals, cameras.get(sensor.name))
-    return f"<p>{words.errors_caption}</p>{shown}" if shown else ""
+    limit = min(_MAX_POINTS, _MAX_POINTS_IN_ALL // len(calibration.sensors))
+    shown = [
+        _render_sensor(
+            f"errors-{k}",
+            sensor,
+            residuals,
+            cameras.get(sensor.name),
+            collapsed=len(calibration.sensors) > _MAX_EXPANDED,
+        )
+        for k, sensor in enumerate(calibration.sensors)
+        if (residuals := _collect(calibration, sensor, limit)) is not None
+    ]
+    return f"<p>{words.errors_caption}</p>{''.join(shown)}" if shown else ""
 
 
-def _collect(calibration: Calibration, sensor: SensorPose) -> _Residuals | None:
+def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Residuals | None:
     times = capture_times(calibration)
     parts = [
         (np.full(len(view.measured), times.get(view.capture, np.nan)), view.measured, view.residuals)
@@ -89,10 +102,14 @@ def _collect(calibration: Calibration, sensor: SensorPose) -> _Residuals | None:
     ]
     if not finite.any():
         return None
-    return _Residuals(time[finite], points[finite], error[finite], np.concatenate([np.zeros((0, 2)), *unused]))
+    corners = np.concatenate([np.zeros((0, 2)), *unused])
+    shown = _thin(int(finite.sum()), limit)
+    return _Residuals(time[finite], points[finite], error[finite], shown, corners[_thin(len(corners), limit)])
 
 
-def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: CameraModel | None) -> str:
+def _render_sensor(
+    name: str, sensor: SensorPose, of: _Residuals, camera: CameraModel | None, *, collapsed: bool
+) -> str:
     size = float(np.sqrt(np.mean(np.sum(of.error**2, axis=1))))
     if of.error.shape[1] == 2:
         facts = f"reprojection error {format_significant(size)} px RMS"
@@ -109,9 +126,9 @@ def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: Camera
         planar = not np.ptp(z)
         angle = np.degrees(np.arctan2(y, x) if planar else np.arctan2(z, np.hypot(x, y)))
         figures = [
-            ("Over range", _over(np.linalg.norm(of.points, axis=1), of.error[:, 0], "range, m", "mm")),
+            ("Over range", _over(np.linalg.norm(of.points, axis=1), of.error[:, 0], of.shown, "range, m", "mm")),
             (f"Over {'azimuth' if planar else 'elevation'}",
-             _over(angle, of.error[:, 0], "azimuth, °" if planar else "elevation, °", "mm")),
+             _over(angle, of.error[:, 0], of.shown, "azimuth, °" if planar else "elevation, °", "mm")),
         ]  # fmt: skip
     figures.append(("Over time", _over_time(of)))
     title = escape_html(sensor.name)
@@ -119,12 +136,15 @@ def _render_sensor(name: str, sensor: SensorPose, of: _Residuals, camera: Camera
         f"<div><h4>{caption}</h4>{render_figure(f'{name}-{i}', figure, _HEIGHT, f'{title}: {caption}')}</div>"
         for i, (caption, figure) in enumerate(figures)
     )
-    return f"<h3>{title}</h3><p class='facts'>{facts}</p><div class='grid errors'>{cells}</div>"
+    grid = f"<div class='grid errors'>{cells}</div>"
+    if collapsed:
+        return f"<details><summary>{title}: {facts}</summary>{grid}</details>"
+    return f"<h3>{title}</h3><p class='facts'>{facts}</p>{grid}"
 
 
 def _scatter(of: _Residuals) -> Figure:
     """Reprojection errors in x and y, coloured by time."""
-    rows = _thin(len(of.error))
+    rows = of.shown
     sigma = float(np.sqrt(np.mean(of.error**2)))
     limit = max(float(np.max(np.abs(of.error))), _CIRCLES[-1] * sigma) * 1.08
     axis = {**_axis("", tick=True), "range": [-limit, limit]}
@@ -149,7 +169,7 @@ def _scatter(of: _Residuals) -> Figure:
 
 def _over_image(of: _Residuals, camera: CameraModel, factor: int) -> Figure:
     """Reprojection errors as enlarged lines from the predicted corners."""
-    rows = _thin(len(of.error))
+    rows = of.shown
     start = of.points[rows] - of.error[rows]
     lines = np.stack([start, start + factor * of.error[rows], np.full_like(start, np.nan)], axis=1).reshape(-1, 2)
     size = np.linalg.norm(of.error[rows], axis=1)
@@ -161,7 +181,7 @@ def _over_image(of: _Residuals, camera: CameraModel, factor: int) -> Figure:
         "text": [format_significant(float(value)) for value in size],
         "hovertemplate": "%{text} px at %{x:.0f}, %{y:.0f}<extra></extra>",
     }  # fmt: skip
-    unused = _dots(*of.unused[_thin(len(of.unused))].T) | {
+    unused = _dots(*of.unused.T) | {
         "name": "not used", "showlegend": len(of.unused) > 0,
         "marker": {"symbol": "x-thin", "size": 5, "line": {"width": 1, "color": VERMILION}},
     }  # fmt: skip
@@ -178,12 +198,11 @@ def _over_radius(of: _Residuals, camera: CameraModel) -> Figure:
     offset = of.points - of.error - (np.array([camera.width, camera.height]) - 1) / 2
     radius = np.linalg.norm(offset, axis=1)
     outwards = np.sum(of.error * offset, axis=1) / np.maximum(radius, 1e-9)
-    return _over(radius, outwards, "distance from the image centre, px", "px")
+    return _over(radius, outwards, of.shown, "distance from the image centre, px", "px")
 
 
-def _over(x: Array, error: Array, title: str, unit: str) -> Figure:
+def _over(x: Array, error: Array, rows: slice, title: str, unit: str) -> Figure:
     """Residuals over a quantity, with the mean and the standard deviation in each bin."""
-    rows = _thin(len(error))
     dots = _dots(x[rows], error[rows]) | {"marker": {"size": 3, "color": MUTED, "opacity": 0.35}}
     centers, means, deviations = _bin(x, error)
     return _finish(
@@ -242,8 +261,8 @@ def _symmetric_limits(error: Array) -> list[float]:
     return [-limit, limit]
 
 
-def _thin(count: int) -> slice:
-    return slice(None, None, count // _MAX_POINTS + 1)
+def _thin(count: int, limit: int) -> slice:
+    return slice(None, None, count // limit + 1)
 
 
 def _dots(x: Array, y: Array) -> dict[str, Any]:

@@ -19,6 +19,10 @@ _BADGES = {
 """CSS class, sign and word for each grade: colour is never the only indication."""
 
 
+# More sensors than this are counted, not listed, in the first lines.
+_MAX_NAMES = 8
+
+
 def summarize_verdicts(calibration: Calibration) -> str:
     """One sentence on the overall result."""
     grades = [s.verdict.grade for s in calibration.sensors if s.parent is not None]
@@ -74,6 +78,8 @@ def describe_next_step(calibration: Calibration) -> str:
 
 
 def _list_names(names: Sequence[str]) -> str:
+    if len(names) > _MAX_NAMES:
+        return f"<b>{len(names)} sensors</b>"
     return ", ".join(f"<b>{escape_html(name)}</b>" for name in names)
 
 

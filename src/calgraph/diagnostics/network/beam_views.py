@@ -10,8 +10,8 @@ from calgraph.geometry import Array
 from calgraph.result import BeamView, FitError
 from calgraph.result.evidence import rms
 
-# Beams of a scanner that are kept: more do not change what a picture shows.
-_MAX_BEAMS = 3000
+# Beams that are kept of a scanner, and in all: more do not change what a picture shows.
+_MAX_BEAMS, _MAX_BEAMS_IN_ALL = 3000, 60_000
 
 
 def collect_beam_views(
@@ -29,6 +29,7 @@ def collect_beam_views(
     by_scanner: dict[int, list[Array]] = {}
     for beams in list_beam_residuals(joint.solved.problem, joint.solved.state):
         by_scanner.setdefault(beams.scans.scanner, []).append(_inlier_rows(beams))
+    limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(len(by_scanner), 1))
     views, fit = [], {}
     for scanner, parts in sorted(by_scanner.items()):
         rows = np.concatenate(parts)
@@ -36,7 +37,7 @@ def collect_beam_views(
         if error is not None:
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
             fit[names[scanner]] = FitError(len(rows), "m", error)
-            rows = rows[:: len(rows) // _MAX_BEAMS + 1]
+            rows = rows[:: len(rows) // limit + 1]
             times = rows[:, 0] - float(joint.clock_offset[scanner]) - start
             views.append(BeamView(names[scanner], times, rows[:, 1:3], rows[:, 3]))
     return tuple(views), fit
