@@ -204,3 +204,17 @@ def test_a_clock_that_rests_on_people_on_one_line_is_named() -> None:
     assert found.on_a_line == (delayed,)
     assert resolve([delayed, pair("a", "c"), pair("b", "c", clock=-0.4)]).on_a_line == ()
     assert resolve([pair("a", "b", spread=0.2)]).on_a_line == ()
+
+
+def test_pairs_that_disagree_enlarge_the_deviations_of_clocks() -> None:
+    """A cycle that misses by 60 ms: each pair by 20 ms, of which 12 ms are expected, on one degree of freedom."""
+    stddev = np.sqrt(0.012**2 - 0.005**2)
+    settings = ScannerPairSettings().clock_mounting
+
+    def deviation(misclosure: float) -> float:
+        pairs = [pair("a", "b", clock=misclosure, stddev=stddev), pair("b", "c", stddev=stddev),
+                 pair("a", "c", stddev=stddev)]  # fmt: skip
+        return float(average_clocks(("a", "b", "c"), pairs, settings)[1, 1])
+
+    assert deviation(0.01) == pytest.approx(deviation(0.0), rel=0.2)
+    assert deviation(0.06) > 2.5 * deviation(0.0)

@@ -77,9 +77,24 @@ def average_clocks(
     node = {name: k for k, name in enumerate(names)}
     used = _best_of_pairs([h for h in hypotheses if np.isfinite(h.clock_stddev)])
     tree = _spanning_tree(len(node), node, used)
-    clocks = np.column_stack(_average_clocks(len(node), node, used, tree, settings))
+    offset, stddev = _average_clocks(len(node), node, used, tree, settings)
+    clocks = np.column_stack([offset, np.sqrt(_variance_factor(node, used, offset, len(tree), settings)) * stddev])
     clocks[clocks[:, 1] == 0] = np.nan
     return clocks
+
+
+def _variance_factor(
+    node: Mapping[str, int],
+    used: Sequence[ClockMountingHypothesis],
+    offset: Array,
+    unknowns: int,
+    settings: ClockMountingSettings,
+) -> float:
+    """Mean squared residual over its expectation, of offsets that cycles test; at least 1."""
+    if len(used) <= unknowns:
+        return 1.0
+    residuals = [_residual(h, node, offset) / np.hypot(h.clock_stddev, settings.clock_noise) for h in used]
+    return max(float(np.sum(np.square(residuals))) / (len(used) - unknowns), 1.0)
 
 
 def _best_of_pairs(hypotheses: Sequence[ClockMountingHypothesis]) -> tuple[ClockMountingHypothesis, ...]:
