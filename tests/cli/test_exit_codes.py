@@ -39,3 +39,13 @@ def test_a_weak_pose_is_refused_where_the_user_is_strict() -> None:
 def test_a_sensor_without_a_pose_is_named_with_its_reason() -> None:
     with pytest.raises(CalibrationError, match=r"^camera is not calibrated: detected nothing$"):
         fail_if_not_calibrated(calibration("good", {"camera": "detected nothing"}))
+
+
+def test_sensors_without_a_pose_for_the_same_reason_are_named_together() -> None:
+    lost = {"camera": "detected nothing", "laser_2": "has no messages", "lidar_2": "detected nothing"}
+    with pytest.raises(CalibrationError) as error:
+        fail_if_not_calibrated(calibration("good", lost))
+    assert str(error.value).splitlines() == [
+        "camera, lidar_2 are not calibrated: detected nothing",
+        "laser_2 is not calibrated: has no messages",
+    ]

@@ -218,6 +218,10 @@ def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibrati
             "Check the target in rig.yaml",
         ),
         ("detected the board in 2 captures, but lidar: 3 are needed", "Record more captures in which both it"),
+        (
+            "detected the board in 2 captures, but …; the root lidar detected it in none",
+            "Nothing can be connected",
+        ),
     ],
 )
 def test_advice_for_an_unconnected_sensor_follows_its_reason(
@@ -226,6 +230,14 @@ def test_advice_for_an_unconnected_sensor_follows_its_reason(
     evidence = dataclasses.replace(calibration.evidence, unconnected={"sonar": reason})
     page = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig))
     assert f"{reason[1:]}. {advice}" in page.words
+
+
+def test_sensors_without_a_pose_for_the_same_reason_share_a_card(calibration: Calibration, rig: Rig) -> None:
+    lost = {"sonar": "detected no board", "radar": "has no messages", "lamp": "detected no board"}
+    evidence = dataclasses.replace(calibration.evidence, unconnected=lost)
+    page = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig))
+    assert "sonar, lamp ✕ not connected Detected no board" in page.words
+    assert page.count("article", "lost") == 2
 
 
 def test_next_captures_are_collapsed_where_all_poses_are_good(calibration: Calibration, rig: Rig) -> None:

@@ -277,7 +277,10 @@ def fail_if_not_calibrated(calibration: Calibration, *, strict: bool = False) ->
     Raises:
         CalibrationError: there is one.
     """
-    missing = [f"{name} is not calibrated: {reason}" for name, reason in calibration.evidence.unconnected.items()]
+    missing = [
+        f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not calibrated: {reason}"
+        for reason, names in calibration.evidence.unconnected_by_reason.items()
+    ]
     grades = {sensor.name: sensor.verdict.grade for sensor in calibration.sensors}
     missing += [
         f"{name} is not calibrated: its pose is not observable"

@@ -84,7 +84,7 @@ def _list_names(names: Sequence[str]) -> str:
 
 
 def render_cards(calibration: Calibration, words: Vocabulary) -> str:
-    """A card for each sensor, those that need attention first."""
+    """A card for each sensor, those that need attention first; one for all without a pose for the same reason."""
     order = {"unobservable": 0, "weak": 1, "good": 2}
     sensors = sorted(
         (sensor for sensor in calibration.sensors if sensor.parent is not None),
@@ -92,8 +92,8 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
     )
     advice = words.advice
     shown = [
-        *(_render_card("unconnected", name, {}, _explain_unconnected(why, advice))
-          for name, why in calibration.evidence.unconnected.items()),
+        *(_render_card("unconnected", ", ".join(names), {}, _explain_unconnected(why, advice))
+          for why, names in calibration.evidence.unconnected_by_reason.items()),
         *(_render_card(
             s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
             s.verdict.reason or advice.get(s.verdict.grade, ""), KIND_NAMES[s.kind])
@@ -147,8 +147,11 @@ def _explain_unconnected(reason: str, advice: Mapping[str, str]) -> str:
     """Why a sensor has no pose, and what to do."""
     if not reason:
         return advice["unconnected"]
-    # Reasons of sensors with detections name what is missing with the others.
-    next_step = advice["unconnected" if ", but " in reason else "undetected"]
+    if "the root " in reason:
+        next_step = advice["root"]
+    else:
+        # Reasons of sensors with detections name what is missing with the others.
+        next_step = advice["unconnected" if ", but " in reason else "undetected"]
     return f"{reason}. {next_step}"
 
 

@@ -77,6 +77,7 @@ not overlap.""",
 Frames with x, y, z axes in red, green and blue; drag to rotate, scroll to zoom, click in the legend to hide. An
 ellipsoid contains the sensor's true position with 95 % probability; long axes are clipped.""",
     advice={
+        "root": "Nothing can be connected without the root: record captures in its view, or state another root.",
         "weak": "Record more captures with the board at other angles, heights and distances.",
         "unconnected": "Record more captures in which both it and a sensor with a pose detect the board.",
         "undetected": "Check the target in rig.yaml against the board that was used, and in the thumbnails below "
@@ -123,6 +124,7 @@ Measurements of all scanners in the root frame: points are the static background
 tracks of two colours that do not coincide indicate a wrong pose. Arrows are the scanners' x axes. Drag to zoom,
 double-click to reset, click in the legend to hide a scanner.""",
     advice={
+        "root": "Nothing can be connected without the root: let people walk in its view, or state another root.",
         "weak": "Let people walk longer paths in several directions where its view overlaps with others.",
         "unconnected": "Let people walk longer where its view and that of another scanner with a pose overlap.",
         "undetected": "Check its topic and its mounting, and let people walk where its view and others overlap.",

@@ -173,6 +173,12 @@ class Evidence:
     initial_poses: Mapping[str, Array] = field(default_factory=dict)
     """(4, 4) ``T_root_sensor`` at the start of a network's joint solution; empty in a result read back."""
 
+    @property
+    def unconnected_by_reason(self) -> dict[str, tuple[str, ...]]:
+        """The names of unconnected sensors that have the same reason."""
+        reasons = dict.fromkeys(self.unconnected.values())
+        return {why: tuple(name for name, one in self.unconnected.items() if one == why) for why in reasons}
+
     def __post_init__(self) -> None:
         if not self.residual_rms:
             by_kind = {kind: rms(values) for kind, values in self.residuals.items()}
