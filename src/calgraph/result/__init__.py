@@ -21,9 +21,8 @@ from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorVie
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
-from calgraph.result.sensor_pose import SensorPose, Verdict
+from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.result.snapshots import Snapshot
-from calgraph.result.stated_pose import StatedPose
 from calgraph.result.table import to_dataframe
 
 __all__ = [

@@ -17,8 +17,7 @@ from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.provenance import InputFile, Provenance
-from calgraph.result.sensor_pose import SensorPose, Verdict
-from calgraph.result.stated_pose import StatedPose
+from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.

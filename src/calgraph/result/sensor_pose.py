@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.result.stated_pose import StatedPose
 
 Grade = Literal["good", "weak", "unobservable"]
 
@@ -19,6 +18,20 @@ class Verdict:
     reason: str = ""
     """Which directions are weak, in words, and what would fix them; of a good pose, where it is from if not from
     this recording."""
+
+
+@dataclass(frozen=True)
+class StatedPose:
+    """Height and tilt of a scanner, which a network does not measure."""
+
+    height: float | None = None
+    """Of the scanner's origin above the floor, m; None where it is not stated."""
+    roll: float = 0.0
+    """Rotation about the levelled x axis of the scanner, rad; without the 180° of one mounted upside-down."""
+    pitch: float = 0.0
+    """Rotation about its levelled y axis, after the roll, rad."""
+    inverted: bool = False
+    """Whether it is mounted upside-down."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,34 +1,18 @@
 """What rig.yaml states of the poses of a network's scanners beyond what is measured: height, roll and pitch."""
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from calgraph.geometry import Array, se3, so3
-
-if TYPE_CHECKING:
-    from calgraph.result.calibration import Calibration
+from calgraph.result.calibration import Calibration
+from calgraph.result.sensor_pose import StatedPose
 
 # A rotation by 180° about x.
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-@dataclass(frozen=True)
-class StatedPose:
-    """Height and tilt of a scanner, which a network does not measure."""
-
-    height: float | None = None
-    """Of the scanner's origin above the floor, m; None where it is not stated."""
-    roll: float = 0.0
-    """Rotation about the levelled x axis of the scanner, rad; without the 180° of one mounted upside-down."""
-    pitch: float = 0.0
-    """Rotation about its levelled y axis, after the roll, rad."""
-    inverted: bool = False
-    """Whether it is mounted upside-down."""
-
-
-def apply_stated_poses(calibration: "Calibration") -> "Calibration":
+def apply_stated_poses(calibration: Calibration) -> Calibration:
     """The calibration with the stated heights, rolls and pitches in its poses, for programs that need all axes.
 
     The height of a scanner relative to the root is zero unless both are stated.
