@@ -139,7 +139,7 @@ def _render_sensor(
     grid = f"<div class='grid errors'>{cells}</div>"
     if collapsed:
         return f"<details><summary>{title}: {facts}</summary>{grid}</details>"
-    return f"<h3>{title}</h3><p class='facts'>{facts}</p>{grid}"
+    return f"<div class='of-sensor'><h3>{title}</h3><p class='facts'>{facts}</p>{grid}</div>"
 
 
 def _scatter(of: _Residuals) -> Figure:
