@@ -59,6 +59,18 @@ def test_errors_over_the_image_are_enlarged_by_the_stated_factor(pictured: Calib
     np.testing.assert_allclose(np.sqrt(np.mean(lengths**2)), stated * np.sqrt(2) * PIXEL, rtol=0.15)
 
 
+def test_corners_over_the_image_have_the_direction_of_their_error(pictured: Calibration, rig: Rig) -> None:
+    def shift(view: BoardView) -> BoardView:
+        return dataclasses.replace(view, residuals=np.tile([0.0, 3.0], (len(view.measured), 1)))
+
+    views = tuple(shift(v) if v.sensor == "camera" else v for v in pictured.pictures.board_views)
+    dots = drawn(with_views(pictured, views), rig)["errors-1-1"]["data"][-1]["marker"]
+    # Image y points down.
+    assert set(dots["color"]) == {90.0}
+    labels = dict(zip(dots["colorbar"]["tickvals"], dots["colorbar"]["ticktext"], strict=True))
+    assert labels[90] == "down"
+
+
 def test_a_wrong_focal_length_is_a_radial_error(pictured: Calibration, rig: Rig) -> None:
     def stretch(view: BoardView) -> BoardView:
         assert view.residuals is not None

@@ -10,8 +10,10 @@ from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.report.figures import (
     BLUE,
+    GREEN,
     MUTED,
     ORANGE,
+    PINK,
     RULE,
     VERMILION,
     Figure,
@@ -40,8 +42,9 @@ _HEIGHT = 300
 _CONSTANT_DOTS = {"itemsizing": "constant"}
 # Radii of the circles in a scatter, standard deviations of one coordinate.
 _CIRCLES = (1, 3)
-# Colours from the begin to the end of the recording.
+# Colours from the begin to the end of the recording, and of directions.
 _TIME_SCALE = "Viridis"
+_CYCLIC_SCALE = [[0, BLUE], [0.25, GREEN], [0.5, ORANGE], [0.75, PINK], [1, BLUE]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,15 +171,17 @@ def _scatter(of: _Residuals) -> Figure:
 
 
 def _over_image(of: _Residuals, camera: CameraModel, factor: int) -> Figure:
-    """Reprojection errors as enlarged lines from the predicted corners."""
+    """Reprojection errors as enlarged lines from the predicted corners, which are coloured by their direction."""
     rows = of.shown
     start = of.points[rows] - of.error[rows]
     lines = np.stack([start, start + factor * of.error[rows], np.full_like(start, np.nan)], axis=1).reshape(-1, 2)
     size = np.linalg.norm(of.error[rows], axis=1)
+    direction = np.degrees(np.arctan2(of.error[rows, 1], of.error[rows, 0]))
     dots = _dots(*start.T) | {
         "marker": {
-            "size": 3, "color": size, "colorscale": "YlOrRd", "reversescale": True, "cmin": 0,
-            "colorbar": {"title": {"text": "px"}, "thickness": 8, "outlinewidth": 0, "x": 1.02},
+            "size": 4, "color": direction, "colorscale": _CYCLIC_SCALE, "cmin": -180, "cmax": 180,
+            "colorbar": {"tickvals": [-180, -90, 0, 90], "ticktext": ["left", "up", "right", "down"],
+                         "thickness": 8, "outlinewidth": 0, "x": 1.02},
         },
         "text": [format_significant(float(value)) for value in size],
         "hovertemplate": "%{text} px at %{x:.0f}, %{y:.0f}<extra></extra>",
@@ -186,7 +191,7 @@ def _over_image(of: _Residuals, camera: CameraModel, factor: int) -> Figure:
         "marker": {"symbol": "x-thin", "size": 5, "line": {"width": 1, "color": VERMILION}},
     }  # fmt: skip
     return _finish(
-        [unused, _line(lines[:, 0], lines[:, 1], BLUE, "errors", legend=False), dots | {"showlegend": False}],
+        [unused, _line(lines[:, 0], lines[:, 1], MUTED, "errors", legend=False), dots | {"showlegend": False}],
         {**_axis("x, px"), "range": [-0.5, camera.width - 0.5], "constrain": "domain"},
         {**_axis("y, px"), "range": [camera.height - 0.5, -0.5], "scaleanchor": "x", "constrain": "domain"},
         legend=len(of.unused) > 0,

@@ -59,8 +59,9 @@ estimated.""",
     errors_caption="""\
 Measured minus predicted by the joint solution, of all measurements that it used: reprojection errors of printed
 corners, and distances of beam ends from the board, positive beyond it. They should scatter about zero without a
-pattern. A pattern over the image, or a radial error, indicates the lens or the print; a slope over range a range
-scale; a dependence on elevation single rings; a step or drift over time a sensor that moved.""",
+pattern. Regions of one direction (colour) in the image, or a radial error, indicate the lens or the print; a
+slope over range a range scale; a dependence on elevation single rings; a step or drift over time a sensor that
+moved.""",
     residuals_caption="""\
 Residuals of the joint solution, each divided by its predicted standard deviation. With correct noise they
 follow the standard normal distribution (dotted) and have an RMS of 1; an RMS above 1 means that the noise is
