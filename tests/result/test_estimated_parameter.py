@@ -48,13 +48,6 @@ def test_deviation_is_in_prior_standard_deviations() -> None:
     assert TAG_ROTATION.deviation == pytest.approx(-1.75)
 
 
-@pytest.mark.parametrize(("one", "share"), [(BIAS, 1 - 0.02**2), (FOCAL, 0.75), (K3, 0.0), (TAG_Y, 0.0)])
-def test_learned_is_the_share_of_the_prior_variance_that_the_data_removed(
-    one: EstimatedParameter, share: float
-) -> None:
-    assert one.learned == pytest.approx(share)
-
-
 @pytest.mark.parametrize(
     ("one", "shown"),
     [

@@ -29,11 +29,6 @@ class EstimatedParameter:
         return (self.value - self.stated) / self.prior
 
     @property
-    def learned(self) -> float:
-        """Share of the prior variance that the data removed: 0 where the prior decides, 1 where the data do."""
-        return 1 - min(self.stddev / self.prior, 1.0) ** 2
-
-    @property
     def formatted(self) -> tuple[str, str, str, str, str]:
         """Stated value, prior, value, standard deviation and unit, for display: mm and degrees, not m and rad.
 
