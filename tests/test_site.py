@@ -13,7 +13,17 @@ from playwright.sync_api import Browser, sync_playwright
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = ("_build", "gallery", "generated", "__pycache__")
-PAGES = ("index", "quickstart", "recording", "troubleshooting", "method", "library", "api", "gallery/rig")
+PAGES = (
+    "index",
+    "quickstart",
+    "recording",
+    "troubleshooting",
+    "method",
+    "comparison",
+    "library",
+    "api",
+    "gallery/rig",
+)
 EXAMPLES = sorted(path.stem for path in (ROOT / "docs" / "examples").glob("*.py"))
 
 
