@@ -109,3 +109,8 @@ def test_stillness_needs_a_fast_sensor() -> None:
     recording = timeline(slow=times(0, 60, 1.0, 1.0))
     with pytest.raises(CalibrationError, match="never rests"):
         find_holds(recording, Capture())
+
+
+def test_a_trigger_topic_without_messages_is_named() -> None:
+    with pytest.raises(CalibrationError, match=r"the topic /go has no message: check capture\.trigger"):
+        find_holds(timeline([], fast=times(0, 30, 0.05)), Capture(trigger="/go"))

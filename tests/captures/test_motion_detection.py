@@ -45,3 +45,22 @@ def test_a_moved_board_changes_a_cloud(rng: np.random.Generator) -> None:
     moved = meter.measure_change(PointCloud(0.0, "", np.vstack([wall, board + np.array([0.5, 0, 0])])))
     assert same == 0
     assert moved > 0.03
+
+
+def test_a_message_without_returns_is_no_motion(rng: np.random.Generator) -> None:
+    points = rng.uniform(-5, 5, (500, 3))
+    angles, ranges = np.linspace(-1, 1, 50), np.full(50, 3.0)
+    nearer = np.where(angles > 0, 1.0, 3.0)
+    meter = ActivityMeter()
+    clouds = [points, np.zeros((0, 3)), points, points + np.array([1.0, 0.0, 0.0])]
+    changes = [meter.measure_change(PointCloud(float(k), "", p)) for k, p in enumerate(clouds)]
+    assert changes[:3] == [0.0, 0.0, 0.0]
+    assert changes[3] > 0.3
+    meter = ActivityMeter()
+    scans = [ranges, np.full(50, np.nan), ranges, nearer]
+    assert [meter.measure_change(LaserScan(float(k), "", angles, r)) for k, r in enumerate(scans)] == [
+        0,
+        0,
+        0,
+        0.5,
+    ]

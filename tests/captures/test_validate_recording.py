@@ -91,3 +91,19 @@ def test_the_background_window_lies_in_the_recording(first: float, wrong: bool) 
         return
     with pytest.raises(InputError, match=rf"\[{first:g}, {first + 5:g}\] s .* recording, which is 60\.0 s long"):
         check_timeline(checked, timeline(), 160.0)
+
+
+@pytest.mark.parametrize("order", [1.0, -1.0])
+def test_snapshots_of_one_pose_need_no_common_time(order: float) -> None:
+    """One message of each sensor: 11 ms between them are no other clock, and more than the longest gap are."""
+    single = {name: times(np.array([100.0])) for name in ("left", "rear")}
+    single["lidar"] = times(np.array([100.0]), "PointCloud")
+    check_timeline(rig(), timeline((), **single, front=times(np.array([100.0 + order * 0.011]))), 100.0)
+    with pytest.raises(InputError, match="their clocks differ"):
+        check_timeline(rig(), timeline((), **single, front=times(np.array([100.0 + order * 1.1]))), 100.0)
+
+
+def test_a_recording_without_messages_is_refused_by_its_topics() -> None:
+    nothing = {name: times(np.zeros(0), "") for name in ("lidar", "front", "left", "rear")}
+    with pytest.raises(InputError, match=r"no message of any sensor \(/points, /front, /left, /rear\): .*inspect"):
+        check_timeline(rig(background=[0.0, 5.0]), timeline((), **nothing), 100.0)

@@ -145,6 +145,19 @@ def test_repeated_scans_are_averaged(rng: np.random.Generator) -> None:
     assert np.sqrt(ratio) == pytest.approx(0.25, rel=0.2)
 
 
+def test_scans_without_any_return_change_nothing() -> None:
+    rng = np.random.default_rng(3)
+    full = [measure(rng) for _ in range(3)]
+    empty = LaserScan(0.0, "scanner", ANGLES, np.full(len(ANGLES), np.nan))
+    none = LaserScan(0.0, "scanner", np.zeros(0), np.zeros(0))
+    [expected, found] = [
+        accepted(find_segments(scans, [BOARD], NOISE, None, np.random.default_rng(5)))[0]
+        for scans in (full, [empty, none, *full, empty, none])
+    ]
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
+    np.testing.assert_array_equal(found.endpoints, expected.endpoints)
+
+
 def test_a_board_across_the_seam_of_a_full_turn_is_one_segment(rng: np.random.Generator) -> None:
     around = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     ends = np.array([[1.5, -0.4], [1.6, 0.5]])

@@ -330,6 +330,29 @@ def test_rejection_names_empty_clouds(rng: np.random.Generator) -> None:
     assert "0 points" in rejection(find_patches([empty], [BOARD], NOISE, None, rng))
 
 
+@pytest.mark.parametrize("order", [0, 1])
+def test_empty_clouds_change_nothing(order: int) -> None:
+    """A driver that loses packets sends clouds without points, and without rings."""
+    rng = np.random.default_rng(3)
+    full, empty = [sparse(HELD, rng) for _ in range(2)], PointCloud(0.0, "scanner", np.zeros((0, 3)))
+    mixed = [empty, full[0], empty, full[1]] if order == 0 else [full[0], empty, full[1], empty]
+    [expected, found] = [
+        accepted(find_patches(clouds, [BOARD], NOISE, None, np.random.default_rng(5))) for clouds in (full, mixed)
+    ]
+    assert len(found[0].edges) == len(expected[0].edges) > 10
+    np.testing.assert_array_equal(found[0].plane, expected[0].plane)
+    np.testing.assert_array_equal(found[0].covariance, expected[0].covariance)
+
+
+def test_a_first_cloud_with_nothing_beyond_the_sensor_itself_has_no_edges() -> None:
+    """Its only points are on the housing, nearer than any board."""
+    rng = np.random.default_rng(3)
+    housing = PointCloud(0.0, "scanner", np.full((5, 3), 0.01), np.zeros(5, np.int32))
+    patches = accepted(find_patches([housing, sparse(HELD, rng)], [BOARD], NOISE, None, rng))
+    assert len(patches[0].edges) == 0
+    assert error(patches[0])[1] < 0.005
+
+
 def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
     background = learn_cloud_background([sparse(HELD, rng) for _ in range(3)])
     reason = rejection(find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng))

@@ -121,3 +121,10 @@ def test_binning_maps_the_centre_of_four_pixels_to_one(ros: SimpleNamespace, dec
     camera = as_camera(decoded(ros.camera_info(binning_x=2, binning_y=2, k=k)))
     assert (camera.width, camera.height) == (320, 240)
     np.testing.assert_allclose(camera.K, [[250, 0, 160], [0, 255, 120], [0, 0, 1]])
+
+
+def test_a_region_smaller_than_its_binning_is_refused(ros: SimpleNamespace, decoded: Decoded) -> None:
+    with pytest.raises(RecordingError, match=r"a region of 1 x 480 pixels, binned by 2 x 1: no pixel remains"):
+        decoded(
+            ros.camera_info(binning_x=2, roi=ros.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 480, 1, False))
+        )

@@ -191,7 +191,14 @@ def test_camera_info_comes_with_the_first_image(
 
 @pytest.mark.parametrize(
     ("content", "complaint"),
-    [("[]", "keys of a CameraInfo"), ("width: 640\nheight: 480\n", "key k"), ("a: [", "camera_info.yaml")],
+    [
+        ("[]", "keys of a CameraInfo"),
+        ("width: 640\nheight: 480\n", "key k"),
+        ("a: [", "camera_info.yaml"),
+        (MESSAGE_KEYS.replace("640", "0"), "states images of 0 x 480 pixels: .* give the intrinsics in rig.yaml"),
+        (MESSAGE_KEYS.replace("480", "-1"), "states images of 640 x -1 pixels"),
+        ("width: 4\nheight: 4\nK: [.nan, 1, 2, 2]\n", "K must have 9 finite values"),
+    ],
 )
 def test_unusable_camera_info_is_an_error_with_the_reason(tmp_path: Path, content: str, complaint: str) -> None:
     put(tmp_path, "camera/4.png", png())

@@ -107,3 +107,16 @@ def test_topics_are_found_by_what_they_hold(kinds: dict[str, tuple[str, str]]) -
         "/cloud": ("lidar3d", "lidar"),
         "/flat": ("lidar2d", "laser"),
     }
+
+
+def test_stamps_a_few_milliseconds_ahead_are_of_the_same_clock(tmp_path: Path) -> None:
+    assert inspected(tmp_path, STAMPS, -0.011).findings == ()
+
+
+def test_a_recording_without_messages_is_reported(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "bag"):
+        pass
+    with open_recording(tmp_path / "bag") as recording:
+        inspection = inspect_recording(recording, lambda _: None)
+    assert (inspection.duration, inspection.topics) == (0.0, ())
+    assert inspection.damage.startswith(f"{tmp_path / 'bag'}: holds no message")

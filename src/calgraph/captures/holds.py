@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def _explain_no_holds(timeline: RecordingTimeline, capture: Capture) -> str:
 def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, float]]:
     """From each trigger until every sensor has measured twice (MSG-Cal, III), or until the next trigger."""
     spans = []
-    for start, next_trigger in zip(timeline.triggers, [*timeline.triggers[1:], np.inf], strict=True):
+    for start, next_trigger in pairwise([*timeline.triggers, np.inf]):
         measured_twice = [start]
         for times in timeline.sensors.values():
             after = np.unique(times.stamps[times.stamps >= start])

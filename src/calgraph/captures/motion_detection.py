@@ -24,7 +24,12 @@ class ActivityMeter:
         self._previous: Signature | None = None
 
     def measure_change(self, message: Message) -> float:
-        """Share of the view, in 0..1, that differs from the message before; 0 for the first."""
+        """Share of the view, in 0..1, that differs from the message before; 0 for the first.
+
+        Messages without any return are left out: they are lost data, and no motion.
+        """
+        if not _has_content(message):
+            return 0.0
         current = _compute_signature(message, self._settings)
         previous, self._previous = self._previous, current
         if previous is None:
@@ -42,6 +47,12 @@ class ActivityMeter:
         min_change = self._settings.min_range_change_ratio * np.minimum(current, previous)
         min_change = np.maximum(self._settings.min_range_change, min_change)
         return float(np.mean(np.abs(current - previous) > min_change))
+
+
+def _has_content(message: Message) -> bool:
+    if isinstance(message, PointCloud):
+        return len(message.points) > 0
+    return not isinstance(message, LaserScan) or bool(message.valid.any())
 
 
 def _compute_signature(message: Message, settings: MotionDetectionSettings) -> Signature:

@@ -25,14 +25,21 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
         end: end of the recording, s.
 
     Raises:
-        InputError: a sensor's messages are of another kind, their stamps stand still or are of another time than
-            the other sensors', the trigger is a sensor's topic, or the background window lies after the recording.
+        InputError: no sensor has a message, a sensor's messages are of another kind, their stamps stand still or
+            are of another time than the other sensors', the trigger is a sensor's topic, or the background window
+            lies after the recording.
     """
+    if not any(len(times.stamps) for times in timeline.sensors.values()):
+        topics = ", ".join(spec.topic for spec in rig.sensors.values())
+        raise InputError(
+            f"the recording holds no message of any sensor ({topics}): were the drivers running while it was "
+            "recorded? `calgraph inspect` lists what it contains"
+        )
     _check_windows(rig, end - timeline.start)
     _check_trigger(rig)
     for name in rig.sensors:
         _check_messages(name, rig, timeline)
-        _check_stamps(name, timeline)
+        _check_stamps(name, timeline, rig.settings.captures.max_snapshot_gap)
 
 
 def _check_trigger(rig: Rig) -> None:
@@ -63,7 +70,8 @@ def _check_messages(name: str, rig: Rig, timeline: RecordingTimeline) -> None:
         )
 
 
-def _check_stamps(name: str, timeline: RecordingTimeline) -> None:
+def _check_stamps(name: str, timeline: RecordingTimeline, max_gap: float) -> None:
+    """Checks the stamps of a sensor; those of one pose may lie ``max_gap``, s, apart."""
     stamps = timeline.sensors[name].stamps
     if len(stamps) > 1 and stamps[0] == stamps[-1]:
         raise InputError(
@@ -75,7 +83,7 @@ def _check_stamps(name: str, timeline: RecordingTimeline) -> None:
     if not len(stamps) or not len(other_stamps):
         return
     first, last = other_stamps.min(), other_stamps.max()
-    if stamps[-1] < first or stamps[0] > last:
+    if first - stamps[-1] > max_gap or stamps[0] - last > max_gap:
         raise InputError(
             f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
             f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ"

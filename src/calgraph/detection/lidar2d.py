@@ -62,6 +62,8 @@ def find_segments(
     """
     if not scans:
         return Rejected("no scan was measured while the board rested")
+    # A scan without any return is a lost message, and no evidence against the returns of the others.
+    scans = [scan for scan in scans if scan.valid.any()] or scans
     foreground = [scan.valid if background is None else background.foreground(scan) for scan in scans]
     scan = average_scans(scans, noise, foreground, settings.scanner)
     if scan is None:

@@ -49,6 +49,8 @@ def find_patches(
     if not clouds:
         return Rejected("no cloud was measured while the board rested")
     limits = settings.lidar3d
+    # Drivers send empty clouds where packets are lost: they hold neither rings nor edges.
+    clouds = [cloud for cloud in clouds if len(cloud.points)] or clouds
     scene = np.concatenate([cloud.points for cloud in clouds])
     rings = _join_rings(clouds)
     foreground = np.linalg.norm(scene, axis=1) > limits.min_range
@@ -297,7 +299,10 @@ def _find_edges(
     cosine = -(directions @ n)
     predicted = np.where(cosine > min_cosine, d / np.maximum(cosine, min_cosine), np.inf)
     intersections = np.minimum(predicted, np.linalg.norm(patch.center) + 2 * radius)[:, None] * directions
-    near = select_beams_with_margin(np.linalg.norm(intersections - patch.center, axis=1) < radius)
+    within = np.linalg.norm(intersections - patch.center, axis=1) < radius
+    if not within.any():
+        return np.empty((0, 2, 3))
+    near = select_beams_with_margin(within)
     # Beams of a scan line that are not consecutive are different scan lines.
     _, scan_line = np.unique(
         np.stack([lines.scan_line[near], near - np.arange(len(near))]), axis=1, return_inverse=True

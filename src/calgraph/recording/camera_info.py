@@ -23,8 +23,14 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
         D: (n,) distortion coefficients in OpenCV's order.
 
     Raises:
-        ValueError: the camera is not calibrated, or the model or a number of coefficients is not supported.
+        ValueError: the camera is not calibrated or has no image size, or the model or a number of coefficients is
+            not supported.
     """
+    if width < 1 or height < 1:
+        raise ValueError(
+            f"states images of {width} x {height} pixels: the driver does not set their size; give the intrinsics "
+            "in rig.yaml"
+        )
     matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise ValueError("K has no focal lengths: the camera is not calibrated; give its intrinsics in rig.yaml")
@@ -52,11 +58,11 @@ def camera_from_yaml(content: Mapping[str, Any]) -> CameraModel:
 
 
 def _camera_matrix(K: Array) -> Array:
+    if K.size not in (4, 9) or not np.isfinite(K).all():
+        raise ValueError(f"K must have 9 finite values, got {K.tolist()}")
     if K.size == 4:
         fx, fy, cx, cy = K
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    if K.size != 9 or not np.isfinite(K).all():
-        raise ValueError(f"K must have 9 finite values, got {K.tolist()}")
     return K.reshape(3, 3)
 
 

@@ -104,6 +104,10 @@ def _crop_and_bin(full: CameraModel, message: Any) -> CameraModel:
         return full
     # The centre of a binned pixel is the mean of the centres it covers, hence the half pixels.
     shift = np.array([[1, 0, 0.5 - roi.x_offset], [0, 1, 0.5 - roi.y_offset], [0, 0, 1]])
+    if width < x_bin or height < y_bin:
+        raise ValueError(
+            f"states a region of {width} x {height} pixels, binned by {x_bin} x {y_bin}: no pixel remains"
+        )
     scale = np.array([[1 / x_bin, 0, -0.5], [0, 1 / y_bin, -0.5], [0, 0, 1]])
     return CameraModel(full.model, width // x_bin, height // y_bin, scale @ shift @ full.K, full.distortion)
 
