@@ -1,7 +1,7 @@
 """Time and memory that ``calgraph calibrate`` takes for a recording, start of the interpreter included.
 
 python benchmarks/recording_speed.py                        # simulates five sensors, 170 s, 200 MB
-python benchmarks/recording_speed.py --rig RIG.yaml --recording DIR
+python benchmarks/recording_speed.py --rig RIG.yaml --recording DIR --jobs 1 2 4   # bits compared
 """
 
 import argparse
@@ -26,7 +26,7 @@ class Cost:
     cpu: float
     """s, user and system, of all threads."""
     peak: float
-    """Largest resident set, bytes."""
+    """Largest resident set of one process, bytes."""
 
 
 def main() -> None:
@@ -35,6 +35,7 @@ def main() -> None:
     parser.add_argument("--recording", type=Path, help="simulated if left out")
     parser.add_argument("--rig", type=Path, help="of the recording; rig.yaml beside it if left out")
     parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--jobs", type=int, nargs="+", default=[os.cpu_count() or 1], help="numbers of processes")
     arguments = parser.parse_args()
     with TemporaryDirectory() as scratch:
         if arguments.recording is None:
@@ -45,20 +46,24 @@ def main() -> None:
             length = opened.end - opened.start
         size = sum(file.stat().st_size for file in [recording, *recording.rglob("*")] if file.is_file())
         print(f"{recording}: {length:.0f} s, {size / 1e6:.0f} MB; {os.cpu_count()} cores, load {_load()}")
-        print(f"{'wall s':>8}{'of length':>11}{'CPU s':>8}{'of length':>11}{'peak MB':>9}")
-        costs = []
-        for run in range(arguments.runs):
-            costs.append(_cost_of_calibrating(rig, recording, Path(scratch) / f"result{run}"))
-            print(_row(costs[-1], length), flush=True)
+        print(f"{'jobs':>4}{'wall s':>8}{'of length':>11}{'CPU s':>8}{'of length':>11}{'peak MB':>9}")
+        costs, results = [], set()
+        for run, jobs in enumerate(arguments.jobs * arguments.runs):
+            out = Path(scratch) / f"result{run}"
+            costs.append(_cost_of_calibrating(rig, recording, out, jobs))
+            print(f"{jobs:4}{_row(costs[-1], length)}", flush=True)
+            results.add((out / "calibration.yaml").read_text().partition("\nprovenance:")[0])
+    print(f"bits of the {len(costs)} results: {'identical' if len(results) == 1 else 'DIFFERENT'}")
     best = min(costs, key=lambda cost: cost.wall)
     met = best.wall <= length / 4 and best.peak < 1.5e9
     print(f"{'within' if met else 'NOT within'} a quarter of the recording's length and 1.5 GB")
 
 
-def _cost_of_calibrating(rig: Path, recording: Path, out: Path) -> Cost:
+def _cost_of_calibrating(rig: Path, recording: Path, out: Path, jobs: int) -> Cost:
     command = [sys.executable, "-c", "from calgraph.cli import main; main()", "calibrate"]
+    command += [str(rig), str(recording), "-o", str(out), "--jobs", str(jobs)]
     began = time.perf_counter()
-    process = subprocess.Popen([*command, str(rig), str(recording), "-o", str(out)], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     # wait4 returns the usage of this one process; the sum over all children would mix the runs.
     _, status, usage = os.wait4(process.pid, 0)
     wall = time.perf_counter() - began

@@ -4,11 +4,13 @@ import math
 import multiprocessing
 import os
 import signal
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
 from calgraph.errors import CalibrationError, InputError
-from calgraph.processes import parallel_map
+from calgraph.processes import parallel_map, parallel_stream
 
 
 def refused(number: int) -> int:
@@ -41,3 +43,58 @@ def test_an_error_keeps_its_type_and_message(jobs: int) -> None:
 def test_a_killed_process_is_reported() -> None:
     with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"):
         parallel_map(killed, [(1,), (2,)], 2)
+
+
+def add_unless_three(shared: Callable[[], int], number: int) -> int:
+    if number == 3:
+        raise InputError("sensors.3: is upside down")
+    return shared() + number
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_a_stream_is_read_little_ahead_and_keeps_its_order(jobs: int) -> None:
+    read: list[int] = []
+
+    def work() -> Iterator[tuple[int]]:
+        for number in range(10, 40):
+            read.append(number)
+            yield (number,)
+
+    shared = [100, 200]
+    results = parallel_stream(add_unless_three, work(), partial(sum, shared), jobs)
+    assert next(results) == 310
+    assert len(read) == (1 if jobs == 1 else 4 * jobs)
+    assert list(results) == list(range(311, 340))
+
+
+def test_a_stream_that_is_not_read_to_its_end_leaves_no_process() -> None:
+    results = parallel_stream(add_unless_three, ((k,) for k in range(10, 100)), partial(sum, ()), 2)
+    assert [next(results), next(results)] == [10, 11]
+    results.close()  # type: ignore[attr-defined]
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize("failing", ["call", "stream"])
+def test_results_before_an_error_of_a_stream_are_kept(failing: str, jobs: int) -> None:
+    def work() -> Iterator[tuple[int]]:
+        yield (0,)
+        yield (1,)
+        if failing == "call":
+            yield (3,)
+        raise InputError("the file ends too early")
+
+    results = parallel_stream(add_unless_three, work(), partial(sum, ()), jobs)
+    assert [next(results), next(results)] == [0, 1]
+    with pytest.raises(InputError, match="upside down" if failing == "call" else "ends too early"):
+        next(results)
+    assert multiprocessing.active_children() == []
+
+
+def test_a_killed_process_of_a_stream_is_reported() -> None:
+    with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"):
+        list(parallel_stream(killed_with, ((k,) for k in range(9)), None, 2))
+
+
+def killed_with(_shared: None, number: int) -> int:
+    return killed(number)

@@ -4,7 +4,8 @@ import multiprocessing
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -13,6 +14,12 @@ from typing import Any, TypeVar
 from calgraph.errors import CalibrationError
 
 Result = TypeVar("Result")
+
+# Calls of a stream that are submitted ahead for each process: enough that short calls behind a long one keep all
+# processes busy, few enough that their arguments fit into memory.
+_SUBMITTED_PER_PROCESS = 4
+_shared: list[Any] = []
+"""In a worker: the one argument that all calls of its pool share."""
 
 
 def parallel_map(
@@ -50,6 +57,57 @@ def parallel_map(
     return [future.result() for future in futures]
 
 
+def parallel_stream(
+    function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any, jobs: int
+) -> Iterator[Result]:
+    """Calls a function once per tuple of arguments of a stream, in up to ``jobs`` processes.
+
+    The stream is read by this process, at most four calls per process ahead of the results.
+
+    Args:
+        function: defined at module level; called with ``shared`` and the arguments. Arguments and results are
+            pickled.
+        work: arguments of each call.
+        shared: first argument of all calls; pickled once per process, and not at all where processes are forked.
+        jobs: maximum number of processes; with 1 all calls run in this process.
+
+    Yields:
+        Results in the order of the work, before an error: that of the first call that fails, else of the stream.
+
+    Raises:
+        CalibrationError: a process was killed; or what ``function`` or the stream raises.
+    """
+    if jobs <= 1:
+        for arguments in work:
+            yield function(shared, *arguments)
+        return
+    with _process_pool(jobs, shared) as pool:
+        submitted: deque[Future[Result]] = deque()
+        for future in _submit_all(pool, function, work):
+            submitted.append(future)
+            if len(submitted) >= _SUBMITTED_PER_PROCESS * jobs:
+                yield _get_result(submitted.popleft())
+        while submitted:
+            yield _get_result(submitted.popleft())
+
+
+def _submit_all(
+    pool: ProcessPoolExecutor, function: Callable[..., Result], work: Iterable[tuple[Any, ...]]
+) -> Iterator[Future[Result]]:
+    """The futures of all calls; an error of the stream is the last one, so that earlier results come before it."""
+    try:
+        for arguments in work:
+            yield pool.submit(_call_with_shared, function, arguments)
+    except Exception as error:
+        failed: Future[Result] = Future()
+        failed.set_exception(error)
+        yield failed
+
+
+def _call_with_shared(function: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
+    return function(*_shared, *arguments)
+
+
 def _get_result(future: Future[Result]) -> Result:
     try:
         return future.result()
@@ -58,12 +116,12 @@ def _get_result(future: Future[Result]) -> Result:
 
 
 @contextmanager
-def _process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+def _process_pool(count: int, shared: object = None) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that is shut down when the block ends; pending work is cancelled if the block fails."""
     # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
     # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ignore_interrupts)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(shared,))
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
@@ -72,7 +130,11 @@ def _process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _ignore_interrupts() -> None:
-    """Ignores SIGINT in workers: a terminal sends it to all processes, and the parent handles it."""
+def _start_worker(shared: object) -> None:
+    """Keeps what the calls share, and ignores SIGINT.
+
+    A terminal sends SIGINT to all processes, and the parent handles it.
+    """
+    _shared[:] = [shared]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

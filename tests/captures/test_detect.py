@@ -1,7 +1,10 @@
+import multiprocessing
+import os
 from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+import pytest
 
 from calgraph.captures import (
     Hold,
@@ -13,7 +16,8 @@ from calgraph.captures import (
 )
 from calgraph.config import Board, Lidar2dSpec, Rig
 from calgraph.detection import Segment
-from calgraph.errors import Rejected
+from calgraph.errors import RecordingError, Rejected
+from calgraph.recording import MessageRecording
 from calgraph.sensors import Image, LaserScan, RecordedMessage, Trigger
 
 RIG = Rig(root="laser", target=Board(size=(1, 1)), sensors={"laser": Lidar2dSpec(kind="lidar2d", topic="/scan")})
@@ -87,6 +91,62 @@ def test_missing_messages_do_not_drop_received_ones() -> None:
         Scanner().records(), [hold], {"laser": "/scan"}, {"laser": lambda _messages: SEGMENTS}
     )
     assert result.detections == SEGMENTS
+
+
+def find_in_process(messages: Sequence[LaserScan]) -> Rejected:
+    """Names the process and what it searched."""
+    return Rejected(f"{os.getpid()}: {messages[0].ranges[0]:g}")
+
+
+def hold_at(index: int) -> Hold:
+    return Hold(index, float(index), index + 0.5, {"laser": np.array([float(index), index + 0.25])})
+
+
+def scans_of(holds: Sequence[Hold]) -> list[LaserScan]:
+    return [
+        LaserScan(stamp, "laser", np.zeros(3), np.full(3, stamp), 0.0)
+        for hold in holds
+        for stamp in hold.stamps["laser"]
+    ]
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_messages_in_memory_are_searched_by_processes_in_order(jobs: int) -> None:
+    holds = [hold_at(index) for index in range(1, 41)]
+    recording = MessageRecording({"/scan": scans_of(holds)})
+    done: list[float] = []
+    found = list(
+        detect_in_holds(
+            recording.records(), holds, {"laser": "/scan"}, {"laser": find_in_process},
+            jobs=jobs, progress=done.append,
+        )
+    )  # fmt: skip
+    reasons = [result.detections.reason.split(": ") for result in found if isinstance(result.detections, Rejected)]
+    assert [result.capture for result in found] == list(range(1, 41))
+    assert [float(searched) for _, searched in reasons] == list(range(1, 41))
+    assert done == list(range(1, 41))
+    processes = {int(process) for process, _ in reasons}
+    assert (processes == {os.getpid()}) == (jobs == 1)
+    assert len(processes) <= jobs
+
+
+def read_undamaged(scan: LaserScan) -> LaserScan:
+    if scan.stamp > 30:
+        raise RecordingError(f"/scan: stamp {scan.stamp:.2f}: is damaged")
+    return scan
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_the_first_damaged_message_is_reported_by_any_number_of_processes(jobs: int) -> None:
+    holds = [hold_at(index) for index in range(1, 41)]
+    records = [
+        RecordedMessage("/scan", scan.stamp, scan.stamp, partial(read_undamaged, scan)) for scan in scans_of(holds)
+    ]
+    results = detect_in_holds(records, holds, {"laser": "/scan"}, {"laser": find_in_process}, jobs=jobs)
+    assert [next(results).capture for _ in range(1, 30)] == list(range(1, 30))
+    with pytest.raises(RecordingError, match=r"^/scan: stamp 30\.25: is damaged$"):
+        next(results)
+    assert multiprocessing.active_children() == []
 
 
 def test_detections_and_rejections_are_sorted() -> None:

@@ -1,5 +1,6 @@
 """Boards in images drawn with known poses."""
 
+import pickle
 from collections.abc import Callable, Sequence
 
 import cv2
@@ -296,6 +297,17 @@ def test_a_board_without_a_print_is_rejected() -> None:
 def test_images_of_another_size_than_the_intrinsics_are_refused() -> None:
     with pytest.raises(InputError, match=r"is 640x480, its intrinsics are for 1280x960"):
         find_boards([image(np.zeros((480, 640), np.uint8))], [TAGGED], CAMERA, NOISE)
+
+
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
+def test_a_pickled_detector_finds_the_same(board: Board, render: Render, rng: np.random.Generator) -> None:
+    pixels = render(board, CAMERA, a_pose(), rng)
+    detector = CameraDetector([board], CAMERA, NOISE)
+    here = one(detector.find([image(pixels)]))
+    pickled = pickle.dumps(detector)
+    there = one(pickle.loads(pickled).find([image(pixels)]))  # noqa: S301 (made here)
+    np.testing.assert_array_equal(there.pixels, here.pixels)
+    np.testing.assert_array_equal(there.T_camera_board, here.T_camera_board)
 
 
 def test_boards_that_share_a_tag_are_refused() -> None:

@@ -1,3 +1,4 @@
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +39,16 @@ def scans(path: Path) -> list[tuple[str, float, float, LaserScan]]:
             for record in recording.records()
             if isinstance(scan := record.decode(), LaserScan)
         ]
+
+
+def test_records_can_be_decoded_in_another_process(three_scans: Path) -> None:
+    with open_recording(three_scans) as recording:
+        for record in recording.records():
+            here = record.decode()
+            there = pickle.loads(pickle.dumps(record.decode))()  # noqa: S301 (made here)
+            assert isinstance(here, LaserScan)
+            assert (there.stamp, there.frame_id) == (here.stamp, here.frame_id)
+            np.testing.assert_array_equal(there.ranges, here.ranges)
 
 
 @pytest.mark.parametrize("converted", ["derived_rosbag2_sqlite3", "derived_rosbag2_mcap"])

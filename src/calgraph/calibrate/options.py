@@ -50,6 +50,8 @@ class RigOptions:
     """Of the random samples; the same seed gives the same result."""
     dump: Path | None = None
     """File to write the joint problem to before it is solved."""
+    jobs: int = 1
+    """Number of worker processes; see :func:`calgraph.processes.parallel_stream`."""
 
     def __post_init__(self) -> None:
         check_estimator(self.estimator, bool(self.prior or self.rigid))

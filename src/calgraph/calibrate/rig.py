@@ -145,7 +145,7 @@ def collect_captures(
 
     observations = detect_in_holds(
         recording.records(rig.topics.values()), holds, rig.topics, detect,
-        preview_sizes=plan_previews(holds, rig), progress=detecting,
+        preview_sizes=plan_previews(holds, rig), jobs=options.jobs, progress=detecting,
     )  # fmt: skip
     findings = [
         *monitor.findings(),

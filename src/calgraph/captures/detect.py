@@ -1,4 +1,4 @@
-"""From holds to detections: the messages of one hold at a time are collected from the stream and searched."""
+"""From holds to detections: the messages of each hold are collected from the stream and searched."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,11 +16,14 @@ from calgraph.config import Rig
 from calgraph.detection import Detection, DetectionResult, InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.processes import parallel_stream
 from calgraph.result import Snapshot
 from calgraph.sensors import CameraModel, Message, RecordedMessage
 
 Detector = Callable[[Sequence[Any]], DetectionResult]
 """Finds the board in the messages that one sensor sent during one hold."""
+# Fewer searches of a sensor's messages of a hold than these, of about 20 ms, end before other processes help.
+_MIN_PARALLEL_SEARCHES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +111,13 @@ def detect_in_holds(
     detectors: Mapping[str, Detector],
     *,
     preview_sizes: Mapping[int, PreviewSize] | None = None,
+    jobs: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[SensorCapture]:
-    """Detects the board for every sensor in every hold, with the messages of one hold in memory at a time.
+    """Detects the board for every sensor in every hold, with the messages of few holds in memory at a time.
+
+    One process reads the recording; messages are decoded and searched in up to ``jobs`` processes. The result does
+    not depend on their number.
 
     Args:
         records: all records of the sensors, streamed.
@@ -118,44 +125,67 @@ def detect_in_holds(
         topics: topic by sensor.
         detectors: by sensor.
         preview_sizes: by capture, the size of the previews of its messages; captures that are not in it have none.
+        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_stream`.
         progress: called with the number of holds and sensors done.
 
     Yields:
         The detections of every hold and sensor.
+
+    Raises:
+        RecordingError: the content of a message is unusable.
+        CalibrationError: a process was killed.
     """
+    jobs = jobs if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else 1
+    work = _gather_messages(records, holds, topics, preview_sizes or {})
+    for done, found in enumerate(parallel_stream(_detect, work, detectors, jobs), start=1):
+        yield found
+        if progress:
+            progress(done)
+
+
+def _detect(
+    detectors: Mapping[str, Detector],
+    capture: int,
+    name: str,
+    decoders: Sequence[Callable[[], Message]],
+    size: PreviewSize | None,
+) -> SensorCapture:
+    """The detections of one sensor in one capture, from functions that decode its messages."""
+    if not decoders:
+        return SensorCapture(capture, name, Rejected("no message was measured entirely within the hold"))
+    messages = [decode() for decode in decoders]
+    snapshot = make_preview(capture, name, messages, size) if size else None
+    return SensorCapture(capture, name, detectors[name](messages), snapshot)
+
+
+def _gather_messages(
+    records: Iterable[RecordedMessage],
+    holds: Sequence[Hold],
+    topics: Mapping[str, str],
+    preview_sizes: Mapping[int, PreviewSize],
+) -> Iterator[tuple[int, str, list[Callable[[], Message]], PreviewSize | None]]:
+    """Arguments of :func:`_detect` for every capture and sensor, as soon as the last message has been read."""
     sensor_by_topic = {topic: name for name, topic in topics.items()}
     captures_of_message: dict[tuple[str, float], list[int]] = {}
     missing_messages: dict[tuple[int, str], int] = {}
-    done = 0
-
-    def detect_in(capture: int, name: str, messages: Sequence[Message]) -> SensorCapture:
-        detail = (preview_sizes or {}).get(capture)
-        kept = make_preview(capture, name, messages, detail) if detail else None
-        return SensorCapture(capture, name, detectors[name](messages), kept)
-
     for hold in holds:
         for name in topics:
             chosen = hold.stamps[name]
             missing_messages[hold.index, name] = len(chosen)
             for stamp in chosen:
                 captures_of_message.setdefault((name, float(stamp)), []).append(hold.index)
-    received: dict[tuple[int, str], list[Message]] = {}
+    received: dict[tuple[int, str], list[Callable[[], Message]]] = {}
     for record in records:
         name = sensor_by_topic.get(record.topic, "")
         for capture in captures_of_message.pop((name, record.stamp), ()):
             key = capture, name
-            received.setdefault(key, []).append(record.decode())
+            received.setdefault(key, []).append(record.decode)
             missing_messages[key] -= 1
             if missing_messages[key] == 0:
                 del missing_messages[key]
-                done += 1
-                yield detect_in(capture, name, received.pop(key))
-                if progress:
-                    progress(done)
+                yield capture, name, received.pop(key), preview_sizes.get(capture)
     for capture, name in missing_messages:
-        messages = received.get((capture, name))
-        rejected = Rejected("no message was measured entirely within the hold")
-        yield detect_in(capture, name, messages) if messages else SensorCapture(capture, name, rejected)
+        yield capture, name, received.pop((capture, name), []), preview_sizes.get(capture)
 
 
 def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:

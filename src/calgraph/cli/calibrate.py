@@ -215,6 +215,7 @@ def calibrate(
                 tags=tags,
                 seed=seed,
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
+                jobs=jobs or available_cores(),
             )
         with open_recordings(recordings) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)

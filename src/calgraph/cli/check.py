@@ -128,7 +128,7 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         check_problem(problem)
         return problem
     with open_recordings(recordings) as recording, progress_bars() as progress:
-        return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
+        return story.build_problem(rig, recording, story.RigOptions(seed=seed, jobs=available_cores()), progress)
 
 
 def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:

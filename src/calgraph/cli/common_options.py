@@ -58,7 +58,7 @@ JobsOption = Annotated[
         "--jobs",
         min=1,
         metavar="N",
-        help="People: number of worker processes; all cores if left out.",
+        help="Number of worker processes; all cores if left out.",
         rich_help_panel=TUNING,
     ),
 ]

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import fail_if_not_calibrated, write_results
-from calgraph.cli.common_options import ForceOption, check_not_overwriting
+from calgraph.cli.common_options import ForceOption, available_cores, check_not_overwriting
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
@@ -40,7 +40,7 @@ def demo(
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
-                calibration = calibrate_rig(rig, recording, RigOptions(), progress)
+                calibration = calibrate_rig(rig, recording, RigOptions(jobs=available_cores()), progress)
                 # The command repeats the recording: there is no other input.
                 calibration = replace(calibration, provenance=describe_run([], recording))
                 rig = resolve_intrinsics(rig, recording)

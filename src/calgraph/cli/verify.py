@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from calgraph.cli.calibrate import fail_if_not_calibrated
+from calgraph.cli.common_options import available_cores
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
@@ -76,7 +77,7 @@ def _problem(files: list[Path], overrides: list[str] | None, seed: int, progress
         return replace(problem, rig=override_settings(problem.rig, overrides))
     rig = load_rig_with(files[0], overrides)
     with open_recordings(files[1:]) as recording:
-        return story.build_problem(rig, recording, story.RigOptions(seed=seed), progress)
+        return story.build_problem(rig, recording, story.RigOptions(seed=seed, jobs=available_cores()), progress)
 
 
 def _content(

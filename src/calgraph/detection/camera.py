@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +63,14 @@ class CameraDetector:
         plane_estimator: PlaneEstimator | None = None,
         settings: CameraDetectionSettings = CameraDetectionSettings(),
     ) -> None:
+        self._boards = boards
         self._camera, self._noise, self._plane_estimator, self._settings = camera, noise, plane_estimator, settings
         self._printed = _make_finders(boards, settings)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The finders of libraries cannot be pickled; another process makes them again.
+        arguments = self._boards, self._camera, self._noise, self._plane_estimator, self._settings
+        return CameraDetector, arguments
 
     def find(self, images: Sequence[Image]) -> tuple[BoardCorners, ...] | Rejected:
         """Every board in the images of one capture, during which the boards rested.

@@ -42,7 +42,12 @@ class MessageRecording(IndexedRecording):
 
 
 def _record(topic: str, message: Message) -> RecordedMessage:
-    return RecordedMessage(topic, message.stamp, message.stamp, lambda: message, partial(_digest, message))
+    return RecordedMessage(topic, message.stamp, message.stamp, partial(_get, message), partial(_digest, message))
+
+
+def _get(message: Message) -> Message:
+    """The message: unlike a local function, a partial of this one can be pickled."""
+    return message
 
 
 def _digest(message: Message) -> MessageDigest:

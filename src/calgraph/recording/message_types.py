@@ -3,8 +3,8 @@
 import logging
 import struct
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -19,22 +19,51 @@ _HEADER = "std_msgs/msg/Header"
 # Where the characters of a leading header's frame_id begin, both in CDR and as ROS 1 serialises.
 _FRAME = 16
 _IDL_SEPARATOR = "=" * 80 + "\n"
+# Types of a recording whose parsed definitions are kept, for unpickling.
+_MAX_TYPES = 256
+
+
+class TypeDefinition(NamedTuple):
+    """A message type as a recording defines it."""
+
+    name: str
+    """``package/msg/Name``, for ROS 1 too."""
+    format: MessageDefinitionFormat
+    """The language of the text."""
+    text: str
+    """The definitions of the type and of those it contains."""
+    ros1: bool
+    """Serialised as ROS 1 does, else as CDR."""
+    readable: bool
+    """Whether the serialisation is one of these two."""
 
 
 @dataclass(frozen=True, eq=False)
 class MessageType:
-    """A message type, with what is needed to read its messages."""
+    """A message type, with what is needed to read its messages; pickled as its definition."""
 
-    name: str
-    """``package/msg/Name``, for ROS 1 too."""
+    definition: TypeDefinition
+    """As the recording states it."""
     store: Typestore | None
     """Knows the fields; None where the definition is missing or cannot be parsed."""
-    ros1: bool
-    """Serialised as ROS 1 does, else as CDR."""
     header: str | None
     """Name of the field with the header; empty if the message is itself a header, None if it has none."""
     header_is_first: bool
     """Whether the message's bytes start with the header."""
+
+    @property
+    def name(self) -> str:
+        """``package/msg/Name``, for ROS 1 too."""
+        return self.definition.name
+
+    @property
+    def ros1(self) -> bool:
+        """Serialised as ROS 1 does, else as CDR."""
+        return self.definition.ros1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Stores contain classes made at run time, which cannot be pickled.
+        return make_message_type, (self.definition,)
 
     def deserialize(self, raw: bytes) -> Any:
         """The message as an object with the fields of its definition.
@@ -79,41 +108,53 @@ class MessageType:
 
 def message_type(connection: Connection, *, ros1: bool) -> MessageType:
     """The type of a connection's messages: as the recording defines it, else as ROS does."""
-    name = connection.msgtype
     readable = (
         ros1
         or not isinstance(connection.ext, ConnectionExtRosbag2)
         or (connection.ext.serialization_format in ("cdr", ""))
     )
-    store = _store_for(connection, ros1=ros1) if readable else None
+    definition = connection.msgdef
+    kind = make_message_type(
+        TypeDefinition(connection.msgtype, definition.format, definition.data, ros1, readable)
+    )
+    if kind.store is None:
+        _log.debug(
+            "topic %s: type %s is unknown, its messages serve as triggers only", connection.topic, kind.name
+        )
+    return kind
+
+
+@lru_cache(maxsize=_MAX_TYPES)
+def make_message_type(definition: TypeDefinition) -> MessageType:
+    """The type that a definition describes."""
+    name = definition.name
+    store = _make_store(definition) if definition.readable else None
     if store is None:
-        _log.debug("topic %s: type %s is unknown, its messages serve as triggers only", connection.topic, name)
-        return MessageType(name, None, ros1, None, False)
+        return MessageType(definition, None, None, False)
     if name == _HEADER:
-        return MessageType(name, store, ros1, "", True)
+        return MessageType(definition, store, "", True)
     fields = store.fielddefs[name][1]
     headers = [field for field, kind in fields if kind == (Nodetype.NAME, _HEADER)]
     if not headers:
-        return MessageType(name, store, ros1, None, False)
-    return MessageType(name, store, ros1, headers[0], fields[0][0] == headers[0])
+        return MessageType(definition, store, None, False)
+    return MessageType(definition, store, headers[0], fields[0][0] == headers[0])
 
 
-def _store_for(connection: Connection, *, ros1: bool) -> Typestore | None:
+def _make_store(definition: TypeDefinition) -> Typestore | None:
     """A separate store for each type, so that a malformed definition does not affect other topics."""
-    definition = connection.msgdef
     try:
         store = get_typestore(Stores.EMPTY)
         if definition.format == MessageDefinitionFormat.MSG:
-            store.register(get_types_from_msg(definition.data, connection.msgtype))
+            store.register(get_types_from_msg(definition.text, definition.name))
         elif definition.format == MessageDefinitionFormat.IDL:
-            for part in _idl_parts(definition.data):
+            for part in _idl_parts(definition.text):
                 store.register(get_types_from_idl(part))
-        if connection.msgtype in store.fielddefs:
+        if definition.name in store.fielddefs:
             return store
     except Exception as error:  # the parsers raise many kinds, and the topic may not be needed
-        _log.debug("topic %s: definition of %s not understood: %s", connection.topic, connection.msgtype, error)
-    default = _default_store(ros1)
-    return default if connection.msgtype in default.fielddefs else None
+        _log.debug("definition of %s not understood: %s", definition.name, error)
+    default = _default_store(definition.ros1)
+    return default if definition.name in default.fielddefs else None
 
 
 def _idl_parts(text: str) -> list[str]:

@@ -137,6 +137,7 @@ class RecordedMessage:
     arrival: float
     """Time at which the recorder wrote it, s."""
     decode: Callable[[], Message] = field(repr=False)
-    """Decodes the message; raises RecordingError naming topic and stamp if its content is unusable."""
+    """Decodes the message; raises RecordingError naming topic and stamp if its content is unusable. Several worker
+    processes require that it can be pickled."""
     digest: Callable[[], MessageDigest] | None = field(default=None, repr=False)
     """Reads its frame, and hashes its content; None where the source does not support it."""
