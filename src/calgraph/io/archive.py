@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 
 from calgraph.errors import InputError
 from calgraph.io import write_atomically
+from calgraph.io.git_lfs import POINTER_START, check_git_lfs
 
 # What zipfile and NumPy raise where bytes are not those that were written.
 _DAMAGE_ERRORS = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError, OverflowError, RuntimeError,
-    ValueError,
+    ValueError, MemoryError,
 )  # fmt: skip
+# The archives of the largest rigs and networks that were tried unpack to some hundred megabytes.
+MAX_UNPACKED_BYTES = 2**31
+"""Maximum size of all members of an archive once unpacked, bytes; checked before memory is taken."""
 
 
 def write_archive(
@@ -67,8 +71,15 @@ def read_archive(path: Path, member: str, format: str) -> tuple[dict[str, Any], 
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    check_git_lfs(path, data[:POINTER_START])
     with _wrap_damage_errors(path):
         archive = zipfile.ZipFile(BytesIO(data))
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > MAX_UNPACKED_BYTES:
+        raise InputError(
+            f"{path}: unpacks to {size / 1e9:.1f} GB, more than the limit of {MAX_UNPACKED_BYTES / 1e9:.1f} GB: "
+            "it is damaged, or calgraph did not write it"
+        )
     if member not in archive.namelist():
         raise InputError(f"{path}: has no member {member}; it is not a file of the format {format}")
     with _wrap_damage_errors(path, member):

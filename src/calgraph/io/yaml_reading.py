@@ -19,6 +19,7 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from calgraph.errors import InputError
+from calgraph.io.git_lfs import check_git_lfs
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -59,7 +60,7 @@ def read_text(path: Path) -> str:
         InputError: the file is missing, or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise InputError(f"{path}: does not exist{suggest_name(path)}") from error
     except IsADirectoryError as error:
@@ -68,6 +69,8 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+    check_git_lfs(path, text[:100].encode())
+    return text
 
 
 def suggest_name(path: Path) -> str:

@@ -15,7 +15,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import RecordingError
-from calgraph.recording.recording import TopicInfo, wrap_errors
+from calgraph.recording.limits import MAX_UNPACKED_BYTES, check_unpacked_size
+from calgraph.recording.recording import TopicInfo, check_fetched, wrap_errors
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -75,8 +76,19 @@ def decompress_message(raw: bytes) -> bytes:
     """A message's bytes without rosbag2's per-message compression.
 
     Neither CDR nor ROS 1 messages of use here start with zstd's magic number, so this works without metadata.
+
+    Raises:
+        ValueError: the message is cut short, or is larger than the limit.
+        zstd.ZstdError: it is damaged.
     """
-    return zstd.decompress(raw) if raw[:4] == _ZSTD_MAGIC else raw
+    if raw[:4] != _ZSTD_MAGIC:
+        return raw
+    decompressor = zstd.ZstdDecompressor()
+    plain = decompressor.decompress(raw, MAX_UNPACKED_BYTES + 1)
+    check_unpacked_size(len(plain))
+    if not decompressor.eof:
+        raise ValueError("a compressed message is cut short")
+    return plain
 
 
 def check_sqlite(file: Path) -> None:
@@ -108,6 +120,7 @@ def check_sqlite(file: Path) -> None:
 def _from_metadata(folder: Path) -> BagFiles:
     metadata_path = folder / "metadata.yaml"
     advice = "remove or rename it to read the storage files without it"
+    check_fetched(metadata_path)
     try:
         content = YAML(typ="safe").load(metadata_path.read_text(encoding="utf-8"))
         metadata: Mapping[str, Any] = content["rosbag2_bagfile_information"]

@@ -21,6 +21,7 @@ from calgraph.recording.message_types import MessageType, message_type
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,
+    check_fetched,
     check_message_counts,
     merge_by_arrival,
     merge_topics,
@@ -80,6 +81,7 @@ class BagRecording(ClosedOnExit):
     def _open(self, file: Path) -> Reader1 | Reader2:
         if file.stat().st_size == 0:
             raise RecordingError(f"{file}: is empty; copy it again")
+        check_fetched(file)
         storage = decompress_storage(file, self._stack)
         with wrap_errors(file, _ADVICE[storage.suffix].format(name=file.name)):
             if storage.suffix == ".db3":

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,12 @@ from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.digest import hash_file
 from calgraph.recording.images import decode_image
+from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
 from calgraph.recording.record_list import IndexedRecording
-from calgraph.recording.recording import wrap_errors
+from calgraph.recording.recording import check_fetched, wrap_errors
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 
 CAMERA_INFO = "camera_info.yaml"
@@ -94,13 +96,15 @@ def _kind(path: Path) -> str:
         return "camera_info"
     suffix = _suffix(path)
     if suffix == ".npz":
-        with wrap_errors(path), np.load(path, allow_pickle=False) as arrays:
+        check_fetched(path)
+        with wrap_errors(path), _open_npz(path) as arrays:
             return "scan" if "ranges" in arrays else "cloud"
     return {".csv": "scan", ".pcd": "cloud", ".pcd.gz": "cloud", ".ply": "cloud"}.get(suffix or "", "image")
 
 
 def _decode(file: _File) -> Message:
     with wrap_errors(f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"):
+        check_fetched(file.path)
         if file.path.name == CAMERA_INFO:
             return _camera_info(file.path, file.stamp)
         return _READERS[_suffix(file.path) or ""](file.path, file.stamp)
@@ -129,8 +133,16 @@ def _ply(path: Path, stamp: float) -> PointCloud:
     return cloud_from_columns(read_ply(path), stamp)
 
 
+def _open_npz(path: Path) -> Any:
+    """NumPy's reader of the members of an NPZ; other files it would take for pickles."""
+    if not is_zipfile(path):
+        raise ValueError("is damaged or no NPZ file")
+    return np.load(path, allow_pickle=False)
+
+
 def _npz(path: Path, stamp: float) -> Message:
-    with np.load(path, allow_pickle=False) as file:
+    with _open_npz(path) as file:
+        check_unpacked_size(sum(member.file_size for member in file.zip.infolist()))
         arrays = {name: file[name] for name in file.files}
     if "ranges" in arrays:
         return _scan(arrays, stamp)
@@ -172,7 +184,10 @@ def _scan(values: Mapping[str, NDArray[Any]], stamp: float) -> LaserScan:
 
 
 def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.nan) -> float:
-    number = float(np.asarray(values.get(name, default)).item())
+    given = np.asarray(values.get(name, default))
+    if given.size != 1 or given.dtype.kind not in "fiu":
+        raise ValueError(f"{name} must be one number, got {given.dtype} of shape {given.shape}")
+    number = float(given.item())
     if not np.isfinite(number):
         raise ValueError(f"{name} must be a finite number, got {number}")
     return number

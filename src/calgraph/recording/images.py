@@ -1,8 +1,12 @@
 """Pixels as ROS and image files store them, to 8-bit grey or BGR."""
 
+import struct
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from calgraph.recording.limits import MAX_IMAGE_PIXELS
 
 Pixels = NDArray[np.uint8]
 
@@ -96,13 +100,19 @@ def decode_image(data: Pixels, declared: str = "") -> Pixels:
         (height, width) grey or (height, width, 3) BGR.
 
     Raises:
-        ValueError: the bytes are no image, or an image of depths.
+        ValueError: the bytes are no image, an image of depths, or larger than the limit.
     """
     original, _, compressed = declared.lower().partition(";")
     if "compresseddepth" in compressed:
         raise ValueError(f"format {declared!r} holds depths, not an image")
     if data.size == 0:
         raise ValueError("image has no data")
+    stated = _find_stated_size(data)
+    if stated is not None and stated[0] * stated[1] > MAX_IMAGE_PIXELS:
+        raise ValueError(
+            f"image states {stated[0]} x {stated[1]} pixels, more than the limit of {MAX_IMAGE_PIXELS}: it is "
+            "damaged, or not of a camera"
+        )
     # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
     read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if read is None:
@@ -118,6 +128,28 @@ def decode_image(data: Pixels, declared: str = "") -> Pixels:
         # The publisher compressed RGB as if it were BGR.
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), dtype=np.uint8)
     return np.asarray(pixels, dtype=np.uint8)
+
+
+def _find_stated_size(data: Pixels) -> tuple[int, int] | None:
+    """Width and height in the header of a PNG or JPEG; None of other formats, which OpenCV limits itself.
+
+    Source: PNG specification, 11.2.2; ITU-T T.81, B.1.1 and B.2.2.
+    """
+    head = data[:24].tobytes()
+    if head.startswith(b"\x89PNG\r\n\x1a\n") and len(head) == 24:
+        width, height = struct.unpack(">II", head[16:])
+        return width, height
+    position = 2 if head.startswith(b"\xff\xd8") else len(data)
+    while position + 9 <= len(data):
+        mark, code, length, height, width = struct.unpack(">BBHxHH", data[position : position + 9].tobytes())
+        if mark != 0xFF:
+            return None
+        if 0xC0 <= code <= 0xCF and code not in (0xC4, 0xC8, 0xCC):
+            return width, height
+        # Fill bytes and markers without a segment.
+        alone = 0xD0 <= code <= 0xD9 or code == 0x01
+        position += 1 if code == 0xFF else 2 if alone else 2 + length
+    return None
 
 
 def to_8_bits(values: NDArray[np.generic]) -> Pixels:

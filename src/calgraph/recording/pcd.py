@@ -2,15 +2,21 @@
 
 import gzip
 import io
+import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.recording.limits import MAX_UNPACKED_BYTES, check_unpacked_size
 from calgraph.recording.point_cloud_columns import Columns
 
-_CODES = {"F": "f", "I": "i", "U": "u"}
+# By TYPE, NumPy's code and the SIZEs that exist, bytes.
+_CODES = {"F": ("f", (4, 8)), "I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8))}
+# Maximum size of one point, bytes: the largest descriptors of PCL have some kilobytes.
+_MAX_POINT_BYTES = 2**16
 
 
 def read_pcd(path: Path) -> Columns:
@@ -19,14 +25,14 @@ def read_pcd(path: Path) -> Columns:
     Source: "The PCD (Point Cloud Data) file format", version 0.7, pointclouds.org.
 
     Raises:
-        ValueError: the header or the data are damaged.
+        ValueError: the header or the data are damaged, or unpack to more than the limit.
         OSError: the file cannot be read.
     """
-    data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    data = _unpack(path) if path.suffix == ".gz" else path.read_bytes()
     header, body = _split(data)
     dtype = _dtype(header)
-    n = int(header["POINTS"][0] if "POINTS" in header else _product(header))
-    kind = header["DATA"][0].lower()
+    n = _count_points(header)
+    kind = " ".join(header["DATA"]).lower()
     if kind == "ascii":
         return _ascii(body, dtype, n)
     if kind == "binary":
@@ -34,6 +40,13 @@ def read_pcd(path: Path) -> Columns:
     if kind == "binary_compressed":
         return _by_field(body, dtype, n)
     raise ValueError(f"DATA {kind} is unknown; ascii, binary and binary_compressed are known")
+
+
+def _unpack(path: Path) -> bytes:
+    with gzip.open(path) as file:
+        data = file.read(MAX_UNPACKED_BYTES + 1)
+    check_unpacked_size(len(data))
+    return data
 
 
 def decompress_lzf(data: bytes, size: int) -> bytes:
@@ -48,7 +61,7 @@ def decompress_lzf(data: bytes, size: int) -> bytes:
     """
     out = bytearray()
     i = 0
-    while i < len(data):
+    while i < len(data) and len(out) <= size:
         control = data[i]
         i += 1
         if control < 32:
@@ -88,25 +101,51 @@ def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
 
 
 def _dtype(header: dict[str, list[str]]) -> np.dtype[Any]:
-    names = header["FIELDS"]
-    counts = header.get("COUNT", ["1"] * len(names))
+    names, kinds = header["FIELDS"], [kind.upper() for kind in header["TYPE"]]
+    sizes = _whole_numbers(header, "SIZE")
+    counts = _whole_numbers(header, "COUNT") if "COUNT" in header else [1] * len(names)
+    if not len(names) == len(kinds) == len(sizes) == len(counts):
+        raise ValueError(f"SIZE, TYPE and COUNT of the PCD header must have {len(names)} values, as FIELDS has")
+    for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True):
+        if kind not in _CODES or size not in _CODES[kind][1] or count < 1:
+            raise ValueError(
+                f"field {name} has TYPE {kind}, SIZE {size} and COUNT {count}; known are F of 4 or 8 bytes, I and "
+                "U of 1, 2, 4 or 8, and counts from 1 on"
+            )
+    total = sum(size * count for size, count in zip(sizes, counts, strict=True))
+    if total > _MAX_POINT_BYTES:
+        raise ValueError(f"a point has {total} bytes, more than the limit of {_MAX_POINT_BYTES}")
     # PCL pads with fields that are all called _.
     unique = [f"_{i}" if name == "_" or name in names[:i] else name for i, name in enumerate(names)]
     return np.dtype(
         [
-            (name, f"<{_CODES[kind.upper()]}{size}", (int(count),))
-            for name, kind, size, count in zip(unique, header["TYPE"], header["SIZE"], counts, strict=True)
+            (name, f"<{_CODES[kind][0]}{size}", (count,))
+            for name, kind, size, count in zip(unique, kinds, sizes, counts, strict=True)
         ]
     )
 
 
-def _product(header: dict[str, list[str]]) -> int:
-    return int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+def _count_points(header: dict[str, list[str]]) -> int:
+    keys = ("POINTS",) if "POINTS" in header else ("WIDTH", "HEIGHT")
+    values = [value for key in keys for value in _whole_numbers(header, key)]
+    if len(values) != len(keys) or min(values) < 0:
+        raise ValueError(f"{' and '.join(keys)} of the PCD header must be 0 or more, got {values}")
+    return math.prod(values)
+
+
+def _whole_numbers(header: dict[str, list[str]], key: str) -> list[int]:
+    words = header.get(key, [])
+    # Longer ones are no sizes or counts, and take quadratic time.
+    if not words or not all(re.fullmatch(r"-?\d{1,18}", word) for word in words):
+        raise ValueError(f"{key} of the PCD header must be whole numbers, got {' '.join(words)[:40]!r}")
+    return [int(word) for word in words]
 
 
 def _ascii(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
     if n == 0:
         return _columns(np.empty(0, dtype))
+    if n > len(body):
+        raise ValueError(f"is cut short: {len(body)} bytes of points, states {n} points")
     table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=n)
     names = dtype.names or ()
     firsts = np.cumsum([0] + [dtype[name].shape[0] for name in names])
@@ -125,6 +164,7 @@ def _by_field(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
     packed, size = (int(value) for value in np.frombuffer(_take_exactly(body, 8), "<u4", 2))
     if size != n * dtype.itemsize:
         raise ValueError(f"has {size} bytes of points, states {n} points of {dtype.itemsize} bytes")
+    check_unpacked_size(size)
     plain = decompress_lzf(_take_exactly(body[8:], packed), size)
     columns: dict[str, NDArray[Any]] = {}
     position = 0

@@ -1,6 +1,7 @@
 """PLY files: the vertices of ascii and binary ones."""
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,16 @@ def read_ply(path: Path) -> Columns:
     header, mark, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not mark:
         raise ValueError("is no PLY file")
-    body = body[body.index(b"\n") + 1 :]
+    body = body.partition(b"\n")[2]
     lines = [line.split() for line in header.decode("ascii", errors="replace").splitlines()]
-    kind = next(words[1] for words in lines if words[:1] == ["format"])
+    kind = next((" ".join(words[1:2]) for words in lines if words[:1] == ["format"]), "")
     if kind not in _ORDERS:
-        raise ValueError(f"PLY format {kind} is unknown; known are {', '.join(_ORDERS)}")
+        raise ValueError(f"PLY format {kind or 'of no name'} is unknown; known are {', '.join(_ORDERS)}")
     n, dtype = _vertices(lines, _ORDERS[kind])
     if kind == "ascii":
         names = dtype.names or ()
+        if n > len(body):
+            raise ValueError(f"is cut short: {len(body)} bytes of vertices, states {n} vertices")
         table = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=n) if n else np.zeros((0, len(names)))
         if table.shape != (n, len(names)):
             raise ValueError(
@@ -49,10 +52,19 @@ def read_ply(path: Path) -> Columns:
 
 def _vertices(lines: list[list[str]], order: str) -> tuple[int, np.dtype[Any]]:
     elements = [i for i, words in enumerate(lines) if words[:1] == ["element"]]
-    if not elements or lines[elements[0]][1] != "vertex":
-        raise ValueError("the first element of the PLY file must be vertex")
+    first = lines[elements[0]] if elements else []
+    if first[1:2] != ["vertex"] or not re.fullmatch(r"\d{1,18}", " ".join(first[2:])):
+        raise ValueError(
+            f"the first element of the PLY file must be vertex and its number, got {' '.join(first[1:4])!r}"
+        )
     end = elements[1] if len(elements) > 1 else len(lines)
-    properties = [words for words in lines[elements[0] + 1 : end] if words[:1] == ["property"]]
-    if any(words[1] == "list" for words in properties):
+    properties = [words[1:] for words in lines[elements[0] + 1 : end] if words[:1] == ["property"]]
+    if any(words[:1] == ["list"] for words in properties):
         raise ValueError("vertices with list properties are not supported")
-    return int(lines[elements[0]][2]), np.dtype([(words[2], order + _TYPES[words[1]]) for words in properties])
+    wrong = [" ".join(words) for words in properties if len(words) != 2 or words[0] not in _TYPES]
+    names = ["".join(words[1:]) for words in properties]
+    if wrong or len(set(names)) < len(names):
+        raise ValueError(
+            f"properties of PLY vertices must have a type and different names, got {', '.join(wrong or names)}"
+        )
+    return int(first[2]), np.dtype([(name, order + _TYPES[kind]) for kind, name in properties])

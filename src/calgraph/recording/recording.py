@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from calgraph.errors import CalgraphError, InputError, RecordingError
+from calgraph.io.git_lfs import POINTER_START, check_git_lfs
 from calgraph.sensors import RecordedMessage
 
 
@@ -181,5 +182,24 @@ def wrap_errors(where: object, advice: str = "") -> Iterator[None]:
     except CalgraphError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(f"{where}: {reason}{'; ' if advice else ''}{advice}") from error
+        raise RecordingError(f"{where}: {_explain(error)}{'; ' if advice else ''}{advice}") from error
+
+
+def check_fetched(path: Path) -> None:
+    """Checks that a file is the file itself.
+
+    Raises:
+        RecordingError: it is a Git LFS pointer.
+    """
+    with path.open("rb") as file:
+        check_git_lfs(path, file.read(POINTER_START), RecordingError)
+
+
+def _explain(error: Exception) -> str:
+    """The text of an exception where it is a sentence; parsers of damaged bytes also raise keys and indices."""
+    text = " ".join(str(error).split())
+    if " " in text and not isinstance(error, LookupError | TypeError | AttributeError | AssertionError):
+        return text
+    return (
+        f"its content is damaged or not of its stated format ({type(error).__name__}{': ' if text else ''}{text})"
+    )
