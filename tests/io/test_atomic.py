@@ -1,5 +1,8 @@
 """Files and folders appear whole or not at all."""
 
+import multiprocessing
+import os
+import signal
 from contextlib import suppress
 from pathlib import Path
 
@@ -82,3 +85,36 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
         replace_folder_atomically(tmp_path / "out"),
     ):
         pass
+
+
+def write_until_killed(path: Path, folder: bool) -> None:
+    """Writes half of the output; then the process is killed as by a system that runs out of memory."""
+    with replace_folder_atomically(path) if folder else write_atomically(path) as temporary:
+        (temporary / "a.txt" if folder else temporary).write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.parametrize("exists", [False, True])
+@pytest.mark.parametrize("folder", [False, True])
+def test_what_a_killed_process_left_is_removed_by_the_next(tmp_path: Path, folder: bool, exists: bool) -> None:
+    out = tmp_path / "out"
+    if exists and folder:
+        out.mkdir()
+    elif exists:
+        out.write_text("old")
+    place = out if exists and folder else tmp_path
+    process = multiprocessing.get_context("spawn").Process(target=write_until_killed, args=(out, folder))
+    process.start()
+    process.join(60)
+    assert process.exitcode == -signal.SIGKILL
+    [left] = [name for name in names(place) if name.endswith(".tmp")]
+    # Of a running process, and of a process on another computer.
+    running = left.replace(f".{process.pid}.", f".{os.getpid()}.")
+    host = left.removeprefix(".out.").partition(".")[0]
+    elsewhere = left.replace(host, "0" * len(host))
+    for other in (running, elsewhere):
+        (place / other).write_text("of another")
+    with replace_folder_atomically(out) if folder else write_atomically(out) as temporary:
+        (temporary / "a.txt" if folder else temporary).write_text("whole")
+    assert ((out / "a.txt") if folder else out).read_text() == "whole"
+    assert sorted(name for name in names(place) if name.endswith(".tmp")) == sorted([running, elsewhere])

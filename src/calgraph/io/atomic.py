@@ -1,10 +1,17 @@
-"""Atomic output: files are written under a temporary name in the same folder, then renamed."""
+"""Atomic output: files are written under a temporary name in the same folder, then renamed.
+
+A process that is killed (SIGKILL) leaves its temporary file or folder; the next one that writes to the same place
+removes it.
+"""
 
 import os
+import platform
+import re
 import secrets
 import shutil
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from calgraph.errors import InputError
@@ -18,6 +25,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
         InputError: the folder of ``path`` does not exist or cannot be written to, or ``path`` is a folder.
     """
     check_output_path(path)
+    _remove_abandoned(path.parent, path.name)
     # Same folder, hence same file system: the rename is atomic.
     temporary = path.parent / _temporary_name(path)
     try:
@@ -72,6 +80,8 @@ def _make_temporary_folder(path: Path) -> Path:
     """An empty folder on the file system of ``path``: inside it if it exists (it may be a mount point)."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
+    for folder in (path.parent, path):
+        _remove_abandoned(folder, path.name)
     temporary = (path if path.exists() else path.parent) / _temporary_name(path)
     temporary.mkdir()
     return temporary
@@ -92,7 +102,48 @@ def _move(source: Path, target: Path) -> None:
 
 
 def _temporary_name(path: Path) -> str:
-    return f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+    return f".{path.name}.{_host()}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+
+
+def _host() -> str:
+    """Distinguishes the computers and containers that share a file system: process numbers hold in one only."""
+    try:
+        namespace = os.readlink("/proc/self/ns/pid")
+    except OSError:
+        namespace = ""
+    return f"{zlib.crc32(f'{platform.node()} {namespace}'.encode()):08x}"
+
+
+def _remove_abandoned(folder: Path, name: str) -> None:
+    """Removes the temporary files and folders for ``name`` whose process on this computer has ended."""
+    pattern = re.compile(rf"\.{re.escape(name)}\.{_host()}\.(\d+)\.[0-9a-f]{{8}}\.tmp")
+    try:
+        entries = [(entry, found) for entry in folder.iterdir() if (found := pattern.fullmatch(entry.name))]
+    except OSError:
+        # A folder that is missing or cannot be read is the matter of those who write to it.
+        return
+    for entry, found in entries:
+        if _is_running(int(found[1])):
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                entry.unlink()
+
+
+def _is_running(pid: int) -> bool:
+    """Whether a process exists; taken for granted where the system has no signal that only asks."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        # It belongs to another user.
+        pass
+    return True
 
 
 @contextmanager
