@@ -108,7 +108,7 @@ def _temporary_name(path: Path) -> str:
 def _host() -> str:
     """Distinguishes the computers and containers that share a file system: process numbers hold in one only."""
     try:
-        namespace = os.readlink("/proc/self/ns/pid")
+        namespace = str(Path("/proc/self/ns/pid").readlink())
     except OSError:
         namespace = ""
     return f"{zlib.crc32(f'{platform.node()} {namespace}'.encode()):08x}"
