@@ -2,11 +2,11 @@
 
 import functools
 import logging
-import os
 import re
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 from typing import Annotated
 
@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from calgraph.cli.console import console
 from calgraph.cli.lazy_commands import LazyCommand, lazy_group
+from calgraph.cli.standard_streams import discard_output, open_standard_streams
 from calgraph.cli.step_log import VerboseOption, log_steps
 from calgraph.errors import CalgraphError, InputError
 
@@ -32,16 +33,11 @@ def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
     def run(*args: object, **options: object) -> None:
         try:
             command(*args, **options)
-            sys.stdout.flush()
         except CalgraphError as error:
             _print_error(error)
             raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
         except KeyboardInterrupt:
             raise typer.Exit(_INTERRUPTED) from None
-        except BrokenPipeError:
-            # The interpreter flushes stdout once more at its end, and would complain of the pipe then.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(_BROKEN_PIPE) from None
 
     return run
 
@@ -110,7 +106,21 @@ def calgraph(
 def main() -> None:
     """Runs the command given; exit code 0, 1 (not calibrated) or 2 (bad usage or input)."""
     signal.signal(signal.SIGTERM, _terminate)
-    app()
+    open_standard_streams()
+    try:
+        try:
+            app()
+        finally:
+            # Here, as what remains in the buffer is otherwise written, and fails, after the exit code is given.
+            sys.stdout.flush()
+    except BrokenPipeError:
+        discard_output()
+        sys.exit(_BROKEN_PIPE)
+    except OSError as error:
+        # Files that cannot be read or written are InputErrors: this is a stream.
+        discard_output()
+        _print_error(InputError(f"standard output: cannot be written ({error.strerror or error})"))
+        sys.exit(2)
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -122,8 +132,10 @@ def _print_error(error: CalgraphError) -> None:
     stderr = console(stderr=True)
     # The library names its parameters in backticks; on the command line they are options.
     message = re.sub(r"`(\w+)`", lambda match: _option(match[1]), str(error))
-    for line in message.splitlines():
-        stderr.print(f"[bold red]calgraph:[/] {escape(line)}", soft_wrap=True)
+    # Where stderr cannot be written either, the exit code is the message.
+    with suppress(OSError):
+        for line in message.splitlines():
+            stderr.print(f"[bold red]calgraph:[/] {escape(line)}", soft_wrap=True)
 
 
 def _option(parameter: str) -> str:

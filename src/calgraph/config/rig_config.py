@@ -9,7 +9,7 @@ from pydantic import Field, Strict, model_validator
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
 from calgraph.config.strict_model import StrictModel, invalid, limit_to
-from calgraph.config.target import AtLeastOne, Board, Coordinate, Cylinder, Length, People, Target
+from calgraph.config.target import Board, Cylinder, Length, People, Target
 from calgraph.config.uncertainty import (
     CameraUncertainty,
     Lidar2dUncertainty,
@@ -27,7 +27,13 @@ RangeSigma = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m")]
 AngleSigma = Annotated[float, Strict(), _POSITIVE, limit_to(0.2, "rad")]
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
-Name = Annotated[str, Field(min_length=1)]
+# ROS limits names of topics to 255 characters, and file systems those of files; control characters would reach
+# terminals and tables.
+Name = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$")]
+# The largest sensors have 20,000 pixels a side, and the longest lenses focal lengths of some 100,000.
+PixelCount = Annotated[int, Strict(), Field(ge=1, le=65_536)]
+PixelLength = Annotated[Length, limit_to(1e6, "pixels")]
+Coefficient = Annotated[float, Strict(), Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 
 
 class Capture(StrictModel):
@@ -56,13 +62,13 @@ class Intrinsics(StrictModel):
 
     model: Literal["pinhole", "fisheye"] = "pinhole"
     """``fisheye`` is OpenCV's equidistant model."""
-    width: AtLeastOne
+    width: PixelCount
     """Pixels."""
-    height: AtLeastOne
+    height: PixelCount
     """Pixels."""
-    K: tuple[Length, Length, Coordinate, Coordinate]
+    K: tuple[PixelLength, PixelLength, Coefficient, Coefficient]
     """fx, fy, cx, cy, pixels."""
-    distortion: tuple[Coordinate, ...] = ()
+    distortion: tuple[Coefficient, ...] = ()
     """OpenCV's coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], or k1 to k4 for fisheye; none for no distortion."""
 
     @model_validator(mode="after")

@@ -18,7 +18,10 @@ BodyLength = Annotated[Length, limit_to(5, "m")]
 Coordinate = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Index = Annotated[int, Strict(), Field(ge=0)]
 AtLeastOne = Annotated[int, Strict(), Field(ge=1)]
-AtLeastTwo = Annotated[int, Strict(), Field(ge=2)]
+# More rows or columns than any printed board has; corners are made for all of them.
+_MAX_PATTERN_COUNT = 1000
+CornerCount = Annotated[int, Strict(), Field(ge=2, le=_MAX_PATTERN_COUNT)]
+TagCount = Annotated[int, Strict(), Field(ge=1, le=_MAX_PATTERN_COUNT)]
 Pair = tuple[Coordinate, Coordinate]
 
 # Rounding in rig.yaml makes prints overlap an edge by up to a millimetre; more is an error of unit or sign.
@@ -39,9 +42,9 @@ class Checkerboard(StrictModel):
     """A chessboard pattern."""
 
     kind: Literal["checkerboard"]
-    columns: AtLeastTwo
+    columns: CornerCount
     """Inner corners along the board's x."""
-    rows: AtLeastTwo
+    rows: CornerCount
     """Inner corners along the board's y."""
     square: Length
     """Edge of a square, m."""
@@ -58,9 +61,9 @@ class Charuco(StrictModel):
     """A ChArUco board: chessboard with markers in its white squares."""
 
     kind: Literal["charuco"]
-    columns: AtLeastTwo
+    columns: CornerCount
     """Squares along the board's x."""
-    rows: AtLeastTwo
+    rows: CornerCount
     """Squares along the board's y."""
     square: Length
     """Edge of a square, m."""
@@ -103,9 +106,9 @@ class AprilGrid(StrictModel):
     """Kalibr's grid of AprilTags (2-bit borders)."""
 
     kind: Literal["aprilgrid"]
-    columns: AtLeastOne
+    columns: TagCount
     """Tags along the board's x."""
-    rows: AtLeastOne
+    rows: TagCount
     """Tags along the board's y."""
     tag_size: Length
     """Edge of a tag's black square, m."""

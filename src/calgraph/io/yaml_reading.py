@@ -20,20 +20,37 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from calgraph.errors import InputError
 from calgraph.io.git_lfs import check_git_lfs
+from calgraph.io.yaml_limits import MAX_TEXT_BYTES, MAX_VALUES, check_yaml_limits
 
 Model = TypeVar("Model", bound=BaseModel)
 
+_YAML_ERRORS = (YAMLError, ValueError, TypeError, LookupError, OverflowError)
+"""What ruamel raises: all but the first for scalars that are not of the type they are tagged with, such as a date
+in a 13th month, and for keys that cannot be hashed."""
+_MAX_LISTED_ERRORS = 50
+"""More wrong keys or values in one file are counted, not listed."""
+_MAX_PROBLEM_LENGTH = 200
+"""Characters of a message of the YAML library."""
+_MAX_VALUE_LENGTH = 60
+"""Characters of a value in a message."""
 
-def read_yaml(path: Path) -> dict[Any, Any]:
+
+def read_yaml(path: Path, max_values: int = MAX_VALUES) -> dict[Any, Any]:
     """The mapping in a YAML file.
 
+    Args:
+        path: the file.
+        max_values: the most values in it.
+
     Raises:
-        InputError: the file is missing, is not YAML, gives a key twice, or does not contain a mapping.
+        InputError: the file is missing, is not YAML, gives a key twice, does not contain a mapping, or exceeds a
+            limit of :mod:`calgraph.io.yaml_limits`.
     """
     text = read_text(path)
     try:
+        check_yaml_limits(path, text, max_values)
         content = YAML(typ="safe").load(text)
-    except YAMLError as error:
+    except _YAML_ERRORS as error:
         raise InputError(f"{path}{_explain_syntax(error)}") from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold a mapping of keys to values, not {_format_value(content)}")
@@ -44,12 +61,14 @@ def read_documents(path: Path) -> list[Any]:
     """All documents of a YAML file, empty ones left out, such as a recorded stream of messages.
 
     Raises:
-        InputError: the file is missing, is not YAML, or gives a key twice.
+        InputError: the file is missing, is not YAML, gives a key twice, or exceeds a limit of
+            :mod:`calgraph.io.yaml_limits`.
     """
     text = read_text(path)
     try:
+        check_yaml_limits(path, text)
         return [content for content in YAML(typ="safe").load_all(text) if content is not None]
-    except YAMLError as error:
+    except _YAML_ERRORS as error:
         raise InputError(f"{path}{_explain_syntax(error)}") from error
 
 
@@ -57,10 +76,15 @@ def read_text(path: Path) -> str:
     """The text of a file.
 
     Raises:
-        InputError: the file is missing, or is not UTF-8.
+        InputError: the file is missing, is too large, or is not UTF-8.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            # One byte more than allowed, as pipes and devices do not state their size.
+            data = file.read(MAX_TEXT_BYTES + 1)
+        if len(data) > MAX_TEXT_BYTES:
+            raise InputError(f"{path}: is larger than {MAX_TEXT_BYTES // 10**6} MB; is it the right file?")
+        text = data.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError as error:
         raise InputError(f"{path}: does not exist{suggest_name(path)}") from error
     except IsADirectoryError as error:
@@ -91,18 +115,22 @@ def validate_content(model: type[Model], content: dict[Any, Any], source: Path) 
     except pydantic.ValidationError as error:
         # pydantic also reports a list with invalid elements as empty.
         details = [d for d in error.errors() if d["type"] != "too_short" or not d["input"]]
-        lines = dict.fromkeys(f"{source}: {_explain(model, d)}" for d in details)
+        lines = list(dict.fromkeys(f"{source}: {_explain(model, d)}" for d in details[:_MAX_LISTED_ERRORS]))
+        if len(details) > _MAX_LISTED_ERRORS:
+            lines.append(f"{source}: has {len(details) - _MAX_LISTED_ERRORS} further errors")
         raise InputError("\n".join(lines)) from error
 
 
-def _explain_syntax(error: YAMLError) -> str:
+def _explain_syntax(error: Exception) -> str:
     mark = error.problem_mark if isinstance(error, MarkedYAMLError) else None
     where = f", line {mark.line + 1}: " if mark else ": "
     if isinstance(error, DuplicateKeyError):
         key = str(error.problem).split('"')[1]
         return f"{where}the key {key!r} is given twice"
     problem = (
-        error.problem if isinstance(error, MarkedYAMLError) and error.problem else " ".join(str(error).split())
+        error.problem
+        if isinstance(error, MarkedYAMLError) and error.problem
+        else " ".join(str(error).split())[:_MAX_PROBLEM_LENGTH]
     )
     return f"{where}is not valid YAML ({problem})"
 
@@ -172,6 +200,7 @@ _TYPES = {
     "model_attributes_type": "must be a mapping",
     "too_short": "must not be empty",
     "string_too_short": "must not be empty",
+    "string_pattern_mismatch": "must have no control characters",
     "invalid_key": "must have texts as keys",
 }
 _LIMITS = {
@@ -181,6 +210,7 @@ _LIMITS = {
     "less_than_equal": "must be {le} or less",
     "literal_error": "must be {expected}",
     "too_long": "must have {max_length} elements",
+    "string_too_long": "must have {max_length} characters or fewer",
 }
 
 
@@ -203,7 +233,7 @@ def _format_value(value: object) -> str:
     if isinstance(value, dict):
         return "a mapping" if value else "an empty mapping"
     text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return text if len(text) <= _MAX_VALUE_LENGTH else f"{text[: _MAX_VALUE_LENGTH - 3]}..."
 
 
 def _describe_field(owner: type[BaseModel] | None, path: list[Any]) -> str:
