@@ -68,6 +68,7 @@ def build_timeline(
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     activity: dict[str, list[float]] = {name: [] for name in topics}
     first: dict[str, tuple[float, str, str]] = {}
+    measured: set[str] = set()
     triggers: list[float] = []
     for record in records:
         if progress:
@@ -79,11 +80,14 @@ def build_timeline(
             continue
         stamps[name].append(record.stamp)
         meter = (meters or {}).get(name)
-        # The duration is taken from one message: decoding all of them would take as long as the detection.
-        message = record.decode() if meter or name not in first else None
-        if name not in first:
+        # The duration is taken from one message: decoding all of them would take as long as the detection. Clouds
+        # without points, of lost packets, have none.
+        message = record.decode() if meter or name not in measured else None
+        if message and name not in measured:
             duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0
             first[name] = duration, getattr(message, "frame_id", ""), type(message).__name__
+            if not isinstance(message, PointCloud) or len(message.points):
+                measured.add(name)
         activity[name].append(meter.measure_change(message) if meter and message else 0.0)
     return RecordingTimeline(
         start,
