@@ -14,6 +14,8 @@ from ruamel.yaml import YAML
 from calgraph.config import Tolerance
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
+from calgraph.io import save_yaml
+from calgraph.io.yaml_reading import read_yaml
 from calgraph.result import (
     Calibration,
     CaptureRow,
@@ -282,3 +284,24 @@ def test_a_reason_may_hold_line_breaks(tmp_path: Path, calibration: Calibration)
     )
     with path.open(encoding="utf-8", newline="") as file:
         assert next(csv.DictReader(file))["reason"] == "two\nlines"
+
+
+def test_covariances_with_a_negative_variance_are_refused(saved: Path) -> None:
+    content = read_yaml(saved)
+    name = next(one for one in content["sensors"] if one != content["root"])
+    covariance = np.eye(6)
+    covariance[0, 1] = covariance[1, 0] = 1.01
+    content["sensors"][name]["covariance"] = covariance.tolist()
+    save_yaml(saved, content)
+    with pytest.raises(InputError, match=rf"sensors\.{name}\.covariance: must be positive semidefinite"):
+        load_calibration(saved)
+
+
+@pytest.mark.parametrize("key", ["0", "1", "2"])
+def test_positions_off_the_earth_are_refused(saved: Path, key: str) -> None:
+    content = read_yaml(saved)
+    name = next(one for one in content["sensors"] if one != content["root"])
+    content["sensors"][name]["translation"][int(key)] = 1e300
+    save_yaml(saved, content)
+    with pytest.raises(InputError, match=rf"translation\[{key}\]: must be 1e\+08 or less, got 1e\+300"):
+        load_calibration(saved)

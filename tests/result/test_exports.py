@@ -315,7 +315,7 @@ def test_a_sensor_without_a_link_is_logged_and_left_out(
         (robot(joint("velodyne", "mast"), joint("mast", "velodyne"), joint("mast", "laser_link")),
          "form a cycle through 'velodyne'"),
         (robot(joint("base", "velodyne", '<origin xyz="1 2"/>')),
-         "joint 'base_velodyne' of the URDF: xyz must be three numbers, got '1 2'"),
+         "joint 'base_velodyne' of the URDF: xyz must be three numbers of 1e.08 or less, got '1 2'"),
         (robot(joint("base", "velodyne", '<origin xyz="0 0 ${h}"/>')), "is a xacro; expand it first"),
         ("<robot><joint></robot>", "not valid XML: mismatched tag"),
         ("<sdf/>", "has no joints below its element <robot>"),

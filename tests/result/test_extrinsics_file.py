@@ -129,7 +129,7 @@ ENTITIES = '<!DOCTYPE robot [<!ENTITY a "aaaa">]><robot name="r"><joint name="&a
         ("[{parent: a, translation: [0, 0, 0]}]", "needs the frame's parent .* it has parent, translation"),
         (
             "[{parent: a, child: b, translation: [0, 0]}]",
-            r"translation: must be the numbers x, y, z, got \[0, 0\]",
+            r"translation: must be the numbers x, y, z, of 1e.08 or less, got \[0, 0\]",
         ),
         (
             "[{parent: a, child: b, translation: [0, 0, 0], rotation: [0, 0, 0, 2]}]",
@@ -155,3 +155,14 @@ def test_frames_that_nothing_connects_are_refused(tmp_path: Path) -> None:
     text = AS_LISTS + "- {parent: c, child: d, translation: [0, 0, 0], rpy: [0, 0, 0]}"
     with pytest.raises(InputError, match=r"frames 'a' and 'd' of .* are not connected"):
         reading(tmp_path / "tf.yaml", text).transform("a", "d")
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e300"])
+@pytest.mark.parametrize("attribute", ["xyz", "rpy"])
+def test_numbers_of_a_urdf_are_finite(number: str, attribute: str, tmp_path: Path) -> None:
+    joint = f"""<robot name="r"><joint name="j" type="fixed"><origin {attribute}="0 {number} 0"/>
+    <parent link="a"/><child link="b"/></joint></robot>"""
+    with pytest.raises(
+        InputError, match=f"joint 'j' of the URDF: {attribute} must be three numbers of 1e.08 or less"
+    ):
+        reading(tmp_path / "robot.urdf", joint)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.result import BeamView, BoardView, Calibration, CaptureRow, Pictures, save_residuals
+from calgraph.result import BeamView, BoardView, Calibration, CaptureRow, Pictures, save_captures, save_residuals
 
 
 @pytest.fixture
@@ -49,3 +49,23 @@ def test_a_beam_of_a_network_has_its_time_and_no_capture(rows: list[dict[str, st
     beam = rows[2]
     assert (beam["capture"], float(beam["time"]), beam["z"]) == ("", 7.25, "")
     assert [float(beam[name]) for name in ("x", "y", "residual")] == [4, -1.5, 0.021]
+
+
+@pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t"])
+def test_no_cell_is_a_formula_for_spreadsheets(calibration: Calibration, tmp_path: Path, start: str) -> None:
+    name = start + "1+1"
+    rows = (CaptureRow(3, 10.0, 12.0, name, False, name),)
+    views = (BoardView(3, name, True, np.array([[1.0, 2.0, 3.0]]), np.array([-0.0125])),)
+    beams = (BeamView(name, np.array([7.25]), np.array([[4.0, -1.5]]), np.array([0.021])),)
+    changed = dataclasses.replace(
+        calibration,
+        evidence=dataclasses.replace(calibration.evidence, captures=rows),
+        pictures=Pictures(board_views=views, beam_views=beams),
+    )
+    save_captures(changed, tmp_path / "captures.csv")
+    save_residuals(changed, tmp_path / "residuals.csv")
+    texts = []
+    for file in ("captures.csv", "residuals.csv"):
+        with (tmp_path / file).open(encoding="utf-8", newline="") as stream:
+            texts += [row[key] for row in csv.DictReader(stream) for key in ("sensor", "reason") if key in row]
+    assert texts == ["'" + name] * 4

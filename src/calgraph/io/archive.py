@@ -2,6 +2,7 @@
 
 import json
 import lzma
+import math
 import struct
 import zipfile
 import zlib
@@ -97,8 +98,22 @@ def _arrays(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray
             with _wrap_damage_errors(path, name):
                 # Whole, as only then the checksum is compared.
                 stream = BytesIO(archive.read(name))
+                _check_array_size(stream)
                 array = np.lib.format.read_array(stream, allow_pickle=False)
             yield name.removesuffix(".npy"), array
+
+
+def _check_array_size(stream: BytesIO) -> None:
+    """Raises ValueError if the header states another size than what follows: NumPy allocates before it reads."""
+    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    version = np.lib.format.read_magic(stream)
+    if version not in read_header:
+        raise ValueError(f"version {version} of the array format")
+    shape, _, dtype = read_header[version](stream)
+    left = stream.getbuffer().nbytes - stream.tell()
+    stream.seek(0)
+    if not dtype.hasobject and math.prod(shape) * dtype.itemsize != left:
+        raise ValueError(f"its header states the shape {shape}, which {left} bytes do not have")
 
 
 def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:

@@ -12,6 +12,7 @@ from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.geometry import Array, so3
 from calgraph.io import format_yaml, write_atomically, write_text
+from calgraph.io.csv_writing import escape_formula
 from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
 from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
@@ -69,7 +70,8 @@ def save_captures(calibration: Calibration, path: Path) -> None:
 def _capture_row(row: CaptureRow) -> tuple[object, ...]:
     residual = "" if row.residual is None else f"{row.residual:.5f}"
     used = "yes" if row.used else "no"
-    return row.capture, f"{row.start:.3f}", f"{row.end:.3f}", row.sensor, used, row.reason, residual
+    sensor, reason = escape_formula(row.sensor), escape_formula(row.reason)
+    return row.capture, f"{row.start:.3f}", f"{row.end:.3f}", sensor, used, reason, residual
 
 
 def _sensor(sensor: SensorPose) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_c
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
+from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 
@@ -26,7 +27,8 @@ NonNegative = Annotated[float, Strict(), Field(ge=0)]
 Positive = Annotated[float, Strict(), Field(gt=0)]
 Count = Annotated[int, Strict(), Field(ge=0)]
 Flag = Annotated[bool, Strict()]
-Vector3 = tuple[Finite, Finite, Finite]
+Distance = Annotated[float, Strict(), Field(ge=-MAX_DISTANCE, le=MAX_DISTANCE, allow_inf_nan=False)]
+Vector3 = tuple[Distance, Distance, Distance]
 Vector4 = tuple[Finite, Finite, Finite, Finite]
 # What was not measured is null.
 Entry = Number | None
@@ -35,6 +37,9 @@ Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3
 _SYMMETRY_TOLERANCE = 1e-6
+_EIGENVALUE_TOLERANCE = 1e-4
+"""By which eigenvalues of a correlation matrix may be negative, relative to the largest: its elements are written
+with 8 digits or more, and version 0.1 wrote fewer."""
 
 
 def _to_array(rows: Sequence[Sequence[float | None]]) -> Array:
@@ -48,7 +53,7 @@ class _Verdict(StrictModel):
 
 
 class _StatedPose(StrictModel):
-    height: Finite | None = None
+    height: Distance | None = None
     roll: Finite = 0.0
     pitch: Finite = 0.0
     inverted: Flag = False
@@ -82,6 +87,7 @@ class _Sensor(StrictModel):
         if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
             raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
         _check_symmetric(covariance, "covariance")
+        _check_semidefinite(covariance, "covariance")
         return self
 
 
@@ -180,6 +186,7 @@ class _JointCovariance(StrictModel):
         if np.any(np.diag(matrix) < 0):
             raise invalid("matrix", "must have variances of 0 or more on its diagonal")
         _check_symmetric(matrix, "matrix")
+        _check_semidefinite(matrix, "matrix")
         return self
 
 
@@ -383,4 +390,19 @@ def _check_symmetric(covariance: Array, key: str) -> None:
         i, j = wrong_at[0]
         raise invalid(
             f"{key}[{i}][{j}]", f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}"
+        )
+
+
+def _check_semidefinite(covariance: Array, key: str) -> None:
+    """Refuses a matrix that is no covariance: one direction would have a negative variance."""
+    variances = np.diag(covariance)
+    measured = np.isfinite(variances) & (variances > 0)
+    stddev = np.sqrt(variances[measured])
+    correlation = covariance[np.ix_(measured, measured)] / stddev / stddev[:, None]
+    fixed = variances == 0
+    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(correlation)) if len(stddev) else np.zeros(1)
+    is_negative = eigenvalues[0] < -_EIGENVALUE_TOLERANCE * max(eigenvalues[-1], 1.0)
+    if is_negative or np.nan_to_num(covariance[fixed]).any():
+        raise invalid(
+            key, "must be positive semidefinite: as it stands, a direction has a negative variance; write it again"
         )

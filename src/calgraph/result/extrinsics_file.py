@@ -14,7 +14,7 @@ from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.exports.frames import from_roll_pitch_yaw
 from calgraph.result.exports.urdf_text import frames_from_joints, read_joints
-from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.result.frame_tree import MAX_DISTANCE, FrameLink, FrameTree
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3
@@ -191,8 +191,11 @@ def _parse_numbers(where: str, given: Any, names: str) -> Array:
     """Numbers that are given in order, or by name."""
     values = [given.get(name) for name in names.split()] if isinstance(given, dict) else given
     good = isinstance(values, list) and len(values) == len(names.split())
-    if not good or not all(isinstance(v, int | float) and np.isfinite(v) for v in values):
-        raise InputError(f"{where}: must be the numbers {names.replace(' ', ', ')}, got {given!r}")
+    if not good or not all(isinstance(v, int | float) and abs(v) <= MAX_DISTANCE for v in values):
+        raise InputError(
+            f"{where}: must be the numbers {names.replace(' ', ', ')}, of {MAX_DISTANCE:g} or less, "
+            f"got {repr(given)[:60]}"
+        )
     return np.array(values, dtype=np.float64)
 
 

@@ -8,6 +8,10 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 
+MAX_DISTANCE = 1e8
+"""m, of a frame from another in a file that is read: frames of the Earth's centre are 6.4e6 m away. More is no
+place, and its square overflows."""
+
 
 @dataclass(frozen=True, eq=False)
 class FrameLink:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.io import write_atomically
+from calgraph.io.csv_writing import escape_formula
 from calgraph.result.calibration import Calibration
 from calgraph.result.pictures import BeamView, BoardView
 
@@ -38,7 +39,7 @@ def capture_times(calibration: Calibration) -> dict[int, float]:
 def _board_rows(view: BoardView, time: float) -> Iterator[tuple[object, ...]]:
     if view.residuals is None:
         return
-    head = view.sensor, view.capture, _format_time(time)
+    head = escape_formula(view.sensor), view.capture, _format_time(time)
     for at, residual in zip(view.measured, view.residuals, strict=True):
         if view.measured.shape[1] == 2:
             dx, dy = (f"{value:.4f}" for value in residual)
@@ -49,7 +50,18 @@ def _board_rows(view: BoardView, time: float) -> Iterator[tuple[object, ...]]:
 
 def _beam_rows(view: BeamView) -> Iterator[tuple[object, ...]]:
     for time, (x, y), residual in zip(view.times, view.points, view.residuals, strict=True):
-        yield view.sensor, "", _format_time(time), "m", f"{x:.4f}", f"{y:.4f}", "", f"{residual:.6f}", "", ""
+        yield (
+            escape_formula(view.sensor),
+            "",
+            _format_time(time),
+            "m",
+            f"{x:.4f}",
+            f"{y:.4f}",
+            "",
+            f"{residual:.6f}",
+            "",
+            "",
+        )
 
 
 def _format_time(time: float) -> str:

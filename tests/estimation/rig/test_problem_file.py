@@ -27,7 +27,10 @@ from calgraph.sensors import CameraModel
 RIG = Rig.model_validate(
     {
         "root": "lidar",
-        "target": {"kind": "board", "size": [1.2, 0.9], "tags": [{"id": 3, "size": 0.3, "center": [0.1, 0.2]}]},
+        "target": [
+            {"kind": "board", "size": [1.2, 0.9], "tags": [{"id": id, "size": 0.3, "center": [0.1, 0.2]}]}
+            for id in (3, 4)
+        ],
         "capture": {"exclude": [[0.1, 1 / 3]]},
         "sensors": {
             "lidar": {"kind": "lidar3d", "topic": "/points", "noise": {"range": 0.1 + 0.2}},
@@ -357,3 +360,31 @@ def test_a_problem_keeps_its_priors_unless_files_state_others(problem: Problem) 
     prior = PosePrior.model_validate({"sensor": "camera", "source": "earlier.yaml", **poses})
     with_prior = dataclasses.replace(problem, solver=SolverOptions(priors=(prior,)))
     assert with_prior_poses(with_prior, None, ()).solver.priors == (prior,)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("board", 2, "corners/board: of camera in capture 7 must be below the 2 boards, got 2"),
+        ("board", -1, "corners/board: of camera in capture 7 must be below the 2 boards, got -1"),
+        ("pixels", 0.0, "corners/pixels: of camera in capture 7 must be finite and differ"),
+        ("pixels", np.nan, "corners/pixels: of camera in capture 7 must be finite and differ"),
+    ],
+)
+def test_corners_are_of_a_board_and_have_an_extent(name: str, value: float, message: str, saved: Path) -> None:
+    with np.load(saved) as members:
+        array = np.full_like(members[f"corners/{name}"], value)
+    with pytest.raises(InputError, match=message):
+        load_problem(with_array(saved, f"corners/{name}", array))
+
+
+@pytest.mark.parametrize("shape", [(10**13,), (10**9, 10**9)])
+def test_arrays_are_not_made_as_large_as_their_header_states(shape: tuple[int, ...], saved: Path) -> None:
+    def change(members: dict[str, bytes]) -> None:
+        stream = BytesIO()
+        header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(stream, header)
+        members["holds/start.npy"] = stream.getvalue()
+
+    with pytest.raises(InputError, match=r"its member holds/start\.npy is damaged .its header states the shape"):
+        load_problem(rewritten(saved, change))

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
+from calgraph.detection import BoardCorners
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.graph import SpanningTree
@@ -83,6 +85,7 @@ def check_problem(problem: Problem) -> None:
         for name, by_capture in captures.detections.items():
             if hold.index not in by_capture and (hold.index, name) not in captures.rejections:
                 raise InputError(f"misses: must state why {name} has no detection in capture {hold.index}")
+    _check_corners(captures, len(problem.rig.boards))
     for estimate in select_successful(problem.pairs):
         _check_matches(estimate, captures.detections)
 
@@ -91,6 +94,22 @@ def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> Non
     unknown = set(names) - set(allowed)
     if unknown:
         raise InputError(f"{what}: must be among {', '.join(allowed)}, got {', '.join(sorted(unknown))}")
+
+
+def _check_corners(captures: CaptureSet, board_count: int) -> None:
+    """Raises InputError for corners of a board that the rig lacks, or that have no extent in the image."""
+    for name, by_capture in captures.detections.items():
+        for capture, candidates in by_capture.items():
+            for found in candidates:
+                if not isinstance(found, BoardCorners):
+                    continue
+                place = f"of {name} in capture {capture}"
+                if not 0 <= found.board < board_count:
+                    raise InputError(
+                        f"corners/board: {place} must be below the {board_count} boards, got {found.board}"
+                    )
+                if not (np.isfinite(found.pixels).all() and np.ptp(found.pixels, axis=0).any()):
+                    raise InputError(f"corners/pixels: {place} must be finite and differ from each other")
 
 
 def _check_matches(estimate: PairwiseEstimate, detections: Mapping[str, Candidates]) -> None:

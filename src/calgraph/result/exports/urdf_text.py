@@ -11,7 +11,7 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.result.exports.frames import from_roll_pitch_yaw
-from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.result.frame_tree import MAX_DISTANCE, FrameLink, FrameTree
 
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
@@ -152,8 +152,11 @@ def _numbers(joint: str, attribute: str, text: str) -> list[float]:
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != 3:
-        raise InputError(f"joint {joint!r} of the URDF: {attribute} must be three numbers, got {text!r}")
+    if len(values) != 3 or not all(abs(value) <= MAX_DISTANCE for value in values):
+        raise InputError(
+            f"joint {joint!r} of the URDF: {attribute} must be three numbers of {MAX_DISTANCE:g} or less, "
+            f"got {text[:60]!r}"
+        )
     return values
 
 
