@@ -2,13 +2,14 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-_RUN = f"{sys.executable} -c 'from calgraph.cli import main; main()'"
+_RUN = f"{shlex.quote(sys.executable)} -c 'from calgraph.cli import main; main()'"
 _ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii:strict"}
 
 
@@ -21,7 +22,7 @@ def run_in_shell(command: str, **environment: str) -> subprocess.CompletedProces
 
 @pytest.mark.parametrize("options", ["--json", ""])
 def test_a_full_device_is_named_with_exit_code_2(calibrated: tuple[Path, object], options: str) -> None:
-    done = run_in_shell(f"inspect {options} {calibrated[0]} > /dev/full")
+    done = run_in_shell(f"inspect {options} {shlex.quote(str(calibrated[0]))} > /dev/full")
     assert done.stderr == "calgraph: standard output: cannot be written (No space left on device)\n"
     assert done.returncode == 2
 
@@ -39,19 +40,20 @@ def test_an_error_keeps_its_exit_code_where_stderr_is_full() -> None:
 @pytest.mark.parametrize("streams", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_change_no_result(simulated: Path, tmp_path: Path, streams: str) -> None:
     written, expected = tmp_path / "rig.yaml", tmp_path / "expected.yaml"
-    assert run_in_shell(f"init {simulated / 'recording'} -o {expected}").returncode == 0
-    assert run_in_shell(f"init {simulated / 'recording'} -o {written} {streams}").returncode == 0
+    recording = shlex.quote(str(simulated / "recording"))
+    assert run_in_shell(f"init {recording} -o {shlex.quote(str(expected))}").returncode == 0
+    assert run_in_shell(f"init {recording} -o {shlex.quote(str(written))} {streams}").returncode == 0
     assert written.read_bytes() == expected.read_bytes()
 
 
 def test_ascii_terminals_have_signs_in_ascii(calibrated: tuple[Path, object]) -> None:
-    done = run_in_shell(f"inspect {calibrated[0]}", **_ASCII)
+    done = run_in_shell(f"inspect {shlex.quote(str(calibrated[0]))}", **_ASCII)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.isascii()
     assert "(+/-: one sigma, along the worst axis)" in done.stdout
 
 
 def test_json_does_not_depend_on_the_terminal(calibrated: tuple[Path, object]) -> None:
-    command = f"inspect --json {calibrated[0]}"
+    command = f"inspect --json {shlex.quote(str(calibrated[0]))}"
     done = run_in_shell(command, **_ASCII)
     assert json.loads(done.stdout) == json.loads(run_in_shell(command).stdout)
