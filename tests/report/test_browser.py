@@ -114,16 +114,18 @@ def test_captures_are_filtered(rig_page: Opened) -> None:
     assert rig_page.page.locator("#filter-count").inner_text() == f"{len(shown)} of 240 rows"
 
 
+def save_figure(opened: Opened, label: str, kind: str, path: Path) -> None:
+    title = re.compile(f"^Save {re.escape(label).replace('0', '[0-9]+')} as {kind}")
+    with opened.page.expect_download(timeout=_PATIENCE) as download:
+        opened.page.get_by_title(title).first.click()
+    download.value.save_as(path)
+
+
 @pytest.mark.parametrize(
     "label", ["Graph of the sensors", "Coverage of camera", "camera in capture 0", "lidar: Over range"]
 )
 def test_a_figure_is_saved_as_svg(rig_page: Opened, label: str, tmp_path: Path) -> None:
-    button = rig_page.page.get_by_title(
-        re.compile(f"^Save {re.escape(label).replace('0', '[0-9]+')} as SVG")
-    ).first
-    with rig_page.page.expect_download(timeout=_PATIENCE) as download:
-        button.click()
-    download.value.save_as(tmp_path / "saved.svg")
+    save_figure(rig_page, label, "SVG", tmp_path / "saved.svg")
     text = (tmp_path / "saved.svg").read_text(encoding="utf-8")
     svg = ElementTree.fromstring(text)
     assert svg.tag == "{http://www.w3.org/2000/svg}svg"
@@ -134,12 +136,7 @@ def test_a_figure_is_saved_as_svg(rig_page: Opened, label: str, tmp_path: Path) 
 
 @pytest.mark.parametrize("label", ["Graph of the sensors", "camera in capture 0", "lidar: Over range"])
 def test_a_figure_is_saved_as_png(rig_page: Opened, label: str, tmp_path: Path) -> None:
-    button = rig_page.page.get_by_title(
-        re.compile(f"^Save {re.escape(label).replace('0', '[0-9]+')} as PNG")
-    ).first
-    with rig_page.page.expect_download(timeout=_PATIENCE) as download:
-        button.click()
-    download.value.save_as(tmp_path / "saved.png")
+    save_figure(rig_page, label, "PNG", tmp_path / "saved.png")
     pixels = np.asarray(cv2.imread(str(tmp_path / "saved.png"), cv2.IMREAD_COLOR))
     assert pixels.shape[1] > 600
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20

@@ -46,7 +46,7 @@ from calgraph.estimation import (
     with_prior_poses,
 )
 from calgraph.graph import SpanningTree, initialize_rig
-from calgraph.pairwise import estimate_pairs, reselect_all_inliers, select_successful
+from calgraph.pairwise import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
 from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, RecordedMessage
@@ -162,26 +162,23 @@ def build_problem_from_captures(
     log_captures(captures)
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
+    start = select_initialization(options.start, rig.settings.baselines)
+
+    def span_tree(pairs: PairwiseEstimates) -> SpanningTree:
+        return initialize_rig(
+            rig.root, select_successful(pairs), start, rng, rig.settings.graph, settings.max_stddev
+        )
+
     pairs = estimate_pairs(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
     )
-    start = select_initialization(options.start, rig.settings.baselines)
-    tree = initialize_rig(
-        rig.root, select_successful(pairs), start, rng, rig.settings.graph, rig.settings.pairwise.board.max_stddev
-    )
+    tree = span_tree(pairs)
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
         joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
         captures = scale_boards(captures, joint.print_scale)
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size, settings)
-        tree = initialize_rig(
-            rig.root,
-            select_successful(pairs),
-            start,
-            rng,
-            rig.settings.graph,
-            rig.settings.pairwise.board.max_stddev,
-        )
+        tree = span_tree(pairs)
     log_pairs(pairs)
     solver = SolverOptions(estimator=options.estimator, keep=options.keep, folds=options.folds)
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))

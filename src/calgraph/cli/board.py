@@ -133,4 +133,4 @@ def _describe(pages: Sequence[Page]) -> str:
 
 
 board = add_options(board_options, _MODEL_OPTIONS, BoardOptions())
-"""The command; what there is to choose of a print is read off :class:`Wishes`."""
+"""The command; options of the print are the fields of :class:`BoardOptions`."""

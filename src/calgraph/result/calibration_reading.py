@@ -14,6 +14,7 @@ from calgraph.geometry import Array, se3
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
+from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.frame_tree import MAX_DISTANCE
@@ -36,10 +37,6 @@ Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3
-_SYMMETRY_TOLERANCE = 1e-6
-_EIGENVALUE_TOLERANCE = 1e-4
-"""By which eigenvalues of a correlation matrix may be negative, relative to the largest: its elements are written
-with 8 digits or more, and version 0.1 wrote fewer."""
 
 
 def _to_array(rows: Sequence[Sequence[float | None]]) -> Array:
@@ -86,8 +83,8 @@ class _Sensor(StrictModel):
         numbers = [value for row in self.covariance for value in row if value is not None]
         if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
             raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
-        _check_symmetric(covariance, "covariance")
-        _check_semidefinite(covariance, "covariance")
+        check_symmetric(covariance, "covariance")
+        check_semidefinite(covariance, "covariance")
         return self
 
 
@@ -185,8 +182,8 @@ class _JointCovariance(StrictModel):
         matrix = _to_array(self.matrix)
         if np.any(np.diag(matrix) < 0):
             raise invalid("matrix", "must have variances of 0 or more on its diagonal")
-        _check_symmetric(matrix, "matrix")
-        _check_semidefinite(matrix, "matrix")
+        check_symmetric(matrix, "matrix")
+        check_semidefinite(matrix, "matrix")
         return self
 
 
@@ -378,31 +375,3 @@ def _rows(captures: _Captures) -> tuple[CaptureRow, ...]:
             windows = ((n, captures.windows.get(n, missing)) for n in numbers)
             rows += [CaptureRow(n, start, end, sensor, used, reason) for n, (start, end) in windows]
     return tuple(sorted(rows, key=lambda row: row.capture))
-
-
-def _check_symmetric(covariance: Array, key: str) -> None:
-    """Refuses an element that differs from its mirror image by more than rounding."""
-    scale = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore"):  # infinite variances
-        excess = np.abs(covariance - covariance.T) - _SYMMETRY_TOLERANCE * np.outer(scale, scale)
-    wrong_at = np.argwhere((np.nan_to_num(excess, nan=0.0) > 0) & (covariance != covariance.T))
-    if len(wrong_at):
-        i, j = wrong_at[0]
-        raise invalid(
-            f"{key}[{i}][{j}]", f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}"
-        )
-
-
-def _check_semidefinite(covariance: Array, key: str) -> None:
-    """Refuses a matrix that is no covariance: one direction would have a negative variance."""
-    variances = np.diag(covariance)
-    measured = np.isfinite(variances) & (variances > 0)
-    stddev = np.sqrt(variances[measured])
-    correlation = covariance[np.ix_(measured, measured)] / stddev / stddev[:, None]
-    fixed = variances == 0
-    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(correlation)) if len(stddev) else np.zeros(1)
-    is_negative = eigenvalues[0] < -_EIGENVALUE_TOLERANCE * max(eigenvalues[-1], 1.0)
-    if is_negative or np.nan_to_num(covariance[fixed]).any():
-        raise invalid(
-            key, "must be positive semidefinite: as it stands, a direction has a negative variance; write it again"
-        )
