@@ -5,6 +5,7 @@ import numpy as np
 from calgraph.config.strict_model import invalid
 from calgraph.geometry import Array
 
+# Relative to standard deviations: by which elements may differ from their mirror images, as they are rounded.
 _SYMMETRY_TOLERANCE = 1e-6
 _EIGENVALUE_TOLERANCE = 1e-4
 """By which eigenvalues of a correlation matrix may be negative, relative to the largest: its elements are written
