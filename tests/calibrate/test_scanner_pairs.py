@@ -9,7 +9,6 @@ from calgraph.calibrate import NetworkEstimator, NetworkOptions, calibrate_track
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.graph import ClockMountingSolution
 from calgraph.pairwise import ClockMountingHypothesis
 from calgraph.result import Calibration
 from calgraph.simulation import (
@@ -156,12 +155,3 @@ def test_only_clocks_beyond_the_search_are_named_as_distant(
     pairs = {("scanner_1", LATE): Rejected("too little time")}
     findings = scanner_pairs._find_distant_clocks(rig, tracked, pairs, {}, NetworkOptions())
     assert any(f"the clock of {LATE} may differ from that of scanner_1" in one.text for one in findings) == named
-
-
-def test_a_clock_found_from_people_on_one_line_makes_its_scanners_weak(lab: Network) -> None:
-    rig, _, _ = lab
-    on_a_line = ClockMountingHypothesis("scanner_1", LATE, False, 0.4, 0.001, 400.0, 0.0, 0.2)
-    solution = ClockMountingSolution({LATE: 0.4}, frozenset(), (), (), {}, (), (on_a_line,))
-    corrected, unsure = scanner_pairs._report_findings(rig, solution, {LATE: 0.4})
-    assert (corrected.sensors, unsure.sensors) == ((), (LATE,))
-    assert "the clock offset of scanner_1 and scanner_2, +0.40 s, rests on people" in unsure.text

@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.calibrate.options import NetworkOptions, Progress
 from calgraph.calibrate.strategies import select_depth_stddev
-from calgraph.captures import InputFinding
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.config.settings import ScannerPairSettings
+from calgraph.diagnostics import Finding, report_clocks_and_mountings
 from calgraph.errors import Rejected
 from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.pairwise import (
@@ -39,7 +39,7 @@ class CorrectedPairs:
     """By which tracks were corrected: clock of a scanner minus the root's, s; none where it is 0."""
     inverted: frozenset[str] = frozenset()
     """Scanners whose tracks were mirrored, as they are mounted the other way up than the root."""
-    findings: tuple[InputFinding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     """What was corrected, and what the tracks do not determine."""
 
 
@@ -66,7 +66,7 @@ def pair_scanners(
         pairs = _estimate_pairs(rig, tracked, options, rng, progress)
     pairs = _reject_refused(pairs, solution, settings)
     findings = [
-        *_report_findings(rig, solution, clocks),
+        *report_clocks_and_mountings(rig.root, solution, clocks, settings.clock_mounting),
         *_find_distant_clocks(rig, tracked, pairs, clocks, options),
     ]
     return CorrectedPairs(tracked, pairs, clocks, inverted | solution.inverted, tuple(findings))
@@ -153,73 +153,13 @@ def _reject_refused(
     return kept
 
 
-def _report_findings(rig: Rig, solution: ClockMountingSolution, clocks: Mapping[str, float]) -> list[InputFinding]:
-    """What was corrected, as remarks; what the tracks do not determine, as reasons for a weak pose."""
-    limits = rig.settings.pairwise.scanners.clock_mounting
-    findings = [
-        InputFinding(
-            f"the clock of {name} differs from that of {rig.root} by {offset:+.2f} s: "
-            "found from the tracks, and corrected"
-        )
-        for name, offset in clocks.items()
-        if name not in solution.distant_clocks
-    ]
-    findings += [
-        InputFinding(
-            f"the clock of {name} differs from that of {rig.root} by {offset:+.2f} s, more than the "
-            f"{limits.max_clock_offset:g} s that are searched: set the clocks, and record again",
-            (name,),
-        )
-        for name, offset in solution.distant_clocks.items()
-    ]
-    findings += [
-        InputFinding(
-            f"the tracks of {h.sensor_a} and {h.sensor_b} match best with a clock offset of "
-            f"{h.clock_offset:+.2f} s, which other pairs do not confirm, as where people follow each other or "
-            "push carts: not corrected; set the clocks, or let people walk alone and turn",
-            tuple(name for name in (h.sensor_a, h.sensor_b) if name != rig.root),
-        )
-        for h in solution.refused
-        if h.evidence >= limits.firm_evidence
-    ]
-    findings += [
-        InputFinding(
-            f"the clock offset of {h.sensor_a} and {h.sensor_b}, {h.clock_offset:+.2f} s, rests on people who "
-            "walk on one line, where those who follow each other fit a delay as well: set the clocks, or let "
-            "people turn",
-            tuple(name for name in (h.sensor_a, h.sensor_b) if name != rig.root),
-        )
-        for h in solution.on_a_line
-    ]
-    findings += [
-        InputFinding(f"{name} is mounted upside-down relative to {rig.root}: recognised from mirrored tracks")
-        for name in sorted(solution.inverted)
-    ]
-    findings += [
-        InputFinding(
-            f"{name} may as well be mounted upside-down, as people walked on one line only: state `mounting` in "
-            "rig.yaml, or let people turn",
-            (name,),
-        )
-        for name in solution.ambiguous
-    ]
-    findings += [
-        InputFinding(
-            f"the tracks of {name} contradict its stated `mounting`: they fit the other scanners as mirrored ones",
-            (name,),
-        )
-        for name in solution.contradicted
-    ]
-    return findings
-
-
 def _find_distant_clocks(
     rig: Rig,
     tracked: Mapping[str, ScannerTracks],
     pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
     clocks: Mapping[str, float],
     options: NetworkOptions,
-) -> list[InputFinding]:
+) -> list[Finding]:
     """Scanners without pairs whose tracks match those of others with a clock offset beyond the usual search.
 
     The times of tracks are already corrected by ``clocks``.
@@ -247,7 +187,7 @@ def _find_distant_clocks(
         if best and distant and best.evidence >= limits.firm_evidence:
             offset = best.clock_offset - clocks.get(best.sensor_a, 0.0)
             findings.append(
-                InputFinding(
+                Finding(
                     f"the clock of {name} may differ from that of {best.sensor_a} by {offset:+.1f} s, more than "
                     f"the {limits.max_clock_offset:g} s that are corrected: set the clocks, and record again"
                 )

@@ -8,6 +8,7 @@ from calgraph.diagnostics.comparison import (
 )
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.assemble import NetworkPairs, assemble_network
+from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
 from calgraph.diagnostics.network.extension import (
     build_consistent_prior,
     extract_earlier_poses,
@@ -33,5 +34,5 @@ __all__ = [
     "assemble_rig", "assess_network_model", "axis_names", "bootstrap_poses", "build_consistent_prior",
     "collect_network_findings", "compare_network_poses", "compare_rig_poses", "cross_validate",
     "extract_earlier_poses", "find_bumps", "find_track_bump", "include_drifts",
-    "merge_calibrations", "remove_scanners",
+    "merge_calibrations", "remove_scanners", "report_clocks_and_mountings",
 ]  # fmt: skip

@@ -71,41 +71,17 @@ def assemble_network(
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
     )
-    blocks = diagonal_blocks(covariance, 6)
-    parents = _find_parents(inliers, names)
-    reasons = collect_findings(findings)
     clocks[:, 0] += [clock_offset.get(name, 0.0) for name in names]
     # A rotation by 180° about the x axis of the mirrored frame.
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
-    T_root_sensor = se2.to_se3(T_root_scanner) @ flips
     beam_views, fit = ((), {}) if joint is None else collect_beam_views(joint, names, start)
-    stated = _collect_stated_poses(rig, dict(zip(names, T_root_sensor, strict=True)))
+    parents = _find_parents(inliers, names)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
-        sensors=tuple(
-            SensorPose(
-                name=name,
-                parent=parents.get(name),
-                frame_id=rig.sensors[name].frame_id or frames[name] or name,
-                kind="lidar2d",
-                T_root_sensor=T_root_sensor[k],
-                verdict=grade_pose(
-                    name,
-                    "lidar2d",
-                    T_root_sensor[k],
-                    np.nan_to_num(blocks[k]),  # what is not measured has no verdict
-                    reasons.get(name, ""),
-                    tolerance=rig.tolerance,
-                    settings=rig.settings.diagnostics.verdict,
-                    data="tracks",
-                    advice=_ADVICE,
-                ),
-                stated=stated.get(name),
-                clock_offset=_finite_or_none(clocks[k, 0]),
-                clock_offset_stddev=_finite_or_none(clocks[k, 1]),
-            )
-            for k, name in enumerate(names)
+        sensors=_assemble_poses(
+            rig, frames, parents, dict(zip(names, se2.to_se3(T_root_scanner) @ flips, strict=True)),
+            covariance, clocks, collect_findings(findings),
         ),
         joint_covariance=covariance,
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
@@ -130,6 +106,45 @@ def assemble_network(
             else dict(zip(names, se2.to_se3(averaged.T_root_node) @ flips, strict=True)),
         ),
         pictures=Pictures(floor_views=build_floor_views(tracked, samples, planar, start), beam_views=beam_views),
+    )  # fmt: skip
+
+
+def _assemble_poses(
+    rig: Rig,
+    frames: Mapping[str, str],
+    parents: Mapping[str, str],
+    T_root_sensor: Mapping[str, Array],
+    covariance: Array,
+    clocks: Array,
+    reasons: Mapping[str, str],
+) -> tuple[SensorPose, ...]:
+    """Graded poses, from their joint covariance (6n, 6n) and (n, 2) clock offsets with standard deviations, s."""
+    stated = _collect_stated_poses(rig, T_root_sensor)
+    return tuple(
+        SensorPose(
+            name=name,
+            parent=parents.get(name),
+            frame_id=rig.sensors[name].frame_id or frames[name] or name,
+            kind="lidar2d",
+            T_root_sensor=T,
+            verdict=grade_pose(
+                name,
+                "lidar2d",
+                T,
+                np.nan_to_num(block),  # what is not measured has no verdict
+                reasons.get(name, ""),
+                tolerance=rig.tolerance,
+                settings=rig.settings.diagnostics.verdict,
+                data="tracks",
+                advice=_ADVICE,
+            ),
+            stated=stated.get(name),
+            clock_offset=_finite_or_none(offset),
+            clock_offset_stddev=_finite_or_none(stddev),
+        )
+        for (name, T), block, (offset, stddev) in zip(
+            T_root_sensor.items(), diagonal_blocks(covariance, 6), clocks, strict=True
+        )
     )
 
 
