@@ -6,7 +6,6 @@ python benchmarks/real_recordings.py [DATA]      # DATA: the folder of real reco
 import csv
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -26,7 +25,7 @@ VLP16: dict[str, object] = {
     "sensors": {
         "camera": {
             "kind": "camera",
-            "topic": "camera",
+            "topic": "images",
             "intrinsics": {
                 "model": "fisheye",
                 "width": 1920,
@@ -35,7 +34,7 @@ VLP16: dict[str, object] = {
                 "distortion": [-0.0540096, -0.0784275, 0.0959641, -0.0515253],
             },
         },
-        "lidar": {"kind": "lidar3d", "topic": "lidar"},
+        "lidar": {"kind": "lidar3d", "topic": "pcd_full"},
     },
     # By which the published solutions scatter.
     "tolerance": {"translation": "35 mm", "rotation": "1 deg"},
@@ -51,7 +50,7 @@ WALL: dict[str, object] = {
     "sensors": {
         "camera": {
             "kind": "camera",
-            "topic": "camera",
+            "topic": "images",
             "intrinsics": {
                 "width": 640,
                 "height": 480,
@@ -59,7 +58,7 @@ WALL: dict[str, object] = {
                 "distortion": [0.18421732, -0.31277364, -0.00041421, 0.00039006, -0.07993784],
             },
         },
-        "laser": {"kind": "lidar2d", "topic": "laser"},
+        "laser": {"kind": "lidar2d", "topic": "lasers"},
     },
     # Five poses determine no direction better than this.
     "tolerance": {"translation": "5 cm", "rotation": "2 deg"},
@@ -72,28 +71,14 @@ def calibrated(rig: dict[str, object], folder: Path) -> Calibration:
         return calibrate_rig(Rig.model_validate(rig), recording, RigOptions())
 
 
-def linked(folder: Path, files: dict[str, Path]) -> None:
-    """Makes a folder of a plain recording from files that stay where they are."""
-    folder.mkdir(parents=True)
-    for name, file in files.items():
-        (folder / name).symlink_to(file)
-
-
-def vlp16(data: Path, folder: Path) -> Calibration:
+def vlp16(data: Path) -> Calibration:
     """Fisheye camera and VLP-16, 16 poses of a checkerboard, whole sweeps, no background."""
-    source = data / "acfr-vlp16-checkerboard"
-    poses = sorted(int(image.stem.removeprefix("pose")) for image in source.glob("images/*.png"))
-    linked(folder / "camera", {f"{10 * i}.png": source / f"images/pose{i}.png" for i in poses})
-    linked(folder / "lidar", {f"{10 * i}.pcd.gz": source / f"pcd_full/pose{i}_full.pcd.gz" for i in poses})
-    return calibrated(VLP16, folder)
+    return calibrated(VLP16, data / "acfr-vlp16-checkerboard")
 
 
-def wall(data: Path, folder: Path) -> Calibration:
+def wall(data: Path) -> Calibration:
     """Camera and 2-D scanner, five poses of a board that always stood upright."""
-    source = data / "acfr-rpg-camera-2dlidar"
-    linked(folder / "camera", {file.name: file for file in source.glob("images/*.png")})
-    linked(folder / "laser", {file.name: file for file in source.glob("lasers/*.pcd")})
-    return calibrated(WALL, folder)
+    return calibrated(WALL, data / "acfr-rpg-camera-2dlidar")
 
 
 def published(data: Path) -> Array:
@@ -109,8 +94,7 @@ def main() -> None:
     """Prints poses, deviations from the answers, and verdicts."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else beside
-    with TemporaryDirectory() as folder:
-        found = vlp16(data, Path(folder))
+    found = vlp16(data)
     camera, edge = found["camera"], found.evidence.edges[0]
     difference = se3.difference(camera.T_root_sensor, published(data))
     spread = np.sqrt(np.diag(camera.covariance))
@@ -122,8 +106,7 @@ def main() -> None:
     print(f"  standard deviations {(1000 * spread[:3]).round(1).tolist()} mm,", end=" ")
     print(f"{np.degrees(spread[3:]).round(2).tolist()} degrees; {camera.verdict.grade}")
     print("".join(f"  {remark}\n" for remark in found.evidence.remarks), end="")
-    with TemporaryDirectory() as folder:
-        found = wall(data, Path(folder))
+    found = wall(data)
     laser, edge = found["laser"], found.evidence.edges[0]
     lateral, _, forward = laser.T_root_sensor[:3, 3]
     yaw = np.degrees(np.arctan2(-laser.T_root_sensor[0, 0], laser.T_root_sensor[2, 0]))

@@ -21,7 +21,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ from calgraph.geometry import Array, se3
 from calgraph.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.sensors import PointCloud
-from real_recordings import VLP16, linked
+from real_recordings import VLP16
 from systematic_errors import apply_systematic, cross_covariance
 
 CAPTURES = range(1, 41)
@@ -92,14 +91,11 @@ def data_folder() -> Path:
 def load() -> tuple[Rig, Mapping[str, Mapping[int, DetectionResult | Detection]]]:
     """The rig, and all detections by sensor and capture."""
     rig = Rig.model_validate(VLP16)
-    with TemporaryDirectory() as folder:
-        sweeps = {f"{pose}.pcd.gz": data_folder() / f"pcd_full/pose{pose}_full.pcd.gz" for pose in CAPTURES}
-        linked(Path(folder) / "lidar", sweeps)
-        detect = make_detectors(rig, rig.camera_models(), {}, None, np.random.default_rng(0))["lidar"]
-        with open_recording(Path(folder)) as recording:
-            records = sorted(recording.records(["lidar"]), key=lambda record: record.stamp)
-            clouds = [message for record in records if isinstance(message := record.decode(), PointCloud)]
-            patches = {pose: detect([cloud]) for pose, cloud in zip(CAPTURES, clouds, strict=True)}
+    detect = make_detectors(rig, rig.camera_models(), {}, None, np.random.default_rng(0))["lidar"]
+    with open_recording(data_folder()) as recording:
+        decoded = (record.decode() for record in recording.records([rig.topics["lidar"]]))
+        clouds = [message for message in decoded if isinstance(message, PointCloud)]
+        patches = {pose: detect([cloud]) for pose, cloud in zip(CAPTURES, clouds, strict=True)}
     return rig, {"camera": read_corners(rig), "lidar": patches}
 
 

@@ -4,20 +4,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import real_recordings
+from calgraph.cli.app import app
 from calgraph.geometry import se3
+from calgraph.io import save_yaml
 from calgraph.result import Calibration
 
 
 @pytest.fixture(scope="module")
-def vlp16(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    return real_recordings.vlp16(data_dir, tmp_path_factory.mktemp("vlp16"))
+def vlp16(data_dir: Path) -> Calibration:
+    return real_recordings.vlp16(data_dir)
 
 
 @pytest.fixture(scope="module")
-def wall(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    return real_recordings.wall(data_dir, tmp_path_factory.mktemp("wall"))
+def wall(data_dir: Path) -> Calibration:
+    return real_recordings.wall(data_dir)
 
 
 def test_a_camera_and_a_lidar_are_near_the_published_answer(vlp16: Calibration, data_dir: Path) -> None:
@@ -58,6 +61,18 @@ def test_an_upright_board_fixes_three_of_six_directions_and_the_verdict_names_th
     # Sideways has a share of height, as roll is not observable either.
     for direction in ("forward", "yaw"):
         assert direction not in found
+
+
+def test_the_command_says_what_an_upright_board_does_not_fix(data_dir: Path, tmp_path: Path) -> None:
+    """The folder as it was published, its files named by nanoseconds that differ by up to 56 ms in a pair."""
+    save_yaml(tmp_path / "rig.yaml", real_recordings.WALL)
+    arguments = [tmp_path / "rig.yaml", data_dir / "acfr-rpg-camera-2dlidar", "-o", tmp_path / "out"]
+    result = CliRunner().invoke(app, ["calibrate", *map(str, arguments)])
+    assert result.exit_code == 1
+    printed = " ".join(result.output.split())
+    for direction in ("height (z)", "roll (about x)", "pitch (about y)"):
+        assert direction in printed
+    assert (tmp_path / "out" / "calibration.yaml").is_file()
 
 
 def test_what_an_upright_board_does_fix_agrees_with_a_fit_by_hand(wall: Calibration) -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from calgraph.errors import InputError, RecordingError
 from calgraph.recording import open_recording
-from calgraph.recording.folder import parse_stamp
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud
 
 POINTS = np.array([[1.0, 2, 3], [4, 5, 6]])
@@ -42,29 +41,67 @@ def png(value: int = 7) -> bytes:
     return cv2.imencode(".png", np.full((4, 5), value, np.uint8))[1].tobytes()
 
 
-@pytest.mark.parametrize(
-    ("name", "stamp"),
-    [
-        ("12", 12.0),
-        ("12.25", 12.25),
-        ("0", 0.0),
-        ("1773380642793311604", 1773380642.793311604),
-        ("1773380642.793311604", 1773380642.793311604),
-    ],
-)
-def test_file_names_are_seconds_or_nanoseconds(name: str, stamp: float) -> None:
-    assert parse_stamp(name) == stamp
+def test_folder_whose_names_are_unclear_is_an_error_where_it_is_wanted_only(tmp_path: Path) -> None:
+    for name in ("a/1.5.png", "b/2024-03-01_12.png", "b/2024-03-02_13.png"):
+        put(tmp_path, name, png())
+    with open_recording(tmp_path) as recording:
+        assert [record.topic for record in recording.records()] == ["a"]
+        with pytest.raises(
+            InputError, match=r"2024-03-01_12\.png: neither the time .* name the files of each sensor"
+        ):
+            recording.records(["a", "b"])
 
 
-@pytest.mark.parametrize("name", ["pose1", "", "1.2.3", "-1", "1e3", "nan"])
-def test_other_file_names_are_no_times(name: str) -> None:
-    assert parse_stamp(name) is None
-
-
-def test_badly_named_file_is_an_error_that_states_the_right_form(tmp_path: Path) -> None:
-    put(tmp_path, "camera/pose1.png", png())
-    with pytest.raises(InputError, match=r"pose1\.png: is not named by its time"):
+def test_folder_of_unclear_names_alone_is_an_error(tmp_path: Path) -> None:
+    put(tmp_path, "camera/board.png", png())
+    with pytest.raises(InputError, match=r"board\.png: neither the time .* as board has no number"):
         open_recording(tmp_path)
+
+
+def test_two_files_of_one_name_are_an_error(tmp_path: Path) -> None:
+    for name in ("camera/1.png", "camera/1.jpg"):
+        put(tmp_path, name, png())
+    with pytest.raises(InputError, match=r"1\.jpg and 1\.png have the same name"):
+        open_recording(tmp_path)
+
+
+def test_numbered_files_of_sensors_have_the_stamp_of_their_pose(tmp_path: Path) -> None:
+    for name in ("camera/img_0012.png", "camera/img_0002.png"):
+        put(tmp_path, name, png())
+    put_npz(tmp_path, "lidar/pose12_full.npz", points=POINTS)
+    with open_recording(tmp_path) as recording:
+        assert [(r.topic, r.stamp) for r in recording.records()] == [
+            ("camera", 20.0),
+            ("camera", 120.0),
+            ("lidar", 120.0),
+        ]
+
+
+def test_numbered_and_timed_sensors_cannot_be_read_together(tmp_path: Path) -> None:
+    for name in ("camera/img_12.png", "lidar/1773380642.5.png"):
+        put(tmp_path, name, png())
+    with open_recording(tmp_path) as recording:
+        assert len(list(recording.records(["camera"]))) == 1
+        with pytest.raises(InputError, match="files in lidar are named by time, those in camera by number"):
+            recording.records(["camera", "lidar"])
+
+
+def test_files_of_one_folder_are_of_one_sensor_with_its_name(tmp_path: Path) -> None:
+    folder = tmp_path / "front camera"
+    folder.mkdir()
+    for name in ("img_1.png", "img_2.png", "notes.txt"):
+        put(folder, name, png())
+    put(folder, "camera_info.yaml", MESSAGE_KEYS)
+    with open_recording(folder) as recording:
+        assert {topic.name: topic.count for topic in recording.topics} == {
+            "front camera": 2,
+            "front camera/camera_info": 1,
+        }
+
+
+def test_stamp_in_a_numbered_scan_is_not_that_of_its_name(tmp_path: Path) -> None:
+    put(tmp_path, "laser/scan_7.csv", f"{HEADER}1.5,-0.1,0.1,1e-4,1.0,,3.0\n")
+    assert only_message(tmp_path).stamp == 70.0
 
 
 def test_files_of_all_sensors_come_in_order_of_time(tmp_path: Path) -> None:

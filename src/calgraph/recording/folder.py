@@ -1,7 +1,6 @@
-"""Plain folders: ``<sensor>/<seconds>.<png|jpg|pcd|ply|npz|csv>`` beside an optional ``camera_info.yaml``."""
+"""Plain folders: ``<sensor>/<time or number>.<png|jpg|pcd|ply|npz|csv>`` beside a ``camera_info.yaml``."""
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.digest import hash_file
+from calgraph.recording.file_names import FileStamps, NamedFiles, interpret_names, resolve_stamps
 from calgraph.recording.images import decode_image
 from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.pcd import read_pcd
@@ -37,22 +37,40 @@ class _File:
     stamp: float
     topic: str
     path: Path
+    counted: bool = False
+    """Whether its name is the number of a pose, and the stamp is not a time."""
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """The files of one sensor."""
+
+    topic: str
+    info: Path | None
+    paths: Mapping[str, Path]
+    """By name without suffix."""
+    names: NamedFiles
 
 
 class FolderRecording(IndexedRecording):
-    """A folder with one folder of files per sensor; its topics are the names of those folders.
+    """A folder with one folder of files per sensor, whose name is the topic; or a folder with one sensor's files.
 
-    A file's name is its stamp and its arrival. A ``camera_info.yaml`` is one message on the topic
-    ``<sensor>/camera_info`` that arrives with the sensor's first file.
+    The stamp and arrival of a file follow from its name, see :mod:`calgraph.recording.file_names`. A
+    ``camera_info.yaml`` is one message on the topic ``<sensor>/camera_info`` that arrives with the sensor's first
+    file. Folders whose names have no clear meaning are no topics: they need not be of the rig.
     """
 
     def __init__(self, path: Path) -> None:
-        files = [file for folder in sorted(path.iterdir()) if folder.is_dir() for file in _files(folder)]
-        if not files:
+        folders, self._unusable = _find_folders(path)
+        if not folders:
             raise InputError(
-                f"{path}: is no recording: it has neither bag files nor folders with files named "
-                f"<seconds>.<{'|'.join(suffix[1:] for suffix in _READERS)}>"
+                next(iter(self._unusable.values()), "")
+                or f"{path}: is no recording: it has neither bag files nor folders with files named "
+                f"<seconds>.<{'|'.join(suffix[1:] for suffix in _READERS)}>, or by the number of the pose"
             )
+        stamps = resolve_stamps(folder.names for folder in folders)
+        self._counted = {folder.topic: stamped.counted for folder, stamped in zip(folders, stamps, strict=True)}
+        files = [file for pair in zip(folders, stamps, strict=True) for file in _list_files(*pair)]
         first = {file.topic: file for file in sorted(files, key=lambda file: file.stamp, reverse=True)}
         types = {topic: _kind(file.path) for topic, file in first.items()}
         super().__init__(
@@ -61,28 +79,69 @@ class FolderRecording(IndexedRecording):
             types,
         )
 
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[RecordedMessage]:
+        """The records in order of arrival; see :meth:`Recording.records`.
 
-def parse_stamp(name: str) -> float | None:
-    """The stamp in a file's name without suffix: seconds, or nanoseconds if it has 19 digits; else None."""
-    if re.fullmatch(r"\d{19}", name):
-        return int(name) / 1e9
-    return float(name) if re.fullmatch(r"\d+(\.\d+)?", name) else None
+        Raises:
+            InputError: a topic is not in the recording, its names have no clear meaning, or only those of another
+                topic are times.
+        """
+        for topic in topics or ():
+            if topic in self._unusable:
+                raise InputError(self._unusable[topic])
+        topic_by_kind = {self._counted[topic]: topic for topic in topics or () if topic in self._counted}
+        if len(topic_by_kind) == 2:
+            timed, counted = topic_by_kind[False], topic_by_kind[True]
+            raise InputError(
+                f"{self.path}: files in {timed} are named by time, those in {counted} by number: name both by "
+                "time, or both by the number of the pose"
+            )
+        return super().records(topics, start, end)
 
 
-def _files(folder: Path) -> list[_File]:
-    files = []
-    for path in folder.iterdir():
-        suffix = _suffix(path)
-        if suffix is None or path.name.startswith("."):
+def _find_folders(path: Path) -> tuple[list[_Folder], dict[str, str]]:
+    """The sensors' folders, and by the names of others with such files why they cannot be used."""
+    found: list[_Folder] = []
+    unusable: dict[str, str] = {}
+    inner = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and _files_by_name(folder)]
+    for folder in inner or [path]:
+        topic, files = folder.resolve().name, _files_by_name(folder)
+        if not files:
             continue
-        stamp = parse_stamp(path.name[: -len(suffix)])
-        if stamp is None:
-            raise InputError(f"{path}: is not named by its time: <seconds>{suffix} or 19 digits of nanoseconds")
-        files.append(_File(stamp, folder.name, path))
-    info = folder / CAMERA_INFO
-    if files and info.is_file():
-        files.append(_File(min(file.stamp for file in files), f"{folder.name}/camera_info", info))
+        paths = {name: same[0] for name, same in files.items()}
+        twice = next((same for same in files.values() if len(same) > 1), ())
+        info = folder / CAMERA_INFO
+        try:
+            if twice:
+                raise ValueError(f"{' and '.join(sorted(one.name for one in twice))} have the same name")
+            found.append(_Folder(topic, info if info.is_file() else None, paths, interpret_names(paths)))
+        except ValueError as error:
+            example = sorted(paths.values())[0]
+            unusable[topic] = (
+                f"{example}: neither the time of the file nor the number of its pose is clear from its name, as "
+                f"{error}; name the files of each sensor <seconds>{_suffix(example)}, by 19 digits of "
+                f"nanoseconds, or by the number of the pose (pose12{_suffix(example)})"
+            )
+    return found, unusable
+
+
+def _files_by_name(folder: Path) -> dict[str, list[Path]]:
+    """The files of messages in a folder, by name without suffix."""
+    files: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        suffix = _suffix(path)
+        if suffix is not None and not path.name.startswith(".") and path.is_file():
+            files.setdefault(path.name[: -len(suffix)], []).append(path)
     return files
+
+
+def _list_files(folder: _Folder, stamped: FileStamps) -> Iterator[_File]:
+    for name, path in folder.paths.items():
+        yield _File(stamped.stamps[name], folder.topic, path, stamped.counted)
+    if folder.info:
+        yield _File(min(stamped.stamps.values()), f"{folder.topic}/camera_info", folder.info)
 
 
 def _suffix(path: Path) -> str | None:
@@ -106,31 +165,31 @@ def _decode(file: _File) -> Message:
     with wrap_errors(f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"):
         check_fetched(file.path)
         if file.path.name == CAMERA_INFO:
-            return _camera_info(file.path, file.stamp)
-        return _READERS[_suffix(file.path) or ""](file.path, file.stamp)
+            return _camera_info(file)
+        return _READERS[_suffix(file.path) or ""](file)
 
 
 def _digest(file: _File) -> MessageDigest:
     return MessageDigest("", hash_file(file.path))
 
 
-def _camera_info(path: Path, stamp: float) -> CameraInfo:
-    content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+def _camera_info(file: _File) -> CameraInfo:
+    content = YAML(typ="safe").load(file.path.read_text(encoding="utf-8"))
     if not isinstance(content, dict):
         raise ValueError("must hold the keys of a CameraInfo")
-    return CameraInfo(stamp, "", camera_from_yaml(content))
+    return CameraInfo(file.stamp, "", camera_from_yaml(content))
 
 
-def _image(path: Path, stamp: float) -> Image:
-    return Image(stamp, "", decode_image(np.fromfile(path, np.uint8)))
+def _image(file: _File) -> Image:
+    return Image(file.stamp, "", decode_image(np.fromfile(file.path, np.uint8)))
 
 
-def _pcd(path: Path, stamp: float) -> PointCloud:
-    return cloud_from_columns(read_pcd(path), stamp)
+def _pcd(file: _File) -> PointCloud:
+    return cloud_from_columns(read_pcd(file.path), file.stamp)
 
 
-def _ply(path: Path, stamp: float) -> PointCloud:
-    return cloud_from_columns(read_ply(path), stamp)
+def _ply(file: _File) -> PointCloud:
+    return cloud_from_columns(read_ply(file.path), file.stamp)
 
 
 def _open_npz(path: Path) -> Any:
@@ -140,23 +199,23 @@ def _open_npz(path: Path) -> Any:
     return np.load(path, allow_pickle=False)
 
 
-def _npz(path: Path, stamp: float) -> Message:
-    with _open_npz(path) as file:
-        check_unpacked_size(sum(member.file_size for member in file.zip.infolist()))
-        arrays = {name: file[name] for name in file.files}
+def _npz(file: _File) -> Message:
+    with _open_npz(file.path) as npz:
+        check_unpacked_size(sum(member.file_size for member in npz.zip.infolist()))
+        arrays = {name: npz[name] for name in npz.files}
     if "ranges" in arrays:
-        return _scan(arrays, stamp)
+        return _scan(arrays, file)
     if "points" not in arrays:
         raise ValueError(f"an NPZ has either points or ranges, this one has {', '.join(arrays) or 'nothing'}")
     points = arrays.pop("points")
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points must have the shape (N, 3), got {points.shape}")
     columns = {name: values.ravel() for name, values in arrays.items() if values.size == len(points)}
-    return cloud_from_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, stamp)
+    return cloud_from_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, file.stamp)
 
 
-def _csv(path: Path, stamp: float) -> LaserScan:
-    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+def _csv(file: _File) -> LaserScan:
+    lines = [line for line in file.path.read_text(encoding="utf-8").splitlines() if line.strip()]
     names = [name.strip() for name in lines[0].split(",")] if lines else []
     if tuple(names[:5]) != _SCAN_COLUMNS:
         raise ValueError(f"the first line must be {','.join(_SCAN_COLUMNS)}")
@@ -165,22 +224,22 @@ def _csv(path: Path, stamp: float) -> LaserScan:
     values = np.array([float(cell) if cell.strip() else np.nan for cell in lines[1].split(",")])
     if len(values) < 5:
         raise ValueError(f"must have at least one range, got {len(values)} values")
-    return _scan({**dict(zip(_SCAN_COLUMNS[:4], values, strict=False)), "ranges": values[4:]}, stamp)
+    return _scan({**dict(zip(_SCAN_COLUMNS[:4], values, strict=False)), "ranges": values[4:]}, file)
 
 
-def _scan(values: Mapping[str, NDArray[Any]], stamp: float) -> LaserScan:
+def _scan(values: Mapping[str, NDArray[Any]], file: _File) -> LaserScan:
     missing = [name for name in ("angle_min", "angle_increment") if name not in values]
     if missing:
         raise ValueError(f"a scan needs {', '.join(_SCAN_COLUMNS)}; {' and '.join(missing)} is missing")
-    given_stamp = _number(values, "stamp", stamp)
-    if abs(given_stamp - stamp) > _STAMP_TOLERANCE:
+    given_stamp = _number(values, "stamp", file.stamp)
+    if not file.counted and abs(given_stamp - file.stamp) > _STAMP_TOLERANCE:
         raise ValueError(f"its stamp {given_stamp:.6f} is not that of its name")
     ranges: Array = np.asarray(values["ranges"], dtype=np.float64).ravel()
     angles = _number(values, "angle_min") + _number(values, "angle_increment") * np.arange(
         len(ranges), dtype=np.float64
     )
     increment = _number(values, "time_increment", 0.0)
-    return LaserScan(stamp, "", angles, mask_out_of_range(ranges, 0.0, np.inf), increment)
+    return LaserScan(file.stamp, "", angles, mask_out_of_range(ranges, 0.0, np.inf), increment)
 
 
 def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.nan) -> float:
@@ -193,7 +252,7 @@ def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.n
     return number
 
 
-_READERS: dict[str, Callable[[Path, float], Message]] = {
+_READERS: dict[str, Callable[[_File], Message]] = {
     ".png": _image,
     ".jpg": _image,
     ".jpeg": _image,

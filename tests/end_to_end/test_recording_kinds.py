@@ -1,0 +1,90 @@
+"""Recordings of every kind that people have: simulated ones are calibrated, and compared with the truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calgraph.config import Rig
+from calgraph.recording import open_recording, resolve_intrinsics
+from calgraph.result import Calibration
+from calgraph.sensors import Image, PointCloud
+from calgraph.simulation import (
+    CameraOptions,
+    GroundTruth,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+)
+from calgraph.simulation.rig_simulation import TRIGGER_TOPIC
+from simulated_rigs import calibrate, pose_errors, simulate_scenario
+
+CAMERA, LIDAR = "/camera/image_raw/compressed", "/lidar/points"
+SCENARIO = RigScenario(
+    camera=CameraOptions(width=480, height=360, texels_per_mm=0.5, rate=2.0),
+    laser=LaserOptions(count=0),
+    spinning=SpinningOptions(count=0),
+    multibeam=MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.4),
+    bearings=(-30, -20, -15, -10, 0, 10, 15, 20, 30),
+    radii=(1.8,),
+    samples=1,
+    clutter=2,
+    move_time=0.3,
+    background=1.0,
+)
+
+
+@dataclass(frozen=True)
+class Poses:
+    """What the sensors of a simulated robot measure of a board that rests, one message a sensor and pose."""
+
+    rig: Rig
+    images: tuple[Image, ...]
+    clouds: tuple[PointCloud, ...]
+    truth: GroundTruth
+
+    def rig_of(self, topics: Mapping[str, str], **capture: object) -> Rig:
+        """The rig with the topics of other files, and other captures."""
+        content = self.rig.model_dump(mode="json", exclude_none=True)
+        content["sensors"] = {name: {**content["sensors"][name], "topic": topic} for name, topic in topics.items()}
+        return Rig.model_validate({**content, "capture": capture})
+
+
+@pytest.fixture(scope="module")
+def poses() -> Poses:
+    rig, recording, truth = simulate_scenario(SCENARIO, seed=3)
+    triggers = [record.stamp for record in recording.records([TRIGGER_TOPIC])]
+
+    def first_of(topic: str) -> list[object]:
+        records = list(recording.records([topic]))
+        return [next(r for r in records if r.stamp >= trigger).decode() for trigger in triggers]
+
+    images = tuple(message for message in first_of(CAMERA) if isinstance(message, Image))
+    clouds = tuple(message for message in first_of(LIDAR) if isinstance(message, PointCloud))
+    assert len(images) == len(clouds) == len(triggers) == 9
+    return Poses(resolve_intrinsics(rig, recording), images, clouds, truth)
+
+
+def check_pose(calibration: Calibration, truth: GroundTruth, sensor: str = "camera") -> None:
+    error = pose_errors(calibration, truth)[sensor]
+    assert np.linalg.norm(error[:3]) < 0.02
+    assert np.degrees(np.linalg.norm(error[3:])) < 0.6
+
+
+def test_a_folder_of_numbered_files_is_snapshots(poses: Poses, tmp_path: Path) -> None:
+    """Numbers with gaps, another file beside, a cloud without image."""
+    for folder in ("cam 0", "lidar", "previews"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "previews" / "best of 2024-03-01.png").write_bytes(b"")
+    for number, (image, cloud) in enumerate(zip(poses.images, poses.clouds, strict=True), start=9):
+        if number != 10:
+            cv2.imwrite(str(tmp_path / "cam 0" / f"img_{number:04}.png"), image.pixels)
+        np.savez(tmp_path / "lidar" / f"pose{number}_full.npz", points=cloud.points)
+    with open_recording(tmp_path) as recording:
+        found = calibrate(poses.rig_of({"camera": "cam 0", "lidar": "lidar"}), recording)
+    assert found.evidence.edges[0].captures == 8
+    check_pose(found, poses.truth)
