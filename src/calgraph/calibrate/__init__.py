@@ -1,5 +1,6 @@
 """The pipelines of rigs and networks: from a recording to a calibrated tree of transforms."""
 
+from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.network import calibrate_network, calibrate_tracks
 from calgraph.calibrate.options import NetworkEstimator, NetworkOptions, Progress, RigOptions, Weights, no_progress
@@ -8,7 +9,6 @@ from calgraph.calibrate.rig import (
     build_problem_from_captures,
     calibrate_detections,
     calibrate_rig,
-    collect_captures,
     solve_problem,
 )
 from calgraph.calibrate.track_recording import track_people

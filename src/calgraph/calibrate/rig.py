@@ -1,37 +1,23 @@
 """Rigs: from one recording of a board carried around a robot to its tree of transforms."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from calgraph.calibrate.bumps import solve_after_bumps
+from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
 from calgraph.calibrate.step_log import log_captures, log_pairs, log_solution
-from calgraph.calibrate.strategies import select_initialization, select_plane_estimator, solve_baseline
+from calgraph.calibrate.strategies import select_initialization, solve_baseline
 from calgraph.captures import (
-    ActivityMeter,
     CaptureSet,
     GivenDetections,
-    InputMonitor,
-    RecordingTimeline,
-    build_timeline,
     captures_from_detections,
-    check_background,
-    check_intrinsics,
-    check_timeline,
-    collect_detections,
-    detect_in_holds,
-    find_holds,
-    is_snapshot_recording,
-    learn_backgrounds,
-    limit_messages,
-    make_detectors,
-    plan_previews,
     resolve_background,
 )
-from calgraph.config import CameraSpec, Cylinder, People, Rig
+from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate, include_drifts
-from calgraph.errors import CalibrationError, InputError
+from calgraph.errors import InputError
 from calgraph.estimation import (
     Problem,
     RigSolution,
@@ -47,9 +33,9 @@ from calgraph.estimation import (
 )
 from calgraph.graph import SpanningTree, initialize_rig
 from calgraph.pairwise import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
-from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics
+from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
-from calgraph.sensors import CameraModel, RecordedMessage
+from calgraph.sensors import CameraModel
 
 
 def calibrate_rig(
@@ -124,35 +110,6 @@ def build_problem(
 def _check_board(rig: Rig) -> None:
     if isinstance(rig.target, People | Cylinder):
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
-
-
-def collect_captures(
-    rig: Rig, recording: Recording, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
-) -> CaptureSet:
-    """Finds the holds of the board, and detects the board in every sensor's messages of each hold."""
-    if len(rig.sensors) < 2:
-        raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
-    cameras = resolve_intrinsics(rig, recording).camera_models()
-    monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
-    timeline = _read_timeline(rig, recording, monitor, progress)
-    check_timeline(rig, timeline, recording.end)
-    holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
-    backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
-    detect = make_detectors(rig, cameras, backgrounds, select_plane_estimator(options.tags), rng)
-
-    def detecting(done: float) -> None:
-        progress("detecting", done / (len(holds) * len(rig.sensors)))
-
-    observations = detect_in_holds(
-        recording.records(rig.topics.values()), holds, rig.topics, detect,
-        preview_sizes=plan_previews(holds, rig), jobs=options.jobs, progress=detecting,
-    )  # fmt: skip
-    findings = [
-        *monitor.findings(),
-        *check_intrinsics(cameras, rig.settings.captures.input_checks),
-        *check_background(rig, timeline),
-    ]
-    return collect_detections(rig, timeline, holds, observations, cameras, findings)
 
 
 def build_problem_from_captures(
@@ -230,28 +187,3 @@ def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:
         joint = solve_baseline(problem, tree)
     log_solution(joint)
     return joint, tree
-
-
-def _read_timeline(rig: Rig, recording: Recording, monitor: InputMonitor, progress: Progress) -> RecordingTimeline:
-    """The stamps of every sensor's messages and, without a trigger, how much its view changed at each."""
-    trigger = rig.capture.trigger
-    topics = [*rig.topics.values(), *([trigger] if trigger else [])]
-
-    def reading(arrival: float) -> None:
-        progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
-
-    records = monitor.observe(recording.records([*topics, *monitor.camera_info_topics]))
-    timeline = build_timeline(records, recording.start, rig.topics, trigger, progress=reading)
-    if trigger or is_snapshot_recording(timeline, rig.settings.captures.max_snapshot_gap):
-        return timeline
-    meters = {name: ActivityMeter(rig.settings.captures.motion) for name in rig.sensors}
-    return build_timeline(
-        recording.records(topics), recording.start, rig.topics, None, meters=meters, progress=reading
-    )
-
-
-def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:
-    """What the scanners measured without target and operator."""
-    window = rig.capture.background
-    scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
-    return recording.records(scanners, *(recording.start + t for t in window)) if window else ()

@@ -1,5 +1,6 @@
 """Holds: the times in which the board rests; the messages measured in them, and the detections of the board."""
 
+from calgraph.captures.capture_mode import RecognizedMode, is_snapshot_recording, recognize_mode
 from calgraph.captures.detect import (
     CaptureSet,
     Detector,
@@ -11,7 +12,7 @@ from calgraph.captures.detect import (
 from calgraph.captures.detectors import learn_backgrounds, make_detectors, to_scans
 from calgraph.captures.empty_start import EmptyStart, find_empty_start, resolve_background
 from calgraph.captures.from_detections import GivenDetections, captures_from_detections
-from calgraph.captures.holds import Hold, find_holds, is_snapshot_recording
+from calgraph.captures.holds import Hold, find_holds
 from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.captures.plausibility import check_background, check_intrinsics
@@ -21,9 +22,9 @@ from calgraph.captures.validate_recording import check_timeline
 
 __all__ = [
     "ActivityMeter", "CaptureSet", "Detector", "EmptyStart", "GivenDetections", "Hold", "InputFinding",
-    "InputMonitor", "PreviewSize", "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline",
-    "captures_from_detections", "check_background", "check_intrinsics", "check_timeline",
+    "InputMonitor", "PreviewSize", "RecognizedMode", "RecordingTimeline", "SensorCapture", "SensorTimes",
+    "build_timeline", "captures_from_detections", "check_background", "check_intrinsics", "check_timeline",
     "collect_detections", "detect_in_holds", "find_empty_start", "find_holds", "is_snapshot_recording",
-    "learn_backgrounds", "limit_messages", "make_detectors", "plan_previews", "resolve_background",
-    "to_scans",
+    "learn_backgrounds", "limit_messages", "make_detectors", "plan_previews", "recognize_mode",
+    "resolve_background", "to_scans",
 ]  # fmt: skip

@@ -1,12 +1,14 @@
 """Holds: the times in which the board rests; and which messages of each sensor were measured in them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from calgraph.captures.motion_detection import find_still_spans
+from calgraph.captures.capture_mode import find_frame_sets, find_snapshots, recognize_mode
+from calgraph.captures.stamp_groups import StampGroup
+from calgraph.captures.stillness import find_rests
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Capture
 from calgraph.config.settings import CaptureSettings
@@ -42,26 +44,39 @@ def find_holds(
     Raises:
         CalibrationError: there is none.
     """
-    snapshots = capture.trigger is None and is_snapshot_recording(timeline, settings.max_snapshot_gap)
+    mode = recognize_mode(timeline, capture, settings).mode
     if capture.trigger:
-        spans = _find_spans_by_trigger(timeline)
-    elif snapshots:
-        spans = _find_spans_of_snapshots(timeline, settings.max_snapshot_gap)
+        candidates = _select_messages(timeline, _find_spans_by_trigger(timeline))
+    elif mode == "synchronized":
+        candidates = _holds_of_groups(timeline, find_frame_sets(timeline, capture, settings))
+    elif mode == "snapshots":
+        candidates = _holds_of_groups(timeline, find_snapshots(timeline, capture, settings))
     else:
-        spans = _find_spans_by_stillness(timeline, settings)
+        candidates = _select_messages(timeline, find_rests(timeline, settings))
     excluded = [*capture.exclude, *([capture.background] if capture.background else [])]
     allowed = [
-        (start, end)
-        for start, end in spans
-        if not any(start - timeline.start < b and end - timeline.start > a for a, b in excluded)
+        hold
+        for hold in candidates
+        if not any(hold.start - timeline.start < b and hold.end - timeline.start > a for a, b in excluded)
     ]
     if not allowed:
         raise CalibrationError(_explain_no_holds(timeline, capture))
+    return tuple(replace(hold, index=i) for i, hold in enumerate(allowed))
+
+
+def _select_messages(timeline: RecordingTimeline, spans: list[tuple[float, float]]) -> list[Hold]:
+    """The holds of some intervals, each with the messages that were measured entirely within it."""
     sensors = timeline.sensors.items()
-    return tuple(
-        Hold(i, start, end, {name: _select_stamps(times, start, end, snapshots) for name, times in sensors})
-        for i, (start, end) in enumerate(allowed)
-    )
+    return [Hold(0, a, b, {name: _select_stamps(times, a, b) for name, times in sensors}) for a, b in spans]
+
+
+def _holds_of_groups(timeline: RecordingTimeline, groups: list[StampGroup]) -> list[Hold]:
+    """One hold a group, with all of its messages."""
+    none = np.zeros(0)
+    return [
+        Hold(0, group.start, group.end, {name: group.stamps.get(name, none) for name in timeline.sensors})
+        for group in groups
+    ]
 
 
 def _explain_no_holds(timeline: RecordingTimeline, capture: Capture) -> str:
@@ -91,47 +106,11 @@ def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, flo
     return spans
 
 
-def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
-    """Whether no two messages of a sensor lie within twice ``max_gap``, s: each pose has one of each."""
-    gaps = [np.diff(times.stamps) for times in timeline.sensors.values() if len(times.stamps) > 1]
-    return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * max_gap)
-
-
-def _find_spans_of_snapshots(timeline: RecordingTimeline, max_gap: float) -> list[tuple[float, float]]:
-    stamps = np.sort(np.concatenate([times.stamps for times in timeline.sensors.values()]))
-    groups = np.split(stamps, np.flatnonzero(np.diff(stamps) > max_gap) + 1)
-    return [(float(group[0]), float(group[-1])) for group in groups if len(group) > 1]
-
-
-def _find_spans_by_stillness(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
-    """Where no fast sensor measures a change for as long as the slowest needs for one full measurement."""
-    fast = [times for times in timeline.sensors.values() if times.period <= settings.max_motion_period]
-    if not fast:
-        return []
-    spans = [find_still_spans(times.stamps, times.activity, settings.motion) for times in fast]
-    common = spans[0]
-    for other in spans[1:]:
-        common = _intersect(common, other)
-    periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
-    shortest = max(settings.min_hold, *periods)
-    return [(float(a), float(b)) for a, b in common if b - a >= shortest]
-
-
-def _intersect(a: Array, b: Array) -> Array:
-    """Overlaps of two sets of disjoint, ordered spans (N, 2) and (M, 2)."""
-    start = np.maximum(a[:, None, 0], b[None, :, 0])
-    end = np.minimum(a[:, None, 1], b[None, :, 1])
-    overlap = start < end
-    return np.stack([start[overlap], end[overlap]], axis=1)
-
-
-def _select_stamps(times: SensorTimes, start: float, end: float, snapshots: bool) -> Array:
+def _select_stamps(times: SensorTimes, start: float, end: float) -> Array:
     """Stamps of the messages that were measured entirely between start and end.
 
     Where messages do not state how long they took, their stamp may be of the first or of the last point: only a
     message with another one before it in the hold is then used (MSG-Cal's second measurement).
     """
-    if snapshots:
-        return times.stamps[(times.stamps >= start) & (times.stamps <= end)]
     inside = times.stamps[(times.stamps >= start) & (times.stamps + times.duration <= end + 1e-6)]
     return inside if times.duration > 0 else inside[1:]

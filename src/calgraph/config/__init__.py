@@ -6,6 +6,7 @@ from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
 from calgraph.config.rig_config import (
     CameraSpec,
     Capture,
+    CaptureMode,
     Intrinsics,
     Lidar2dSpec,
     Lidar3dSpec,
@@ -26,8 +27,8 @@ from calgraph.config.uncertainty import (
 
 __all__ = [
     "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
-    "Charuco", "Checkerboard", "Cylinder", "Family", "FoundBackground", "FoundTopic", "Intrinsics", "Kind",
-    "Lidar2dSpec", "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise",
+    "CaptureMode", "Charuco", "Checkerboard", "Cylinder", "Family", "FoundBackground", "FoundTopic", "Intrinsics",
+    "Kind", "Lidar2dSpec", "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise",
     "PrintedBitmap", "RangeNoise", "Rig", "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary",
     "draft_rig", "load_rig", "marker_count", "printed_bitmaps",
 ]  # fmt: skip

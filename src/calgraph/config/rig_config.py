@@ -27,6 +27,8 @@ RangeSigma = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m")]
 AngleSigma = Annotated[float, Strict(), _POSITIVE, limit_to(0.2, "rad")]
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
+Spread = Annotated[float, Strict(), _POSITIVE, limit_to(60, "s")]
+CaptureMode = Literal["rest", "snapshots", "synchronized"]
 # ROS limits names of topics to 255 characters, and file systems those of files; control characters would reach
 # terminals and tables.
 Name = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$")]
@@ -45,6 +47,22 @@ class Capture(StrictModel):
     """Topic whose every message starts a capture; without it, holds are found by motion detection."""
     exclude: tuple[Window, ...] = ()
     """Intervals to ignore, s from the start of the recording."""
+    mode: CaptureMode | None = None
+    """``rest``: the board rests between moves. ``snapshots``: the sensors measured each pose of the board once.
+    ``synchronized``: frames of all sensors with nearly equal stamps while the board moves. Found from the stamps
+    if left out."""
+    max_spread: Spread | None = None
+    """Maximum time between the stamps of one snapshot or set of frames, s; found from the stamps if left out."""
+
+    @model_validator(mode="after")
+    def _fitting(self) -> "Capture":
+        if self.trigger and self.mode in ("snapshots", "synchronized"):
+            raise invalid(
+                "trigger", f"marks times at which the board rests, but mode is {self.mode}: leave one out"
+            )
+        if self.max_spread and (self.trigger or self.mode == "rest"):
+            raise invalid("max_spread", "is of snapshots and of synchronized frames, not of a board that rests")
+        return self
 
     @model_validator(mode="after")
     def _ordered(self) -> "Capture":

@@ -124,6 +124,16 @@ class CaptureSettings(StrictModel):
     """Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds."""
     max_snapshot_gap: float = Field(default=1.0, gt=0)
     """Longest time between messages of one pose in a recording of snapshots, s; poses are at least twice apart."""
+    max_snapshot_spread: float = Field(default=8.0, gt=0)
+    """Longest time between messages of one pose, s, where those within ``max_snapshot_gap`` are fewer than half:
+    drivers that answer after several seconds."""
+    max_spread_share: float = Field(default=0.35, gt=0, lt=0.5)
+    """Maximum time between the stamps of a set of frames, where rig.yaml states none, over the shortest period of
+    a sensor: sets of consecutive frames do not overlap, and triggers of cameras and drivers that read one camera
+    after the other stay within it."""
+    max_period_jitter: float = Field(default=0.05, gt=0)
+    """Maximum median deviation of the pauses of a sensor over their median in a periodic stream: drivers keep
+    their period within some percent; operators who take snapshots do not."""
     max_background_messages: int = Field(default=60, ge=1)
     """Maximum number of messages that a background is learned from: fast scanners send them in one or two
     seconds."""

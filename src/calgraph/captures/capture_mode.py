@@ -1,0 +1,133 @@
+"""How a recording shows the board: at rest, in separate snapshots, or in synchronized frames while it moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.captures.stamp_groups import StampGroup, group_bursts, group_frames, measure_spread, split_bursts
+from calgraph.captures.stillness import find_rests
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.config import Capture, CaptureMode
+from calgraph.config.settings import CaptureSettings
+from calgraph.geometry import Array
+
+# Fewer poses than these do not show how a recording was made.
+_MIN_POSES = 3
+
+
+@dataclass(frozen=True)
+class RecognizedMode:
+    """How a recording shows the board."""
+
+    mode: CaptureMode
+    """``rest``, ``snapshots`` or ``synchronized``."""
+    reason: str
+    """Why, in one sentence without full stop."""
+    spread: float | None = None
+    """Median time between the first and the last stamp of a set of frames, s, where the stamps show such sets."""
+
+
+def recognize_mode(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> RecognizedMode:
+    """Recognises how a recording shows the board.
+
+    A timeline without activity (built without meters) shows whether the recording consists of snapshots, but not
+    whether the board ever rests: the mode is then ``rest``, and ``spread`` is stated where the stamps show sets of
+    frames.
+
+    Args:
+        timeline: when the sensors measured, and how much their views changed.
+        capture: what rig.yaml states.
+        settings: of the search for captures.
+    """
+    if capture.mode:
+        return RecognizedMode(capture.mode, f"rig.yaml states capture.mode: {capture.mode}")
+    if capture.trigger or len(timeline.triggers):
+        return RecognizedMode("rest", f"each of {len(timeline.triggers)} triggers starts a capture")
+    if is_snapshot_recording(timeline, settings.max_snapshot_gap) or _has_separate_bursts(timeline, settings):
+        poses = max((len(_bursts(times, settings)) for times in timeline.sensors.values()), default=0)
+        return RecognizedMode("snapshots", f"the sensors measured {poses} times, with pauses in between")
+    frames = find_frame_sets(timeline, capture, settings)
+    spread = measure_spread(frames) if _are_synchronized(frames, timeline, settings) else None
+    if not any(times.activity.any() for times in timeline.sensors.values()):
+        reason = "the sensors measure continuously; how much their views change was not measured"
+        return RecognizedMode("rest", reason, spread)
+    if rests := find_rests(timeline, settings):
+        return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
+    if spread is None:
+        return RecognizedMode("rest", "the sensors measure continuously, and their stamps show no sets of frames")
+    return RecognizedMode(
+        "synchronized",
+        f"the board never rests, and the stamps of {len(frames)} sets of frames lie {1000 * spread:.1f} ms apart "
+        "(median)",
+        spread,
+    )
+
+
+def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
+    """Whether no two messages of a sensor lie within twice ``max_gap``, s: each pose has one of each."""
+    gaps = [np.diff(times.stamps) for times in timeline.sensors.values() if len(times.stamps) > 1]
+    return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * max_gap)
+
+
+def find_frame_sets(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> list[StampGroup]:
+    """The sets of frames of different sensors within ``capture.max_spread``, or a share of the shortest period."""
+    periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
+    if not periods:
+        return []
+    max_spread = capture.max_spread or settings.max_spread_share * min(periods)
+    return group_frames({name: times.stamps for name, times in timeline.sensors.items()}, max_spread)
+
+
+def find_snapshots(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> list[StampGroup]:
+    """The poses of a recording of snapshots, each with the messages of all sensors.
+
+    Messages of different sensors belong to one pose if at most ``settings.max_snapshot_gap`` lies between them.
+    Where that leaves half of the messages alone, as drivers respond late, the gap is doubled, until it exceeds
+    ``settings.max_snapshot_spread``. A stated ``capture.max_spread`` is the time between the first stamps of the
+    first and of the last sensor of a pose.
+    """
+    bursts = {name: _bursts(times, settings) for name, times in timeline.sensors.items()}
+    if capture.max_spread:
+        return group_bursts(bursts, capture.max_spread, capture.max_spread)
+    count = sum(len(one) for one in bursts.values())
+    gap, groups = settings.max_snapshot_gap, group_bursts(bursts, settings.max_snapshot_gap, np.inf)
+    while 2 * sum(len(group.stamps) for group in groups) < count and 2 * gap <= settings.max_snapshot_spread:
+        gap *= 2
+        groups = group_bursts(bursts, gap, np.inf)
+    return groups
+
+
+def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
+    """Whether the sensors are fast, and half of the messages of the slowest one belong to sets of frames."""
+    sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
+    if any(times.period > settings.max_motion_period for times in sensors):
+        return False
+    counts = [len(np.unique(times.stamps)) for times in sensors]
+    return len(frames) >= _MIN_POSES and 2 * len(frames) >= min(counts)
+
+
+def _has_separate_bursts(timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
+    """Whether every sensor measured shortly, with pauses of different lengths in between."""
+    sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
+    bursts = [_bursts(times, settings) for times in sensors]
+    if min((len(one) for one in bursts), default=0) < _MIN_POSES:
+        return False
+    if any(burst[-1] - burst[0] >= settings.min_hold for one in bursts for burst in one):
+        return False
+    return not all(_is_periodic(times, settings) for times in sensors)
+
+
+def _bursts(times: SensorTimes, settings: CaptureSettings) -> list[Array]:
+    return split_bursts(times.stamps, settings.max_motion_period)
+
+
+def _is_periodic(times: SensorTimes, settings: CaptureSettings) -> bool:
+    """Whether the pauses of a sensor are equal within a share, as those of a slow driver are."""
+    periods = np.diff(times.stamps)
+    return float(np.median(np.abs(periods - times.period))) < settings.max_period_jitter * times.period
