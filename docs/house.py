@@ -32,6 +32,7 @@ PURPOSE = {
     "levenberg_marquardt": "the one nonlinear solver",
     "geometry": "poses, planes",
     "processes": "parallel work",
+    "lazy_names": "exports on first use",
     "errors": "exceptions, Rejected",
 }
 WIDTH, HEIGHT, GAP = 860, 44, 8

@@ -8,6 +8,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from calgraph.config.settings import Settings
+from calgraph.io.field_docs import describe_field
 
 _SIGNS = {limits.Gt: ">", limits.Ge: "≥", limits.Lt: "<", limits.Le: "≤"}
 
@@ -19,7 +20,7 @@ def settings_tables(model: type[BaseModel] = Settings, key: str = "") -> str:
 
 def _sections(model: type[BaseModel], key: str) -> Iterator[str]:
     groups = {name: field.annotation for name, field in model.model_fields.items() if _is_model(field.annotation)}
-    rows = [_row(name, field) for name, field in model.model_fields.items() if name not in groups]
+    rows = [_row(model, name, field) for name, field in model.model_fields.items() if name not in groups]
     summary = " ".join((model.__doc__ or "").split())
     if rows:
         table = "\n".join(["| key | default | limits | meaning |", "| --- | --- | --- | --- |", *rows])
@@ -33,7 +34,7 @@ def _is_model(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
-def _row(name: str, field: FieldInfo) -> str:
+def _row(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     # The base class of limits comes with their values in fields named like the sign: gt, ge, lt, le.
     bounds = [
         f"{sign} {getattr(bound, kind.__name__.lower()):g}"
@@ -41,7 +42,7 @@ def _row(name: str, field: FieldInfo) -> str:
         for kind, sign in _SIGNS.items()
         if isinstance(bound, kind)
     ]
-    meaning = " ".join((field.description or "").split()).replace("``", "`").replace("|", "\\|")
+    meaning = " ".join(describe_field(model, name).split()).replace("``", "`").replace("|", "\\|")
     return f"| `{name}` | {_format(field.default)} | {', '.join(bounds)} | {meaning} |"
 
 

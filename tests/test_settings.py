@@ -9,24 +9,24 @@ from pydantic import BaseModel
 
 import calgraph
 from calgraph.config.settings import Settings
+from calgraph.io.field_docs import describe_field
 
 SOURCE = Path(calgraph.__file__).parent
 TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}
 
 
-def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str | None]]:
+def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Each setting with its description."""
     for name, field in model.model_fields.items():
         inner = field.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):
             yield from leaves(inner, f"{prefix}{name}.")
         else:
-            yield prefix + name, field.description
+            yield prefix + name, describe_field(model, name)
 
 
 @pytest.mark.parametrize(("name", "description"), list(leaves(Settings)))
-def test_a_setting_states_its_meaning_and_reason(name: str, description: str | None) -> None:
-    assert description is not None
+def test_a_setting_states_its_meaning_and_reason(name: str, description: str) -> None:
     assert len(description.split()) >= 6, f"{name}: {description}"
 
 

@@ -4,8 +4,9 @@ The steps of the command line as functions on NumPy arrays and frozen dataclasse
 their packages, which are loaded on first use: ``import calgraph`` itself takes no time.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from calgraph.lazy_names import import_on_use
 
 if TYPE_CHECKING:
     from calgraph.calibrate import (
@@ -68,21 +69,14 @@ __all__ = [
     "so3", "solve_problem", "to_dataframe", "track_scanner", "write_report",
 ]  # fmt: skip
 
-_ROOMS = (
-    "errors", "geometry", "sensors", "io", "config", "result", "recording", "detection", "tracking", "captures",
-    "pairwise", "graph", "estimation", "baselines", "diagnostics", "calibrate", "report",
-)  # fmt: skip
-"""Where names are looked for, from the bottom of the house upwards."""
-
-
-def __getattr__(name: str) -> object:
-    """The public name, from the lowest package that exports it."""
-    if name in __all__:
-        for room in _ROOMS:
-            found = getattr(import_module(f"{__name__}.{room}"), name, None)
-            if found is not None:
-                return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:
+    __getattr__ = import_on_use(
+        __name__,
+        [
+            "errors", "geometry", "sensors", "io", "config", "result", "recording", "detection", "tracking",
+            "captures", "pairwise", "graph", "estimation", "baselines", "diagnostics", "calibrate", "report",
+        ],
+    )  # fmt: skip
 
 
 def __dir__() -> list[str]:

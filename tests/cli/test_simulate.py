@@ -48,7 +48,7 @@ def test_the_help_shows_every_option(help_text: str) -> None:
 
 
 def test_every_option_is_described() -> None:
-    assert [knob.option for knob in _MODEL_OPTIONS.values() if not knob.field.description] == []
+    assert [knob.option for knob in _MODEL_OPTIONS.values() if not knob.description] == []
 
 
 def test_the_help_fits_80_columns(help_text: str) -> None:

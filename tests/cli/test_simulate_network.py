@@ -26,7 +26,7 @@ def test_the_help_shows_every_option(help_text: str) -> None:
 
 
 def test_every_option_is_described() -> None:
-    assert [knob.option for knob in _MODEL_OPTIONS.values() if not knob.field.description] == []
+    assert [knob.option for knob in _MODEL_OPTIONS.values() if not knob.description] == []
 
 
 def test_the_recording_and_what_belongs_to_it_are_written(run: Run, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from calgraph.config import (
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.io import save_yaml
+from calgraph.io.field_docs import describe_field
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = (BoardUncertainty, CameraUncertainty, Lidar2dUncertainty, Lidar3dUncertainty, Tolerance)
@@ -130,8 +131,8 @@ def test_a_mistake_is_named_with_key_value_and_units(tmp_path: Path, parts: dict
 
 @pytest.mark.parametrize("model", MODELS)
 def test_every_key_states_unit_meaning_and_reason(model: type[StrictModel]) -> None:
-    for name, field in model.model_fields.items():
-        description = field.description or ""
+    for name in model.model_fields:
+        description = describe_field(model, name)
         assert description.startswith(("Relative", "Pixels", "m, ", "m. ", "Degrees")), name
         assert len(description.split()) >= 10, name
 

@@ -1,8 +1,6 @@
 """The calibration of either kind of rig, chosen by its target."""
 
-from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import NetworkOptions, Progress, RigOptions, no_progress
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.recording import Recording
@@ -16,9 +14,14 @@ def calibrate(
 
     Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`; the options are those of the target.
     """
+    # Each imports the modules of its kind alone: those of both take half a second.
     if rig.is_network and isinstance(options, NetworkOptions):
+        from calgraph.calibrate.network import calibrate_network
+
         return calibrate_network(rig, recording, options, progress)
     if not rig.is_network and isinstance(options, RigOptions):
+        from calgraph.calibrate.rig import calibrate_rig
+
         return calibrate_rig(rig, recording, options, progress)
     kind = "NetworkOptions" if rig.is_network else "RigOptions"
     raise InputError(f"options: must be {kind} for this target, got {type(options).__name__}")

@@ -3,13 +3,18 @@
 import logging
 from collections import Counter
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from calgraph.captures import CaptureSet
 from calgraph.errors import Rejected
-from calgraph.estimation import NetworkSolution, RigSolution
-from calgraph.graph import NetworkInitialization
-from calgraph.pairwise import PairwiseEstimate, ScannerPairEstimate
-from calgraph.tracking import ScannerTracks
+from calgraph.estimation import RigSolution
+from calgraph.pairwise import PairwiseEstimate
+
+if TYPE_CHECKING:
+    from calgraph.estimation import NetworkSolution
+    from calgraph.graph import NetworkInitialization
+    from calgraph.pairwise import ScannerPairEstimate
+    from calgraph.tracking import ScannerTracks
 
 _log = logging.getLogger("calgraph")
 
@@ -23,7 +28,7 @@ def log_captures(captures: CaptureSet) -> None:
         _log.info("detections of %s: in %d of %d captures%s", name, len(detections), len(captures.holds), missed)
 
 
-def log_pairs(pairs: Mapping[tuple[str, str], PairwiseEstimate | ScannerPairEstimate | Rejected]) -> None:
+def log_pairs(pairs: "Mapping[tuple[str, str], PairwiseEstimate | ScannerPairEstimate | Rejected]") -> None:
     """Logs what each pair of sensors has in common, or why it has no pose."""
     for (a, b), pair in pairs.items():
         if isinstance(pair, Rejected):
@@ -55,7 +60,7 @@ def log_solution(joint: RigSolution) -> None:
     )
 
 
-def log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
+def log_tracks(tracks: "Mapping[str, ScannerTracks | Rejected]") -> None:
     """Logs the tracks of each scanner, or why it has none."""
     for name, found in tracks.items():
         if isinstance(found, Rejected):
@@ -65,9 +70,9 @@ def log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
 
 
 def log_network(
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
-    start: NetworkInitialization,
-    joint: NetworkSolution | None,
+    pairs: "Mapping[tuple[str, str], ScannerPairEstimate | Rejected]",
+    start: "NetworkInitialization",
+    joint: "NetworkSolution | None",
 ) -> None:
     """Logs the pairs of a network, and the size of its solution."""
     log_pairs(pairs)

@@ -1,6 +1,7 @@
 """What options choose by name: the default, or a published baseline, which is imported only where it is chosen."""
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from calgraph.calibrate.options import AveragingMethod, CenterFeature, PlaneMethod, RigStart
 from calgraph.config.settings import BaselineSettings
@@ -8,7 +9,9 @@ from calgraph.detection import PlaneEstimator
 from calgraph.estimation import Problem, RigSolution
 from calgraph.graph import Initialization, PoseAveraging, SpanningTree
 from calgraph.pairwise import select_successful
-from calgraph.tracking import CenterEstimator, measure_centroids
+
+if TYPE_CHECKING:
+    from calgraph.tracking import CenterEstimator
 
 
 def select_averaging(method: AveragingMethod, settings: BaselineSettings) -> PoseAveraging | None:
@@ -36,12 +39,14 @@ def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
     return estimate_mean_plane
 
 
-def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) -> CenterEstimator | None:
+def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) -> "CenterEstimator | None":
     """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
     match feature:
         case "nls":
             return None
         case "com":
+            from calgraph.tracking import measure_centroids
+
             return measure_centroids
         case "ellipse":
             from calgraph.baselines import measure_direct_ellipses

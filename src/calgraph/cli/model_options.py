@@ -18,6 +18,7 @@ from ruamel.yaml.error import YAMLError
 from calgraph.cli.common_options import list_choices
 from calgraph.cli.setting_options import set_nested
 from calgraph.errors import InputError
+from calgraph.io.field_docs import describe_field
 from calgraph.io.yaml_reading import unwrap_annotation, validate_content
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -30,6 +31,8 @@ class ModelOption:
     path: tuple[str, ...]
     """Its keys, from the outermost model."""
     field: FieldInfo
+    description: str
+    """The docstring of the field."""
     panel: str
     """The title it stands under in the help."""
 
@@ -50,7 +53,7 @@ def list_options(
     """The options of a settings model, in order.
 
     Args:
-        model: the model; the fields' descriptions become the help.
+        model: the model; the docstrings of its fields become the help.
         panels: titles by the name of the outermost field from which on they hold.
         path: keys that lead to the model.
     """
@@ -60,7 +63,7 @@ def list_options(
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             yield from list_options(field.annotation, panels, (*path, name))
         elif get_origin(field.annotation) is not Literal or len(get_args(field.annotation)) > 1:
-            yield ModelOption((*path, name), field, panel)
+            yield ModelOption((*path, name), field, describe_field(model, name), panel)
 
 
 def add_options(
@@ -120,7 +123,7 @@ def _annotation(option: ModelOption, defaults: BaseModel) -> Any:
     for key in option.path:
         default = getattr(default, key)
     shown = _format_default(default)
-    text = " ".join((option.field.description or "").split())
+    text = " ".join(option.description.split())
     is_flag = option.field.annotation is bool
     option = typer.Option(
         f"{option.option}/--no-{option.option[2:]}" if is_flag else option.option,

@@ -1,13 +1,32 @@
 """Joint estimators over all sensors, and the problem that they solve."""
 
-from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork, solve_network
-from calgraph.estimation.network.scanner_prior import ScannerPrior
-from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
-from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle, solve_poses
-from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attach_by_priors
-from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions, check_problem, with_prior_poses
-from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
-from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
+from typing import TYPE_CHECKING
+
+from calgraph.lazy_names import import_on_use
+
+if TYPE_CHECKING:
+    from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork, solve_network
+    from calgraph.estimation.network.scanner_prior import ScannerPrior
+    from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
+    from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle, solve_poses
+    from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attach_by_priors
+    from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions, check_problem, with_prior_poses
+    from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
+    from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle
+else:
+    __getattr__ = import_on_use(
+        __name__,
+        [
+            "rig.problem",
+            "rig.priors",
+            "rig.solution",
+            "rig.camera_boards",
+            "rig.estimate",
+            "rig.problem_file",
+            "network.scanner_prior",
+            "network.estimate",
+        ],
+    )
 
 __all__ = [
     "Estimator", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",

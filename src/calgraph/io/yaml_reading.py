@@ -19,6 +19,7 @@ from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from calgraph.errors import InputError
+from calgraph.io.field_docs import describe_field
 from calgraph.io.git_lfs import check_git_lfs
 from calgraph.io.yaml_limits import MAX_TEXT_BYTES, MAX_VALUES, check_yaml_limits
 
@@ -237,8 +238,8 @@ def _format_value(value: object) -> str:
 
 
 def _describe_field(owner: type[BaseModel] | None, path: list[Any]) -> str:
-    field = owner.model_fields.get(str(path[-1])) if owner else None
-    return f" ({field.description.splitlines()[0].rstrip('.')})" if field and field.description else ""
+    description = describe_field(owner, str(path[-1])) if owner else ""
+    return f" ({description.splitlines()[0].rstrip('.')})" if description else ""
 
 
 def _suggest_key(key: Any, allowed: Iterable[str]) -> str:
