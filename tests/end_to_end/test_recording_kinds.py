@@ -22,10 +22,11 @@ from calgraph.simulation import (
 )
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC
 from simulated_rigs import calibrate, pose_errors, simulate_scenario
+from videos import write_video
 
 CAMERA, LIDAR = "/camera/image_raw/compressed", "/lidar/points"
 SCENARIO = RigScenario(
-    camera=CameraOptions(width=480, height=360, texels_per_mm=0.5, rate=2.0),
+    camera=CameraOptions(width=480, height=360, texels_per_mm=0.5, rate=4.0),
     laser=LaserOptions(count=0),
     spinning=SpinningOptions(count=0),
     multibeam=MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.4),
@@ -88,3 +89,23 @@ def test_a_folder_of_numbered_files_is_snapshots(poses: Poses, tmp_path: Path) -
         found = calibrate(poses.rig_of({"camera": "cam 0", "lidar": "lidar"}), recording)
     assert found.evidence.edges[0].captures == 8
     check_pose(found, poses.truth)
+
+
+def test_a_video_beside_clouds_is_searched_for_holds(tmp_path: Path) -> None:
+    """Its times count from its first frame, as those in the names of the clouds do; there is no trigger."""
+    rig, recording, truth = simulate_scenario(SCENARIO.model_copy(update={"hold_time": 1.2}), seed=4)
+    records = list(recording.records([CAMERA]))
+    images = [message for record in records if isinstance(message := record.decode(), Image)]
+    start = images[0].stamp
+    write_video(tmp_path / "cam0.mp4", [i.pixels for i in images], [i.stamp - start for i in images])
+    (tmp_path / "lidar").mkdir()
+    for record in recording.records([LIDAR]):
+        cloud = record.decode()
+        assert isinstance(cloud, PointCloud)
+        if record.stamp >= start:
+            np.savez(tmp_path / "lidar" / f"{record.stamp - start:.6f}.npz", points=cloud.points)
+    poses = Poses(resolve_intrinsics(rig, recording), (), (), truth)
+    with open_recording(tmp_path) as video:
+        found = calibrate(poses.rig_of({"camera": "cam0", "lidar": "lidar"}), video)
+    assert found.evidence.edges[0].captures >= 7
+    check_pose(found, truth)

@@ -61,7 +61,9 @@ def calibrate(
     rig_file: RigFile,
     recordings: Annotated[
         list[Path],
-        typer.Argument(metavar="RECORDING...", help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, or plain folder."),
+        typer.Argument(
+            metavar="RECORDING...", help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, videos, or plain folder."
+        ),
     ],
     out: Results,
     force: ForceOption = False,

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Literal
 
 SNAPSHOT_SPACING = 10.0
-"""Time between the poses of files that are numbered, s: five times what separates the poses of snapshots, so that
+"""Time between the poses of files that are numbered, s: more than messages of one pose may be apart (8 s), so that
 files of one number are one capture and those of two never are. A rule of the format, documented with it."""
 _MAX_NUMBER = 10**9
 """Numbers from here on are times: seconds since 1970 have ten digits."""

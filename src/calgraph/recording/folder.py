@@ -77,6 +77,7 @@ class FolderRecording(IndexedRecording):
             path,
             [RecordedMessage(f.topic, f.stamp, f.stamp, partial(_decode, f), partial(_digest, f)) for f in files],
             types,
+            untimed={file.topic for file in files if file.counted},
         )
 
     def records(
@@ -99,6 +100,11 @@ class FolderRecording(IndexedRecording):
                 "time, or both by the number of the pose"
             )
         return super().records(topics, start, end)
+
+
+def has_message_files(path: Path) -> bool:
+    """Whether a folder, or a folder in it, has files of messages."""
+    return any(_files_by_name(folder) for folder in (path, *path.iterdir()) if folder.is_dir())
 
 
 def _find_folders(path: Path) -> tuple[list[_Folder], dict[str, str]]:

@@ -8,16 +8,17 @@ from calgraph.errors import InputError
 from calgraph.io.yaml_reading import suggest_name
 from calgraph.recording.bag_files import find_bag_files
 from calgraph.recording.bags import BagRecording
-from calgraph.recording.folder import FolderRecording
+from calgraph.recording.folder import FolderRecording, has_message_files
 from calgraph.recording.recording import JoinedRecording, Recording
+from calgraph.recording.video import VideoRecording, is_video
 
 
 def open_recording(path: Path) -> Recording:
     """Opens a recording; close it, or use it as a context manager.
 
     Args:
-        path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, or a plain
-            folder with one folder per sensor.
+        path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, or a
+            plain folder with one folder of files or one video per sensor.
 
     Raises:
         InputError: the path does not exist, or is not a recording.
@@ -32,23 +33,54 @@ def open_recording(path: Path) -> Recording:
         inner = [one for one in sorted(path.iterdir()) if one.is_dir() and find_bag_files(one) is not None]
         if inner:
             raise InputError(f"{path}: is no recording, but contains {', '.join(map(str, inner))}: give that")
-        return FolderRecording(path)
+        return _open_folder(path)
+    if is_video(path):
+        return VideoRecording(path)
     raise InputError(
-        f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, or a folder with one "
-        "folder of files per sensor"
+        f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, a video, or a folder "
+        "with one folder of files or one video per sensor"
     )
+
+
+def _open_folder(path: Path) -> Recording:
+    """A plain folder with folders of files, videos, or both."""
+    videos = [one for one in sorted(path.iterdir()) if is_video(one)]
+    if not videos:
+        return FolderRecording(path)
+    with ExitStack() as stack:
+        parts: list[Recording] = [stack.enter_context(VideoRecording(video)) for video in videos]
+        if has_message_files(path):
+            parts.append(stack.enter_context(FolderRecording(path)))
+        _check_takes(parts)
+        stack.pop_all()
+    return JoinedRecording(parts, path)
 
 
 def open_recordings(paths: Sequence[Path]) -> Recording:
     """Opens several recordings as one, merged by arrival time.
 
     Raises:
-        InputError: no path is given, or one of them is not a recording.
+        InputError: no path is given, one of them is not a recording, or two have a topic whose stamps are not of a
+            clock.
         RecordingError: one of them is damaged.
     """
     if not paths:
         raise InputError("no recording is given; at least one is needed")
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(path)) for path in paths]
+        _check_takes(recordings)
         stack.pop_all()
     return recordings[0] if len(recordings) == 1 else JoinedRecording(recordings)
+
+
+def _check_takes(recordings: Sequence[Recording]) -> None:
+    """Checks that what is read as one topic has one clock: two videos of a camera would be simultaneous."""
+    first: dict[str, Path] = {}
+    for recording in recordings:
+        for topic in recording.topics:
+            other = first.setdefault(topic.name, recording.path)
+            if other != recording.path and not topic.timed:
+                raise InputError(
+                    f"{recording.path}: has the topic {topic.name}, as {other} has, and both count their time "
+                    "from their own start; calibrate from one of them, or name the files of one differently"
+                )

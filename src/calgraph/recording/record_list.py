@@ -15,14 +15,23 @@ class IndexedRecording(ClosedOnExit):
         path: its name in messages.
         records: one record or more, in any order.
         types: by topic.
+        untimed: topics whose stamps are not of a clock.
     """
 
-    def __init__(self, path: Path, records: Sequence[RecordedMessage], types: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        records: Sequence[RecordedMessage],
+        types: Mapping[str, str],
+        untimed: Collection[str] = (),
+    ) -> None:
         self.path = path
         self._records = sorted(records, key=lambda record: (record.arrival, record.topic))
         self.start, self.end = self._records[0].arrival, self._records[-1].arrival
         counts = Counter(record.topic for record in records)
-        self.topics = tuple(TopicInfo(name, types[name], counts[name]) for name in sorted(counts))
+        self.topics = tuple(
+            TopicInfo(name, types[name], counts[name], name not in untimed) for name in sorted(counts)
+        )
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None

@@ -4,7 +4,7 @@ import difflib
 import heapq
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -25,6 +25,8 @@ class TopicInfo:
     ``camera_info``."""
     count: int
     """How many messages the recording states to have."""
+    timed: bool = True
+    """Whether stamps are of a clock; those of numbered files and of videos count from their start."""
 
 
 class Recording(Protocol):
@@ -90,9 +92,9 @@ class ClosedOnExit:
 class JoinedRecording(ClosedOnExit):
     """Several recordings read as one, merged by arrival time."""
 
-    def __init__(self, recordings: Sequence[Recording]) -> None:
+    def __init__(self, recordings: Sequence[Recording], path: Path | None = None) -> None:
         self._recordings = tuple(recordings)
-        self.path = self._recordings[0].path
+        self.path = path or self._recordings[0].path
         self.topics = merge_topics(topic for part in self._recordings for topic in part.topics)
         self.start = min(part.start for part in self._recordings)
         self.end = max(part.end for part in self._recordings)
@@ -118,8 +120,8 @@ def merge_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     """One entry a name, sorted, with the counts added up; a name with several types keeps the first."""
     joined: dict[str, TopicInfo] = {}
     for topic in topics:
-        before = joined.get(topic.name, TopicInfo(topic.name, topic.type, 0))
-        joined[topic.name] = TopicInfo(topic.name, before.type, before.count + topic.count)
+        before = joined.get(topic.name, replace(topic, count=0))
+        joined[topic.name] = replace(before, count=before.count + topic.count)
     return tuple(joined[name] for name in sorted(joined))
 
 

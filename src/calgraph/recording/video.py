@@ -1,0 +1,285 @@
+"""Video files: each has the images of one camera, whose stamps are presentation times."""
+
+import threading
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.errors import InputError, RecordingError
+from calgraph.geometry import Array
+from calgraph.recording.digest import hash_content
+from calgraph.recording.images import Pixels, to_8_bits
+from calgraph.recording.limits import MAX_IMAGE_PIXELS
+from calgraph.recording.recording import ClosedOnExit, TopicInfo, check_fetched, select_topics, wrap_errors
+from calgraph.sensors import Image, MessageDigest, RecordedMessage
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
+_ADVICE = "copy it again, or save what is readable with `ffmpeg -i {name} -c copy fixed{suffix}`"
+# Files that miss more of the duration that they state are cut short, s: writers round it, and some leave out the
+# duration of the last frame.
+_MAX_MISSING = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _VideoIndex:
+    """The frames of a video in the order in which they are shown."""
+
+    pts: NDArray[np.int64]
+    """(N,) presentation time stamps in the units of the stream."""
+    stamps: Array
+    """(N,) s after the first frame."""
+    keyframes: NDArray[np.intp]
+    """(K,) the frames from which decoding can start, ascending."""
+    digests: tuple[int, ...]
+    """Hash of the encoded data of each."""
+    has_times: bool
+    """Whether the file has presentation times; AVI has none, so that frames which are shown in another order than
+    decoded are known only by decoding from the start."""
+    damage: str
+    """Why frames are missing at the end; empty if none is known to be."""
+
+
+class VideoRecording(ClosedOnExit):
+    """A video as a recording with one topic, named like the file; needs ``calgraph[video]``.
+
+    The first frame is at 0 s. Frames are decoded when their messages are; rotations that the file states for
+    players are not applied, as the sensor does not turn.
+
+    Raises:
+        InputError: PyAV is not installed.
+        RecordingError: the file is damaged, has no video, or larger images than the limit.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        check_fetched(path)
+        self._index = _index_video(path)
+        self._stack = ExitStack()
+        stamps = self._index.stamps
+        self.start, self.end = 0.0, float(stamps[-1])
+        self.topics = (TopicInfo(path.stem, "image", len(stamps), timed=False),)
+
+    def records(
+        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
+    ) -> Iterator[RecordedMessage]:
+        """The frames in the order in which they are shown; see :meth:`Recording.records`."""
+        if not select_topics(self.path, self.topics, topics):
+            return iter(())
+        decoder = _FrameDecoder(self.path, self._index)
+        self._stack.callback(decoder.close)
+        return self._records(decoder, start, end)
+
+    def close(self) -> None:
+        """Closes the decoders."""
+        self._stack.close()
+
+    def _records(
+        self, decoder: "_FrameDecoder", start: float | None, end: float | None
+    ) -> Iterator[RecordedMessage]:
+        topic = self.topics[0].name
+        for number, stamp in enumerate(self._index.stamps.tolist()):
+            if (start is None or stamp >= start) and (end is None or stamp <= end):
+                digest = partial(MessageDigest, "", self._index.digests[number])
+                yield RecordedMessage(topic, stamp, stamp, _Frame(decoder, number), digest)
+        if self._index.damage and start is None and end is None:
+            raise RecordingError(f"{self.path}: {self._index.damage}; {_advise(self.path)}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Decodes one frame; pickled as the image, so that each frame is decoded by one process."""
+
+    decoder: "_FrameDecoder"
+    number: int
+
+    def __call__(self) -> Image:
+        return Image(float(self.decoder.index.stamps[self.number]), "", self.decoder.decode(self.number))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        image = self()
+        return partial, (Image, image.stamp, image.frame_id, image.pixels)
+
+
+class _FrameDecoder:
+    """Decodes frames of a video: in sequence, or from the keyframe before one that is farther away.
+
+    It has one thread, as processes are forked while it is open; the lock is for frames pickled by another thread.
+    """
+
+    def __init__(self, path: Path, index: _VideoIndex) -> None:
+        self.index = index
+        self._path = path
+        self._container: InputContainer | None = None
+        self._frames: Iterator[VideoFrame] = iter(())
+        self._frame: VideoFrame | None = None
+        self._number = -1
+        """Of the frame decoded last."""
+        self._lock = threading.Lock()
+
+    def decode(self, number: int) -> Pixels:
+        """The pixels of a frame.
+
+        Raises:
+            RecordingError: it is damaged.
+        """
+        where = f"{self._path}: topic {self._path.stem}, stamp {self.index.stamps[number]:.6f}"
+        with self._lock, _wrap_errors(where, self._path):
+            keyframe = int(self.index.keyframes[np.searchsorted(self.index.keyframes, number, side="right") - 1])
+            if self._container is None or number < self._number or keyframe > self._number:
+                self._seek(keyframe)
+            while self._number < number:
+                self._advance()
+            if self._frame is None or self._number != number or self._frame.is_corrupt:
+                raise ValueError("the frame is damaged or missing")
+            return _to_pixels(self._frame)
+
+    def close(self) -> None:
+        """Closes the file."""
+        if self._container is not None:
+            self._container.close()
+            self._container = None
+
+    def _seek(self, keyframe: int) -> None:
+        if self._container is None:
+            self._container = _open(self._path)
+            _find_stream(self._container).codec_context.thread_count = 1
+        stream = _find_stream(self._container)
+        self._container.seek(int(self.index.pts[keyframe]), stream=stream)
+        self._frames = self._container.decode(stream)
+        self._frame, self._number = None, keyframe - 1
+
+    def _advance(self) -> None:
+        """Decodes the next frame that the index has; others belong to keyframes before."""
+        for frame in self._frames:
+            if not self.index.has_times:
+                self._frame, self._number = frame, self._number + 1
+                return
+            number = int(np.searchsorted(self.index.pts, frame.pts or 0))
+            if number > self._number and number < len(self.index.pts) and self.index.pts[number] == frame.pts:
+                self._frame, self._number = frame, number
+                return
+        raise ValueError("the video ends before the frame")
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is a video, by its name."""
+    return path.suffix.lower() in VIDEO_SUFFIXES and path.is_file() and not path.name.startswith(".")
+
+
+def _open(path: Path) -> "InputContainer":
+    try:
+        import av
+    except ImportError:
+        raise InputError(
+            f"{path}: videos need PyAV, which is not installed: pip install 'calgraph[video]'"
+        ) from None
+    return av.open(str(path))
+
+
+def _find_stream(container: "InputContainer") -> "VideoStream":
+    """The first video that is not a cover picture."""
+    from av.stream import Disposition
+
+    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+    if not streams:
+        raise ValueError("has no video")
+    return streams[0]
+
+
+def _index_video(path: Path) -> _VideoIndex:
+    """Reads the file once, without decoding."""
+    with _wrap_errors(path, path), _open(path) as container:
+        stream = _find_stream(container)
+        width, height = stream.codec_context.width, stream.codec_context.height
+        if width * height > MAX_IMAGE_PIXELS:
+            raise ValueError(
+                f"video states {width} x {height} pixels, more than the limit of {MAX_IMAGE_PIXELS}: it is "
+                "damaged, or not of a camera"
+            )
+        avi = container.format.name == "avi"
+        packets: dict[int, tuple[bool, int]] = {}
+        count, end, broken = 0, 0.0, False
+        for packet in container.demux():
+            time = packet.dts if avi else packet.pts
+            if time is None or packet.time_base is None:
+                continue
+            end = max(end, float((time + (packet.duration or 0)) * packet.time_base))
+            if packet.stream is stream:
+                count += 1
+                broken |= packet.is_corrupt
+                if not packet.is_discard and not packet.is_corrupt:
+                    packets[time] = packet.is_keyframe, hash_content(bytes(packet))
+        if not packets:
+            raise ValueError("has no video frame")
+        pts = np.array(sorted(packets), dtype=np.int64)
+        keyframes = np.flatnonzero([packets[one][0] for one in pts.tolist()])
+        has_times = not avi or len(keyframes) == len(pts)
+        can_seek = has_times and len(keyframes) and keyframes[0] == 0
+        return _VideoIndex(
+            pts,
+            (pts - pts[0]) * float(stream.time_base or 1),
+            keyframes if can_seek else np.zeros(1, dtype=np.intp),
+            tuple(packets[one][1] for one in pts.tolist()),
+            has_times,
+            _find_damage(container, stream, count, end, broken),
+        )
+
+
+def _find_damage(container: "InputContainer", stream: "VideoStream", count: int, end: float, broken: bool) -> str:
+    """Why frames are missing at the end; an empty text if none is known to be.
+
+    Args:
+        container: open file.
+        stream: its video.
+        count: frames that were found.
+        end: time of the last frame or sound, s.
+        broken: whether the end of a frame is missing.
+    """
+    name = container.format.name
+    stated = 0.0
+    if "matroska" in name:
+        stated = (container.duration or 0) / 1e6
+    elif name == "avi":
+        stated = stream.frames * float(stream.time_base or 0)
+    elif count < stream.frames:
+        return f"is cut short: it has {count} frames and states {stream.frames}"
+    if broken or stated - end > _MAX_MISSING:
+        return f"is cut short: it ends at {end:.1f} s" + (f" and states {stated:.1f} s" if stated > end else "")
+    return ""
+
+
+def _to_pixels(frame: "VideoFrame") -> Pixels:
+    """(height, width) grey or (height, width, 3) BGR; deep grey values are stretched as those of images are."""
+    if frame.format.name == "gray":
+        return np.asarray(frame.to_ndarray(), dtype=np.uint8)
+    if frame.format.name.startswith("gray"):
+        return to_8_bits(frame.to_ndarray(format="gray16le"))
+    return np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8)
+
+
+def _advise(path: Path) -> str:
+    return _ADVICE.format(name=path.name, suffix=path.suffix)
+
+
+@contextmanager
+def _wrap_errors(where: object, path: Path) -> Iterator[None]:
+    """Converts exceptions of PyAV, whose texts have numbers of FFmpeg, and others into a RecordingError."""
+    with wrap_errors(where, _advise(path)):
+        try:
+            yield
+        except Exception as error:
+            reason = getattr(error, "strerror", "")
+            if not reason:
+                raise
+            raise ValueError(f"the video cannot be read ({reason})") from error
