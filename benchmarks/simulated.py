@@ -13,6 +13,7 @@ from calgraph.captures import (
     SensorCapture,
     SensorTimes,
     collect_detections,
+    draw_seeds,
     make_detectors,
 )
 from calgraph.captures.detectors import learn_background
@@ -44,7 +45,7 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundT
         for name, messages in simulate_background(stage).items()
         if not isinstance(rig.sensors[name], CameraSpec)
     }
-    detect = make_detectors(rig, cameras, backgrounds, None, np.random.default_rng(seed))
+    detect = make_detectors(rig, cameras, backgrounds, None, draw_seeds(rig, np.random.default_rng(seed)))
     holds = [Hold(i, board.trigger, board.end) for i, board in enumerate(truth.boards)]
     observations = [
         SensorCapture(i, name, detect[name](messages))

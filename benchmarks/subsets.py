@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures, calibrate_detections, solve_problem
 from calgraph.calibrate.rig import solve_jointly
-from calgraph.captures import captures_from_detections, make_detectors
+from calgraph.captures import captures_from_detections, draw_seeds, make_detectors
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, DetectionResult, board_corners_from_pixels
 from calgraph.detection.landmarks import compute_landmarks
@@ -91,7 +91,8 @@ def data_folder() -> Path:
 def load() -> tuple[Rig, Mapping[str, Mapping[int, DetectionResult | Detection]]]:
     """The rig, and all detections by sensor and capture."""
     rig = Rig.model_validate(VLP16)
-    detect = make_detectors(rig, rig.camera_models(), {}, None, np.random.default_rng(0))["lidar"]
+    seeds = draw_seeds(rig, np.random.default_rng(0))
+    detect = make_detectors(rig, rig.camera_models(), {}, None, seeds)["lidar"]
     with open_recording(data_folder()) as recording:
         decoded = (record.decode() for record in recording.records([rig.topics["lidar"]]))
         clouds = [message for message in decoded if isinstance(message, PointCloud)]

@@ -11,6 +11,9 @@ import pytest
 hypothesis.settings.register_profile("calgraph", deadline=None, max_examples=60)
 hypothesis.settings.load_profile("calgraph")
 
+# No test takes detections of another one, nor writes into the cache of whoever runs them; commands inherit it.
+os.environ["CALGRAPH_CACHE"] = "off"
+
 
 @pytest.fixture
 def rng() -> np.random.Generator:

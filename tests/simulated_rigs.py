@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from calgraph.simulation.world import simulate_measurement
 class SimulatedRecording:
     """A recording whose measurements are simulated when they are decoded."""
 
+    sources: ClassVar[tuple[Path, ...]] = ()
     path: Path
     topics: tuple[TopicInfo, ...]
     start: float

@@ -24,6 +24,7 @@ ELSEWHERE = {
     "result/snapshots.py": "Files that calgraph wrote",
     "io/archive.py": "Files that calgraph wrote",
     "io/columns.py": "Files that calgraph wrote",
+    "captures/detection_tables.py": "Files that calgraph wrote",
     "captures/from_detections.py": "In a program",
     "detection/from_measurements.py": "In a program",
     "recording/in_memory.py": "In a program",

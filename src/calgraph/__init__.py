@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from calgraph.geometry import plane, se2, se3, so3
     from calgraph.graph import PoseGraph, PoseGraphSolution, average_poses
     from calgraph.pairwise import PairwiseEstimate, estimate_pair
-    from calgraph.recording import MessageRecording, open_recording, open_recordings
+    from calgraph.recording import MessageRecording, RecordingCache, open_recording, open_recordings
     from calgraph.report import write_report
     from calgraph.result import Calibration, SensorPose, export, load_calibration, save_calibration, to_dataframe
     from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud, colorize_points
@@ -60,13 +60,13 @@ __all__ = [
     "CameraSpec", "CaptureSet", "Cylinder", "Image", "InputError", "Intrinsics", "LaserScan",
     "Lidar2dSpec", "Lidar3dSpec", "MessageRecording", "NetworkOptions", "PairwiseEstimate", "People",
     "PixelNoise", "PlanePatch", "PointCloud", "PoseGraph", "PoseGraphSolution", "Problem", "RangeNoise",
-    "RecordingError", "Rejected", "Rig", "RigOptions", "ScannerTracks", "Segment", "SensorPose", "Tag",
-    "Track", "average_poses", "board_corners_from_pixels", "bootstrap_covariances", "build_problem",
-    "build_problem_from_captures", "calibrate_detections", "calibrate_network", "calibrate_rig",
-    "calibrate_tracks", "captures_from_detections", "colorize_points", "estimate_pair", "export",
-    "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings", "plane",
-    "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3", "segment_from_points",
-    "so3", "solve_problem", "to_dataframe", "track_scanner", "write_report",
+    "RecordingCache", "RecordingError", "Rejected", "Rig", "RigOptions", "ScannerTracks", "Segment",
+    "SensorPose", "Tag", "Track", "average_poses", "board_corners_from_pixels", "bootstrap_covariances",
+    "build_problem", "build_problem_from_captures", "calibrate_detections", "calibrate_network",
+    "calibrate_rig", "calibrate_tracks", "captures_from_detections", "colorize_points", "estimate_pair",
+    "export", "load_calibration", "load_problem", "load_rig", "open_recording", "open_recordings",
+    "plane", "plane_patch_from_points", "save_calibration", "save_problem", "se2", "se3",
+    "segment_from_points", "so3", "solve_problem", "to_dataframe", "track_scanner", "write_report",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:

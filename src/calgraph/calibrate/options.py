@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from calgraph.errors import InputError
 from calgraph.estimation import Estimator, PriorFile, RigidFile, SolverOptions
 from calgraph.pairwise import MatchFilter
+from calgraph.recording import NO_CACHE, RecordingCache
 from calgraph.result import Calibration
 
 NetworkEstimator = Literal["joint", "averaging"]
@@ -52,6 +53,8 @@ class RigOptions:
     """File to write the joint problem to before it is solved."""
     jobs: int = 1
     """Number of worker processes; see :func:`calgraph.processes.parallel_stream`."""
+    cache: RecordingCache = NO_CACHE
+    """Keeps detections for later runs; nowhere unless stated."""
 
     def __post_init__(self) -> None:
         check_estimator(self.estimator, bool(self.prior or self.rigid))

@@ -102,7 +102,7 @@ def build_problem(
     """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig)
     rng = np.random.default_rng(options.seed)
-    rig = resolve_background(rig, recording)
+    rig = resolve_background(rig, recording, options.cache)
     captures = collect_captures(rig, recording, options, rng, progress)
     return build_problem_from_captures(resolve_intrinsics(rig, recording), captures, options, rng, progress)
 

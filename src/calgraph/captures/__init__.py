@@ -9,7 +9,7 @@ from calgraph.captures.detect import (
     detect_in_holds,
     limit_messages,
 )
-from calgraph.captures.detectors import learn_backgrounds, make_detectors, to_scans
+from calgraph.captures.detectors import draw_seeds, learn_backgrounds, make_detectors, to_scans
 from calgraph.captures.empty_start import EmptyStart, find_empty_start, resolve_background
 from calgraph.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.captures.holds import Hold, find_holds
@@ -17,14 +17,17 @@ from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.captures.plausibility import check_background, check_intrinsics
 from calgraph.captures.previews import PreviewSize, plan_previews
+from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
+from calgraph.captures.timeline_reading import measure_activity, read_timeline
 from calgraph.captures.validate_recording import check_timeline
 
 __all__ = [
-    "ActivityMeter", "CaptureSet", "Detector", "EmptyStart", "GivenDetections", "Hold", "InputFinding",
-    "InputMonitor", "PreviewSize", "RecognizedMode", "RecordingTimeline", "SensorCapture", "SensorTimes",
-    "build_timeline", "captures_from_detections", "check_background", "check_intrinsics", "check_timeline",
-    "collect_detections", "detect_in_holds", "find_empty_start", "find_holds", "is_snapshot_recording",
-    "learn_backgrounds", "limit_messages", "make_detectors", "plan_previews", "recognize_mode",
+    "ActivityMeter", "CaptureSet", "DetectionMethod", "Detector", "EmptyStart", "GivenDetections", "Hold",
+    "InputFinding", "InputMonitor", "PreviewSize", "RecognizedMode", "RecordingTimeline", "SensorCapture",
+    "SensorTimes", "build_timeline", "captures_from_detections", "check_background", "check_intrinsics",
+    "check_timeline", "collect_detections", "detect_by_sensors", "detect_in_holds", "draw_seeds",
+    "find_empty_start", "find_holds", "is_snapshot_recording", "learn_backgrounds", "limit_messages",
+    "make_detectors", "measure_activity", "plan_previews", "read_timeline", "recognize_mode",
     "resolve_background", "to_scans",
 ]  # fmt: skip

@@ -99,7 +99,7 @@ def collect_detections(
         detections,
         rejections,
         cameras,
-        tuple(snapshots),
+        tuple(sorted(snapshots, key=lambda snapshot: snapshot.capture)),
         (*findings, *misplaced),
     )
 

@@ -1,6 +1,5 @@
 """The detector of every sensor of a rig, and the background models of its scanners."""
 
-import logging
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
@@ -19,7 +18,7 @@ from calgraph.detection import (
     learn_cloud_background,
     learn_scan_background,
 )
-from calgraph.errors import InputError
+from calgraph.errors import InputError, Rejected
 from calgraph.sensors import (
     CameraModel,
     LaserScan,
@@ -30,12 +29,10 @@ from calgraph.sensors import (
     convert_cloud_to_scan,
 )
 
-_log = logging.getLogger(__name__)
-
 Background = CloudBackground | ScanBackground
 
 
-def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[str, Background]:
+def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[str, Background | Rejected]:
     """Learns what the scanners measure without target and operator.
 
     Args:
@@ -43,7 +40,7 @@ def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[s
         rig: the rig.
 
     Returns:
-        By scanner; no entry for one that measured nothing in the window.
+        By scanner, or why there is none: it measured nothing in the window. Empty without a window.
     """
     by_topic = {spec.topic: name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)}
     messages_by_sensor: dict[str, list[Message]] = {}
@@ -51,15 +48,14 @@ def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[s
         messages = messages_by_sensor.setdefault(by_topic[record.topic], [])
         if len(messages) < rig.settings.captures.max_background_messages:
             messages.append(record.decode())
-    backgrounds: dict[str, Background] = {}
+    backgrounds: dict[str, Background | Rejected] = {}
     for name in by_topic.values() if rig.capture.background else ():
         try:
             backgrounds[name] = learn_background(
                 messages_by_sensor.get(name, []), rig.sensors[name], rig.settings.detection
             )
         except InputError as error:
-            # A scanner without measurements does not keep the others from being calibrated.
-            _log.warning("%s: %s; it detects the board by size and shape", name, error)
+            backgrounds[name] = Rejected(str(error))
     return backgrounds
 
 
@@ -81,12 +77,17 @@ def to_scans(messages: Iterable[Message]) -> list[LaserScan]:
     ]
 
 
+def draw_seeds(rig: Rig, rng: np.random.Generator) -> dict[str, int]:
+    """A seed for the samples of each sensor's detector."""
+    return dict(zip(rig.sensors, rng.integers(2**63, size=len(rig.sensors)).tolist(), strict=True))
+
+
 def make_detectors(
     rig: Rig,
     cameras: Mapping[str, CameraModel],
     backgrounds: Mapping[str, Background],
     plane_estimator: PlaneEstimator | None,
-    rng: np.random.Generator,
+    seeds: Mapping[str, int],
 ) -> Mapping[str, Detector]:
     """The detector of each sensor.
 
@@ -95,12 +96,11 @@ def make_detectors(
         cameras: intrinsics by camera.
         backgrounds: by scanner; those without one search by size and shape.
         plane_estimator: estimates the plane of boards with tags in place of one PnP over all corners.
-        rng: source of the detectors' samples.
+        seeds: of the detectors' samples, by sensor; see :func:`draw_seeds`.
     """
     detectors: dict[str, Detector] = {}
-    seeds = rng.integers(2**63, size=len(rig.sensors)).tolist()
-    for (name, spec), seed in zip(rig.sensors.items(), seeds, strict=True):
-        background = backgrounds.get(name)
+    for name, spec in rig.sensors.items():
+        background, seed = backgrounds.get(name), seeds[name]
         if isinstance(spec, CameraSpec):
             detectors[name] = CameraDetector(
                 rig.boards, cameras[name], spec.noise, plane_estimator, rig.settings.detection.camera

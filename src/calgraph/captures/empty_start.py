@@ -9,8 +9,10 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import EmptyStartSettings
 from calgraph.detection.cloud_background import find_direction_cells
 from calgraph.geometry import Array
-from calgraph.recording import Recording
+from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage
+
+_EMPTY_START = "empty start/1"
 
 
 @dataclass(frozen=True)
@@ -25,15 +27,27 @@ class EmptyStart:
     """Of the scanner that detected it first."""
 
 
-def resolve_background(rig: Rig, recording: Recording) -> Rig:
-    """The rig with the empty start of the recording as background window, where it has a board and states none."""
+def resolve_background(rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE) -> Rig:
+    """The rig with the empty start of the recording as background window, where it has a board and states none.
+
+    Args:
+        rig: the rig.
+        recording: is searched, unless the cache has what was found.
+        cache: of earlier runs.
+    """
     if rig.is_network or rig.capture.background is not None:
         return rig
     scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
-    found = find_empty_start(recording, scanners, rig.settings.captures.empty_start)
-    if found is None:
+    settings = rig.settings.captures.empty_start
+    inputs = {"topics": scanners, "settings": settings}
+    end = cache.read(recording, _EMPTY_START, inputs, lambda content, _: float(content["end"]))
+    if end is None:
+        found = find_empty_start(recording, scanners, settings)
+        end = found.end if found else 0.0
+        cache.write(recording, _EMPTY_START, inputs, {"end": end}, {})
+    if not end:
         return rig
-    return rig.model_copy(update={"capture": rig.capture.model_copy(update={"background": (0.0, found.end)})})
+    return rig.model_copy(update={"capture": rig.capture.model_copy(update={"background": (0.0, end)})})
 
 
 def find_empty_start(

@@ -2,7 +2,7 @@
 
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -24,17 +24,31 @@ class InputFinding:
     """Sensors whose poses it makes weak."""
 
 
-@dataclass
-class _CameraInfoHistory:
-    """The intrinsics that one topic states."""
+@dataclass(frozen=True, eq=False)
+class TopicObservations:
+    """What the checks need of all messages of one topic."""
 
-    contents: set[int] = field(default_factory=set)
-    """Hashes of the messages that were decoded."""
+    contents: NDArray[np.int64]
+    """(N,) hashes of the contents of a sensor's messages."""
+    frames: Mapping[str, float]
+    """Frames that a sensor's messages state, with the stamp of the first that does, s."""
+    change: str = ""
+    """How the intrinsics on the topic differ from the first; empty if they do not."""
+    changed_at: float = 0.0
+    """Stamp of the first message with others, s."""
+
+
+@dataclass
+class _Observer:
+    """Collects what the checks need of one topic."""
+
+    contents: "array[int]" = field(default_factory=lambda: array("q"))
+    frames: dict[str, float] = field(default_factory=dict)
+    decoded: set[int] = field(default_factory=set)
+    """Hashes of the intrinsics that were decoded."""
     first: CameraModel | None = None
     change: str = ""
-    """What differs from the first message; empty if nothing does."""
     changed_at: float = 0.0
-    """Stamp of the first message that differs, s."""
 
 
 class InputMonitor:
@@ -49,30 +63,47 @@ class InputMonitor:
     def __init__(self, rig: Rig, start: float, camera_infos: Mapping[str, str] | None = None) -> None:
         self._rig, self._start = rig, start
         self._settings = rig.settings.captures.input_checks
-        self._names = {topic: name for name, topic in rig.topics.items()}
-        self._contents = {name: array("q") for name in rig.sensors}
-        self._frames: dict[str, dict[str, float]] = {name: {} for name in rig.sensors}
-        """By sensor, the frames that its messages state, with the stamp of the first that does."""
         self._camera_infos = dict(camera_infos or {})
-        self._histories = {topic: _CameraInfoHistory() for topic in self._camera_infos.values()}
+        self._observers = {topic: _Observer() for topic in (*rig.topics.values(), *self._camera_infos.values())}
+
+    @property
+    def topics(self) -> Collection[str]:
+        """The topics that are observed."""
+        return self._observers.keys()
 
     @property
     def camera_info_topics(self) -> tuple[str, ...]:
         """The topics with intrinsics that are to be observed, too."""
-        return tuple(self._histories)
+        return tuple(dict.fromkeys(self._camera_infos.values()))
 
     def observe(self, records: Iterable[RecordedMessage]) -> Iterator[RecordedMessage]:
         """Passes records on after noting what the checks need."""
+        sensor_topics = set(self._rig.topics.values())
         for record in records:
-            if record.digest is not None:
-                if record.topic in self._names:
-                    digest, name = record.digest(), self._names[record.topic]
-                    self._contents[name].append(digest.content)
+            observer = self._observers.get(record.topic)
+            if record.digest is not None and observer is not None:
+                digest = record.digest()
+                if record.topic in sensor_topics:
+                    observer.contents.append(digest.content)
                     if digest.frame_id:
-                        self._frames[name].setdefault(digest.frame_id, record.stamp)
-                elif record.topic in self._histories:
-                    self._add_camera_info(self._histories[record.topic], record, record.digest().content)
+                        observer.frames.setdefault(digest.frame_id, record.stamp)
+                else:
+                    self._add_camera_info(observer, record, digest.content)
             yield record
+
+    def observations(self, topic: str) -> TopicObservations:
+        """What was noted of a topic so far."""
+        noted = self._observers[topic]
+        return TopicObservations(np.array(noted.contents, np.int64), noted.frames, noted.change, noted.changed_at)
+
+    def restore(self, topic: str, observations: TopicObservations) -> None:
+        """Takes what was noted of a topic in an earlier run."""
+        self._observers[topic] = _Observer(
+            array("q", observations.contents.tolist()),
+            dict(observations.frames),
+            change=observations.change,
+            changed_at=observations.changed_at,
+        )
 
     def findings(self) -> tuple[InputFinding, ...]:
         """What does not fit the rig, in the messages observed so far."""
@@ -80,9 +111,10 @@ class InputMonitor:
 
     def _check_frames(self) -> Iterator[InputFinding]:
         for name, spec in self._rig.sensors.items():
-            frames = list(self._frames[name])
+            stamps = self._observers[spec.topic].frames
+            frames = list(stamps)
             if len(frames) > 1:
-                at = self._frames[name][frames[1]] - self._start
+                at = stamps[frames[1]] - self._start
                 yield InputFinding(
                     f"messages of {name} state the frame {frames[0]}, and {frames[1]} from {at:.1f} s on: "
                     "give each sensor its own topic, and do not reconfigure drivers while recording"
@@ -95,7 +127,8 @@ class InputMonitor:
                 )
 
     def _check_duplicates(self) -> Iterator[InputFinding]:
-        distinct = {name: np.unique(np.asarray(contents)) for name, contents in self._contents.items()}
+        topics = self._rig.topics.items()
+        distinct = {name: np.unique(np.asarray(self._observers[topic].contents)) for name, topic in topics}
         for (a, b), shared in _count_shared(distinct).items():
             share = shared / min(len(distinct[a]), len(distinct[b]))
             if shared >= self._settings.min_identical_messages and share > self._settings.max_identical_share:
@@ -107,7 +140,7 @@ class InputMonitor:
 
     def _check_camera_infos(self) -> Iterator[InputFinding]:
         for name, topic in self._camera_infos.items():
-            history = self._histories[topic]
+            history = self._observers[topic]
             if not history.change:
                 continue
             others = tuple(other for other in self._rig.sensors if other != self._rig.root)
@@ -117,10 +150,10 @@ class InputMonitor:
                 others if name == self._rig.root else (name,),
             )
 
-    def _add_camera_info(self, history: _CameraInfoHistory, record: RecordedMessage, content: int) -> None:
-        if history.change or content in history.contents:
+    def _add_camera_info(self, history: _Observer, record: RecordedMessage, content: int) -> None:
+        if history.change or content in history.decoded:
             return
-        history.contents.add(content)
+        history.decoded.add(content)
         try:
             message = record.decode()
         except RecordingError:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from calgraph.captures import resolve_background
+from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
     EARLIER,
     PAPERS,
@@ -100,6 +101,7 @@ def calibrate(
     ] = 5,
     seed: SeedOption = 0,
     jobs: JobsOption = None,
+    no_cache: NoCacheOption = False,
     dump: Annotated[
         Path | None,
         typer.Option(
@@ -192,6 +194,7 @@ def calibrate(
     network_options = {"--extend": extend, "--moved": moved}
     _check_unused(*(("rigs with a board", rig_options) if rig.is_network else ("networks", network_options)))
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
+    cache = open_cache(unused=no_cache)
     with replace_folder_atomically(out) as folder:
         options: story.RigOptions | story.NetworkOptions
         if rig.is_network:
@@ -218,14 +221,15 @@ def calibrate(
                 seed=seed,
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
                 jobs=jobs or available_cores(),
+                cache=cache,
             )
         with open_recordings(recordings) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
-            rig = resolve_background(rig, recording)
+            rig = resolve_background(rig, recording, cache)
             calibration = story.calibrate(rig, recording, options, progress)
             read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
-            calibration = replace(calibration, provenance=describe_run(read, recording))
+            calibration = replace(calibration, provenance=describe_run(read, recording, cache))
             rig = resolve_intrinsics(rig, recording)
         write_results(calibration, rig, folder)
     show_results(calibration, out, json=json, strict=strict)

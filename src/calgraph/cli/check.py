@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.calibrate import write_results
 from calgraph.cli.common_options import (
     RESULT_FILES,
@@ -26,7 +27,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
-from calgraph.recording import open_recordings
+from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def check(
     force: ForceOption = False,
     seed: SeedOption = 0,
     overrides: SetOption = None,
+    no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
     """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
@@ -77,7 +79,7 @@ def check(
         check_not_overwriting(out, [*RESULT_FILES, "check.json"], force=force)
     rig, given = _set_tolerance(load_rig_with(rig_file, overrides), tolerance), read_extrinsics(against)
     with replace_folder_atomically(out) if out else nullcontext() as folder:
-        calibration, audit, rig = _compare(rig, recordings, given, seed)
+        calibration, audit, rig = _compare(rig, recordings, given, seed, open_cache(unused=no_cache))
         content = _content(audit, against, rig.tolerance)
         if folder:
             write_results(calibration, rig, folder)
@@ -103,7 +105,7 @@ def _set_tolerance(rig: Rig, tolerance: tuple[float, float] | None) -> Rig:
 
 
 def _compare(
-    rig: Rig, recordings: list[Path], given: ExtrinsicsFile, seed: int
+    rig: Rig, recordings: list[Path], given: ExtrinsicsFile, seed: int, cache: RecordingCache
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
     from calgraph import calibrate as story
@@ -112,11 +114,11 @@ def _compare(
         options = story.NetworkOptions(seed=seed, jobs=available_cores())
         with open_recordings(recordings) as recording, progress_bars() as progress:
             return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
-    problem = _problem(rig, recordings, seed)
+    problem = _problem(rig, recordings, seed, cache)
     return *story.compare_extrinsics(problem, given), problem.rig
 
 
-def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
+def _problem(rig: Rig, recordings: list[Path], seed: int, cache: RecordingCache) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
     from calgraph import calibrate as story
     from calgraph.estimation import check_problem, load_problem
@@ -128,7 +130,8 @@ def _problem(rig: Rig, recordings: list[Path], seed: int) -> "Problem":
         check_problem(problem)
         return problem
     with open_recordings(recordings) as recording, progress_bars() as progress:
-        return story.build_problem(rig, recording, story.RigOptions(seed=seed, jobs=available_cores()), progress)
+        options = story.RigOptions(seed=seed, jobs=available_cores(), cache=cache)
+        return story.build_problem(rig, recording, options, progress)
 
 
 def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:

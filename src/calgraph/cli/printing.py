@@ -77,6 +77,8 @@ def print_provenance(provenance: Provenance) -> None:
     if provenance.start is not None and provenance.duration is not None:
         start = datetime.fromtimestamp(provenance.start, UTC).isoformat(timespec="seconds")
         output.print(f"recorded {start}, {provenance.duration:.1f} s, {provenance.messages} messages")
+    if provenance.cached:
+        output.print(escape(f"detections of {', '.join(provenance.cached)} were taken from the cache"))
 
 
 def print_remarks(calibration: Calibration) -> None:

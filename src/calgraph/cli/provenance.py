@@ -10,19 +10,22 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
-from calgraph.recording import Recording
+from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result import InputFile, Provenance
 
 # Bytes of each end of a file that are hashed: recordings have gigabytes.
 _HASHED_BYTES = 2**20
 
 
-def describe_run(inputs: Iterable[Path], recording: Recording | None = None) -> Provenance:
+def describe_run(
+    inputs: Iterable[Path], recording: Recording | None = None, cache: RecordingCache = NO_CACHE
+) -> Provenance:
     """The provenance of what the running command computes.
 
     Args:
         inputs: files and folders that it reads.
         recording: the recording among them, open.
+        cache: where detections may have been taken from.
     """
     provenance = Provenance(
         version=version("calgraph"),
@@ -33,7 +36,13 @@ def describe_run(inputs: Iterable[Path], recording: Recording | None = None) -> 
     if recording is None:
         return provenance
     messages = sum(topic.count for topic in recording.topics)
-    return replace(provenance, start=recording.start, duration=recording.end - recording.start, messages=messages)
+    return replace(
+        provenance,
+        start=recording.start,
+        duration=recording.end - recording.start,
+        messages=messages,
+        cached=tuple(sorted(cache.reused)),
+    )
 
 
 def hash_input(path: Path) -> str:

@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.calibrate import fail_if_not_calibrated
 from calgraph.cli.common_options import available_cores
 from calgraph.cli.console import console
@@ -18,7 +19,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
-from calgraph.recording import open_recordings
+from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:
     from calgraph.calibrate import Progress
@@ -38,6 +39,7 @@ def verify(
     rounds: Annotated[int, typer.Option(metavar="N", min=20, help="Number of bootstrap rounds.")] = 200,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the draws: same seed, same result.")] = 0,
     overrides: SetOption = None,
+    no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Test the covariances of a rig's calibration by a bootstrap over its captures.
@@ -50,7 +52,7 @@ def verify(
     from calgraph.calibrate import bootstrap_covariances  # takes seconds, which --help should not
 
     with progress_bars() as progress:
-        problem = _problem(files, overrides, seed, progress)
+        problem = _problem(files, overrides, seed, open_cache(unused=no_cache), progress)
         calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
     confidence = problem.rig.settings.diagnostics.rig.bootstrap_confidence
@@ -65,7 +67,9 @@ def verify(
         raise CalibrationError(f"the covariance is optimistic: {', '.join(optimistic)}")
 
 
-def _problem(files: list[Path], overrides: list[str] | None, seed: int, progress: "Progress") -> "Problem":
+def _problem(
+    files: list[Path], overrides: list[str] | None, seed: int, cache: RecordingCache, progress: "Progress"
+) -> "Problem":
     """The joint problem in a dump, or that of a recording."""
     from calgraph import calibrate as story
     from calgraph.estimation import load_problem
@@ -77,7 +81,8 @@ def _problem(files: list[Path], overrides: list[str] | None, seed: int, progress
         return replace(problem, rig=override_settings(problem.rig, overrides))
     rig = load_rig_with(files[0], overrides)
     with open_recordings(files[1:]) as recording:
-        return story.build_problem(rig, recording, story.RigOptions(seed=seed, jobs=available_cores()), progress)
+        options = story.RigOptions(seed=seed, jobs=available_cores(), cache=cache)
+        return story.build_problem(rig, recording, options, progress)
 
 
 def _content(

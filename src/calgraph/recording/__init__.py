@@ -1,5 +1,6 @@
 """Recordings in and out, as streams of messages: ROS bags and plain folders."""
 
+from calgraph.recording.cache import NO_CACHE, RecordingCache
 from calgraph.recording.camera_intrinsics import find_camera_infos, resolve_intrinsics
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
@@ -8,7 +9,7 @@ from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
-    "SENSORS", "Encoding", "Inspection", "MessageRecording", "Recording", "RecordingWriter", "Timing", "TopicInfo",
-    "TopicReport", "find_camera_infos", "find_topics", "inspect_recording", "open_recording", "open_recordings",
-    "resolve_intrinsics",
+    "NO_CACHE", "SENSORS", "Encoding", "Inspection", "MessageRecording", "Recording", "RecordingCache",
+    "RecordingWriter", "Timing", "TopicInfo", "TopicReport", "find_camera_infos", "find_topics",
+    "inspect_recording", "open_recording", "open_recordings", "resolve_intrinsics",
 ]  # fmt: skip

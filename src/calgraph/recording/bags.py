@@ -43,7 +43,7 @@ class BagRecording(ClosedOnExit):
     """A bag of one or more storage files."""
 
     def __init__(self, path: Path, bag: BagFiles) -> None:
-        self.path = path
+        self.path, self.sources = path, (path,)
         self._types: dict[tuple[str, str], MessageType] = {}
         self._stack = ExitStack()
         try:

@@ -1,5 +1,6 @@
 """Samples of the content of messages, by which identical ones are recognized without decoding them."""
 
+import hashlib
 import mmap
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,13 @@ _SAMPLE_BYTES = 64
 
 
 def hash_content(data: bytes | mmap.mmap | NDArray[np.uint8], start: int = 0) -> int:
-    """A hash of samples spread over the bytes from ``start`` on; equal for equal bytes within one process."""
+    """A hash of samples spread over the bytes from ``start`` on, 64 bits with sign; equal for equal bytes."""
     size = len(data) - start
     step = max(size // _SAMPLES, _SAMPLE_BYTES)
     samples = (bytes(data[i : i + _SAMPLE_BYTES]) for i in range(start, len(data), step))
-    return hash((size, *samples))
+    # Unlike Python's own hash, it is the same in all processes.
+    digest = hashlib.blake2b(b"".join((size.to_bytes(8), *samples)), digest_size=8).digest()
+    return int.from_bytes(digest, signed=True)
 
 
 def hash_array(values: NDArray[Any]) -> int:

@@ -78,6 +78,7 @@ class FolderRecording(IndexedRecording):
             [RecordedMessage(f.topic, f.stamp, f.stamp, partial(_decode, f), partial(_digest, f)) for f in files],
             types,
             untimed={file.topic for file in files if file.counted},
+            sources=(path,),
         )
 
     def records(

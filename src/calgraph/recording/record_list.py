@@ -16,6 +16,7 @@ class IndexedRecording(ClosedOnExit):
         records: one record or more, in any order.
         types: by topic.
         untimed: topics whose stamps are not of a clock.
+        sources: files and folders that the messages are read from.
     """
 
     def __init__(
@@ -24,8 +25,9 @@ class IndexedRecording(ClosedOnExit):
         records: Sequence[RecordedMessage],
         types: Mapping[str, str],
         untimed: Collection[str] = (),
+        sources: tuple[Path, ...] = (),
     ) -> None:
-        self.path = path
+        self.path, self.sources = path, sources
         self._records = sorted(records, key=lambda record: (record.arrival, record.topic))
         self.start, self.end = self._records[0].arrival, self._records[-1].arrival
         counts = Counter(record.topic for record in records)

@@ -37,6 +37,10 @@ class Recording(Protocol):
         """The file or folder."""
 
     @property
+    def sources(self) -> tuple[Path, ...]:
+        """All files and folders that messages are read from; empty for messages in memory."""
+
+    @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """All topics, sorted by name."""
 
@@ -95,6 +99,8 @@ class JoinedRecording(ClosedOnExit):
     def __init__(self, recordings: Sequence[Recording], path: Path | None = None) -> None:
         self._recordings = tuple(recordings)
         self.path = path or self._recordings[0].path
+        sources = [part.sources for part in self._recordings]
+        self.sources = tuple(path for paths in sources for path in paths) if all(sources) else ()
         self.topics = merge_topics(topic for part in self._recordings for topic in part.topics)
         self.start = min(part.start for part in self._recordings)
         self.end = max(part.end for part in self._recordings)

@@ -62,7 +62,7 @@ class VideoRecording(ClosedOnExit):
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.sources = path, (path,)
         check_fetched(path)
         self._index = _index_video(path)
         self._stack = ExitStack()

@@ -20,5 +20,7 @@ def render_provenance(calibration: Calibration) -> str:
     if provenance.start is not None and provenance.duration is not None:
         start = datetime.fromtimestamp(provenance.start, UTC).isoformat(timespec="seconds")
         rows.append(("recording", f"{provenance.duration:.1f} s from {start}, {provenance.messages} messages"))
+    if provenance.cached:
+        rows.append(("from the cache", f"detections of {', '.join(provenance.cached)}"))
     cells = "".join(f"<tr><th scope=row>{escape_html(k)}</th><td>{escape_html(v)}</td></tr>" for k, v in rows)
     return f'<section id="provenance"><h2>Provenance</h2><div class="wide"><table>{cells}</table></div></section>'

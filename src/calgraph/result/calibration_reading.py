@@ -211,6 +211,7 @@ class _Provenance(StrictModel):
     start: Finite | None = None
     duration: Finite | None = None
     messages: int | None = None
+    cached: tuple[str, ...] = ()
 
 
 class _File(StrictModel):

@@ -31,3 +31,5 @@ class Provenance:
     """Of the recording, s."""
     messages: int | None = None
     """Number of messages in the recording."""
+    cached: tuple[str, ...] = ()
+    """Sensors whose detections were taken from an earlier run on the same recording."""

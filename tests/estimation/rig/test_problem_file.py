@@ -14,12 +14,12 @@ import pytest
 
 from board_scenes import detect_boards, make_boards, random_pose
 from calgraph.captures import CaptureSet, Hold, InputFinding
+from calgraph.captures.detection_tables import DETECTIONS
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem, with_prior_poses
 from calgraph.estimation.rig.priors import PosePrior
-from calgraph.estimation.rig.problem_file import DETECTIONS
 from calgraph.graph import SpanningTree, find_spanning_tree
 from calgraph.pairwise import PairwiseEstimate, estimate_pairs, select_successful
 from calgraph.sensors import CameraModel

@@ -1,6 +1,6 @@
 """Reading and writing a problem, to the last bit; docs/formats.md describes the file's members."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.captures import CaptureSet, Hold, InputFinding
+from calgraph.captures.detection_tables import pack_detections, unpack_detections
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, to_beams
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem
 from calgraph.geometry import Array
@@ -25,28 +25,6 @@ from calgraph.sensors import CameraModel
 FORMAT = "calgraph-problem/2"
 _STRUCTURE = "problem.json"
 
-_PLACE = {"sensor": INDEX, "capture": INDEX, "candidate": INDEX}
-_BEAMS = {"ranges": Column(ragged=True), "directions": Column((3,), ragged=True)}
-_POINTS = {"points": Column((3,), ragged=True), **_BEAMS}
-"""Beams, and their end points for other programs: they are not read where there are ranges and directions."""
-DETECTIONS: Mapping[type[Detection], Table] = {
-    PlanePatch: Table("planes", {
-        **_PLACE,
-        "plane": Column((4,)), "covariance": Column((3, 3)), **_POINTS,
-        "center": Column((3,)), "match": NUMBER, "edges": Column((2, 3), ragged=True),
-    }),
-    Segment: Table("segments", {
-        **_PLACE,
-        "endpoints": Column((2, 3)), "covariance": Column((6, 6)), **_POINTS,
-        "match": NUMBER, "edges": Column((2, 3), ragged=True),
-    }),
-    BoardCorners: Table("corners", {
-        **_PLACE,
-        "corners_board": Column((3,), ragged=True), "pixels": Column((2,), ragged=True),
-        "T_camera_board": Column((4, 4)), "covariance": Column((6, 6)),
-        "plane": Column((4,)), "plane_covariance": Column((3, 3)), "rms": NUMBER, "board": INDEX,
-    }),
-}  # fmt: skip
 _HOLDS = Table("holds", {"index": INDEX, "start": NUMBER, "end": NUMBER})
 _STAMPS = Table("stamps", {"hold": INDEX, "sensor": INDEX, "stamps": Column(ragged=True)})
 _CAMERAS = Table("cameras", {
@@ -168,15 +146,7 @@ def _encode(problem: Problem) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         ])
         | _TREE.pack([{"sensor": number[name], "T_root_sensor": T} for name, T in tree.T_root_sensor.items()])
     )  # fmt: skip
-    for kind, table in DETECTIONS.items():
-        arrays |= table.pack([
-            {"sensor": number[name], "capture": capture, "candidate": k, **vars(detection),
-             "points": getattr(detection, "points", None)}
-            for name, by_capture in captured.detections.items()
-            for capture, found in by_capture.items()
-            for k, detection in enumerate(found) if isinstance(detection, kind)
-        ])  # fmt: skip
-    return content, arrays
+    return content, arrays | pack_detections(captured.detections)
 
 
 def _decode(structure: _Structure, arrays: Arrays) -> Problem:
@@ -185,7 +155,7 @@ def _decode(structure: _Structure, arrays: Arrays) -> Problem:
         start=structure.start,
         frames=structure.frames,
         holds=_holds(sensors, arrays),
-        detections=_detections(sensors, arrays),
+        detections=unpack_detections(arrays, sensors),
         rejections={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
         cameras=_cameras(structure, arrays),
         findings=tuple(InputFinding(finding.text, finding.sensors) for finding in structure.findings),
@@ -203,40 +173,6 @@ def _holds(sensors: Sequence[str], arrays: Arrays) -> tuple[Hold, ...]:
             raise InputError(f"stamps/hold: must be below the {len(holds)} holds, got {row['hold']}")
         stamps[row["hold"]][row["sensor"]] = row["stamps"]
     return tuple(replace(hold, stamps=by_sensor) for hold, by_sensor in zip(holds, stamps, strict=True))
-
-
-def _detections(sensors: Sequence[str], arrays: Arrays) -> dict[str, dict[int, tuple[Detection, ...]]]:
-    detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in sensors}
-    for kind, table in DETECTIONS.items():
-        for row in _unpack_detections(table, arrays, sensors):
-            by_capture, capture, candidate = (
-                detections[row.pop("sensor")],
-                row.pop("capture"),
-                row.pop("candidate"),
-            )
-            before = by_capture.get(capture, ())
-            if candidate != len(before):
-                raise InputError(
-                    f"{table.name}/candidate: must count each sensor's detections in a capture from 0, "
-                    f"got {candidate} after {len(before)} of capture {capture}"
-                )
-            by_capture[capture] = (*before, kind(**row))
-    return detections
-
-
-def _unpack_detections(table: Table, arrays: Arrays, sensors: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Rows of a table of detections; in files of version 0.1 beams are stated by their end points alone."""
-    older = "points" in table.columns and not any(f"{table.name}/{field}" in arrays for field in _BEAMS)
-    kept = {field: column for field, column in table.columns.items() if not (older and field in _BEAMS)}
-    for row in Table(table.name, kept).unpack_named(arrays, sensors):
-        points = row.pop("points", None)
-        if older:
-            row |= dict(zip(_BEAMS, to_beams(points), strict=True))
-        if points is not None and not len(points) == len(row["ranges"]) == len(row["directions"]):
-            raise InputError(
-                f"{table.name}/ranges.rows: must be those of {table.name}/points and {table.name}/directions"
-            )
-        yield row
 
 
 def _cameras(structure: _Structure, arrays: Arrays) -> dict[str, CameraModel]:

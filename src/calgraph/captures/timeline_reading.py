@@ -1,0 +1,148 @@
+"""Reading of a recording's timeline; what an earlier run read of a topic is taken from the cache."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calgraph.captures.input_checks import InputMonitor, TopicObservations
+from calgraph.captures.motion_detection import ActivityMeter
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
+from calgraph.config import Rig
+from calgraph.geometry import Array
+from calgraph.io.columns import Arrays
+from calgraph.recording import Recording, RecordingCache
+
+_TOPIC, _ACTIVITY = "topic/1", "activity/1"
+Progress = Callable[[float], None]
+"""Called with the arrival time of records, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class _TopicContent:
+    """What one pass over the messages of a topic yields."""
+
+    times: SensorTimes
+    """Of a sensor."""
+    triggers: Array
+    """(T,) stamps of a trigger, s."""
+    observations: TopicObservations
+
+
+# Of topics that are no sensors'.
+_NOTHING_MEASURED = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
+_NOTHING_OBSERVED = TopicObservations(np.zeros(0, np.int64), {})
+
+
+def read_timeline(
+    rig: Rig, recording: Recording, monitor: InputMonitor, cache: RecordingCache, progress: Progress
+) -> RecordingTimeline:
+    """Reads when the sensors measured and when captures were triggered, without activity.
+
+    Args:
+        rig: the rig.
+        recording: to read.
+        monitor: observes the messages, or takes what it observed in an earlier run.
+        cache: has the topics that earlier runs read, and gets the others.
+        progress: called while messages are read.
+    """
+    inputs = _list_inputs(rig, monitor)
+    recording.records(list(inputs))  # refuses topics that do not exist, or do not fit together
+    known = {
+        topic: content
+        for topic, given in inputs.items()
+        if (content := cache.read(recording, _TOPIC, given, _decode_topic)) is not None
+    }
+    for topic, content in known.items():
+        if topic in monitor.topics:
+            monitor.restore(topic, content.observations)
+    unread = [topic for topic in inputs if topic not in known]
+    if unread:
+        sensors = {name: topic for name, topic in rig.topics.items() if topic in unread}
+        trigger = rig.capture.trigger if rig.capture.trigger in unread else None
+        records = monitor.observe(recording.records(unread))
+        read = build_timeline(records, recording.start, sensors, trigger, progress=progress)
+        for topic in unread:
+            known[topic] = _TopicContent(
+                next((read.sensors[name] for name in sensors if sensors[name] == topic), _NOTHING_MEASURED),
+                read.triggers if topic == trigger else np.zeros(0),
+                monitor.observations(topic) if topic in monitor.topics else _NOTHING_OBSERVED,
+            )
+            cache.write(recording, _TOPIC, inputs[topic], *_encode_topic(known[topic]))
+    by_sensor = {name: known[topic].times for name, topic in rig.topics.items()}
+    triggers = known[rig.capture.trigger].triggers if rig.capture.trigger else np.zeros(0)
+    return RecordingTimeline(recording.start, by_sensor, triggers)
+
+
+def measure_activity(
+    timeline: RecordingTimeline, rig: Rig, recording: Recording, cache: RecordingCache, progress: Progress
+) -> RecordingTimeline:
+    """The timeline with how much the view of every sensor changed; decodes all messages that are not in the cache.
+
+    Arguments are those of :func:`read_timeline`.
+    """
+    inputs = {
+        name: {"topic": topic, "settings": rig.settings.captures.motion} for name, topic in rig.topics.items()
+    }
+    activity = {
+        name: found
+        for name, given in inputs.items()
+        if (found := cache.read(recording, _ACTIVITY, given, lambda _, arrays: arrays["activity"])) is not None
+    }
+    unread = {name: topic for name, topic in rig.topics.items() if name not in activity}
+    if unread:
+        meters = {name: ActivityMeter(rig.settings.captures.motion) for name in unread}
+        records = recording.records(unread.values())
+        read = build_timeline(records, recording.start, unread, None, meters=meters, progress=progress)
+        for name in unread:
+            activity[name] = read.sensors[name].activity
+            cache.write(recording, _ACTIVITY, inputs[name], {}, {"activity": activity[name]})
+    sensors = {name: replace(times, activity=activity[name]) for name, times in timeline.sensors.items()}
+    return replace(timeline, sensors=sensors)
+
+
+def _list_inputs(rig: Rig, monitor: InputMonitor) -> dict[str, dict[str, Any]]:
+    """By topic, what its content depends on besides the recording."""
+    inputs: dict[str, dict[str, Any]] = {
+        topic: {"topic": topic, "role": "sensor"} for topic in rig.topics.values()
+    }
+    limit = rig.settings.captures.input_checks.max_intrinsics_change
+    for topic in monitor.camera_info_topics:
+        inputs.setdefault(topic, {"topic": topic, "role": "intrinsics", "max_change": limit})
+    if rig.capture.trigger:
+        inputs.setdefault(rig.capture.trigger, {"topic": rig.capture.trigger, "role": "trigger"})
+    return inputs
+
+
+def _encode_topic(content: _TopicContent) -> tuple[dict[str, Any], Arrays]:
+    times, observed = content.times, content.observations
+    plain = {
+        "frame_id": times.frame_id,
+        "message_type": times.message_type,
+        "frames": list(observed.frames),
+        "change": observed.change,
+    }
+    arrays = {
+        "stamps": times.stamps,
+        "activity": times.activity,
+        "triggers": content.triggers,
+        "duration": np.array(times.duration),
+        "contents": observed.contents,
+        "first_stamps": np.array(list(observed.frames.values()), dtype=np.float64),
+        "changed_at": np.array(observed.changed_at),
+    }
+    return plain, arrays
+
+
+def _decode_topic(plain: Mapping[str, Any], arrays: Arrays) -> _TopicContent:
+    times = SensorTimes(
+        arrays["stamps"],
+        float(arrays["duration"]),
+        arrays["activity"],
+        plain["frame_id"],
+        plain["message_type"],
+    )
+    frames = dict(zip(plain["frames"], arrays["first_stamps"].tolist(), strict=True))
+    observed = TopicObservations(arrays["contents"], frames, plain["change"], float(arrays["changed_at"]))
+    return _TopicContent(times, arrays["triggers"], observed)

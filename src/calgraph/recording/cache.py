@@ -1,0 +1,136 @@
+"""What was computed from recordings, kept by the content of the recording, the program, and the arguments."""
+
+import json
+import logging
+import platform
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from calgraph.errors import InputError
+from calgraph.io.cache_folder import MAX_BYTES, CacheFolder
+from calgraph.recording.content_hash import FileState, hash_files, hash_text, read_states
+from calgraph.recording.recording import Recording
+
+_log = logging.getLogger(__name__)
+
+Result = TypeVar("Result")
+Content = Mapping[str, Any]
+Arrays = Mapping[str, NDArray[Any]]
+
+_FORMAT = "calgraph-cache/1"
+LATER_ROOMS = (
+    "cli", "report", "viewer", "printing", "simulation", "diagnostics", "estimation", "graph", "pairwise",
+)  # fmt: skip
+"""Packages that read no recording: results that are kept stay valid when these change."""
+_LIBRARIES = ("calgraph", "numpy", "scipy", "opencv-python-headless", "pupil-apriltags", "rosbags", "av")
+
+
+class RecordingCache:
+    """Results of passes over recordings.
+
+    A result is found again if the recording has the same content, wherever it is, and if the arguments, calgraph
+    and the libraries that it was computed with are the same. What cannot be kept is computed each time: in a
+    folder that cannot be written to, and of recordings in memory.
+
+    Args:
+        path: of the folder; without it nothing is kept.
+        max_bytes: maximum size of the folder; the least recently used results are removed first.
+    """
+
+    def __init__(self, path: Path | None, max_bytes: int = MAX_BYTES) -> None:
+        self._folder = CacheFolder(path, max_bytes) if path else None
+        self._writable = True
+        self._contents: dict[tuple[Path, ...], tuple[str, tuple[FileState, ...]]] = {}
+        self.reused: set[str] = set()
+        """Names of the sensors whose detections or tracks were found."""
+
+    def read(
+        self,
+        recording: Recording,
+        kind: str,
+        inputs: Mapping[str, Any],
+        decode: Callable[[Content, Arrays], Result],
+    ) -> Result | None:
+        """A result; None if it is not kept, or damaged.
+
+        Args:
+            recording: what it was computed from.
+            kind: what it is, with the version of its format.
+            inputs: everything else that it depends on: plain values, arrays and models.
+            decode: makes it from its JSON object and arrays; raises InputError, KeyError or ValueError where they
+                are not those of the kind.
+        """
+        key = self._key(recording, kind, inputs)
+        found = self._folder.read(key, _FORMAT) if self._folder and key else None
+        if self._folder is None or key is None or found is None:
+            return None
+        try:
+            return decode(*found)
+        except (InputError, LookupError, TypeError, ValueError):
+            self._folder.remove(key)
+            return None
+
+    def write(
+        self, recording: Recording, kind: str, inputs: Mapping[str, Any], content: Content, arrays: Arrays
+    ) -> None:
+        """Keeps a result, given as a JSON object and arrays; arguments are those of :meth:`read`."""
+        key = self._key(recording, kind, inputs)
+        if self._folder is None or key is None or not self._writable:
+            return
+        try:
+            if read_states(recording.sources) != self._contents[recording.sources][1]:
+                return  # it is being written: the result is not of the content that was hashed
+            self._folder.write(key, _FORMAT, content, arrays)
+        except (InputError, OSError) as error:
+            self._writable = False
+            _log.warning("the cache is not used: %s; set CALGRAPH_CACHE to another folder, or to off", error)
+
+    def _key(self, recording: Recording, kind: str, inputs: Mapping[str, Any]) -> str | None:
+        """The key of a result; None if it cannot be kept."""
+        if self._folder is None or not recording.sources:
+            return None
+        if recording.sources not in self._contents:
+            try:
+                states = read_states(recording.sources)
+                self._contents[recording.sources] = hash_files(recording.sources, self._folder), states
+            except OSError:
+                return None  # an error that reading the recording reports
+        content, _ = self._contents[recording.sources]
+        return hash_text(json.dumps([kind, self._program, content, inputs], sort_keys=True, default=_to_plain))
+
+    @cached_property
+    def _program(self) -> str:
+        """The hash of everything that may change a result between two runs with the same arguments."""
+        package = Path(__file__).parents[1]
+        files = sorted(package.rglob("*.py"), key=lambda file: file.relative_to(package).as_posix())
+        sources = [file for file in files if file.relative_to(package).parts[0] not in LATER_ROOMS]
+        system = platform.python_version(), platform.system(), platform.machine()
+        versions = [_find_version(library) for library in _LIBRARIES]
+        return hash_text(repr([system, versions, [hash_text(file.read_text("utf-8")) for file in sources]]))
+
+
+def _find_version(library: str) -> str | None:
+    """The version of a library; None if it is not installed."""
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return None
+
+
+def _to_plain(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    raise TypeError(f"{type(value).__name__} is no input of a result that can be kept")
+
+
+NO_CACHE = RecordingCache(None)
+"""Keeps nothing."""
