@@ -3,6 +3,7 @@
 python benchmarks/recording_speed.py --jobs 1 2 4                    # simulates five sensors, 170 s, 200 MB
 python benchmarks/recording_speed.py --case snapshots --jobs 1       # 32 snapshots of two cameras and a LiDAR
 python benchmarks/recording_speed.py --rig RIG.yaml --recording DIR --jobs 1 2 4   # bits compared
+python benchmarks/recording_speed.py --cache --jobs 1                # and a second run, and the solution alone
 """
 
 import argparse
@@ -73,6 +74,7 @@ def main() -> None:
     parser.add_argument("--rig", type=Path, help="of the recording; rig.yaml beside it if left out")
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--jobs", type=int, nargs="+", default=[os.cpu_count() or 1], help="numbers of processes")
+    parser.add_argument("--cache", action="store_true", help="also run again with the cache, and solve alone")
     arguments = parser.parse_args()
     with TemporaryDirectory() as scratch:
         if arguments.recording is None:
@@ -86,17 +88,28 @@ def main() -> None:
         print(f"{recording}: {length:.0f} s, {size / 1e6:.0f} MB; {os.cpu_count()} cores, load {_load()}")
         print(f"{'jobs':>4}{'wall s':>8}{'CPU s':>8}{'peak MB':>9}")
         # Installed packages are compiled; the first run of a checkout compiles them.
-        environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": f"{scratch}/compiled"}
+        environment = {
+            **os.environ,
+            "CALGRAPH_CACHE": "off",
+            "PYTHONDONTWRITEBYTECODE": "",
+            "PYTHONPYCACHEPREFIX": f"{scratch}/compiled",
+        }
         _measure_cost([sys.executable, "-c", "import calgraph.cli.calibrate, calgraph.calibrate"], environment)
-        results = set()
+        results = []
         for run, jobs in enumerate(arguments.jobs * arguments.runs):
-            out = Path(scratch) / f"result{run}"
-            command = [sys.executable, "-c", "from calgraph.cli import main; main()", "calibrate"]
-            command += [str(rig), str(recording), "-o", str(out), "--jobs", str(jobs)]
-            cost = _measure_cost(command, environment)
-            print(f"{jobs:4}{cost.wall:8.2f}{cost.cpu:8.2f}{cost.peak / 1e6:9.0f}", flush=True)
-            results.add((out / "calibration.yaml").read_text().partition("\nprovenance:")[0])
-    print(f"bits of the {run + 1} results: {'identical' if len(results) == 1 else 'DIFFERENT'}")
+            given, dump = [str(rig), str(recording), "--jobs", str(jobs)], f"{scratch}/problem{run}.npz"
+            commands = {"": ["calibrate", *given]}
+            if arguments.cache:
+                environment["CALGRAPH_CACHE"] = f"{scratch}/cache{run}"
+                filled = {"fills the cache": ["calibrate", *given, "--dump", dump], "again": ["calibrate", *given]}
+                commands = filled | {"solve": ["solve", dump]}
+            for label, words in commands.items():
+                out = Path(scratch) / f"result{run}{label}"
+                start = [sys.executable, "-c", "from calgraph.cli import main; main()"]
+                cost = _measure_cost([*start, *words, "-o", str(out)], environment)
+                print(f"{jobs:4}{cost.wall:8.2f}{cost.cpu:8.2f}{cost.peak / 1e6:9.0f}  {label}", flush=True)
+                results.append((out / "calibration.yaml").read_text().partition("\nprovenance:")[0])
+    print(f"bits of the {len(results)} results: {'identical' if len(set(results)) == 1 else 'DIFFERENT'}")
 
 
 def _simulate_holds(out: Path) -> None:
