@@ -28,15 +28,17 @@ from scipy.sparse import lil_matrix
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
 from calgraph.calibrate.rig import solve_jointly
-from calgraph.captures import CaptureSet, captures_from_detections
+from calgraph.captures import CaptureSet, captures_from_detections, draw_seeds, make_detectors
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, board_corners_from_pixels
+from calgraph.detection import BoardCorners, Detection
+from calgraph.detection.board_pose import plane_covariance
 from calgraph.estimation import RigSolution
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, plane, se3
+from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
 from systematic_errors import apply_systematic, cross_covariance
@@ -80,7 +82,7 @@ def read_rig() -> Rig:
     sensors = {
         name: {
             "kind": "camera",
-            "topic": name,
+            "topic": name.replace("camera", "cam"),
             "intrinsics": {
                 "model": "pinhole",
                 "width": camera["size"][0],
@@ -103,39 +105,27 @@ def read_rig() -> Rig:
 
 def read_detections(rig: Rig, back: Array = BACK) -> dict[str, dict[int, Detection]]:
     """The board by camera and frame."""
-    cameras = rig.camera_models()
-    rows = np.genfromtxt(data_folder() / "xy.csv", delimiter=",", skip_header=1)
+    detect = make_detectors(rig, rig.camera_models(), {}, None, draw_seeds(rig, np.random.default_rng(0)))
     found: dict[str, dict[int, Detection]] = {name: {} for name in rig.sensors}
-    for frame, number in np.unique(rows[:, :2].astype(int), axis=0).tolist():
-        view = rows[(rows[:, 0] == frame) & (rows[:, 1] == number)]
-        # From the top left of the print, y down, to its centre, y up.
-        printed = (view[:, 8:10] - [2 * SQUARE, 2.5 * SQUARE]) * [1, -1]
-        name = f"camera_{number}"
-        of_back = name == BEHIND
-        if len(view) < 4:
-            continue
-        corners = board_corners_from_pixels(printed * [-1 if of_back else 1, 1], view[:, 6:8], cameras[name])
-        if isinstance(corners, BoardCorners):
-            found[name][frame] = turn_over(corners, back) if of_back else corners
+    with open_recording(data_folder()) as recording:
+        for name, topic in rig.topics.items():
+            for frame, record in enumerate(recording.records([topic])):
+                detections = detect[name]([record.decode()])
+                if isinstance(detections, tuple) and isinstance(corners := detections[0], BoardCorners):
+                    found[name][frame] = displace(corners, back) if name == BEHIND else corners
     return found
 
 
-def turn_over(corners: BoardCorners, back: Array) -> BoardCorners:
-    """The detection of a board's back, in the frame of its front: turned by 180 degrees about y, and displaced."""
-    half_turn = np.diag([-1.0, 1.0, -1.0, 1.0])
+def displace(corners: BoardCorners, back: Array) -> BoardCorners:
+    """The detection of a print on the board's back, which is displaced from that on its front."""
     T_front_back = se3.retract(np.eye(4), back)
-    T_camera_front = corners.T_camera_board @ half_turn @ se3.inverse(T_front_back)
-    normal = T_camera_front[:3, 2]
-    turned = np.append(normal, -normal @ T_camera_front[:3, 3])
-    basis, turned_basis = (plane.tangent_basis(one[:3]) for one in (corners.plane, turned))
-    J = -np.eye(3)
-    J[:2, :2] = -turned_basis.T @ basis
+    T_camera_front = corners.T_camera_board @ se3.inverse(T_front_back)
     return replace(
         corners,
-        corners_board=se3.apply(T_front_back, corners.corners_board * [-1, 1, 1]),
+        corners_board=se3.apply(T_front_back, corners.corners_board),
         T_camera_board=T_camera_front,
-        plane=turned,
-        plane_covariance=J @ corners.plane_covariance @ J.T,
+        plane=plane.from_pose(T_camera_front),
+        plane_covariance=plane_covariance(T_camera_front, corners.covariance),
     )
 
 

@@ -2,7 +2,7 @@ import numpy as np
 
 from calgraph.captures import ActivityMeter
 from calgraph.geometry import Array
-from calgraph.sensors import Image, LaserScan, PointCloud
+from calgraph.sensors import DetectedCorners, Image, LaserScan, PointCloud
 
 
 def image(pixels: Array) -> Image:
@@ -64,3 +64,14 @@ def test_a_message_without_returns_is_no_motion(rng: np.random.Generator) -> Non
         0,
         0.5,
     ]
+
+
+def test_detected_corners_that_move_or_vanish_are_change_and_noise_is_not(rng: np.random.Generator) -> None:
+    points = np.column_stack([rng.permutation(20) * 0.01, np.zeros((20, 2))])
+    pixels = rng.uniform(0, 500, (20, 2))
+    meter = ActivityMeter()
+    meter.measure_change(DetectedCorners(0.0, "", points, pixels))
+    assert meter.measure_change(DetectedCorners(1.0, "", points[::-1], pixels[::-1] + 0.2)) == 0
+    assert meter.measure_change(DetectedCorners(2.0, "", points, pixels + 3.0)) == 1
+    assert meter.measure_change(DetectedCorners(3.0, "", points[:0], pixels[:0])) == 0
+    assert meter.measure_change(DetectedCorners(4.0, "", points[:15], pixels[:15] + 3.0)) == 0.25

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calgraph.config import Rig
+from calgraph.config import Board, Charuco, Rig
+from calgraph.detection.chessboards import CharucoFinder
 from calgraph.recording import open_recording, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import Image, PointCloud
@@ -109,3 +110,35 @@ def test_a_video_beside_clouds_is_searched_for_holds(tmp_path: Path) -> None:
         found = calibrate(poses.rig_of({"camera": "cam0", "lidar": "lidar"}), video)
     assert found.evidence.edges[0].captures >= 7
     check_pose(found, truth)
+
+
+def test_corners_of_another_program_are_calibrated(tmp_path: Path) -> None:
+    """Two cameras and a ChArUco board, whose corners another detector finds; frames of one index are one pose."""
+    pattern = Charuco(kind="charuco", columns=8, rows=6, square=0.14, marker=0.1, dictionary="DICT_5X5_100")
+    scenario = SCENARIO.model_copy(
+        update={
+            "board": Board(size=(1.2, 0.9), pattern=pattern),
+            "camera": CameraOptions(count=2, width=640, height=480, texels_per_mm=0.5, rate=4.0),
+            "multibeam": MultibeamOptions(count=0),
+            "bearings": (-12, -9, -6, -3, 0, 3, 6, 9, 12),
+        }
+    )
+    rig, recording, truth = simulate_scenario(scenario, seed=5)
+    triggers = [record.stamp for record in recording.records([TRIGGER_TOPIC])]
+    finder = CharucoFinder(pattern)
+    rows = ["sync_index,cam_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y"]
+    for camera, topic in enumerate(rig.topics.values()):
+        records = list(recording.records([topic]))
+        for pose, trigger in enumerate(triggers):
+            image = next(record for record in records if record.stamp >= trigger).decode()
+            assert isinstance(image, Image)
+            marks = finder.find(image.gray)
+            for corner, (u, v) in zip(marks.ids.tolist(), marks.pixels[:, 0].tolist(), strict=True):
+                row, column = divmod(corner, pattern.columns - 1)
+                rows.append(f"{pose},{camera},{u},{v},{0.14 * (column + 1)},{0.14 * (row + 1)}")
+    (tmp_path / "xy.csv").write_text("\n".join(rows))
+    poses = Poses(resolve_intrinsics(rig, recording), (), (), truth)
+    with open_recording(tmp_path) as corners:
+        found = calibrate(poses.rig_of({name: f"cam_{i}" for i, name in enumerate(rig.sensors)}), corners)
+    (other,) = set(rig.sensors) - {rig.root}
+    check_pose(found, truth, other)

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
-from calgraph.sensors import Image, LaserScan, Message, PointCloud
+from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud
 
 Signature = NDArray[np.float64] | NDArray[np.int64]
-"""What is compared of a message: grey values, ranges, or the keys of occupied cells."""
+"""What is compared of a message: grey values, ranges, the keys of occupied cells, or rows of corners."""
 
 # Factors that pack the indices of a cell into one key, 21 bits an axis.
 _PACK = np.array([1, 2**21, 2**42])
@@ -34,6 +34,8 @@ class ActivityMeter:
         previous, self._previous = self._previous, current
         if previous is None:
             return 0.0
+        if isinstance(message, DetectedCorners):
+            return _compare_corners(previous, current, self._settings.min_corner_change)
         if isinstance(message, PointCloud):
             appeared = np.setdiff1d(current, _dilate_cells(previous))
             vanished = np.setdiff1d(previous, _dilate_cells(current))
@@ -52,6 +54,8 @@ class ActivityMeter:
 def _has_content(message: Message) -> bool:
     if isinstance(message, PointCloud):
         return len(message.points) > 0
+    if isinstance(message, DetectedCorners):
+        return len(message.pixels) > 0
     return not isinstance(message, LaserScan) or bool(message.valid.any())
 
 
@@ -66,7 +70,19 @@ def _compute_signature(message: Message, settings: MotionDetectionSettings) -> S
     if isinstance(message, PointCloud):
         cells = np.floor(message.points / settings.cell).astype(np.int64) + 2**20
         return np.unique(cells @ _PACK)
+    if isinstance(message, DetectedCorners):
+        return np.column_stack([message.board_points, message.pixels])
     return np.zeros(0)
+
+
+def _compare_corners(before: Signature, after: Signature, min_change: float) -> float:
+    """Share of the corners (N, 5), positions on the board and pixels, that moved, appeared or vanished."""
+    pixels = {tuple(row[:3].tolist()): row[3:] for row in before}
+    changes = [
+        np.linalg.norm(row[3:] - pixels.pop(key)) if (key := tuple(row[:3].tolist())) in pixels else np.inf
+        for row in after
+    ]
+    return (len(pixels) + sum(change > min_change for change in changes)) / max(len(pixels) + len(changes), 1)
 
 
 def _dilate_cells(cells: Signature) -> Signature:

@@ -9,11 +9,16 @@ from calgraph.config import Rig
 from calgraph.errors import InputError
 
 _MESSAGES_OF_KIND: Mapping[str, tuple[str, ...]] = {
-    "camera": ("Image",),
+    "camera": ("Image", "DetectedCorners"),
     "lidar2d": ("LaserScan", "PointCloud"),
     "lidar3d": ("PointCloud",),
 }
-_KIND_OF_MESSAGE = {"Image": "camera", "LaserScan": "lidar2d", "PointCloud": "lidar3d"}
+_KIND_OF_MESSAGE = {
+    "Image": "camera",
+    "DetectedCorners": "camera",
+    "LaserScan": "lidar2d",
+    "PointCloud": "lidar3d",
+}
 
 
 def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:

@@ -13,12 +13,13 @@ from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
 from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners, InconsistentTags
+from calgraph.detection.given_corners import assign_corners, is_mirrored, mirror, turn_over
 from calgraph.detection.landmarks import Landmarks, compute_landmarks
 from calgraph.detection.rectified_view import is_undistorted, rectify_view
 from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
-from calgraph.sensors import CameraModel, Image
+from calgraph.sensors import CameraModel, DetectedCorners, Image
 
 PlaneEstimator = Callable[[Marks, Array, CameraModel, float, BoardPoseSettings], tuple[Array, Array] | None]
 """From marks, their corners in the board frame (M, k, 3), camera, noise (px) and settings to the plane (4,) and
@@ -72,18 +73,24 @@ class CameraDetector:
         arguments = self._boards, self._camera, self._noise, self._plane_estimator, self._settings
         return CameraDetector, arguments
 
-    def find(self, images: Sequence[Image]) -> tuple[BoardCorners, ...] | Rejected:
+    def find(self, messages: Sequence[Image | DetectedCorners]) -> tuple[BoardCorners, ...] | Rejected:
         """Every board in the images of one capture, during which the boards rested.
 
-        Corners detected in several images are averaged; a board that moved between them is rejected.
+        Corners detected in several images are averaged; a board that moved between them is rejected. Corners that
+        another program detected are taken as they are.
 
         Raises:
-            InputError: an image is not of the size that the intrinsics are for.
+            InputError: an image is not of the size that the intrinsics are for, or detected corners are not of the
+                first board with a print.
         """
-        if not images:
+        if not messages:
             return Rejected("no image in this capture")
         if not self._printed:
             return Rejected("the rig has no board with tags or a pattern for cameras to detect")
+        given = [message for message in messages if isinstance(message, DetectedCorners)]
+        if given:
+            return self._locate_given(given)
+        images = [message for message in messages if isinstance(message, Image)]
         grays = [self._to_gray(image) for image in images]
         detections: list[BoardCorners] = []
         reasons: list[str] = []
@@ -106,6 +113,40 @@ class CameraDetector:
             return tuple(detections)
         reason = "; ".join(reasons) + _explain_exposure(grays)
         return InconsistentTags(reason, tuple(inconsistent)) if inconsistent else Rejected(reason)
+
+    def _locate_given(self, messages: Sequence[DetectedCorners]) -> tuple[BoardCorners, ...] | Rejected:
+        """The board by corners that another program detected, also in an image of its back."""
+        printed = self._printed[0]
+        found = [self._check_in_image(assign_corners(one, printed.board, printed.landmarks)) for one in messages]
+        noise = max(self._noise.pixel, self._settings.min_motion_noise)
+        tolerance = self._settings.pose.outlier_sigmas * noise
+        marks = found[0] if len(found) == 1 else _average_marks(found, tolerance)
+        if isinstance(marks, Rejected):
+            return marks
+        if not len(marks):
+            return Rejected("no corner of the board was detected")
+        corners = printed.landmarks.corners_of(marks.ids)
+        mirrored = is_mirrored(corners[:, 0], marks.pixels[:, 0])
+        pose = fit_pose(
+            marks.ids, mirror(corners) if mirrored else corners, marks.pixels, self._camera, self._noise.pixel,
+            settings=self._settings.pose,
+        )  # fmt: skip
+        if isinstance(pose, Rejected):
+            return pose
+        if mirrored:
+            pose = replace(pose, T_camera_board=turn_over(pose.T_camera_board))
+        return (make_board_corners(pose, corners, marks.pixels, printed.number),)
+
+    def _check_in_image(self, marks: Marks) -> Marks:
+        """The marks, where they lie in images of the size that the intrinsics are for."""
+        outside = ~self._camera.contains(marks.pixels[:, 0])
+        if outside.any():
+            u, v = marks.pixels[outside, 0][0]
+            raise InputError(
+                f"a corner was detected at ({u:.1f}, {v:.1f}) px, outside of images of {self._camera.width}x"
+                f"{self._camera.height}, which the intrinsics are for"
+            )
+        return marks
 
     def _to_gray(self, image: Image) -> Gray:
         gray = image.gray
@@ -224,7 +265,7 @@ def make_board_corners(pose: BoardPose, corners: Array, pixels: Array, board: in
         pixels=pixels[pose.inliers],
         T_camera_board=pose.T_camera_board,
         covariance=pose.covariance,
-        plane=plane.towards_origin(plane.from_pose(pose.T_camera_board)),
+        plane=plane.from_pose(pose.T_camera_board),
         plane_covariance=plane_covariance(pose.T_camera_board, pose.covariance),
         rms=pose.rms,
         board=board,

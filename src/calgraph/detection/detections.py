@@ -74,7 +74,8 @@ class BoardCorners:
     covariance: Array
     """(6, 6) of that pose, in the camera's fixed axes (translation, rotation)."""
     plane: Array
-    """(4,) the board's plane in the camera frame, normal towards the camera."""
+    """(4,) the board's plane in the camera frame, normal towards the reader of the print: the camera, unless it
+    looks at the back of the board."""
     plane_covariance: Array
     """(3, 3) of the plane in the chart of :func:`calgraph.geometry.plane.retract`."""
     rms: float

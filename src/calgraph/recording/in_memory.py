@@ -11,6 +11,7 @@ from calgraph.recording.digest import hash_array
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import (
     CameraInfo,
+    DetectedCorners,
     Image,
     LaserScan,
     Message,
@@ -20,7 +21,10 @@ from calgraph.sensors import (
     Trigger,
 )
 
-_TYPES = {Image: "image", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info", Trigger: "trigger"}
+_TYPES = {
+    Image: "image", DetectedCorners: "corners", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info",
+    Trigger: "trigger",
+}  # fmt: skip
 
 
 class MessageRecording(IndexedRecording):
@@ -59,5 +63,5 @@ def _digest(message: Message) -> MessageDigest:
         return MessageDigest(message.frame_id, content)
     if isinstance(message, Trigger):
         return MessageDigest("", hash_array(np.zeros(0)))
-    array = {Image: "pixels", LaserScan: "ranges", PointCloud: "points"}[type(message)]
+    array = {Image: "pixels", DetectedCorners: "pixels", LaserScan: "ranges", PointCloud: "points"}[type(message)]
     return MessageDigest(message.frame_id, hash_array(getattr(message, array)))

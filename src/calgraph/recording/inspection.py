@@ -10,7 +10,7 @@ from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
 from calgraph.recording.recording import Recording, TopicInfo
-from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, RecordedMessage
+from calgraph.sensors import CameraInfo, DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
 
 SENSORS = ("camera", "lidar2d", "lidar3d")
 _KINDS: dict[str, Kind] = {
@@ -25,6 +25,7 @@ _KINDS: dict[str, Kind] = {
     "image": "camera",
     "scan": "lidar2d",
     "cloud": "lidar3d",
+    "corners": "camera",
     "camera_info": "camera_info",
 }
 _EVENTS = "std_msgs/msg/"
@@ -238,6 +239,8 @@ def _content(message: Message | None) -> str:
         return "{1} x {0} pixels".format(*message.pixels.shape) + (
             ", colour" if message.pixels.ndim == 3 else ", grey"
         )
+    if isinstance(message, DetectedCorners):
+        return f"{len(message.pixels)} detected corners"
     if isinstance(message, LaserScan):
         spread = np.degrees(np.ptp(message.angles)) if len(message.angles) else 0.0
         return f"{len(message.angles)} beams over {spread:.0f}°, {int(message.valid.sum())} with a range"

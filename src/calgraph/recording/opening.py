@@ -8,6 +8,7 @@ from calgraph.errors import InputError
 from calgraph.io.yaml_reading import suggest_name
 from calgraph.recording.bag_files import find_bag_files
 from calgraph.recording.bags import BagRecording
+from calgraph.recording.corners_csv import CornersRecording, is_corners
 from calgraph.recording.folder import FolderRecording, has_message_files
 from calgraph.recording.recording import JoinedRecording, Recording
 from calgraph.recording.video import VideoRecording, is_video
@@ -17,8 +18,8 @@ def open_recording(path: Path) -> Recording:
     """Opens a recording; close it, or use it as a context manager.
 
     Args:
-        path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, or a
-            plain folder with one folder of files or one video per sensor.
+        path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, a
+            CSV of detected corners, or a plain folder with one folder of files or one video per sensor.
 
     Raises:
         InputError: the path does not exist, or is not a recording.
@@ -29,6 +30,8 @@ def open_recording(path: Path) -> Recording:
     bag = find_bag_files(path)
     if bag is not None:
         return BagRecording(path, bag)
+    if is_corners(path):
+        return CornersRecording(path)
     if path.is_dir():
         inner = [one for one in sorted(path.iterdir()) if one.is_dir() and find_bag_files(one) is not None]
         if inner:

@@ -21,8 +21,8 @@ class TopicInfo:
     name: str
     """Topic, or folder name in a plain folder."""
     type: str
-    """ROS type name such as ``sensor_msgs/msg/LaserScan``; in a plain folder ``image``, ``scan``, ``cloud`` or
-    ``camera_info``."""
+    """ROS type name such as ``sensor_msgs/msg/LaserScan``; in a plain folder ``image``, ``corners``, ``scan``,
+    ``cloud`` or ``camera_info``."""
     count: int
     """How many messages the recording states to have."""
     timed: bool = True

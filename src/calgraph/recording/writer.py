@@ -63,6 +63,8 @@ class RecordingWriter:
         Raises:
             InputError: the message cannot be expressed in ROS, or the topic has messages of another type.
         """
+        if type(message) not in _MAKERS:
+            raise InputError(f"{self.path}: topic {topic}: ROS has no type for {type(message).__name__}")
         ros_type, content = _MAKERS[type(message)](self._store, message, encoding)
         connection = self._connections.get(topic)
         if connection is None:

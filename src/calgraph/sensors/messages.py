@@ -1,4 +1,4 @@
-"""Sensor messages, independent of file formats: images, scans, clouds, and their record in a recording."""
+"""Sensor messages, independent of file formats: images, corners, scans, clouds; their record in a recording."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,6 +30,19 @@ class Image:
         import cv2
 
         return np.asarray(cv2.cvtColor(self.pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedCorners:
+    """The corners of one board that another program detected in one camera image."""
+
+    stamp: float
+    """Time of the image, s."""
+    frame_id: str
+    board_points: Array
+    """(N, 3) on the board, m: OpenCV's object points, x right and y down from the top left of the pattern."""
+    pixels: Array
+    """(N, 2) where they were detected, distorted as measured, OpenCV's pixel convention."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +126,7 @@ class Trigger:
     stamp: float
 
 
-Message = Image | LaserScan | PointCloud | CameraInfo | Trigger
+Message = Image | DetectedCorners | LaserScan | PointCloud | CameraInfo | Trigger
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ class MotionDetectionSettings(StrictModel):
 
     min_gray_change: float = Field(default=12.0, gt=0)
     """Change of a grey value, averaged over a block, that counts as motion: noise and flicker stay below."""
+    min_corner_change: float = Field(default=1.0, gt=0)
+    """Change of a detected corner, pixels, that counts as motion: five times the noise of detected corners."""
     image_block: int = Field(default=8, ge=1)
     """Edge of the blocks of an image that are averaged, pixels: noise of a pixel falls to an eighth."""
     min_range_change: float = Field(default=0.05, gt=0)
