@@ -80,6 +80,15 @@ def test_the_target_goes_into_a_rig(run: Run, simulated: Path, tmp_path: Path) -
     assert after.sensors == before.sensors
 
 
+def test_an_inverted_board_says_so_in_its_target(run: Run, tmp_path: Path) -> None:
+    for options, inverted in ((["--inverted"], True), ([], False)):
+        result = run("board", *options, "-o", tmp_path / "board.pdf")
+        assert result.exit_code == 0, result.output
+        assert ("inverted: true" in result.stdout, "inverted" in result.stdout) == (inverted, inverted)
+        (tmp_path / "target.yaml").write_text(result.stdout)
+        assert read_boards(tmp_path / "target.yaml")[0].inverted == inverted
+
+
 def test_the_boards_of_a_rig_are_printed(run: Run, tmp_path: Path) -> None:
     target = tmp_path / "target.yaml"
     boards = [f"- {{size: [0.2, 0.2], tags: [{{id: {number}, size: 0.1}}]}}" for number in (3, 4)]

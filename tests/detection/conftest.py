@@ -41,7 +41,7 @@ def _render(
     background: int = 90,
 ) -> Gray:
     fine, scale = 2, _PER_METRE
-    sheet = _print(board)
+    sheet = 255 - _print(board) if board.inverted else _print(board)
     # Sheet pixel (0, 0) has its centre half a pixel inside the top left corner of the sheet.
     width, height = board.size
     board_sheet = np.array(

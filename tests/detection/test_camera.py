@@ -99,6 +99,23 @@ def test_board_is_found_where_it_is(board: Board, render: Render, rng: np.random
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
+def test_an_inverted_print_is_found_where_it_is(board: Board, render: Render, rng: np.random.Generator) -> None:
+    T, inverted = a_pose(), board.model_copy(update={"inverted": True})
+    error = se3.difference(detect(inverted, render(inverted, CAMERA, T, rng)).T_camera_board, T)
+    assert np.linalg.norm(error[:3]) < 0.002
+    assert np.degrees(np.linalg.norm(error[3:])) < 0.2
+
+
+def test_boards_of_one_family_may_be_inverted_and_not(render: Render, rng: np.random.Generator) -> None:
+    inverted = Board(size=(0.5, 0.5), tags=(Tag(id=11, size=0.3),), inverted=True)
+    picture = render(TAGGED, CAMERA, a_pose(t=(-0.7, 0.0, 2.2)), rng)
+    picture[:, 640:] = render(inverted, CAMERA, a_pose(t=(0.7, 0.0, 2.2)), rng)[:, 640:]
+    found = find_boards([image(picture)], [TAGGED, inverted], CAMERA, NOISE)
+    assert isinstance(found, tuple)
+    assert [board.board for board in found] == [0, 1]
+
+
+@pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
 def test_corners_are_unbiased_to_a_twentieth_pixel(board: Board, render: Render, rng: np.random.Generator) -> None:
     offsets = []
     for turn in ((0.3, 0.25, 0.1), (-0.2, 0.3, 0.8)):

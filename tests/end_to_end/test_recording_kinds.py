@@ -142,3 +142,11 @@ def test_corners_of_another_program_are_calibrated(tmp_path: Path) -> None:
         found = calibrate(poses.rig_of({name: f"cam_{i}" for i, name in enumerate(rig.sensors)}), corners)
     (other,) = set(rig.sensors) - {rig.root}
     check_pose(found, truth, other)
+
+
+def test_an_inverted_board_is_calibrated_to() -> None:
+    """Black and white exchanged, as rig.yaml states."""
+    board = SCENARIO.board.model_copy(update={"inverted": True})
+    rig, recording, truth = simulate_scenario(SCENARIO.model_copy(update={"board": board}), seed=6)
+    assert rig.boards[0].inverted
+    check_pose(calibrate(rig, recording), truth)

@@ -148,6 +148,22 @@ def test_the_black_of_a_tag_has_no_seams(tmp_path: Path) -> None:
     assert corner[:400, :30].max() == 0
 
 
+@pytest.mark.parametrize("options", KINDS.values(), ids=KINDS)
+def test_an_inverted_print_is_detected_as_inverted(options: BoardOptions, tmp_path: Path) -> None:
+    board = design_board((260, 180), options.model_copy(update={"inverted": True}))
+    (page,) = layout_pages(board, A4)
+    (raster,) = printed(board, (page,), tmp_path / "board.pdf")
+    away, count = errors(board, raster, page.origin)
+    assert (len(away), away.max() < 0.1) == (count, True)
+
+
+def test_an_inverted_board_has_margins_around_its_black() -> None:
+    """Printers leave them white, and rulers lie in them."""
+    options = BoardOptions(inverted=True)
+    assert len(layout_pages(design_board((267, 180), options), A4)) == 1
+    assert len(layout_pages(design_board((297, 210), options), A4)) > 1
+
+
 def test_a_scaled_print_is_detected(tmp_path: Path) -> None:
     """The test above measures: 1 % larger is 2 mm off."""
     board = design_board((297, 210), BoardOptions(kind="checkerboard"))

@@ -21,6 +21,12 @@ def test_tag_is_upright_and_where_it_is_stated() -> None:
     assert np.reshape(corners[0], (4, 2)) == pytest.approx(np.array(expected), abs=1.5)
 
 
+def test_an_inverted_print_has_black_and_white_exchanged() -> None:
+    board = Board(size=(0.5, 0.4), tags=(Tag(id=7, size=0.24),))
+    inverted = render_board_texture(board.model_copy(update={"inverted": True}), 300)
+    np.testing.assert_array_equal(inverted, 1 - render_board_texture(board, 300))
+
+
 def test_print_that_cuts_texels_keeps_its_exact_area() -> None:
     # A tag's outer ring is black; its bits are 6 x 6 modules of an eighth of its size.
     sizes = (0.2, 0.2037, 0.19991)

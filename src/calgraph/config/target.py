@@ -151,6 +151,8 @@ class Board(StrictModel):
     """The AprilTags on the board."""
     pattern: Pattern | None = None
     """The pattern that is printed instead of tags."""
+    inverted: Annotated[bool, Strict()] = False
+    """Whether black and white of the print are exchanged: white tags, or a white top left square, on black."""
     uncertainty: BoardUncertainty = BoardUncertainty()
 
     @model_validator(mode="after")

@@ -95,11 +95,11 @@ class CameraDetector:
         detections: list[BoardCorners] = []
         reasons: list[str] = []
         inconsistent: list[int] = []
-        marks_by_image = [
-            {printed.finder: printed.finder.find(gray) for printed in self._printed} for gray in grays
-        ]
+        exchanged = [255 - gray for gray in grays] if any(one.board.inverted for one in self._printed) else grays
+        grays_of = {printed.finder: exchanged if printed.board.inverted else grays for printed in self._printed}
+        marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
         for printed in self._printed:
-            detection = self._find_board(printed, grays, [marks[printed.finder] for marks in marks_by_image])
+            detection = self._find_board(printed, grays_of[printed.finder], marks[printed.finder])
             if isinstance(detection, BoardCorners):
                 detections.append(detection)
             else:
@@ -290,8 +290,11 @@ def _average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks |
 
 
 def _make_finders(boards: Sequence[Board], settings: CameraDetectionSettings) -> tuple[_PrintedBoard, ...]:
-    """The boards with a print, and their finders; boards with tags of one family share a finder."""
-    shared: dict[tuple[type, str], TagFinder | GridFinder] = {}
+    """The boards with a print, and their finders; boards with tags of one family share a finder.
+
+    Inverted prints are detected in inverted images, by other finders.
+    """
+    shared: dict[tuple[type, str, bool], TagFinder | GridFinder] = {}
     board_of_tag: dict[tuple[type, str, int], int] = {}
     printed = []
     for number, board in enumerate(boards):
@@ -306,9 +309,10 @@ def _make_finders(boards: Sequence[Board], settings: CameraDetectionSettings) ->
                 finder = CharucoFinder(pattern)
             case None | AprilGrid():
                 kind = TagFinder if board.pattern is None else GridFinder
-                if (kind, board.family) not in shared:
-                    shared[kind, board.family] = kind(board.family, settings.tags)
-                finder = shared[kind, board.family]
+                key = kind, board.family, board.inverted
+                if key not in shared:
+                    shared[key] = kind(board.family, settings.tags)
+                finder = shared[key]
                 for mark in marks.ids.tolist():
                     other = board_of_tag.setdefault((kind, board.family, mark), number)
                     if other != number:

@@ -66,6 +66,8 @@ class BoardOptions(StrictModel):
     """Number of the first tag or marker, by which boards are distinguished; 0 if left out."""
     tags: tuple[Tag, ...] | None = None
     """Tags at given positions, as in rig.yaml, m; three that fill the board if left out."""
+    inverted: bool = False
+    """Exchange black and white."""
 
 
 def design_board(size: Pair, options: BoardOptions) -> Board:
@@ -82,7 +84,11 @@ def design_board(size: Pair, options: BoardOptions) -> Board:
         raise InputError(
             f"`size`: leaves no space for a print within a rim of {_MIN_RIM:g} mm, got {size[0]:g}x{size[1]:g}"
         )
-    content = {"size": [_m(length) for length in size], **_DESIGNERS[options.kind](space, options)}
+    content = {
+        "size": [_m(length) for length in size],
+        **_DESIGNERS[options.kind](space, options),
+        "inverted": options.inverted,
+    }
     return validate_content(Board, content, Path("the requested board"))
 
 

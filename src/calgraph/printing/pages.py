@@ -83,8 +83,16 @@ class Page:
         return x + self.origin[0], y + self.origin[1]
 
 
+def black_extent_mm(board: Board) -> Array:
+    """What the black of the print covers: left, bottom, right, top on the board, mm; (0, 4) of an empty one."""
+    if board.inverted:
+        return MM_PER_METER * np.array([[0.0, 0.0, *board.size]])
+    black = black_rectangles_mm(board)
+    return np.concatenate([black[:, :2].min(axis=0), black[:, 2:].max(axis=0)])[None] if len(black) else black
+
+
 def black_rectangles_mm(board: Board) -> Array:
-    """The print as black rectangles (N, 4): left, bottom, right, top on the board, mm."""
+    """The print as black rectangles (N, 4), white ones if inverted: left, bottom, right, top on the board, mm."""
     return MM_PER_METER * (black_rectangles(board) + 0.5 * np.array([*board.size, *board.size]))
 
 
@@ -132,10 +140,8 @@ def _single(board: Board, paper: Paper) -> Page | None:
     inner = Window(
         MARGIN - origin[0], MARGIN - origin[1], paper.width - MARGIN - origin[0], paper.height - MARGIN - origin[1]
     )
-    black = black_rectangles_mm(board)
-    if len(black):
-        low, high = black[:, :2].min(axis=0) + _ROUNDING, black[:, 2:].max(axis=0) - _ROUNDING
-        if (low < [inner.left, inner.bottom]).any() or (high > [inner.right, inner.top]).any():
+    for left, bottom, right, top in black_extent_mm(board).tolist():
+        if min(left - inner.left, bottom - inner.bottom, inner.right - right, inner.top - top) < -_ROUNDING:
             return None
     return Page(paper, 0, 0, origin, inner.intersect(Window(0, 0, width, height)))
 

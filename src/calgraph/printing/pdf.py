@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from reportlab.lib.units import mm
-from reportlab.pdfgen.canvas import Canvas
+from reportlab.pdfgen.canvas import FILL_EVEN_ODD, Canvas
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.io import write_atomically
@@ -48,7 +48,8 @@ def write_pdf(path: Path, boards: Sequence[tuple[Board, Sequence[Page]]]) -> Non
 def describe_board(board: Board) -> str:
     """Print and size of a board in one line."""
     width, height = (_format_mm(length) for length in board.size)
-    return f"{_describe_print(board)}; board {width} x {height} mm"
+    inverted = ", inverted" if board.inverted else ""
+    return f"{_describe_print(board)}{inverted}; board {width} x {height} mm"
 
 
 def _describe_print(board: Board) -> str:
@@ -93,9 +94,12 @@ def _draw_print(canvas: Canvas, board: Board, page: Page) -> None:
     high = np.minimum(black[:, 2:], [window.right, window.top])
     visible = (low < high).all(axis=1)
     path = canvas.beginPath()
+    if board.inverted:
+        # With the even-odd rule, the rectangles are holes in the black of the board.
+        path.rect(*page.to_page(window.left, window.bottom), window.width, window.height)
     for (left, bottom), (width, height) in zip((low + page.origin)[visible], (high - low)[visible], strict=True):
         path.rect(float(left), float(bottom), float(width), float(height))
-    canvas.drawPath(path, stroke=0, fill=1)
+    canvas.drawPath(path, stroke=0, fill=1, fillMode=FILL_EVEN_ODD)
 
 
 def _draw_cut_marks(canvas: Canvas, board: Board, page: Page) -> None:

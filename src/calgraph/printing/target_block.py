@@ -86,6 +86,8 @@ def _parse_mapping(text: str) -> dict[str, Any]:
 def _board_content(board: Board) -> dict[str, Any]:
     """The content of a board, without keys that do not apply to its pattern."""
     content = board.model_dump(mode="json", exclude_none=True)
+    if not board.inverted:
+        del content["inverted"]
     if board.pattern:
         del content["tags"]
         if not isinstance(board.pattern, AprilGrid):

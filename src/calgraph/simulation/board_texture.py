@@ -22,7 +22,7 @@ def render_board_texture(board: Board, texels_per_meter: float) -> Array:
     face = np.ones((rows, columns))
     for one in printed_bitmaps(board):
         _draw_print(face, board.size, one)
-    return face
+    return 1 - face if board.inverted else face
 
 
 def _draw_print(face: Array, size: tuple[float, float], print_: PrintedBitmap) -> None:
