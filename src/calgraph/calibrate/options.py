@@ -86,6 +86,8 @@ class NetworkOptions:
     """Of the random samples; the same seed gives the same result."""
     jobs: int = 1
     """Number of worker processes; see :func:`calgraph.processes.parallel_map`."""
+    cache: RecordingCache = NO_CACHE
+    """Keeps tracks for later runs; nowhere unless stated."""
 
     def __post_init__(self) -> None:
         _check_choice(self.estimator, get_args(NetworkEstimator))

@@ -6,7 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.captures.input_checks import InputMonitor, TopicObservations
+from calgraph.captures.input_checks import (
+    InputMonitor,
+    TopicObservations,
+    decode_observations,
+    encode_observations,
+)
 from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.config import Rig
@@ -48,7 +53,6 @@ def read_timeline(
         progress: called while messages are read.
     """
     inputs = _list_inputs(rig, monitor)
-    recording.records(list(inputs))  # refuses topics that do not exist, or do not fit together
     known = {
         topic: content
         for topic, given in inputs.items()
@@ -57,6 +61,8 @@ def read_timeline(
     for topic, content in known.items():
         if topic in monitor.topics:
             monitor.restore(topic, content.observations)
+    if known:
+        recording.records(list(inputs))  # refuses topics that do not fit together
     unread = [topic for topic in inputs if topic not in known]
     if unread:
         sensors = {name: topic for name, topic in rig.topics.items() if topic in unread}
@@ -116,21 +122,14 @@ def _list_inputs(rig: Rig, monitor: InputMonitor) -> dict[str, dict[str, Any]]:
 
 
 def _encode_topic(content: _TopicContent) -> tuple[dict[str, Any], Arrays]:
-    times, observed = content.times, content.observations
-    plain = {
-        "frame_id": times.frame_id,
-        "message_type": times.message_type,
-        "frames": list(observed.frames),
-        "change": observed.change,
-    }
-    arrays = {
+    times = content.times
+    plain, arrays = encode_observations(content.observations)
+    plain |= {"frame_id": times.frame_id, "message_type": times.message_type}
+    arrays |= {
         "stamps": times.stamps,
         "activity": times.activity,
         "triggers": content.triggers,
         "duration": np.array(times.duration),
-        "contents": observed.contents,
-        "first_stamps": np.array(list(observed.frames.values()), dtype=np.float64),
-        "changed_at": np.array(observed.changed_at),
     }
     return plain, arrays
 
@@ -143,6 +142,4 @@ def _decode_topic(plain: Mapping[str, Any], arrays: Arrays) -> _TopicContent:
         plain["frame_id"],
         plain["message_type"],
     )
-    frames = dict(zip(plain["frames"], arrays["first_stamps"].tolist(), strict=True))
-    observed = TopicObservations(arrays["contents"], frames, plain["change"], float(arrays["changed_at"]))
-    return _TopicContent(times, arrays["triggers"], observed)
+    return _TopicContent(times, arrays["triggers"], decode_observations(plain, arrays))

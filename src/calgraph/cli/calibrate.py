@@ -208,6 +208,7 @@ def calibrate(
                 moved=tuple(moved or ()),
                 seed=seed,
                 jobs=jobs or available_cores(),
+                cache=cache,
             )
         else:
             options = story.RigOptions(

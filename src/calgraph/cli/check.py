@@ -111,7 +111,7 @@ def _compare(
     from calgraph import calibrate as story
 
     if rig.is_network:
-        options = story.NetworkOptions(seed=seed, jobs=available_cores())
+        options = story.NetworkOptions(seed=seed, jobs=available_cores(), cache=cache)
         with open_recordings(recordings) as recording, progress_bars() as progress:
             return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
     problem = _problem(rig, recordings, seed, cache)
