@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test coverage mutants check docs format requirements clean
+.PHONY: help setup demo test coverage mutants fuzz check docs format requirements clean
 
 BIN := .venv/bin
 READY := .venv/.ready
@@ -33,6 +33,10 @@ SEED := 0
 JOBS := $(shell nproc 2>/dev/null || echo 2)
 mutants: .venv/.mutants  ## change N random places of ROOM, one at a time, and list the changes that no test detects
 	$(BIN)/python benchmarks/mutants.py $(ROOM) -n $(N) --seed $(SEED) --jobs $(JOBS) --tests $(TESTS)
+
+SECONDS := 3600
+fuzz: .venv/.fuzz  ## give damaged files to all readers for SECONDS, on Linux; findings in build/fuzz
+	$(BIN)/python benchmarks/fuzz_readers.py --work build/fuzz --seconds $(SECONDS)
 
 check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/ruff check .
@@ -64,4 +68,8 @@ $(READY): .venv/.pinned pyproject.toml
 
 .venv/.mutants: requirements/mutants.txt $(READY)
 	$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements/mutants.txt
+	touch $@
+
+.venv/.fuzz: requirements/fuzz.txt $(READY)
+	$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements/fuzz.txt
 	touch $@

@@ -58,3 +58,11 @@ def test_missing_messages_are_reported_after_the_table(run: Run, simulated: Path
     assert result.exit_code == 2
     assert "! /trigger: holds 9 messages, the recording states 11" in result.stdout
     assert "holds fewer messages than it states (/trigger: 9 of 11)" in result.stderr
+
+
+def test_limits_are_settings_of_the_command(run: Run, simulated: Path) -> None:
+    result = run("inspect", simulated / "recording", "--set", "limits.max_image_pixels=1e5")
+    assert "image states 480 x 360 pixels, more than the limit of 100000" in " ".join(result.stdout.split())
+    result = run("inspect", simulated / "recording", "--set", "captures.min_hold=1")
+    assert result.exit_code == 2
+    assert "only limits are of use here" in result.stderr

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 from click.testing import Result
 
-from calgraph.cli.setting_options import SetOption, list_settings, override_settings
+from calgraph.cli.setting_options import SetOption, list_settings, override_settings, parse_limits
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import InputError
@@ -53,6 +53,18 @@ def test_the_example_in_the_help_is_a_setting() -> None:
 def test_a_mistake_is_named(assignment: str, message: str) -> None:
     with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
         override_settings(RIG, [assignment])
+
+
+@pytest.mark.parametrize("value", ["!!int abc", "2001-99-99", "[" * 100, "? [a, {b: c}]\n: d"])
+def test_a_value_that_yaml_cannot_make_is_named(value: str) -> None:
+    with pytest.raises(InputError, match=r"the value of captures\.min_hold is not valid YAML"):
+        override_settings(RIG, [f"captures.min_hold={value}"])
+
+
+def test_limits_are_parsed_before_a_rig_is_read() -> None:
+    assert parse_limits(["captures.min_hold=1", "limits.max_points=1e6"]).max_points == 10**6
+    with pytest.raises(InputError, match=r"--set: limits\.max_points: must be 1 or greater, got 0"):
+        parse_limits(["limits.max_points=0"], alone=True)
 
 
 def test_calibrate_writes_what_it_used(simulated: Path, run: Run, tmp_path: Path) -> None:

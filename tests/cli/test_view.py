@@ -68,7 +68,8 @@ def test_a_folder_that_is_none_is_named(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_result_without_a_scene_is_an_error(run: Run, out: Path, tmp_path: Path) -> None:
-    (tmp_path / "calibration.yaml").write_bytes((out / "calibration.yaml").read_bytes())
+    for name in ("calibration.yaml", "rig.resolved.yaml"):
+        (tmp_path / name).write_bytes((out / name).read_bytes())
     result = run("view", tmp_path)
     assert result.exit_code == 2
     assert "scene.npz: cannot be read" in result.stderr

@@ -7,21 +7,22 @@ import numpy as np
 import pytest
 
 from calgraph.errors import InputError
-from calgraph.io import archive as archives
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.yaml_reading import read_yaml
 
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab\nsize 12345\n"
 
 
-def test_an_archive_larger_than_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+LIMIT = 10**6
+
+
+def test_an_archive_larger_than_the_limit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     write_archive(path, "a.json", {"format": "a/1"}, {"zeros": np.zeros(100_000)})
     assert path.stat().st_size < 5000
-    assert len(read_archive(path, "a.json", "a/1")[1]["zeros"]) == 100_000
-    monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 500_000)
-    with pytest.raises(InputError, match=r"a\.npz: unpacks to 0\.0 GB, more than the limit of 0\.0 GB"):
-        read_archive(path, "a.json", "a/1")
+    assert len(read_archive(path, "a.json", "a/1", LIMIT)[1]["zeros"]) == 100_000
+    with pytest.raises(InputError, match=r"a\.npz: unpacks to 1 MB, more than the limit of 0 MB"):
+        read_archive(path, "a.json", "a/1", 400_000)
 
 
 def test_a_member_that_states_more_than_memory_is_damaged(tmp_path: Path) -> None:
@@ -31,12 +32,21 @@ def test_a_member_that_states_more_than_memory_is_damaged(tmp_path: Path) -> Non
         header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 50,)}
         np.lib.format.write_array_header_1_0(member, header)
     with pytest.raises(InputError, match=r"its member b\.npy is damaged"):
-        read_archive(path, "a.json", "a/1")
+        read_archive(path, "a.json", "a/1", LIMIT)
+
+
+def test_an_array_header_that_is_no_python_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_archive(path, "a.json", {"format": "a/1"}, {})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("b.npy", b"\x93NUMPY\x01\x00\x05\x00{'a'\n")
+    with pytest.raises(InputError, match=r"its member b\.npy is damaged"):
+        read_archive(path, "a.json", "a/1", LIMIT)
 
 
 def test_git_lfs_pointers_are_named(tmp_path: Path) -> None:
     (tmp_path / "a").write_text(LFS)
     with pytest.raises(InputError, match="is a Git LFS pointer"):
-        read_archive(tmp_path / "a", "a.json", "a/1")
+        read_archive(tmp_path / "a", "a.json", "a/1", LIMIT)
     with pytest.raises(InputError, match="is a Git LFS pointer"):
         read_yaml(tmp_path / "a")

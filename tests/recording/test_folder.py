@@ -229,7 +229,7 @@ def test_camera_info_comes_with_the_first_image(
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        ("[]", "keys of a CameraInfo"),
+        ("[]", "must hold a mapping of keys to values"),
         ("width: 640\nheight: 480\n", "key k"),
         ("a: [", "camera_info.yaml"),
         (MESSAGE_KEYS.replace("640", "0"), "states images of 0 x 480 pixels: .* give the intrinsics in rig.yaml"),

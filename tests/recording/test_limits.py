@@ -1,9 +1,8 @@
 """Small files that state or unpack to any size are refused before memory is taken; headers are checked."""
 
 import gzip
-import io
+import re
 import struct
-import zipfile
 import zlib
 from pathlib import Path
 
@@ -12,11 +11,11 @@ import numpy as np
 import pytest
 from backports import zstd
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
 from calgraph.recording.bag_files import decompress_message
 from calgraph.recording.images import decode_image
-from calgraph.recording.limits import MAX_IMAGE_PIXELS, MAX_UNPACKED_BYTES
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
 
@@ -25,6 +24,8 @@ PLY_HEADER = (
     "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
 )
 PLY = PLY_HEADER + "1 2 3\n"
+LIMITS = LimitSettings()
+TIGHT = LimitSettings(max_unpacked_bytes=2_000_000, max_points=1000, max_image_pixels=100)
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab\nsize 12345\n"
 
 
@@ -47,7 +48,9 @@ def jpeg_of(width: int, height: int) -> bytes:
 
 @pytest.mark.parametrize("image", [png_header(30_000, 30_000), jpeg_of(30_000, 30_000)], ids=["png", "jpeg"])
 def test_an_image_of_too_many_pixels_is_refused(image: bytes) -> None:
-    with pytest.raises(ValueError, match=f"30000 x 30000 pixels, more than the limit of {MAX_IMAGE_PIXELS}"):
+    with pytest.raises(
+        ValueError, match=f"30000 x 30000 pixels, more than the limit of {LIMITS.max_image_pixels}"
+    ):
         decode_image(as_array(image))
 
 
@@ -65,41 +68,87 @@ def test_a_jpeg_cut_short_is_an_error(cut: int) -> None:
 
 def test_a_gzipped_cloud_is_unpacked_up_to_the_limit(tmp_path: Path) -> None:
     path = tmp_path / "1.pcd.gz"
-    with gzip.open(path, "wb", compresslevel=1) as file:
-        for _ in range(MAX_UNPACKED_BYTES >> 20):
-            file.write(bytes(1 << 20))
-        file.write(b"1")
-    with pytest.raises(ValueError, match="unpacks to more than the limit of 256 MB"):
-        read_pcd(path)
+    path.write_bytes(gzip.compress(bytes(TIGHT.max_unpacked_bytes + 1)))
+    with pytest.raises(ValueError, match=r"unpacks to more than the limit of 2 MB: .* limits\.max_unpacked"):
+        read_pcd(path, TIGHT)
 
 
 def test_lzf_data_are_unpacked_up_to_their_stated_size(tmp_path: Path) -> None:
     header = PCD.replace("binary", "binary_compressed")
-    points = MAX_UNPACKED_BYTES // 12 + 1
+    points = 1000
     many = header.replace("POINTS 1", f"POINTS {points}").encode() + struct.pack("<II", 4, 12 * points)
     (tmp_path / "1.pcd").write_bytes(many + bytes(4))
     with pytest.raises(ValueError, match="unpacks to more than"):
-        read_pcd(tmp_path / "1.pcd")
+        read_pcd(tmp_path / "1.pcd", LimitSettings(max_unpacked_bytes=12 * points - 1))
+
+
+def write_npz(path: Path, points: int) -> None:
+    path.parent.mkdir()
+    np.savez_compressed(path, points=np.zeros((points, 3)))
 
 
 def test_an_npz_is_refused_by_its_table_of_contents(tmp_path: Path) -> None:
-    (tmp_path / "s").mkdir()
-    header = io.BytesIO()
-    shape = (MAX_UNPACKED_BYTES // 24 + 1, 3)
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
-    content = header.getvalue() + bytes(MAX_UNPACKED_BYTES + 24)
-    with zipfile.ZipFile(tmp_path / "s" / "1.0.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("points.npy", content)
-    with open_recording(tmp_path) as recording, pytest.raises(RecordingError, match="unpacks to more than"):
+    write_npz(tmp_path / "s" / "1.0.npz", 100_000)
+    with open_recording(tmp_path, TIGHT) as recording, pytest.raises(RecordingError, match="unpacks to more than"):
         [record.decode() for record in recording.records()]
 
 
 def test_a_compressed_message_is_unpacked_up_to_the_limit() -> None:
-    assert decompress_message(zstd.compress(b"abc")) == b"abc"
+    assert decompress_message(zstd.compress(b"abc"), TIGHT) == b"abc"
     with pytest.raises(ValueError, match="unpacks to more than"):
-        decompress_message(zstd.compress(bytes(MAX_UNPACKED_BYTES + 1)))
+        decompress_message(zstd.compress(bytes(TIGHT.max_unpacked_bytes + 1)), TIGHT)
     with pytest.raises(ValueError, match="is cut short"):
-        decompress_message(zstd.compress(np.random.default_rng(1).bytes(5000))[:-100])
+        decompress_message(zstd.compress(np.random.default_rng(1).bytes(5000))[:-100], TIGHT)
+
+
+def test_a_compressed_file_leaves_space_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    (tmp_path / "a.mcap.zstd").write_bytes(zstd.compress(bytes(1000)))
+    message = rf"a\.mcap\.zstd: unpacks to more than the space in {re.escape(str(temporary))}, .* set TMPDIR"
+    with pytest.raises(RecordingError, match=message):
+        open_recording(tmp_path / "a.mcap.zstd", LimitSettings(min_free_disk=2**60))
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "s/camera_info.yaml"])
+def test_yaml_beside_messages_has_limits(tmp_path: Path, name: str) -> None:
+    write_npz(tmp_path / "s" / "1.0.npz", 1)
+    (tmp_path / name).write_text("a0: &a0 [x, x, x, x]\n" + "".join(
+        f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9)
+    ))  # fmt: skip
+    with (
+        pytest.raises(RecordingError, match=f"{name}, line .*: has more than"),
+        open_recording(tmp_path) as recording,
+    ):
+        [record.decode() for record in recording.records(["s/camera_info"])]
+
+
+def beams(count: int) -> str:
+    return f"stamp,angle_min,angle_increment,time_increment,ranges\n1.0,0,0.1,0,{','.join(['1'] * count)}\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("1.0.pcd", PCD.replace("POINTS 1", "POINTS 1001").encode() + bytes(12 * 1001)),
+        ("1.0.ply", PLY.replace("vertex 1", "vertex 1001").encode() + b"1 2 3\n" * 1000),
+        ("1.0.csv", beams(1001).encode()),
+    ],
+)
+def test_a_file_of_too_many_points_is_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / name).write_bytes(content)
+    message = r"s/1\.0\..*: has 1\d\d\d points, more than the limit of 1000: .* limits\.max_points"
+    with open_recording(tmp_path, TIGHT) as recording, pytest.raises(RecordingError, match=message):
+        [record.decode() for record in recording.records()]
+
+
+def test_an_npz_of_too_many_points_is_refused(tmp_path: Path) -> None:
+    write_npz(tmp_path / "s" / "1.0.npz", 1001)
+    with open_recording(tmp_path, TIGHT) as recording, pytest.raises(RecordingError, match="has 1001 points"):
+        [record.decode() for record in recording.records()]
 
 
 @pytest.mark.parametrize(

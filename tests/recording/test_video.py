@@ -8,6 +8,7 @@ import av
 import numpy as np
 import pytest
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.recording import open_recording, open_recordings, video
 from calgraph.sensors import Image, RecordedMessage
@@ -146,13 +147,20 @@ def test_sound_alone_is_an_error(tmp_path: Path) -> None:
         open_recording(tmp_path / "sound.mkv")
 
 
-def test_frames_larger_than_the_limit_are_an_error_before_any_is_decoded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_larger_than_the_limit_are_an_error_before_any_is_decoded(tmp_path: Path) -> None:
     path = write_video(tmp_path / "cam.mkv", GRAYS[:2], STAMPS[:2])
-    monkeypatch.setattr(video, "MAX_IMAGE_PIXELS", 48 * 64 - 1)
-    with pytest.raises(RecordingError, match="video states 64 x 48 pixels, more than the limit of 3071"):
-        open_recording(path)
+    limits = LimitSettings(max_image_pixels=48 * 64 - 1)
+    with pytest.raises(RecordingError, match="image states 64 x 48 pixels, more than the limit of 3071"):
+        open_recording(path, limits)
+
+
+def test_frames_larger_than_the_file_states_are_an_error(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "cam.avi", GRAYS[:2], STAMPS[:2])
+    index = video._index_video(path, LimitSettings())
+    decoder = video._FrameDecoder(path, index, LimitSettings(max_image_pixels=100))
+    with pytest.raises(RecordingError, match=r"cam\.avi: topic cam, stamp 0\.0"):
+        decoder.decode(0)
+    decoder.close()
 
 
 def test_without_pyav_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -224,7 +224,7 @@ def calibrate(
                 jobs=jobs or available_cores(),
                 cache=cache,
             )
-        with open_recordings(recordings) as recording, progress_bars() as progress:
+        with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
             rig = resolve_background(rig, recording, cache)

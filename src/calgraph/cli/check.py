@@ -112,7 +112,7 @@ def _compare(
 
     if rig.is_network:
         options = story.NetworkOptions(seed=seed, jobs=available_cores(), cache=cache)
-        with open_recordings(recordings) as recording, progress_bars() as progress:
+        with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
     problem = _problem(rig, recordings, seed, cache)
     return *story.compare_extrinsics(problem, given), problem.rig
@@ -126,10 +126,10 @@ def _problem(rig: Rig, recordings: list[Path], seed: int, cache: RecordingCache)
     if any(file.suffix == ".npz" and file.is_file() for file in recordings):
         if len(recordings) > 1:
             raise InputError(f"{recordings[0]}: a dump is one recording's, got {len(recordings)} files")
-        problem = replace(load_problem(recordings[0]), rig=rig)
+        problem = replace(load_problem(recordings[0], rig.settings.limits), rig=rig)
         check_problem(problem)
         return problem
-    with open_recordings(recordings) as recording, progress_bars() as progress:
+    with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
         options = story.RigOptions(seed=seed, jobs=available_cores(), cache=cache)
         return story.build_problem(rig, recording, options, progress)
 

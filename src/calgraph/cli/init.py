@@ -9,6 +9,7 @@ import typer
 from calgraph.captures import find_empty_start
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
+from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.config import FoundBackground, FoundTopic, draft_rig
 from calgraph.config.settings import EmptyStartSettings
 from calgraph.errors import InputError
@@ -28,13 +29,14 @@ def init(
             help="Take the target from this file: what calgraph board printed, or a rig.yaml.",
         ),
     ] = None,
+    overrides: SetOption = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite FILE if it exists.")] = False,
 ) -> None:
     """Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure."""
     if out.exists() and not force:
         raise InputError(f"{out}: exists already; choose another FILE, or give --force to overwrite it")
     target = format_target(read_boards(board)) if board else ""
-    with open_recording(recording) as opened:
+    with open_recording(recording, parse_limits(overrides, alone=True)) as opened:
         topics = find_topics(opened)
         text = draft_rig(topics, str(recording), target, _find_background(opened, topics))
     write_text(out, text)

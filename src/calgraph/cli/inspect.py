@@ -14,6 +14,7 @@ from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_calibration, print_provenance
 from calgraph.cli.progress import progress_bars
+from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.errors import RecordingError
 from calgraph.io import format_json
 from calgraph.recording import SENSORS, Inspection, TopicReport, inspect_recording, open_recording
@@ -22,6 +23,7 @@ from calgraph.result import Calibration, load_calibration, to_json
 
 def inspect(
     recording: OneRecording,
+    overrides: SetOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Show the topics of a recording, or how a result was computed.
@@ -34,7 +36,7 @@ def inspect(
     if (recording / "calibration.yaml").is_file():
         show_result(load_calibration(recording / "calibration.yaml"), json=json)
         return
-    with open_recording(recording) as opened, progress_bars() as progress:
+    with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
     if json:
         typer.echo(format_json({"recording": str(recording), **asdict(inspection)}))

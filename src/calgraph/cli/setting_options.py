@@ -6,14 +6,13 @@ from typing import Annotated, Any
 
 import typer
 from pydantic import BaseModel
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from calgraph.cli.common_options import TUNING
 from calgraph.config import Rig, load_rig
-from calgraph.config.settings import Settings
+from calgraph.config.settings import LimitSettings, Settings
 from calgraph.errors import InputError
-from calgraph.io.yaml_reading import validate_content
+from calgraph.io.yaml_limits import MAX_RIG_VALUES
+from calgraph.io.yaml_reading import parse_yaml, validate_content
 
 
 def list_settings(model: type[BaseModel] = Settings, above: str = "") -> Iterator[str]:
@@ -49,6 +48,23 @@ def load_rig_with(path: Path, assignments: Sequence[str] | None) -> Rig:
     return override_settings(load_rig(path), assignments)
 
 
+def parse_limits(assignments: Sequence[str] | None, *, alone: bool = False) -> LimitSettings:
+    """The limits among the assignments, for files that are read before a rig is known.
+
+    Args:
+        assignments: as :func:`override_settings` takes them.
+        alone: whether no other setting is of use to the command.
+
+    Raises:
+        InputError: an assignment of a limit is invalid, or no other is of use.
+    """
+    limits = [text for text in assignments or () if text.strip().startswith("limits.")]
+    if alone and len(limits) < len(assignments or ()):
+        other = next(text for text in assignments or () if text not in limits)
+        raise InputError(f"--set: only limits are of use here, such as limits.max_image_pixels=1e9, got {other!r}")
+    return _override(Settings(), limits).limits
+
+
 def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
     """The rig with some settings replaced.
 
@@ -59,22 +75,24 @@ def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
     Raises:
         InputError: an assignment is malformed, or its key or value is invalid.
     """
-    if not assignments:
-        return rig
-    content = rig.settings.model_dump(mode="json", exclude_none=True)
+    return rig.model_copy(update={"settings": _override(rig.settings, assignments)}) if assignments else rig
+
+
+def _override(settings: Settings, assignments: Sequence[str]) -> Settings:
+    content = settings.model_dump(mode="json", exclude_none=True)
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not key or not equals:
             raise InputError(f"--set: must be KEY=VALUE, such as captures.min_hold=2, got {assignment!r}")
         set_nested(content, key.strip().split("."), _parse(key, text))
-    return rig.model_copy(update={"settings": validate_content(Settings, content, Path("--set"))})
+    return validate_content(Settings, content, Path("--set"))
 
 
 def _parse(key: str, text: str) -> Any:
     try:
-        return YAML(typ="safe").load(text)
-    except YAMLError as error:
-        raise InputError(f"--set: the value of {key} is not valid YAML, got {text!r}") from error
+        return parse_yaml(text, Path("--set"), MAX_RIG_VALUES)
+    except InputError as error:
+        raise InputError(f"--set: the value of {key[:60]} is not valid YAML, got {text[:60]!r}") from error
 
 
 def set_nested(content: dict[str, Any], path: Sequence[str], value: Any) -> None:

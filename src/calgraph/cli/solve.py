@@ -20,7 +20,7 @@ from calgraph.cli.common_options import (
 )
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
 from calgraph.cli.provenance import describe_run
-from calgraph.cli.setting_options import SetOption, override_settings
+from calgraph.cli.setting_options import SetOption, override_settings, parse_limits
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically
 
@@ -77,7 +77,7 @@ def solve(
     if file.is_dir() or file.suffix in (".yaml", ".yml"):
         raise InputError(f"{file}: is not what calibrate --dump writes, a file .npz")
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
-    problem = load_problem(file)
+    problem = load_problem(file, parse_limits(overrides))
     given = {"estimator": estimator, "keep": keep}
     chosen = {name: choice for name, choice in given.items() if choice is not None}
     besides: dict[str, object] = {} if folds is None else {"folds": folds}

@@ -16,7 +16,7 @@ from calgraph.cli.common_options import available_cores
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
-from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings
+from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
 from calgraph.recording import RecordingCache, open_recordings
@@ -77,10 +77,10 @@ def _problem(
     if len(files) == 1:
         if files[0].suffix in (".yaml", ".yml"):
             raise InputError(f"{files[0]}: a rig needs a recording beside it: verify RIG.yaml RECORDING")
-        problem = load_problem(files[0])
+        problem = load_problem(files[0], parse_limits(overrides))
         return replace(problem, rig=override_settings(problem.rig, overrides))
     rig = load_rig_with(files[0], overrides)
-    with open_recordings(files[1:]) as recording:
+    with open_recordings(files[1:], rig.settings.limits) as recording:
         options = story.RigOptions(seed=seed, jobs=available_cores(), cache=cache)
         return story.build_problem(rig, recording, options, progress)
 

@@ -30,8 +30,8 @@ def view(
     if not result.is_dir():
         raise InputError(f"{result}: is no folder; give the one that calibrate wrote with -o")
     calibration = load_calibration(find_calibration(result))
-    calibration = replace(calibration, pictures=load_scene(result / "scene.npz"))
     rig = load_rig(result / "rig.resolved.yaml")
+    calibration = replace(calibration, pictures=load_scene(result / "scene.npz", rig.settings.limits))
     with Viewer(calibration, calibrated_cameras(calibration, rig), host, port) as viewer:
         typer.echo(f"{result} is shown at {viewer.url}; Ctrl-C ends it")
         if browser:

@@ -1,11 +1,8 @@
 """One JSON object and plain arrays in a ZIP: ``numpy.load`` reads it, and so does any program that knows ZIP."""
 
 import json
-import lzma
 import math
-import struct
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
@@ -18,15 +15,6 @@ from numpy.typing import NDArray
 from calgraph.errors import InputError
 from calgraph.io import write_atomically
 from calgraph.io.git_lfs import POINTER_START, check_git_lfs
-
-# What zipfile and NumPy raise where bytes are not those that were written.
-_DAMAGE_ERRORS = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError, OverflowError, RuntimeError,
-    ValueError, MemoryError,
-)  # fmt: skip
-# The archives of the largest rigs and networks that were tried unpack to some hundred megabytes.
-MAX_UNPACKED_BYTES = 2**31
-"""Maximum size of all members of an archive once unpacked, bytes; checked before memory is taken."""
 
 
 def write_archive(
@@ -57,13 +45,16 @@ def write_archive(
             _add(archive, f"{name}.npy", stream.getvalue())
 
 
-def read_archive(path: Path, member: str, format: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def read_archive(
+    path: Path, member: str, format: str, max_unpacked_bytes: int
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """The JSON object and the arrays of :func:`write_archive`.
 
     Args:
         path: the file.
         member: name of the JSON object in it.
         format: the one that is read.
+        max_unpacked_bytes: maximum size of all members; checked before memory is taken.
 
     Raises:
         InputError: the file is missing, is something else, has another format or version, or is damaged.
@@ -76,10 +67,10 @@ def read_archive(path: Path, member: str, format: str) -> tuple[dict[str, Any], 
     with _wrap_damage_errors(path):
         archive = zipfile.ZipFile(BytesIO(data))
     size = sum(entry.file_size for entry in archive.infolist())
-    if size > MAX_UNPACKED_BYTES:
+    if size > max_unpacked_bytes:
         raise InputError(
-            f"{path}: unpacks to {size / 1e9:.1f} GB, more than the limit of {MAX_UNPACKED_BYTES / 1e9:.1f} GB: "
-            "it is damaged, or calgraph did not write it"
+            f"{path}: unpacks to {size / 1e6:.0f} MB, more than the limit of {max_unpacked_bytes / 1e6:.0f} MB: "
+            "it is damaged, or needs limits.max_archive_bytes in the settings"
         )
     if member not in archive.namelist():
         raise InputError(f"{path}: has no member {member}; it is not a file of the format {format}")
@@ -123,8 +114,11 @@ def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
 
 @contextmanager
 def _wrap_damage_errors(path: Path, member: str = "") -> Iterator[None]:
+    """Converts what zipfile and NumPy raise for damaged bytes, from zlib.error to tokenize.TokenError."""
     try:
         yield
-    except _DAMAGE_ERRORS as error:
+    except InputError:
+        raise
+    except Exception as error:
         what = f"its member {member} is damaged" if member else "is truncated, damaged, or not a ZIP file"
         raise InputError(f"{path}: {what} ({str(error) or type(error).__name__}); write it again") from error

@@ -49,7 +49,7 @@ class CacheFolder:
         if not file.is_file():
             return None
         try:
-            content, arrays = read_archive(file, _STRUCTURE, format)
+            content, arrays = read_archive(file, _STRUCTURE, format, self.max_bytes)
         except InputError:
             content, arrays = {}, {}
         if content.get("key") != key:

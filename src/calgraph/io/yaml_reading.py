@@ -5,6 +5,7 @@ along the model's types, which gives the key as written in the file and the keys
 """
 
 import difflib
+import os
 import types
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -47,15 +48,28 @@ def read_yaml(path: Path, max_values: int = MAX_VALUES) -> dict[Any, Any]:
         InputError: the file is missing, is not YAML, gives a key twice, does not contain a mapping, or exceeds a
             limit of :mod:`calgraph.io.yaml_limits`.
     """
-    text = read_text(path)
-    try:
-        check_yaml_limits(path, text, max_values)
-        content = YAML(typ="safe").load(text)
-    except _YAML_ERRORS as error:
-        raise InputError(f"{path}{_explain_syntax(error)}") from error
+    content = parse_yaml(read_text(path), path, max_values)
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold a mapping of keys to values, not {_format_value(content)}")
     return content
+
+
+def parse_yaml(text: str, source: Path, max_values: int = MAX_VALUES) -> Any:
+    """The value of a text in YAML.
+
+    Args:
+        text: the YAML.
+        source: the file or the option that it is from, with which messages start.
+        max_values: the most values in it.
+
+    Raises:
+        InputError: it is not YAML, gives a key twice, or exceeds a limit of :mod:`calgraph.io.yaml_limits`.
+    """
+    try:
+        check_yaml_limits(source, text, max_values)
+        return YAML(typ="safe").load(text)
+    except _YAML_ERRORS as error:
+        raise InputError(f"{source}{_explain_syntax(error)}") from error
 
 
 def read_documents(path: Path) -> list[Any]:
@@ -81,8 +95,9 @@ def read_text(path: Path) -> str:
     """
     try:
         with path.open("rb") as file:
-            # One byte more than allowed, as pipes and devices do not state their size.
-            data = file.read(MAX_TEXT_BYTES + 1)
+            # Pipes and devices state no size; Python takes the memory for as many bytes as are asked for.
+            size = os.fstat(file.fileno()).st_size or MAX_TEXT_BYTES
+            data = file.read(min(size, MAX_TEXT_BYTES) + 1)
         if len(data) > MAX_TEXT_BYTES:
             raise InputError(f"{path}: is larger than {MAX_TEXT_BYTES // 10**6} MB; is it the right file?")
         text = data.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")

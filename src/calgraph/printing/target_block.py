@@ -15,6 +15,7 @@ from calgraph.config.strict_model import StrictModel
 from calgraph.config.target import Target
 from calgraph.errors import InputError
 from calgraph.io import format_yaml
+from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_text, read_yaml, validate_content
 
 _COMMENT = """\
@@ -47,7 +48,7 @@ def replace_target(path: Path, boards: Sequence[Board]) -> str:
     Raises:
         InputError: the file is no valid rig.yaml, or not with these boards.
     """
-    text, before = read_text(path), read_yaml(path)
+    text, before = read_text(path), read_yaml(path, MAX_RIG_VALUES)
     block = format_target(boards)
     text = text if text.endswith("\n") else text + "\n"
     changed = _BLOCK.sub(lambda _: block, text, count=1) if _BLOCK.search(text) else text + block
@@ -64,7 +65,7 @@ def read_boards(path: Path) -> tuple[Board, ...]:
     Raises:
         InputError: it has none, or a wrong one.
     """
-    content = read_yaml(path)
+    content = read_yaml(path, MAX_RIG_VALUES)
     target = validate_content(
         _TargetFile, {key: content[key] for key in ("target",) if key in content}, path
     ).target

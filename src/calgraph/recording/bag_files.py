@@ -11,11 +11,10 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
-from calgraph.errors import RecordingError
-from calgraph.recording.limits import MAX_UNPACKED_BYTES, check_unpacked_size
+from calgraph.config.settings import LimitSettings
+from calgraph.errors import InputError, RecordingError
+from calgraph.io.yaml_reading import read_yaml
+from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.recording import TopicInfo, check_fetched, wrap_errors
 
 if sys.version_info >= (3, 14):
@@ -26,6 +25,8 @@ else:
 STORAGE_SUFFIXES = (".mcap", ".db3", ".bag")
 _ZSTD_SUFFIXES = (".zstd", ".zst")
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+# Between two looks at the free space.
+_COPY_BYTES = 2**24
 
 
 @dataclass(frozen=True)
@@ -58,21 +59,33 @@ def find_bag_files(path: Path) -> BagFiles | None:
     return BagFiles(tuple(files), ()) if files else None
 
 
-def decompress_storage(file: Path, stack: ExitStack) -> Path:
-    """The storage file itself, or an uncompressed copy that lives as long as the stack."""
+def decompress_storage(file: Path, stack: ExitStack, limits: LimitSettings) -> Path:
+    """The storage file itself, or an uncompressed copy that lives as long as the stack.
+
+    Raises:
+        RecordingError: the file is damaged, or the disk of temporary files has too little space for the copy.
+    """
     if file.suffix not in _ZSTD_SUFFIXES:
         return file
-    copy = Path(stack.enter_context(TemporaryDirectory(prefix="calgraph-"))) / file.stem
+    folder = Path(stack.enter_context(TemporaryDirectory(prefix="calgraph-")))
+    copy = folder / file.stem
     with (
         wrap_errors(file, "the compressed file is incomplete or damaged: copy it again"),
         zstd.open(file, "rb") as packed,
         copy.open("wb") as plain,
     ):
-        shutil.copyfileobj(packed, plain)
+        while block := packed.read(_COPY_BYTES):
+            if shutil.disk_usage(folder).free - len(block) < limits.min_free_disk:
+                raise RecordingError(
+                    f"{file}: unpacks to more than the space in {folder.parent}, of which "
+                    f"{limits.min_free_disk / 1e6:.0f} MB are left free (limits.min_free_disk); set TMPDIR to a "
+                    "folder with more space, or unpack the file there with `zstd -d`"
+                )
+            plain.write(block)
     return copy
 
 
-def decompress_message(raw: bytes) -> bytes:
+def decompress_message(raw: bytes, limits: LimitSettings) -> bytes:
     """A message's bytes without rosbag2's per-message compression.
 
     Neither CDR nor ROS 1 messages of use here start with zstd's magic number, so this works without metadata.
@@ -84,8 +97,8 @@ def decompress_message(raw: bytes) -> bytes:
     if raw[:4] != _ZSTD_MAGIC:
         return raw
     decompressor = zstd.ZstdDecompressor()
-    plain = decompressor.decompress(raw, MAX_UNPACKED_BYTES + 1)
-    check_unpacked_size(len(plain))
+    plain = decompressor.decompress(raw, limits.max_unpacked_bytes + 1)
+    check_unpacked_size(len(plain), limits)
     if not decompressor.eof:
         raise ValueError("a compressed message is cut short")
     return plain
@@ -122,11 +135,13 @@ def _from_metadata(folder: Path) -> BagFiles:
     advice = "remove or rename it to read the storage files without it"
     check_fetched(metadata_path)
     try:
-        content = YAML(typ="safe").load(metadata_path.read_text(encoding="utf-8"))
+        content = read_yaml(metadata_path)
         metadata: Mapping[str, Any] = content["rosbag2_bagfile_information"]
         files = tuple(folder / PurePath(name).name for name in metadata["relative_file_paths"])
         stated = tuple(_topic_from_metadata(entry) for entry in metadata.get("topics_with_message_count") or ())
-    except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
+    except InputError as error:
+        raise RecordingError(f"{error}; {advice}") from error
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise RecordingError(f"{metadata_path}: is not the metadata of a rosbag2 ({reason}); {advice}") from error
     for file in files:

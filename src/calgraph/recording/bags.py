@@ -14,6 +14,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
 from calgraph.recording.decoding import decode
@@ -42,8 +43,9 @@ _MARGIN_NS = 1000
 class BagRecording(ClosedOnExit):
     """A bag of one or more storage files."""
 
-    def __init__(self, path: Path, bag: BagFiles) -> None:
+    def __init__(self, path: Path, bag: BagFiles, limits: LimitSettings) -> None:
         self.path, self.sources = path, (path,)
+        self._limits = limits
         self._types: dict[tuple[str, str], MessageType] = {}
         self._stack = ExitStack()
         try:
@@ -82,7 +84,7 @@ class BagRecording(ClosedOnExit):
         if file.stat().st_size == 0:
             raise RecordingError(f"{file}: is empty; copy it again")
         check_fetched(file)
-        storage = decompress_storage(file, self._stack)
+        storage = decompress_storage(file, self._stack, self._limits)
         with wrap_errors(file, _ADVICE[storage.suffix].format(name=file.name)):
             if storage.suffix == ".db3":
                 check_sqlite(storage)
@@ -105,7 +107,7 @@ class BagRecording(ClosedOnExit):
             for connection, arrival_ns, raw in reader.messages(connections, start_ns, stop_ns):
                 arrival = arrival_ns / 1e9
                 if (start is None or arrival >= start) and (end is None or arrival <= end):
-                    yield self._record(connection, arrival, decompress_message(raw), ros1=ros1)
+                    yield self._record(connection, arrival, decompress_message(raw, self._limits), ros1=ros1)
 
     def _record(self, connection: Connection, arrival: float, raw: bytes, *, ros1: bool) -> RecordedMessage:
         kind = self._type(connection, ros1=ros1)
@@ -117,7 +119,7 @@ class BagRecording(ClosedOnExit):
             connection.topic,
             stamp,
             arrival,
-            partial(decode, kind, raw, stamp, where),
+            partial(decode, kind, raw, stamp, where, self._limits),
             partial(kind.digest, raw),
         )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.recording.digest import hash_array
 from calgraph.recording.file_names import SNAPSHOT_SPACING
@@ -43,19 +44,20 @@ class CornersRecording(IndexedRecording):
 
     Args:
         path: the CSV file, or the folder with xy.csv.
+        limits: maximum size.
 
     Raises:
         InputError: there are no corners.
         RecordingError: a file is damaged.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, limits: LimitSettings) -> None:
         file = path / CORNERS if path.is_dir() else path
         frames: dict[Frame, _Corners] = {}
-        _read_rows(file, _COLUMNS, partial(_add_corner, frames))
+        _read_rows(file, _COLUMNS, partial(_add_corner, frames), limits)
         times = file.with_name(TIMES)
         if times.is_file():
-            _read_rows(times, (*_FRAME, _TIME), partial(_add_time, frames))
+            _read_rows(times, (*_FRAME, _TIME), partial(_add_time, frames), limits)
         timed = all(corners.time is not None for corners in frames.values())
         if not timed and any(corners.time is not None for corners in frames.values()):
             lacking = next(frame for frame, corners in frames.items() if corners.time is None)
@@ -120,11 +122,13 @@ def _add_time(frames: dict[Frame, _Corners], row: Mapping[str, str]) -> None:
     frames.setdefault(_frame(row), _Corners()).time = _number(row, _TIME)
 
 
-def _read_rows(file: Path, columns: tuple[str, ...], add: Callable[[Mapping[str, str]], None]) -> None:
+def _read_rows(
+    file: Path, columns: tuple[str, ...], add: Callable[[Mapping[str, str]], None], limits: LimitSettings
+) -> None:
     """Calls a function with each row of a CSV file by the names in its first line."""
     check_fetched(file)
     with wrap_errors(file):
-        check_unpacked_size(file.stat().st_size)
+        check_unpacked_size(file.stat().st_size, limits)
         with file.open(encoding="utf-8-sig", newline="") as opened:
             rows = csv.DictReader(opened, skipinitialspace=True)
             missing = [name for name in columns if name not in (rows.fieldnames or ())]

@@ -5,16 +5,20 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.config.settings import LimitSettings
 from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
 from calgraph.recording.images import decode_image, pixels_from_buffer
+from calgraph.recording.limits import check_point_count
 from calgraph.recording.message_types import MessageType
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
 from calgraph.recording.recording import wrap_errors
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
 
 
-def decode(kind: MessageType, raw: bytes, stamp: float, where: str) -> Message:
+def decode(
+    kind: MessageType, raw: bytes, stamp: float, where: str, limits: LimitSettings = LimitSettings()
+) -> Message:
     """Decodes one message; a type without a decoder becomes a Trigger.
 
     Args:
@@ -22,6 +26,7 @@ def decode(kind: MessageType, raw: bytes, stamp: float, where: str) -> Message:
         raw: its serialised bytes.
         stamp: its stamp, s.
         where: recording, topic and stamp, for the error message.
+        limits: of its content.
 
     Raises:
         RecordingError: the content is unusable, and why.
@@ -30,14 +35,16 @@ def decode(kind: MessageType, raw: bytes, stamp: float, where: str) -> Message:
     if decoder is None:
         return Trigger(stamp)
     with wrap_errors(where):
-        return decoder(kind.deserialize(raw), stamp)
+        return decoder(kind.deserialize(raw), stamp, limits)
 
 
-def _laser_scan(message: Any, stamp: float) -> LaserScan:
+def _laser_scan(message: Any, stamp: float, limits: LimitSettings) -> LaserScan:
+    check_point_count(len(message.ranges), limits)
     return _scan(message, np.asarray(message.ranges, dtype=np.float64), stamp)
 
 
-def _multi_echo_laser_scan(message: Any, stamp: float) -> LaserScan:
+def _multi_echo_laser_scan(message: Any, stamp: float, limits: LimitSettings) -> LaserScan:
+    check_point_count(len(message.ranges), limits)
     first = [beam.echoes[0] if len(beam.echoes) else np.nan for beam in message.ranges]
     return _scan(message, np.array(first, dtype=np.float64), stamp)
 
@@ -60,11 +67,12 @@ def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:
     return np.where(inside, ranges, np.nan)
 
 
-def _point_cloud2(message: Any, stamp: float) -> PointCloud:
+def _point_cloud2(message: Any, stamp: float, limits: LimitSettings) -> PointCloud:
+    check_point_count(message.width * message.height, limits)
     return cloud_from_columns(columns_from_point_cloud2(message), stamp, message.header.frame_id)
 
 
-def _image(message: Any, stamp: float) -> Image:
+def _image(message: Any, stamp: float, _: LimitSettings) -> Image:
     pixels = pixels_from_buffer(
         np.asarray(message.data, dtype=np.uint8),
         message.height,
@@ -76,12 +84,12 @@ def _image(message: Any, stamp: float) -> Image:
     return Image(stamp, message.header.frame_id, pixels)
 
 
-def _compressed_image(message: Any, stamp: float) -> Image:
-    pixels = decode_image(np.asarray(message.data, dtype=np.uint8), message.format)
+def _compressed_image(message: Any, stamp: float, limits: LimitSettings) -> Image:
+    pixels = decode_image(np.asarray(message.data, dtype=np.uint8), message.format, limits)
     return Image(stamp, message.header.frame_id, pixels)
 
 
-def _camera_info(message: Any, stamp: float) -> CameraInfo:
+def _camera_info(message: Any, stamp: float, _: LimitSettings) -> CameraInfo:
     # ROS 1 definitions spell the matrices in capitals.
     K, D = (getattr(message, key.lower(), None) for key in "KD")
     full = camera_model(
@@ -112,7 +120,7 @@ def _crop_and_bin(full: CameraModel, message: Any) -> CameraModel:
     return CameraModel(full.model, width // x_bin, height // y_bin, scale @ shift @ full.K, full.distortion)
 
 
-_DECODERS: dict[str, Callable[[Any, float], Message]] = {
+_DECODERS: dict[str, Callable[[Any, float, LimitSettings], Message]] = {
     "sensor_msgs/msg/LaserScan": _laser_scan,
     "sensor_msgs/msg/MultiEchoLaserScan": _multi_echo_laser_scan,
     "sensor_msgs/msg/PointCloud2": _point_cloud2,

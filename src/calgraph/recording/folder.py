@@ -1,24 +1,27 @@
 """Plain folders: ``<sensor>/<time or number>.<png|jpg|pcd|ply|npz|csv>`` beside a ``camera_info.yaml``."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
-from ruamel.yaml import YAML
 
-from calgraph.errors import InputError
+from calgraph.config.settings import LimitSettings
+from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
+from calgraph.io.yaml_limits import MAX_RIG_VALUES
+from calgraph.io.yaml_reading import read_text, read_yaml
 from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.digest import hash_file
 from calgraph.recording.file_names import FileStamps, NamedFiles, interpret_names, resolve_stamps
 from calgraph.recording.images import decode_image
-from calgraph.recording.limits import check_unpacked_size
+from calgraph.recording.limits import check_point_count, check_unpacked_size
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
@@ -27,6 +30,7 @@ from calgraph.recording.recording import check_fetched, wrap_errors
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 
 CAMERA_INFO = "camera_info.yaml"
+Content = TypeVar("Content")
 _SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
 # Tolerance between the stamp in a scan and that in its file's name, which may be rounded, s.
 _STAMP_TOLERANCE = 1e-3
@@ -37,6 +41,7 @@ class _File:
     stamp: float
     topic: str
     path: Path
+    limits: LimitSettings
     counted: bool = False
     """Whether its name is the number of a pose, and the stamp is not a time."""
 
@@ -60,7 +65,7 @@ class FolderRecording(IndexedRecording):
     file. Folders whose names have no clear meaning are no topics: they need not be of the rig.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, limits: LimitSettings) -> None:
         folders, self._unusable = _find_folders(path)
         if not folders:
             raise InputError(
@@ -70,7 +75,7 @@ class FolderRecording(IndexedRecording):
             )
         stamps = resolve_stamps(folder.names for folder in folders)
         self._counted = {folder.topic: stamped.counted for folder, stamped in zip(folders, stamps, strict=True)}
-        files = [file for pair in zip(folders, stamps, strict=True) for file in _list_files(*pair)]
+        files = [file for pair in zip(folders, stamps, strict=True) for file in _list_files(*pair, limits)]
         first = {file.topic: file for file in sorted(files, key=lambda file: file.stamp, reverse=True)}
         types = {topic: _kind(file.path) for topic, file in first.items()}
         super().__init__(
@@ -144,11 +149,11 @@ def _files_by_name(folder: Path) -> dict[str, list[Path]]:
     return files
 
 
-def _list_files(folder: _Folder, stamped: FileStamps) -> Iterator[_File]:
+def _list_files(folder: _Folder, stamped: FileStamps, limits: LimitSettings) -> Iterator[_File]:
     for name, path in folder.paths.items():
-        yield _File(stamped.stamps[name], folder.topic, path, stamped.counted)
+        yield _File(stamped.stamps[name], folder.topic, path, limits, stamped.counted)
     if folder.info:
-        yield _File(min(stamped.stamps.values()), f"{folder.topic}/camera_info", folder.info)
+        yield _File(min(stamped.stamps.values()), f"{folder.topic}/camera_info", folder.info, limits)
 
 
 def _suffix(path: Path) -> str | None:
@@ -181,34 +186,45 @@ def _digest(file: _File) -> MessageDigest:
 
 
 def _camera_info(file: _File) -> CameraInfo:
-    content = YAML(typ="safe").load(file.path.read_text(encoding="utf-8"))
-    if not isinstance(content, dict):
-        raise ValueError("must hold the keys of a CameraInfo")
+    content = _wrap_input_errors(read_yaml, file.path, MAX_RIG_VALUES)
     return CameraInfo(file.stamp, "", camera_from_yaml(content))
 
 
+def _wrap_input_errors(read: Callable[..., Content], *arguments: Any) -> Content:
+    """What a reader of text files returns; its errors become those of one message of the recording."""
+    try:
+        return read(*arguments)
+    except InputError as error:
+        raise RecordingError(str(error)) from error
+
+
 def _image(file: _File) -> Image:
-    return Image(file.stamp, "", decode_image(np.fromfile(file.path, np.uint8)))
+    return Image(file.stamp, "", decode_image(np.fromfile(file.path, np.uint8), limits=file.limits))
 
 
 def _pcd(file: _File) -> PointCloud:
-    return cloud_from_columns(read_pcd(file.path), file.stamp)
+    return cloud_from_columns(read_pcd(file.path, file.limits), file.stamp)
 
 
 def _ply(file: _File) -> PointCloud:
-    return cloud_from_columns(read_ply(file.path), file.stamp)
+    return cloud_from_columns(read_ply(file.path, file.limits), file.stamp)
 
 
-def _open_npz(path: Path) -> Any:
+@contextmanager
+def _open_npz(path: Path) -> Iterator[Any]:
     """NumPy's reader of the members of an NPZ; other files it would take for pickles."""
-    if not is_zipfile(path):
-        raise ValueError("is damaged or no NPZ file")
-    return np.load(path, allow_pickle=False)
+    # NumPy itself leaves a file open whose table of contents is damaged.
+    with path.open("rb") as file:
+        if not is_zipfile(file):
+            raise ValueError("is damaged or no NPZ file")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as arrays:
+            yield arrays
 
 
 def _npz(file: _File) -> Message:
     with _open_npz(file.path) as npz:
-        check_unpacked_size(sum(member.file_size for member in npz.zip.infolist()))
+        check_unpacked_size(sum(member.file_size for member in npz.zip.infolist()), file.limits)
         arrays = {name: npz[name] for name in npz.files}
     if "ranges" in arrays:
         return _scan(arrays, file)
@@ -217,12 +233,15 @@ def _npz(file: _File) -> Message:
     points = arrays.pop("points")
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points must have the shape (N, 3), got {points.shape}")
+    check_point_count(len(points), file.limits)
     columns = {name: values.ravel() for name, values in arrays.items() if values.size == len(points)}
     return cloud_from_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, file.stamp)
 
 
 def _csv(file: _File) -> LaserScan:
-    lines = [line for line in file.path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    text = _wrap_input_errors(read_text, file.path)
+    check_point_count(text.count(","), file.limits)
+    lines = [line for line in text.splitlines() if line.strip()]
     names = [name.strip() for name in lines[0].split(",")] if lines else []
     if tuple(names[:5]) != _SCAN_COLUMNS:
         raise ValueError(f"the first line must be {','.join(_SCAN_COLUMNS)}")
@@ -241,6 +260,7 @@ def _scan(values: Mapping[str, NDArray[Any]], file: _File) -> LaserScan:
     given_stamp = _number(values, "stamp", file.stamp)
     if not file.counted and abs(given_stamp - file.stamp) > _STAMP_TOLERANCE:
         raise ValueError(f"its stamp {given_stamp:.6f} is not that of its name")
+    check_point_count(np.size(values["ranges"]), file.limits)
     ranges: Array = np.asarray(values["ranges"], dtype=np.float64).ravel()
     angles = _number(values, "angle_min") + _number(values, "angle_increment") * np.arange(
         len(ranges), dtype=np.float64

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.recording.limits import MAX_IMAGE_PIXELS
+from calgraph.config.settings import LimitSettings
+from calgraph.recording.limits import check_pixel_count
 
 Pixels = NDArray[np.uint8]
 
@@ -89,12 +90,13 @@ def pixels_from_buffer(
     return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
 
 
-def decode_image(data: Pixels, declared: str = "") -> Pixels:
+def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = LimitSettings()) -> Pixels:
     """Pixels of a JPEG, PNG or other image file in memory.
 
     Args:
         data: (n,) bytes of the file.
         declared: ``format`` of a ROS CompressedImage, e.g. ``bgr8; jpeg compressed bgr8``.
+        limits: maximum size.
 
     Returns:
         (height, width) grey or (height, width, 3) BGR.
@@ -108,11 +110,8 @@ def decode_image(data: Pixels, declared: str = "") -> Pixels:
     if data.size == 0:
         raise ValueError("image has no data")
     stated = _find_stated_size(data)
-    if stated is not None and stated[0] * stated[1] > MAX_IMAGE_PIXELS:
-        raise ValueError(
-            f"image states {stated[0]} x {stated[1]} pixels, more than the limit of {MAX_IMAGE_PIXELS}: it is "
-            "damaged, or not of a camera"
-        )
+    if stated is not None:
+        check_pixel_count(*stated, limits)
     # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
     read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if read is None:

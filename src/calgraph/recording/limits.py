@@ -1,23 +1,42 @@
-"""Limits of what is read, checked before memory is taken: small damaged files may state or unpack to any size.
+"""Checks of what is read against its limits; the errors name the setting, and their callers the location."""
 
-They bound memory and influence no result: what is larger is an error. Real sensors stay far below them.
-"""
-
-MAX_IMAGE_PIXELS = 2**28
-"""Maximum number of pixels of an image, 16,384 squared: 0.8 GB in colour. Cameras have up to 150 million."""
-MAX_UNPACKED_BYTES = 2**28
-"""Maximum size of a compressed message or file of one message once it is unpacked, bytes: 16 million points of 16
-bytes; sweeps of LiDARs with 128 rings have half a million points. Larger clouds can be given uncompressed."""
+from calgraph.config.settings import LimitSettings
 
 
-def check_unpacked_size(size: int) -> None:
+def check_unpacked_size(size: int, limits: LimitSettings) -> None:
     """Checks the size of data before or while they are unpacked, bytes.
 
     Raises:
         ValueError: they are larger than the limit.
     """
-    if size > MAX_UNPACKED_BYTES:
+    if size > limits.max_unpacked_bytes:
         raise ValueError(
-            f"unpacks to more than the limit of {MAX_UNPACKED_BYTES >> 20} MB: it is damaged, or must be given "
-            "uncompressed"
+            f"unpacks to more than the limit of {limits.max_unpacked_bytes / 1e6:.0f} MB: it is damaged, or needs "
+            "limits.max_unpacked_bytes in the settings"
+        )
+
+
+def check_pixel_count(width: int, height: int, limits: LimitSettings) -> None:
+    """Checks the size of an image before it is decoded, pixels.
+
+    Raises:
+        ValueError: it is larger than the limit.
+    """
+    if width * height > limits.max_image_pixels:
+        raise ValueError(
+            f"image states {width} x {height} pixels, more than the limit of {limits.max_image_pixels}: it is "
+            "damaged, or needs limits.max_image_pixels in the settings"
+        )
+
+
+def check_point_count(count: int, limits: LimitSettings) -> None:
+    """Checks the number of points of a cloud, or of beams of a scan.
+
+    Raises:
+        ValueError: there are more than the limit.
+    """
+    if count > limits.max_points:
+        raise ValueError(
+            f"has {count} points, more than the limit of {limits.max_points}: it is damaged, or needs "
+            "limits.max_points in the settings"
         )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.io.yaml_reading import suggest_name
 from calgraph.recording.bag_files import find_bag_files
@@ -14,12 +15,13 @@ from calgraph.recording.recording import JoinedRecording, Recording
 from calgraph.recording.video import VideoRecording, is_video
 
 
-def open_recording(path: Path) -> Recording:
+def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recording:
     """Opens a recording; close it, or use it as a context manager.
 
     Args:
         path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, a
             CSV of detected corners, or a plain folder with one folder of files or one video per sensor.
+        limits: of what is read, ``settings.limits`` of rig.yaml.
 
     Raises:
         InputError: the path does not exist, or is not a recording.
@@ -29,37 +31,37 @@ def open_recording(path: Path) -> Recording:
         raise InputError(f"{path}: does not exist{suggest_name(path)}")
     bag = find_bag_files(path)
     if bag is not None:
-        return BagRecording(path, bag)
+        return BagRecording(path, bag, limits)
     if is_corners(path):
-        return CornersRecording(path)
+        return CornersRecording(path, limits)
     if path.is_dir():
         inner = [one for one in sorted(path.iterdir()) if one.is_dir() and find_bag_files(one) is not None]
         if inner:
             raise InputError(f"{path}: is no recording, but contains {', '.join(map(str, inner))}: give that")
-        return _open_folder(path)
+        return _open_folder(path, limits)
     if is_video(path):
-        return VideoRecording(path)
+        return VideoRecording(path, limits)
     raise InputError(
         f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, a video, or a folder "
         "with one folder of files or one video per sensor"
     )
 
 
-def _open_folder(path: Path) -> Recording:
+def _open_folder(path: Path, limits: LimitSettings) -> Recording:
     """A plain folder with folders of files, videos, or both."""
     videos = [one for one in sorted(path.iterdir()) if is_video(one)]
     if not videos:
-        return FolderRecording(path)
+        return FolderRecording(path, limits)
     with ExitStack() as stack:
-        parts: list[Recording] = [stack.enter_context(VideoRecording(video)) for video in videos]
+        parts: list[Recording] = [stack.enter_context(VideoRecording(video, limits)) for video in videos]
         if has_message_files(path):
-            parts.append(stack.enter_context(FolderRecording(path)))
+            parts.append(stack.enter_context(FolderRecording(path, limits)))
         _check_takes(parts)
         stack.pop_all()
     return JoinedRecording(parts, path)
 
 
-def open_recordings(paths: Sequence[Path]) -> Recording:
+def open_recordings(paths: Sequence[Path], limits: LimitSettings = LimitSettings()) -> Recording:
     """Opens several recordings as one, merged by arrival time.
 
     Raises:
@@ -70,7 +72,7 @@ def open_recordings(paths: Sequence[Path]) -> Recording:
     if not paths:
         raise InputError("no recording is given; at least one is needed")
     with ExitStack() as stack:
-        recordings = [stack.enter_context(open_recording(path)) for path in paths]
+        recordings = [stack.enter_context(open_recording(path, limits)) for path in paths]
         _check_takes(recordings)
         stack.pop_all()
     return recordings[0] if len(recordings) == 1 else JoinedRecording(recordings)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.recording.limits import MAX_UNPACKED_BYTES, check_unpacked_size
+from calgraph.config.settings import LimitSettings
+from calgraph.recording.limits import check_point_count, check_unpacked_size
 from calgraph.recording.point_cloud_columns import Columns
 
 # By TYPE, NumPy's code and the SIZEs that exist, bytes.
@@ -19,7 +20,7 @@ _CODES = {"F": ("f", (4, 8)), "I": ("i", (1, 2, 4, 8)), "U": ("u", (1, 2, 4, 8))
 _MAX_POINT_BYTES = 2**16
 
 
-def read_pcd(path: Path) -> Columns:
+def read_pcd(path: Path, limits: LimitSettings = LimitSettings()) -> Columns:
     """The columns (N,) of a PCD file, which may be gzipped; of a field with several values, the first.
 
     Source: "The PCD (Point Cloud Data) file format", version 0.7, pointclouds.org.
@@ -28,24 +29,25 @@ def read_pcd(path: Path) -> Columns:
         ValueError: the header or the data are damaged, or unpack to more than the limit.
         OSError: the file cannot be read.
     """
-    data = _unpack(path) if path.suffix == ".gz" else path.read_bytes()
+    data = _unpack(path, limits) if path.suffix == ".gz" else path.read_bytes()
     header, body = _split(data)
     dtype = _dtype(header)
     n = _count_points(header)
+    check_point_count(n, limits)
     kind = " ".join(header["DATA"]).lower()
     if kind == "ascii":
         return _ascii(body, dtype, n)
     if kind == "binary":
         return _columns(np.frombuffer(_take_exactly(body, n * dtype.itemsize), dtype, n))
     if kind == "binary_compressed":
-        return _by_field(body, dtype, n)
+        return _by_field(body, dtype, n, limits)
     raise ValueError(f"DATA {kind} is unknown; ascii, binary and binary_compressed are known")
 
 
-def _unpack(path: Path) -> bytes:
+def _unpack(path: Path, limits: LimitSettings) -> bytes:
     with gzip.open(path) as file:
-        data = file.read(MAX_UNPACKED_BYTES + 1)
-    check_unpacked_size(len(data))
+        data = file.read(limits.max_unpacked_bytes + 1)
+    check_unpacked_size(len(data), limits)
     return data
 
 
@@ -159,12 +161,12 @@ def _ascii(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
     }
 
 
-def _by_field(body: bytes, dtype: np.dtype[Any], n: int) -> Columns:
+def _by_field(body: bytes, dtype: np.dtype[Any], n: int, limits: LimitSettings) -> Columns:
     """Compressed data hold all values of the first field, then all of the second, and so on."""
     packed, size = (int(value) for value in np.frombuffer(_take_exactly(body, 8), "<u4", 2))
     if size != n * dtype.itemsize:
         raise ValueError(f"has {size} bytes of points, states {n} points of {dtype.itemsize} bytes")
-    check_unpacked_size(size)
+    check_unpacked_size(size, limits)
     plain = decompress_lzf(_take_exactly(body[8:], packed), size)
     columns: dict[str, NDArray[Any]] = {}
     position = 0

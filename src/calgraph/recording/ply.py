@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.config.settings import LimitSettings
+from calgraph.recording.limits import check_point_count
 from calgraph.recording.point_cloud_columns import Columns
 
 _TYPES = {
@@ -17,7 +19,7 @@ _TYPES = {
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-def read_ply(path: Path) -> Columns:
+def read_ply(path: Path, limits: LimitSettings = LimitSettings()) -> Columns:
     """The properties (N,) of the vertices of a PLY file.
 
     Raises:
@@ -34,6 +36,7 @@ def read_ply(path: Path) -> Columns:
     if kind not in _ORDERS:
         raise ValueError(f"PLY format {kind or 'of no name'} is unknown; known are {', '.join(_ORDERS)}")
     n, dtype = _vertices(lines, _ORDERS[kind])
+    check_point_count(n, limits)
     if kind == "ascii":
         names = dtype.names or ()
         if n > len(body):

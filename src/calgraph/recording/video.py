@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
 from calgraph.recording.digest import hash_content
 from calgraph.recording.images import Pixels, to_8_bits
-from calgraph.recording.limits import MAX_IMAGE_PIXELS
+from calgraph.recording.limits import check_pixel_count
 from calgraph.recording.recording import ClosedOnExit, TopicInfo, check_fetched, select_topics, wrap_errors
 from calgraph.sensors import Image, MessageDigest, RecordedMessage
 
@@ -61,10 +62,11 @@ class VideoRecording(ClosedOnExit):
         RecordingError: the file is damaged, has no video, or larger images than the limit.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, limits: LimitSettings) -> None:
         self.path, self.sources = path, (path,)
+        self._limits = limits
         check_fetched(path)
-        self._index = _index_video(path)
+        self._index = _index_video(path, limits)
         self._stack = ExitStack()
         stamps = self._index.stamps
         self.start, self.end = 0.0, float(stamps[-1])
@@ -76,7 +78,7 @@ class VideoRecording(ClosedOnExit):
         """The frames in the order in which they are shown; see :meth:`Recording.records`."""
         if not select_topics(self.path, self.topics, topics):
             return iter(())
-        decoder = _FrameDecoder(self.path, self._index)
+        decoder = _FrameDecoder(self.path, self._index, self._limits)
         self._stack.callback(decoder.close)
         return self._records(decoder, start, end)
 
@@ -117,8 +119,9 @@ class _FrameDecoder:
     It has one thread, as processes are forked while it is open; the lock is for frames pickled by another thread.
     """
 
-    def __init__(self, path: Path, index: _VideoIndex) -> None:
+    def __init__(self, path: Path, index: _VideoIndex, limits: LimitSettings) -> None:
         self.index = index
+        self._limits = limits
         self._path = path
         self._container: InputContainer | None = None
         self._frames: Iterator[VideoFrame] = iter(())
@@ -153,7 +156,10 @@ class _FrameDecoder:
     def _seek(self, keyframe: int) -> None:
         if self._container is None:
             self._container = _open(self._path)
-            _find_stream(self._container).codec_context.thread_count = 1
+            context = _find_stream(self._container).codec_context
+            context.thread_count = 1
+            # Frames may be larger than the file states.
+            context.options = {"max_pixels": str(self._limits.max_image_pixels)}
         stream = _find_stream(self._container)
         self._container.seek(int(self.index.pts[keyframe]), stream=stream)
         self._frames = self._container.decode(stream)
@@ -197,16 +203,11 @@ def _find_stream(container: "InputContainer") -> "VideoStream":
     return streams[0]
 
 
-def _index_video(path: Path) -> _VideoIndex:
+def _index_video(path: Path, limits: LimitSettings) -> _VideoIndex:
     """Reads the file once, without decoding."""
     with _wrap_errors(path, path), _open(path) as container:
         stream = _find_stream(container)
-        width, height = stream.codec_context.width, stream.codec_context.height
-        if width * height > MAX_IMAGE_PIXELS:
-            raise ValueError(
-                f"video states {width} x {height} pixels, more than the limit of {MAX_IMAGE_PIXELS}: it is "
-                "damaged, or not of a camera"
-            )
+        check_pixel_count(stream.codec_context.width, stream.codec_context.height, limits)
         avi = container.format.name == "avi"
         packets: dict[int, tuple[bool, int]] = {}
         count, end, broken = 0, 0.0, False

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
@@ -78,13 +79,13 @@ def save_scene(pictures: Pictures, path: Path) -> None:
     write_archive(path, _STRUCTURE, content, arrays, compression=zipfile.ZIP_STORED)
 
 
-def load_scene(path: Path) -> Pictures:
+def load_scene(path: Path, limits: LimitSettings = LimitSettings()) -> Pictures:
     """The pictures that :func:`save_scene` wrote.
 
     Raises:
         InputError: the file is missing, is something else, or is damaged; the message names it.
     """
-    content, arrays = read_archive(path, _STRUCTURE, FORMAT)
+    content, arrays = read_archive(path, _STRUCTURE, FORMAT, limits.max_archive_bytes)
     try:
         names = _names(content)
         snapshots = tuple(

@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.io import save_yaml
+from calgraph.io.yaml_reading import read_yaml
 
 _FORMAT = "calgraph-truth/1"
 
@@ -85,9 +84,9 @@ def load_truth(path: Path) -> GroundTruth:
     Raises:
         InputError: the file is missing or is not a truth.yaml.
     """
+    content = read_yaml(path)
     try:
-        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-        if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        if content.get("format") != _FORMAT:
             raise InputError(f"{path}: is not a truth.yaml; its format must be {_FORMAT}")
         return GroundTruth(
             content["root"],
@@ -100,12 +99,10 @@ def load_truth(path: Path) -> GroundTruth:
             tuple(_read_person(entry) for entry in content.get("people", ())),
             {name: entry["errors"] for name, entry in content["sensors"].items() if "errors" in entry},
         )
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
     except KeyError as error:
         raise InputError(f"{path}: the key {error.args[0]!r} is missing") from error
+    except (TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(f"{path}: is not as simulate writes it ({' '.join(str(error).split())})") from error
 
 
 def _pose_entry(T: Array) -> dict[str, list[float]]:

@@ -44,6 +44,7 @@ from calgraph.config.settings.legs import (
     LegSettings,
     LegTrackSettings,
 )
+from calgraph.config.settings.limits import LimitSettings
 from calgraph.config.settings.network_estimation import (
     BodySettings,
     HeadingSearchSettings,
@@ -120,6 +121,7 @@ __all__ = [
     "LegTrackSettings",
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
+    "LimitSettings",
     "MaxMessageSettings", "MisplacedTagSettings",
     "ModelErrorSettings",
     "MotionDetectionSettings",

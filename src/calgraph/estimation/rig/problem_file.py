@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calgraph.captures import CaptureSet, Hold, InputFinding
 from calgraph.captures.detection_tables import pack_detections, unpack_detections
 from calgraph.config import Rig
+from calgraph.config.settings import LimitSettings
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem
@@ -85,14 +86,14 @@ def save_problem(problem: Problem, path: Path) -> None:
     write_archive(path, _STRUCTURE, content, arrays)
 
 
-def load_problem(path: Path) -> Problem:
+def load_problem(path: Path, limits: LimitSettings = LimitSettings()) -> Problem:
     """Reads what :func:`save_problem` wrote.
 
     Raises:
         InputError: the file is missing, is not a problem, has another version, is truncated, damaged or
             inconsistent; the message names the member and the allowed values.
     """
-    content, arrays = read_archive(path, _STRUCTURE, FORMAT)
+    content, arrays = read_archive(path, _STRUCTURE, FORMAT, limits.max_archive_bytes)
     structure = validate_content(_Structure, content, path / _STRUCTURE)
     try:
         problem = _decode(structure, arrays)

@@ -1,0 +1,346 @@
+"""Small valid inputs of each reader, from which the fuzzer starts."""
+
+import gzip
+import sqlite3
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+from backports import zstd
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+from ruamel.yaml import YAML
+
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.estimation import save_problem
+from calgraph.io import format_yaml
+from calgraph.result import export, save_calibration, save_scene
+from calgraph.simulation import (
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+    build_world,
+    save_truth,
+    simulate_detections,
+)
+
+Seeds = Callable[[], list[bytes]]
+
+PIXELS = np.arange(8 * 6 * 3, dtype=np.uint8).reshape(6, 8, 3)
+SCENARIO = RigScenario(
+    camera=CameraOptions(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
+    laser=LaserOptions(count=1, resolution=1.0),
+    spinning=SpinningOptions(count=0),
+    multibeam=MultibeamOptions(count=1, resolution=2.0),
+    bearings=(-30, -10, 10, 30),
+    radii=(1.5, 2.5),
+    background=1.0,
+)
+
+RIG = b"""root: lidar
+target:
+  kind: board
+  size: [1.0, 0.8]
+  family: tag36h11
+  tags:
+    - {id: 3, size: 0.30, center: [-0.28, 0.16]}
+  uncertainty: {bow: 0.002}
+capture: {background: [0.0, 5.0], trigger: /trigger, exclude: [[31.0, 34.5]]}
+sensors:
+  camera:
+    kind: camera
+    topic: /camera
+    intrinsics: {model: pinhole, width: 640, height: 480, K: [500, 500, 320, 240], distortion: [0.1, 0, 0, 0]}
+    noise: {pixel: 0.3}
+  lidar: {kind: lidar3d, topic: /points, noise: {range: 0.02}}
+  laser: {kind: lidar2d, topic: /scan, noise: {range: 0.02, angle: 0.001}, frame_id: laser}
+tolerance: {translation: 10 mm, rotation: 0.3 deg}
+settings: {detection: {lidar3d: {min_points: 30}}}
+"""
+PATTERNS = (
+    b"{kind: checkerboard, columns: 7, rows: 5, square: 0.095, center: [0, 0]}",
+    b"{kind: charuco, columns: 8, rows: 6, square: 0.1, marker: 0.075, dictionary: DICT_5X5_100}",
+    b"{kind: aprilgrid, columns: 6, rows: 6, tag_size: 0.088, tag_spacing: 0.3, first_id: 0}",
+)
+SCENARIOS = (b"camera: {width: 640}\nradii: [1.5, 2]\n", b"scanner: {rate: 10}\npeople: {count: 2}\n")
+NETWORK = b"""root: a
+target: {kind: people}
+sensors:
+  a: {kind: lidar2d, topic: /a, height: 0.3, roll: 1.0, mounting: upright}
+  b: {kind: lidar2d, topic: /b, uncertainty: {clock_drift: 0.0001}}
+"""
+TRANSFORMS = b"""transforms:
+- header: {frame_id: lidar}
+  child_frame_id: camera
+  transform: {translation: {x: 0.1, y: 0, z: 1}, rotation: {x: 0, y: 0, z: 0, w: 1}}
+- {parent: lidar, child: laser, translation: [0, 0, 1], rpy: [0, 0.1, 3]}
+"""
+URDF = b"""<?xml version="1.0"?>
+<robot name="r"><link name="base"/><link name="camera"/><link name="laser"/>
+<joint name="c" type="fixed"><parent link="base"/><child link="camera"/>
+<origin xyz="0.1 0 1" rpy="0 0 1.57"/></joint>
+<joint name="l" type="revolute"><parent link="camera"/><child link="laser"/><axis xyz="0 0 1"/></joint></robot>
+"""
+CAMERA_INFO = (
+    b"image_width: 8\nimage_height: 6\ncamera_matrix: {rows: 3, cols: 3, data: [9, 0, 4, 0, 9, 3, 0, 0, 1]}\n"
+    b"distortion_model: plumb_bob\ndistortion_coefficients: {data: [0, 0, 0, 0, 0]}\n",
+    b"width: 8\nheight: 6\ndistortion_model: fisheye\nK: [9, 0, 4, 0, 9, 3, 0, 0, 1]\nD: [0, 0, 0, 0]\n",
+)
+SCAN = b"stamp,angle_min,angle_increment,time_increment,ranges\n1.0,-0.5,0.25,0.001,1,2,,4,5\n"
+PCD = "FIELDS x y z ring t\nSIZE 4 4 4 2 4\nTYPE F F F U F\nCOUNT 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA "
+PLY = (
+    "ply\nformat {} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    "property ushort ring\nend_header\n"
+)
+SETTINGS = (
+    b"captures.min_hold=2", b"detection.camera={}", b"graph=null", b"detection.lidar3d.min_points=[1, {a: b}]",
+    b"captures.max_messages.camera=3",
+)  # fmt: skip
+DEFINITIONS = (
+    b"std_msgs/Header header\nfloat32[] ranges\nVec[3] v\nstring<=5 s\nint8 X=3\n"
+    + b"=" * 80 + b"\nMSG: a/Vec\nfloat64 x\n" + b"=" * 80
+    + b"\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n" + b"=" * 80
+    + b"\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+    b'#include "x.idl"\nmodule a { module msg { struct T { @default(value=1.5) float x; '
+    b'sequence<octet, 4> d; }; }; };\n',
+    b"uint8[9] a\nstring s \"abc\" # comment\ntime t\nduration d\n",
+)  # fmt: skip
+
+
+def scan_points() -> "np.ndarray[Any, Any]":
+    """Two points with a ring and a time."""
+    return np.array(
+        [(1, 2, 3, 0, 0.0), (2, 3, 4, 1, 0.05)],
+        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<f4")],
+    )
+
+
+def pcds() -> list[bytes]:
+    """In all three forms of data."""
+    points = scan_points()
+    fields = b"".join(points[name].tobytes() for name in points.dtype.names or ())
+    literal = bytes([len(fields) - 1]) + fields if len(fields) <= 32 else b"\x1f" + fields[:32] + bytes(
+        [len(fields) - 33]
+    ) + fields[32:]  # fmt: skip
+    packed = struct.pack("<II", len(literal), len(fields)) + literal
+    ascii_points = "1 2 3 0 0\n2 3 4 1 0.05\n"
+    return [
+        (PCD + "ascii\n" + ascii_points).encode(),
+        (PCD + "binary\n").encode() + points.tobytes(),
+        (PCD + "binary_compressed\n").encode() + packed,
+    ]
+
+
+def plys() -> list[bytes]:
+    """Ascii, and both byte orders."""
+    little = np.array([(1, 2, 3, 0), (2, 3, 4, 1)], [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("r", "<u2")])
+    return [
+        (PLY.format("ascii") + "1 2 3 0\n2 3 4 1\n").encode(),
+        PLY.format("binary_little_endian").encode() + little.tobytes(),
+        PLY.format("binary_big_endian").encode() + little.byteswap().tobytes(),
+    ]
+
+
+def npzs() -> list[bytes]:
+    """A cloud and a scan."""
+    cloud, scan = BytesIO(), BytesIO()
+    np.savez_compressed(cloud, points=np.ones((2, 3)), ring=np.zeros(2), time=np.zeros(2))
+    np.savez(scan, ranges=np.ones(3), angle_min=0.0, angle_increment=0.1, stamp=1.0, time_increment=0.0)
+    return [cloud.getvalue(), scan.getvalue()]
+
+
+@cache
+def images() -> list[bytes]:
+    """PNG of 8 and 16 bits, JPEG, and formats that OpenCV knows besides."""
+    deep = PIXELS[:, :, 0].astype(np.uint16) * 99
+    pairs = (
+        (".png", PIXELS), (".png", PIXELS[:, :, 0]), (".png", deep), (".jpg", PIXELS), (".bmp", PIXELS),
+        (".tiff", PIXELS), (".webp", PIXELS), (".ppm", PIXELS), (".hdr", PIXELS.astype(np.float32)),
+    )  # fmt: skip
+    return [cv2.imencode(suffix, pixels)[1].tobytes() for suffix, pixels in pairs]
+
+
+def gzipped(seeds: Seeds) -> Seeds:
+    """The same, gzipped."""
+    return lambda: [gzip.compress(seed) for seed in seeds()]
+
+
+MESSAGE_TYPES = (
+    "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo",
+    "std_msgs/msg/Header",
+)  # fmt: skip
+"""By the first byte of an input of the harness of messages."""
+
+
+def ros_messages(store: Typestore) -> list[Any]:
+    """One message of each type, of ROS 1 or ROS 2."""
+    types = store.types
+    ros1 = "seq" in [name for name, _ in store.fielddefs["std_msgs/msg/Header"][1]]
+    time = types["builtin_interfaces/msg/Time"](sec=12, nanosec=5)
+    header = types["std_msgs/msg/Header"](**({"seq": 0} if ros1 else {}), stamp=time, frame_id="sensor")
+    echo = types["sensor_msgs/msg/LaserEcho"](echoes=np.ones(2, np.float32))
+    beams: dict[str, Any] = {
+        "header": header, "angle_min": -0.5, "angle_max": 0.5, "angle_increment": 0.25, "time_increment": 1e-3,
+        "scan_time": 0.1, "range_min": 0.5, "range_max": 8.0,
+    }  # fmt: skip
+    points = scan_points()
+    field = types["sensor_msgs/msg/PointField"]
+    fields = [field(n, offset, code, 1) for n, offset, code in zip("xyz", (0, 4, 8), (7, 7, 7), strict=True)]
+    names = dict(zip("DKRP", ("D", "K", "R", "P") if ros1 else ("d", "k", "r", "p"), strict=True))
+    return [
+        types[MESSAGE_TYPES[0]](**beams, ranges=np.ones(5, np.float32), intensities=np.zeros(0, np.float32)),
+        types[MESSAGE_TYPES[1]](**beams, ranges=[echo], intensities=[]),
+        types[MESSAGE_TYPES[2]](
+            header=header, height=1, width=2, fields=fields, is_bigendian=False, point_step=points.itemsize,
+            row_step=points.nbytes, data=points.view(np.uint8), is_dense=True,
+        ),
+        types[MESSAGE_TYPES[3]](
+            header=header, height=6, width=8, encoding="bgr8", is_bigendian=0, step=24, data=PIXELS.ravel()
+        ),
+        types[MESSAGE_TYPES[4]](
+            header=header, format="bgr8; png compressed bgr8",
+            data=np.frombuffer(cv2.imencode(".png", PIXELS)[1].tobytes(), np.uint8),
+        ),
+        types[MESSAGE_TYPES[5]](
+            header=header, height=6, width=8, distortion_model="plumb_bob", binning_x=0, binning_y=0,
+            roi=types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
+            **{names["D"]: np.zeros(5), names["K"]: np.diag([9.0, 9, 1]).ravel(), names["R"]: np.eye(3).ravel(),
+               names["P"]: np.zeros(12)},
+        ),
+        header,
+    ]  # fmt: skip
+
+
+def messages() -> list[bytes]:
+    """A byte with type and serialisation, and then the serialised message."""
+    seeds = []
+    for ros1, release in ((0, Stores.ROS2_HUMBLE), (1, Stores.ROS1_NOETIC)):
+        store = get_typestore(release)
+        serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+        for i, (name, message) in enumerate(zip(MESSAGE_TYPES, ros_messages(store), strict=True)):
+            seeds.append(bytes([2 * i + ros1]) + bytes(serialize(message, name)))
+    return seeds
+
+
+def bags1() -> list[bytes]:
+    """ROS 1 bags, uncompressed and compressed in both ways."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    seeds = []
+    for compression in (None, Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "a.bag"
+            writer = Writer1(path)
+            if compression:
+                writer.set_compression(compression)
+            with writer:
+                for i, message in enumerate(ros_messages(store)):
+                    kind = message.__msgtype__
+                    connection = writer.add_connection(f"/t{i}", kind, typestore=store)
+                    writer.write(connection, 10**9 + i, store.serialize_ros1(message, kind))
+            seeds.append(path.read_bytes())
+    return seeds
+
+
+def _bags2(storage: StoragePlugin, *modes: CompressionMode) -> list[bytes]:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    seeds = []
+    for mode in modes:
+        with TemporaryDirectory() as folder:
+            writer = Writer2(Path(folder) / "a", version=8, storage_plugin=storage)
+            writer.set_compression(mode, CompressionFormat.ZSTD)
+            with writer:
+                for i, message in enumerate(ros_messages(store)):
+                    kind = message.__msgtype__
+                    connection = writer.add_connection(f"/t{i}", kind, typestore=store)
+                    writer.write(connection, 10**9 + i, store.serialize_cdr(message, kind))
+            [file] = [file for file in (Path(folder) / "a").iterdir() if file.name != "metadata.yaml"]
+            seeds.append(file.read_bytes())
+    return seeds
+
+
+@cache
+def mcaps() -> list[bytes]:
+    """Without compression, and with compressed messages and chunks."""
+    return _bags2(StoragePlugin.MCAP, CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.STORAGE)
+
+
+def databases() -> list[bytes]:
+    """SQLite files with small pages, so that mutations reach rows rather than free space."""
+    seeds = []
+    for data in _bags2(StoragePlugin.SQLITE3, CompressionMode.NONE, CompressionMode.MESSAGE):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "a.db3"
+            path.write_bytes(data)
+            connection = sqlite3.connect(path)
+            connection.execute("DELETE FROM message_definitions WHERE id > 2")
+            connection.commit()
+            connection.execute("PRAGMA page_size = 512")
+            connection.execute("VACUUM")
+            connection.close()
+            seeds.append(path.read_bytes())
+    return seeds
+
+
+METADATA = b"""rosbag2_bagfile_information:
+  version: 8
+  storage_identifier: mcap
+  relative_file_paths: [a.mcap]
+  duration: {nanoseconds: 6}
+  starting_time: {nanoseconds_since_epoch: 1000000000}
+  message_count: 7
+  topics_with_message_count:
+  - topic_metadata:
+      {name: /t0, type: sensor_msgs/msg/LaserScan, serialization_format: cdr, offered_qos_profiles: ''}
+    message_count: 1
+  compression_format: ''
+  compression_mode: ''
+"""
+
+
+@cache
+def written_files() -> Mapping[str, bytes]:
+    """The files that calgraph writes for a small simulated rig, by name."""
+    world = build_world(SCENARIO, 1)
+    rig, captured, truth = simulate_detections(world, 0, None, None)
+    problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(0))
+    calibration = solve_problem(problem)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        save_problem(problem, folder / "problem.npz")
+        save_calibration(calibration, folder / "calibration.yaml")
+        save_scene(calibration.pictures, folder / "scene.npz")
+        save_truth(folder / "truth.yaml", truth)
+        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    # Reading YAML takes 0.1 s for 16 kB: a shorter file of the same structure.
+    content = YAML(typ="safe").load(files["calibration.yaml"])
+    content["quality"]["edges"] = content["quality"]["edges"][:1]
+    content["quality"]["captures"] = []
+    content["systematic"] = content["systematic"][:2]
+    del content["joint_covariance"]
+    files["short calibration.yaml"] = format_yaml(content).encode()
+    files["rig.resolved.yaml"] = format_yaml(rig.to_plain()).encode()
+    for format in ("tf", "urdf"):
+        files[format] = export(calibration, format).encode()
+    return files
+
+
+def written(*names: str) -> Seeds:
+    """Some of the files that calgraph writes."""
+    return lambda: [written_files()[name] for name in names]
+
+
+def zstd_of(seeds: Seeds) -> Seeds:
+    """The same, compressed as rosbag2 compresses whole files."""
+    return lambda: [zstd.compress(seed) for seed in seeds()]
