@@ -141,13 +141,22 @@ def _from_metadata(folder: Path) -> BagFiles:
         stated = tuple(_topic_from_metadata(entry) for entry in metadata.get("topics_with_message_count") or ())
     except InputError as error:
         raise RecordingError(f"{error}; {advice}") from error
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         reason = " ".join(str(error).split())
         raise RecordingError(f"{metadata_path}: is not the metadata of a rosbag2 ({reason}); {advice}") from error
     for file in files:
-        if not file.is_file():
-            raise RecordingError(f"{metadata_path}: names {file.name}, which is missing in {folder}; {advice}")
+        if not _is_file(file):
+            raise RecordingError(
+                f"{metadata_path}: names {file.name:.255}, which is missing in {folder}; {advice}"
+            )
     return BagFiles(files, stated)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # names that the file system does not allow
+        return False
 
 
 def _topic_from_metadata(entry: Mapping[str, Any]) -> TopicInfo:

@@ -90,7 +90,11 @@ class BagRecording(ClosedOnExit):
                 check_sqlite(storage)
             reader = Reader1(storage) if storage.suffix == ".bag" else Reader2(storage)
             reader.open()
-        self._stack.callback(reader.close)
+            self._stack.callback(reader.close)
+            for connection in reader.connections:
+                # Columns of a database hold values of any type.
+                if not all(isinstance(text, str) for text in (connection.topic, connection.msgtype)):
+                    raise ValueError(f"the name {connection.topic!r:.40} of a topic, or its type, is no text")
         return reader
 
     def _records_of(
@@ -106,6 +110,8 @@ class BagRecording(ClosedOnExit):
         with wrap_errors(path, _ADVICE[path.suffix].format(name=path.name)):
             for connection, arrival_ns, raw in reader.messages(connections, start_ns, stop_ns):
                 arrival = arrival_ns / 1e9
+                if connection.topic not in topics:
+                    continue  # a damaged index names a message of another connection
                 if (start is None or arrival >= start) and (end is None or arrival <= end):
                     yield self._record(connection, arrival, decompress_message(raw, self._limits), ros1=ros1)
 

@@ -15,7 +15,8 @@ _SAMPLE_BYTES = 64
 
 def hash_content(data: bytes | mmap.mmap | NDArray[np.uint8], start: int = 0) -> int:
     """A hash of samples spread over the bytes from ``start`` on, 64 bits with sign; equal for equal bytes."""
-    size = len(data) - start
+    # A damaged message may state a longer frame_id than it has bytes.
+    size = max(len(data) - start, 0)
     step = max(size // _SAMPLES, _SAMPLE_BYTES)
     samples = (bytes(data[i : i + _SAMPLE_BYTES]) for i in range(start, len(data), step))
     # Unlike Python's own hash, it is the same in all processes.

@@ -18,6 +18,7 @@ _BAYER = {
     "gbrg": cv2.COLOR_BayerGR2BGR,
     "grbg": cv2.COLOR_BayerGB2BGR,
 }
+_PNG = b"\x89PNG\r\n\x1a\n"
 # Percentiles of deep images that become black and white, and the number of pixels that determine them. A rule of
 # reading, and not a setting: the map is linear, so that the positions of edges and corners do not depend on it.
 _STRETCH_PERCENTILES, _STRETCH_SAMPLE = (0.1, 99.9), 100_000
@@ -112,6 +113,7 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
     stated = _find_stated_size(data)
     if stated is not None:
         check_pixel_count(*stated, limits)
+    _check_chunk_sizes(data)
     # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
     read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if read is None:
@@ -135,7 +137,7 @@ def _find_stated_size(data: Pixels) -> tuple[int, int] | None:
     Source: PNG specification, 11.2.2; ITU-T T.81, B.1.1 and B.2.2.
     """
     head = data[:24].tobytes()
-    if head.startswith(b"\x89PNG\r\n\x1a\n") and len(head) == 24:
+    if head.startswith(_PNG) and len(head) == 24:
         width, height = struct.unpack(">II", head[16:])
         return width, height
     position = 2 if head.startswith(b"\xff\xd8") else len(data)
@@ -149,6 +151,22 @@ def _find_stated_size(data: Pixels) -> tuple[int, int] | None:
         alone = 0xD0 <= code <= 0xD9 or code == 0x01
         position += 1 if code == 0xFF else 2 if alone else 2 + length
     return None
+
+
+def _check_chunk_sizes(data: Pixels) -> None:
+    """Checks that no chunk of a PNG states more bytes than the file has: OpenCV takes the memory for each first.
+
+    Source: PNG specification, 5.3.
+
+    Raises:
+        ValueError: a chunk does.
+    """
+    position = 8 if data[:8].tobytes() == _PNG else len(data)
+    while position + 8 <= len(data):
+        (size,) = struct.unpack(">I", data[position : position + 4].tobytes())
+        if size > len(data):
+            raise ValueError(f"image has {len(data)} bytes, a part of it states {size}: it is damaged")
+        position += 12 + size
 
 
 def to_8_bits(values: NDArray[np.generic]) -> Pixels:
