@@ -1,16 +1,18 @@
 """Recordings of every kind that people have: simulated ones are calibrated, and compared with the truth."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config import Board, Charuco, Rig
 from calgraph.detection.chessboards import CharucoFinder
-from calgraph.recording import open_recording, resolve_intrinsics
+from calgraph.recording import RecordingWriter, open_recording, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import Image, PointCloud
 from calgraph.simulation import (
@@ -150,3 +152,29 @@ def test_an_inverted_board_is_calibrated_to() -> None:
     rig, recording, truth = simulate_scenario(SCENARIO.model_copy(update={"board": board}), seed=6)
     assert rig.boards[0].inverted
     check_pose(calibrate(rig, recording), truth)
+
+
+def test_a_bag_of_deep_grey_images_is_calibrated(poses: Poses, tmp_path: Path) -> None:
+    """Snapshots with true stamps; a camera with 12 bits in mono16, in chunks compressed with zstd."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, name = store.types, "sensor_msgs/msg/Image"
+    stamps = np.cumsum([4.0, 7, 5, 11, 6, 9, 4, 8, 5]).tolist()
+    writer = Writer(tmp_path / "images", version=8, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/deep", name, typestore=store)
+        for stamp, image in zip(stamps, poses.images, strict=True):
+            pixels = (image.gray.astype("<u2") * 11 + 300).astype("<u2")
+            time = types["builtin_interfaces/msg/Time"](sec=int(stamp), nanosec=0)
+            message = types[name](
+                header=types["std_msgs/msg/Header"](stamp=time, frame_id="camera"), encoding="mono16",
+                height=pixels.shape[0], width=pixels.shape[1], step=2 * pixels.shape[1], is_bigendian=0,
+                data=np.frombuffer(pixels.tobytes(), np.uint8),
+            )  # fmt: skip
+            writer.write(connection, int(1e9 * stamp), store.serialize_cdr(message, name))
+    with RecordingWriter(tmp_path / "clouds") as clouds:
+        for stamp, cloud in zip(stamps, poses.clouds, strict=True):
+            clouds.write("/points", replace(cloud, stamp=stamp + 0.2))
+    with open_recordings([tmp_path / "images", tmp_path / "clouds"]) as recording:
+        found = calibrate(poses.rig_of({"camera": "/deep", "lidar": "/points"}), recording)
+    check_pose(found, poses.truth)

@@ -95,13 +95,19 @@ def make_bag(tmp_path: Path, store: Typestore) -> MakeBag:
 def make_ros1_bag(tmp_path: Path) -> MakeBag:
     """Writes ``(topic, message, arrival in s)`` of ROS 1 types as a bag."""
 
-    def make(*messages: tuple[str, Any, float]) -> Path:
+    def make(*messages: tuple[str, Any, float], compression: Writer1.CompressionFormat | None = None) -> Path:
         path = tmp_path / "old.bag"
         old = get_typestore(Stores.ROS1_NOETIC)
-        with Writer1(path) as writer:
+        writer = Writer1(path)
+        if compression:
+            writer.set_compression(compression)
+        with writer:
+            connections: dict[str, Any] = {}
             for topic, message, arrival in messages:
-                connection = writer.add_connection(topic, message.__msgtype__, typestore=old)
-                writer.write(connection, round(arrival * 1e9), old.serialize_ros1(message, message.__msgtype__))
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=old)
+                data = old.serialize_ros1(message, message.__msgtype__)
+                writer.write(connections[topic], round(arrival * 1e9), data)
         return path
 
     return make

@@ -4,9 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import lz4.frame
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
 
 from calgraph.errors import InputError, RecordingError
@@ -92,9 +95,52 @@ def test_compressed_bags_are_read(
     np.testing.assert_array_equal(scan.ranges, [1, 2, 3, 4, 5])
 
 
-def test_compressed_chunks_are_read(make_bag: MakeBag, ros: SimpleNamespace, read_all: ReadAll) -> None:
-    path = make_bag(("/scan", ros.scan(), 13.0), compression=CompressionMode.STORAGE)
-    assert [record.stamp for record in read_all(path)] == [12.5]
+@pytest.mark.parametrize("algorithm", ["zstd", "lz4"])
+def test_compressed_chunks_of_mcap_files_are_read(
+    make_bag: MakeBag, ros: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, algorithm: str
+) -> None:
+    """The compressions that MCAP specifies; rosbags itself writes the first only."""
+    start = McapWriter.__init__
+
+    def start_with_lz4(writer: McapWriter, path: Path, mode: CompressionMode) -> None:
+        start(writer, path, mode)
+        writer.compression, writer.compressor = "lz4", lz4.frame.compress
+
+    if algorithm == "lz4":
+        monkeypatch.setattr(McapWriter, "__init__", start_with_lz4)
+    path = make_bag(*(("/scan", ros.scan(), 13.0 + i) for i in range(50)), compression=CompressionMode.STORAGE)
+    data = next(path.glob("*.mcap")).read_bytes()
+    assert (algorithm.encode() in data, len(data) < 50 * 100) == (True, True)
+    found = scans(path)
+    assert [arrival for _, _, arrival, _ in found] == [13.0 + i for i in range(50)]
+    np.testing.assert_array_equal(found[-1][3].ranges, [1, 2, 3, 4, 5])
+
+
+@pytest.mark.parametrize("compression", Writer1.CompressionFormat)
+def test_compressed_chunks_of_ros_1_bags_are_read(
+    make_ros1_bag: MakeBag, compression: Writer1.CompressionFormat
+) -> None:
+    types = get_typestore(Stores.ROS1_NOETIC).types
+    header = types["std_msgs/msg/Header"](
+        seq=0, stamp=types["builtin_interfaces/msg/Time"](12, 500_000_000), frame_id="l"
+    )
+    content = types["sensor_msgs/msg/LaserScan"](
+        header,
+        -0.5,
+        0.5,
+        0.25,
+        1e-3,
+        0.1,
+        0.5,
+        8.0,
+        np.array([1, 2, 3, 4, 5], np.float32),
+        np.zeros(0, np.float32),
+    )
+    path = make_ros1_bag(*(("/scan", content, 13.0 + i) for i in range(50)), compression=compression)
+    assert f"compression={compression.name.lower()}".encode() in path.read_bytes()
+    found = scans(path)
+    assert [(stamp, arrival) for _, stamp, arrival, _ in found] == [(12.5, 13.0 + i) for i in range(50)]
+    np.testing.assert_array_equal(found[-1][3].ranges, [1, 2, 3, 4, 5])
 
 
 def test_storage_file_alone_is_a_recording(three_scans: Path, read_all: ReadAll) -> None:

@@ -154,3 +154,20 @@ def test_times_of_a_sweep_of_several_seconds_are_relative_even_early_in_a_simula
 @pytest.mark.parametrize("values", [np.array([0, 1e5, 1e30]), np.array([0.0, np.nan]), np.array([7e8, 7e8 + 1])])
 def test_times_that_make_no_sense_are_left_out(values: Array) -> None:
     assert to_relative_times(values, EPOCH) is None
+
+
+@pytest.mark.parametrize("names", [("time_sec", "time_nsec"), ("lidar_sec", "lidar_nsec"), ("secs", "nsecs")])
+@pytest.mark.parametrize("start", [EPOCH, 0.0])
+def test_times_in_seconds_and_nanoseconds_are_one_time(names: tuple[str, str], start: float) -> None:
+    """The second changes within the sweep; the fields are absolute, or relative to the stamp."""
+    times = np.array([0.95, 0.975, 1.0, 1.05])
+    seconds, fraction = np.divmod(times, 1.0)
+    columns = {names[0]: ("u4", seconds + start), names[1]: ("u4", np.round(1e9 * fraction))}
+    cloud = read(message({**xyz(np.ones((4, 3))), **columns}), EPOCH if start else 0.0)
+    assert cloud.times is not None
+    np.testing.assert_allclose(cloud.times, times, atol=1e-6)
+
+
+def test_nanoseconds_alone_are_no_time_of_two_fields() -> None:
+    cloud = read(message({**xyz(np.ones((2, 3))), "time_nsec": ("u4", np.array([0, 10**8]))}))
+    assert cloud.times is None

@@ -1,7 +1,7 @@
 """Point clouds from named columns, as PointCloud2, PCD, PLY and NPZ hold them."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,12 @@ Columns = Mapping[str, NDArray[Any]]
 
 _RING_NAMES = ("ring", "channel", "laser_id", "line", "ring_id")
 _TIME_NAMES = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
+# Seconds and nanoseconds in two fields, whole numbers each: as sick_scan_xd and others write them.
+_TIME_PAIRS = tuple(
+    (f"{prefix}sec{plural}", f"{prefix}nsec{plural}")
+    for prefix in ("time_", "t_", "timestamp_", "lidar_", "")
+    for plural in ("", "s")
+)
 # PointField.datatype to NumPy's type codes.
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 # Seconds in one unit of a time column, the most likely first.
@@ -36,7 +42,9 @@ def columns_from_point_cloud2(message: Any) -> Columns:
     """
     height, width, step = int(message.height), int(message.width), int(message.point_step)
     fields = {field.name: field for field in message.fields}
-    names = [name for name in fields if name in ("x", "y", "z", *_RING_NAMES, *_TIME_NAMES)]
+    pairs = (name for pair in _TIME_PAIRS for name in pair)
+    used = {"x", "y", "z", *_RING_NAMES, *_TIME_NAMES, *pairs}
+    names = [name for name in fields if name in used]
     for name in names:
         if fields[name].datatype not in _DATATYPES:
             raise ValueError(f"field {name} has unknown datatype {fields[name].datatype}; 1 to 8 are known")
@@ -81,15 +89,23 @@ def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> Po
     if missing:
         raise ValueError(f"cloud has no field {', '.join(missing)}, only {', '.join(columns) or 'unknown ones'}")
     points = np.stack([np.asarray(columns[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
-    kept = np.isfinite(points).all(axis=1) & points.any(axis=1)
+    kept = np.asarray(np.isfinite(points).all(axis=1) & points.any(axis=1))
     ring_name = next((name for name in _RING_NAMES if name in columns), None)
     rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
-    time_name = next((name for name in _TIME_NAMES if name in columns), None)
-    times = None if time_name is None else to_relative_times(columns[time_name][kept], stamp)
-    return PointCloud(stamp, frame_id, points[kept], rings, times)
+    return PointCloud(stamp, frame_id, points[kept], rings, _find_times(columns, kept, stamp))
 
 
-def to_relative_times(values: NDArray[Any], stamp: float) -> Array | None:
+def _find_times(columns: Columns, kept: NDArray[np.bool_], stamp: float) -> Array | None:
+    """Times of the points (N,) that are marked True, relative to the stamp, s; None where there are none."""
+    for seconds, nanoseconds in _TIME_PAIRS:
+        if seconds in columns and nanoseconds in columns:
+            whole, fraction = (columns[name][kept].astype(np.float64) for name in (seconds, nanoseconds))
+            return to_relative_times(whole + 1e-9 * fraction, stamp, (1.0,))
+    name = next((name for name in _TIME_NAMES if name in columns), None)
+    return None if name is None else to_relative_times(columns[name][kept], stamp)
+
+
+def to_relative_times(values: NDArray[Any], stamp: float, units: Sequence[float] | None = None) -> Array | None:
     """Times of the points relative to the cloud's stamp, s; None where the column makes no sense.
 
     Integers are nanoseconds, floats seconds, unless only another unit gives a sweep of sensible length. Values are
@@ -98,12 +114,13 @@ def to_relative_times(values: NDArray[Any], stamp: float) -> Array | None:
     Args:
         values: (N,) a time column in an unknown unit.
         stamp: of the cloud, s.
+        units: seconds in one unit, the most likely first; those of integers or floats if left out.
     """
     if len(values) == 0:
         return np.zeros(0)
     if not np.isfinite(values).all():
         return None
-    for unit in _INTEGER_UNITS if np.issubdtype(values.dtype, np.integer) else _FLOAT_UNITS:
+    for unit in units or (_INTEGER_UNITS if np.issubdtype(values.dtype, np.integer) else _FLOAT_UNITS):
         times = values.astype(np.float64) * unit
         low, high = times.min(), times.max()
         if _distance_to(stamp, low, high) < _distance_to(0.0, low, high):
