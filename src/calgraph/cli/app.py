@@ -2,6 +2,7 @@
 
 import functools
 import logging
+import os
 import re
 import signal
 import sys
@@ -107,6 +108,7 @@ def calgraph(
 def main() -> None:
     """Runs the command given; exit code 0, 1 (not calibrated) or 2 (bad usage or input)."""
     signal.signal(signal.SIGTERM, _terminate)
+    _limit_library_threads()
     open_standard_streams()
     try:
         try:
@@ -122,6 +124,16 @@ def main() -> None:
         discard_output()
         _print_error(InputError(f"standard output: cannot be written ({error.strerror or error})"))
         sys.exit(2)
+
+
+def _limit_library_threads() -> None:
+    """Lets NumPy and OpenCV, which are not imported yet, use one thread each, unless the environment states more.
+
+    Their matrices and images are small here: further threads wait for each other, on a busy machine for most of
+    the time, and results depend on their number in the last bits. ``--jobs`` divides the work among processes.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(variable, "1")
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:

@@ -77,21 +77,22 @@ def find_patches(
         return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or edge-on")
     subsampled = scene[:: max(1, len(scene) // settings.lidar3d.max_scene_points)]
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
-    patches = [
-        _fit_patch(points, cells, region, boards, noise, thickness, subsampled, rng, settings)
+    measured = [
+        _measure_patch(points, cells, region, boards, thickness, subsampled, rng, settings)
         for region in candidates
     ]
-    found = sorted((p for p in patches if p is not None and p.match >= limits.min_score), key=lambda p: -p.match)
+    found: list[PlanePatch] = []
+    for patch in sorted((p for p in measured if p is not None), key=lambda p: -p.match):
+        least = max(limits.min_score, limits.min_score_ratio * found[0].match if found else 0.0)
+        fitted = _fit_patch(points, patch, noise, settings) if patch.match >= least else None
+        if fitted is not None:
+            found.append(fitted)
     if not found:
         return _explain_no_match(cells, regions, boards)
     lines = _order_by_scan_line(clouds[0], settings)
     radius = max(0.5 * float(np.hypot(*board.size)) for board in boards) + settings.scanner.surroundings
     thickness = max(settings.scanner.same_surface_sigmas * noise.range, settings.scanner.min_thickness)
-    return tuple(
-        replace(p, edges=_find_edges(lines, p, thickness, radius, settings))
-        for p in found
-        if p.match >= limits.min_score_ratio * found[0].match
-    )
+    return tuple(replace(p, edges=_find_edges(lines, p, thickness, radius, settings)) for p in found)
 
 
 def _select_candidate_regions(
@@ -121,19 +122,33 @@ def _select_candidate_regions(
     return [region for score, region in best if score >= settings.lidar3d.min_score]
 
 
-def _fit_patch(
+@dataclass(frozen=True, eq=False)
+class _MeasuredPatch:
+    """A flat region as the board."""
+
+    surface: Array
+    """(4,) its plane."""
+    members: Indices
+    """Points on it."""
+    rectangle: BoardRectangle
+    match: float
+    """Score."""
+
+
+def _measure_patch(
     points: Array,
     cells: Cells,
     region: Indices,
     boards: Sequence[Board],
-    noise: RangeNoise,
     thickness: float,
     scene: Array,
     rng: np.random.Generator,
     settings: DetectionSettings,
-) -> PlanePatch | None:
+) -> _MeasuredPatch | None:
     """The plane, points and score of one flat region."""
-    chosen = points[np.isin(cells.cell_of_point, region)]
+    in_region = np.zeros(len(cells.points) + 1, dtype=np.bool_)  # the last one is that of points without a cell
+    in_region[region] = True
+    chosen = points[in_region[cells.cell_of_point]]
     surface = _find_consensus_plane(chosen, thickness, rng, settings)
     if surface is None:
         return None
@@ -143,14 +158,24 @@ def _fit_patch(
         (_score_patch(surface, flat, board, cells.spacing, scene, thickness, settings) for board in boards),
         key=lambda matched: matched[0],
     )
-    interior = members[_select_interior(points[members], rectangle, match, settings.lidar3d)]
+    return _MeasuredPatch(surface, members, rectangle, match)
+
+
+def _fit_patch(
+    points: Array, patch: _MeasuredPatch, noise: RangeNoise, settings: DetectionSettings
+) -> PlanePatch | None:
+    """The patch with the plane fitted to its points away from its outline."""
+    rectangle, members = patch.rectangle, patch.members
+    interior = members[_select_interior(points[members], rectangle, patch.match, settings.lidar3d)]
     ranges, directions = to_beams(points[interior])
-    fit = fit_plane(ranges, directions, noise.range, noise.angle, surface, settings.scanner.fit)
+    fit = fit_plane(ranges, directions, noise.range, noise.angle, patch.surface, settings.scanner.fit)
     if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
     center = rectangle.center - (n @ rectangle.center + d) * n
-    return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, match)
+    return PlanePatch(
+        fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center, patch.match
+    )
 
 
 def _find_consensus_plane(
@@ -185,6 +210,9 @@ def _collect_plane_points(
 ) -> Indices:
     """All points on the plane next to cells of the region, those of edge cells without a normal included."""
     near = np.flatnonzero(np.abs(plane.distance(surface, points)) < thickness)
+    low, high = cells.points[region].min(axis=0), cells.points[region].max(axis=0)
+    reach = cells.spacing * np.linalg.norm(points[near], axis=1, keepdims=True)
+    near = near[np.all((points[near] > low - reach) & (points[near] < high + reach), axis=1)]
     distance, _ = cKDTree(cells.points[region]).query(points[near])
     return np.asarray(near[distance < cells.spacing * np.linalg.norm(points[near], axis=1)])
 
@@ -298,8 +326,10 @@ def _find_edges(
     ranges, directions = lines.ranges, lines.directions
     cosine = -(directions @ n)
     predicted = np.where(cosine > min_cosine, d / np.maximum(cosine, min_cosine), np.inf)
-    intersections = np.minimum(predicted, np.linalg.norm(patch.center) + 2 * radius)[:, None] * directions
-    within = np.linalg.norm(intersections - patch.center, axis=1) < radius
+    distance = float(np.linalg.norm(patch.center))
+    bounded = np.minimum(predicted, distance + 2 * radius)
+    # Squared distance from the centre to the intersection with the plane.
+    within = bounded**2 - 2 * bounded * (directions @ patch.center) + distance**2 < radius**2
     if not within.any():
         return np.empty((0, 2, 3))
     near = select_beams_with_margin(within)

@@ -84,8 +84,8 @@ def _find_best_placement(
     cosine, sine = np.cos(angles), np.sin(angles)
     rotated = np.stack([np.outer(cosine, flat[:, 0]) + np.outer(sine, flat[:, 1]),
                        np.outer(cosine, flat[:, 1]) - np.outer(sine, flat[:, 0])])  # fmt: skip
-    keep = np.ones(rotated.shape[1:], dtype=np.bool_)
-    for axis in (0, 1, 0):
+    keep = _find_fullest_window(rotated[0], np.ones(rotated.shape[1:], dtype=np.bool_), size[0] + 2 * blur)
+    for axis in (1, 0):
         other = rotated[1 - axis]
         low, high = _compute_bounds(other, keep)
         within = (other >= low[:, None]) & (other <= high[:, None])

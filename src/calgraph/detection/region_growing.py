@@ -4,6 +4,8 @@ Source: MSG-Cal, section III-B (regions seeded at minimum curvature). Cells join
 region's plane, refitted as it grows: single normals are too noisy on a cloud of few rings.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,52 +22,58 @@ def grow_flat_regions(cells: Cells, thickness: float, settings: RegionSettings) 
         thickness: largest distance of cells from their region's plane, m.
         settings: of regions.
     """
-    free = np.ones(len(cells.points), dtype=bool)
-    regions = []
-    for seed in np.argsort(cells.curvature, kind="stable"):
-        if cells.curvature[seed] > settings.max_curvature:
-            break
-        if not free[seed]:
-            continue
-        region = _grow_region(cells, int(seed), free, thickness, settings)
+    # Hundreds of small regions are grown and dropped in each cloud: calls of NumPy are what takes time here.
+    surfels = np.concatenate([cells.points, cells.normals], axis=1)
+    # The last entry is that of index -1, which fills rows of cells with fewer neighbours.
+    free = np.append(np.ones(len(surfels), dtype=np.bool_), False)
+    min_cosine = math.cos(settings.max_normal_angle)
+
+    def lies_on_plane(index: Indices, surface: Array) -> NDArray[np.bool_]:
+        chosen = surfels.take(index, axis=0)
+        near = np.abs(chosen[:, :3] @ surface[:3] + surface[3]) < thickness
+        # A cell at an edge has no normal (zero).
+        along = np.abs(chosen[:, 3:] @ surface[:3])
+        return np.asarray(near & ((along > min_cosine) | (along == 0)))
+
+    def grow_region(seed: int) -> Indices:
+        """Cells of the region of a seed, in ascending order; none if there are too few."""
+        around = cells.neighbours[seed]
+        n = cells.normals[seed]
+        surface = np.append(n, -n @ cells.points[around[around >= 0]].mean(axis=0))
+        frontier = members = np.array([seed])
         free[seed] = False
-        if len(region) >= settings.min_cells:
+        fitted = 1
+        while len(frontier):
+            around = cells.neighbours[frontier]
+            reached = _sort_distinct(around[free[around]])
+            frontier = reached[lies_on_plane(reached, surface)]
+            free[frontier] = False
+            members = np.concatenate([members, frontier])
+            if len(members) >= max(settings.min_cells, settings.refit_growth * fitted):
+                surface, fitted = plane.fit(cells.points[np.sort(members)]), len(members)
+        free[members] = True
+        if len(members) < settings.min_cells:
+            return members[:0]
+        # The plane moved while the region grew: cells that joined early may be off it.
+        members.sort()
+        kept = members[lies_on_plane(members, surface)]
+        return kept if len(kept) >= settings.min_cells else kept[:0]
+
+    seeds = np.argsort(cells.curvature, kind="stable")
+    regions = []
+    for seed in seeds[cells.curvature[seeds] <= settings.max_curvature].tolist():
+        if free[seed]:
+            region = grow_region(seed)
+            free[seed] = False
             free[region] = False
-            regions.append(region)
+            if len(region):
+                regions.append(region)
     return regions
 
 
-def _grow_region(
-    cells: Cells, seed: int, free: NDArray[np.bool_], thickness: float, settings: RegionSettings
-) -> Indices:
-    n = cells.normals[seed]
-    around = cells.neighbours[seed]
-    around = around[around >= 0]
-    surface = np.append(n, -n @ cells.points[around].mean(axis=0))
-    inside = np.zeros(len(free), dtype=bool)
-    inside[seed] = True
-    size, fitted = 1, 1
-    frontier = np.array([seed])
-    while len(frontier):
-        around = cells.neighbours[frontier]
-        touched = np.zeros(len(free), dtype=bool)
-        touched[around[around >= 0]] = True
-        reached = np.flatnonzero(touched & free & ~inside)
-        joins = _lies_on_plane(cells, reached, surface, thickness, settings)
-        frontier = reached[joins]
-        inside[frontier] = True
-        size += len(frontier)
-        if size >= max(settings.min_cells, settings.refit_growth * fitted):
-            surface, fitted = plane.fit(cells.points[inside]), size
-    members = np.flatnonzero(inside)
-    # The plane moved while the region grew: cells that joined early may be off it.
-    return members[_lies_on_plane(cells, members, surface, thickness, settings)]
-
-
-def _lies_on_plane(
-    cells: Cells, index: Indices, surface: Array, thickness: float, settings: RegionSettings
-) -> NDArray[np.bool_]:
-    near = np.abs(plane.distance(surface, cells.points[index])) < thickness
-    # A cell at an edge has no normal (zero).
-    along = np.abs(cells.normals[index] @ surface[:3])
-    return np.asarray(near & ((along > np.cos(settings.max_normal_angle)) | (along == 0)))
+def _sort_distinct(indices: Indices) -> Indices:
+    """The distinct indices in ascending order; ``np.unique`` takes twice as long for a few."""
+    ordered = np.sort(indices)
+    first = np.ones(len(ordered), dtype=np.bool_)
+    np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
+    return ordered[first]

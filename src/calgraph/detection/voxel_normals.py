@@ -6,6 +6,7 @@ is independent of the number of points.
 """
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
         return None
     radius = np.linalg.norm(means, axis=1)
     k = min(regions.neighbours if levels is None else regions.ring_neighbours, len(means))
-    distance, neighbours = cKDTree(means).query(means, k=k)
+    distance, neighbours = cKDTree(means, balanced_tree=False).query(means, k=k)
     # On a square grid the eighth neighbour is a diagonal away; the scan planes of a slow spinner are sparser.
     spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))
     near = distance <= regions.neighbour_reach * spacing * radius[:, None]
@@ -126,10 +127,16 @@ def _select_inlier_cells(relative: Array, near: NDArray[np.bool_], settings: Reg
 
 def _estimate_normals(points: Array, neighbours: Indices, settings: RegionSettings) -> tuple[Array, Array]:
     valid = neighbours >= 0
-    offsets = np.where(valid[..., None], points[neighbours] - points[:, None], 0)
     count = np.maximum(valid.sum(axis=1), 1)
-    mean = offsets.sum(axis=1) / count[:, None]
-    scatter = np.einsum("nki,nkj->nij", offsets, offsets) / count[:, None, None] - mean[:, :, None] * mean[:, None]
+    itself = np.arange(len(points))[:, None]
+    neighbours = np.where(valid, neighbours, itself)
+    # Offsets (M, K) along one axis at a time: sums over the short axis of (M, K, 3) take three times as long.
+    offsets = [along[neighbours] - along[:, None] for along in np.ascontiguousarray(points.T)]
+    means = [along.sum(axis=1) / count for along in offsets]
+    scatter = np.empty((len(points), 3, 3))
+    for i, j in combinations_with_replacement(range(3), 2):
+        products = np.einsum("nk,nk->n", offsets[i], offsets[j])
+        scatter[:, i, j] = scatter[:, j, i] = products / count - means[i] * means[j]
     values, vectors = np.linalg.eigh(scatter)
     normals = vectors[..., 0]
     normals *= -np.sign(np.sum(normals * points, axis=1, keepdims=True))
