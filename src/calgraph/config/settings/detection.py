@@ -71,6 +71,13 @@ class CameraDetectionSettings(StrictModel):
     min_motion_noise: float = Field(default=0.2, gt=0)
     """Minimum noise of a corner, pixels, in the test whether the board moved between images (by
     ``pose.outlier_sigmas`` of it): 1 px of motion is accepted, as averaging halves its effect."""
+    checkerboard_first_side: int = Field(default=960, gt=0)
+    """Longer side, pixels, to which an image is reduced for the first search of a checkerboard, by its squares: it
+    takes 5 ms, and fails in blurred and shaded images, which the slower search by saddle points then takes."""
+    max_checkerboard_bend: float = Field(default=0.2, gt=0, lt=1)
+    """Maximum second difference of corners found by squares, over the shorter distance between neighbours: wrong
+    corners are off by half a square; a board at 45° has 0.19 at 1.4 times its width. Beyond it the slower search
+    decides."""
     checkerboard_sides: tuple[Annotated[int, Field(gt=0)], ...] = (480, 960)
     """Longer sides, pixels, to which an image is reduced for the search of a checkerboard, one after the other: it
     takes 0.05 s and 0.15 s then, the full image up to 0.6 s, and corners are refined in the full image."""
