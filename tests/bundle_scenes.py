@@ -51,9 +51,9 @@ class Scene:
 
 
 def bias_variances(sensors: int, stddev: float) -> Array:
-    """(S, 3) variances of a view bias: of the displacement, of the rotation that moves the board's rim by as much,
-    and none of rings."""
-    return np.tile(np.array([1, 1 / LEVER, 0]) * stddev, (sensors, 1)) ** 2
+    """(S, 4) variances of a view bias: of the displacement, of the rotation that moves the board's rim by as much,
+    and none of rings and stamps."""
+    return np.tile(np.array([1, 1 / LEVER, 0, 0]) * stddev, (sensors, 1)) ** 2
 
 
 def remeasured(views: BoardViews, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> BoardViews:

@@ -7,9 +7,12 @@ import pytest
 
 from calgraph.captures import RecordingTimeline, SensorTimes, find_holds, recognize_mode
 from calgraph.config import Capture
+from calgraph.config.settings import CaptureSettings, MovingBoardSettings
 from calgraph.geometry import Array
 
 START = 1_700_000_000.0
+ALL = CaptureSettings(moving_board=MovingBoardSettings(max_captures=1000))
+"""Every set of frames is a capture."""
 
 
 def sensor(stamps: Sequence[float] | Array, activity: Array | None = None) -> SensorTimes:
@@ -98,13 +101,14 @@ def test_without_activity_a_stream_is_not_said_to_move() -> None:
 
 def test_every_set_of_frames_is_a_capture() -> None:
     recording = moving_pair(0.004)
-    holds = find_holds(recording, Capture())
+    holds = find_holds(recording, Capture(), ALL)
     assert len(holds) == 400
     np.testing.assert_allclose([hold.stamps["left"][0] for hold in holds], recording.sensors["left"].stamps)
 
 
 def test_frames_farther_apart_than_stated_are_no_set() -> None:
-    holds = find_holds(moving_pair(0.010), Capture(mode="synchronized", max_spread=0.005))
+    holds = find_holds(moving_pair(0.010), Capture(mode="synchronized", max_spread=0.005), ALL)
+    holds = tuple(hold for hold in holds if not hold.auxiliary)
     assert 170 < len(holds) < 230
     assert all(hold.end - hold.start <= 0.005 for hold in holds)
 
@@ -113,6 +117,26 @@ def test_a_lost_frame_does_not_shift_the_sets() -> None:
     shot = np.arange(0, 20, 0.05)
     left, right = np.delete(shot, [10, 200]), np.delete(shot + 0.003, [50])
     recording = timeline(left=sensor(left, moving(left, 1)), right=sensor(right, moving(right, 2)))
-    holds = find_holds(recording, Capture())
+    holds = [hold for hold in find_holds(recording, Capture(), ALL) if not hold.auxiliary]
     assert len(holds) == len(shot) - 3
     assert all(hold.end - hold.start == pytest.approx(0.003, abs=1e-6) for hold in holds)
+
+
+def test_of_many_sets_of_frames_the_slow_ones_are_captures() -> None:
+    shot = np.arange(0, 60, 0.05)
+    speed = 0.02 + 0.015 * np.sin(2 * np.pi * shot / 0.5)
+    holds = find_holds(timeline(left=sensor(shot, speed), right=sensor(shot + 0.002, speed)), Capture())
+    chosen = [hold for hold in holds if not hold.auxiliary]
+    assert len(chosen) == 120
+    at = np.array([hold.start for hold in chosen]) - START
+    assert np.interp(at, shot, speed).max() < 0.008
+    assert np.diff(at).max() <= 1.01
+
+
+def test_captures_have_the_frames_before_and_after_beside_them() -> None:
+    holds = find_holds(moving_pair(0.004), Capture())
+    stamps = [float(hold.stamps["left"][0]) for hold in holds if len(hold.stamps["left"])]
+    chosen = [float(hold.stamps["left"][0]) for hold in holds if not hold.auxiliary]
+    assert len(stamps) == len(set(stamps))
+    for stamp in chosen[1:-1]:
+        assert np.sort(np.abs(np.array(stamps) - stamp))[2] < 0.051

@@ -15,6 +15,7 @@ from calgraph.captures import (
     check_intrinsics,
     check_timeline,
     collect_detections,
+    compensate_motion,
     detect_by_sensors,
     draw_seeds,
     find_holds,
@@ -22,6 +23,7 @@ from calgraph.captures import (
     limit_messages,
     measure_activity,
     read_timeline,
+    recognize_mode,
 )
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
@@ -49,7 +51,10 @@ def collect_captures(
         *check_intrinsics(cameras, rig.settings.captures.input_checks),
         *check_background(rig, timeline),
     ]
-    return collect_detections(rig, timeline, holds, observations, cameras, findings)
+    captures = collect_detections(rig, timeline, holds, observations, cameras, findings)
+    if recognize_mode(timeline, rig.capture, rig.settings.captures).mode != "synchronized":
+        return captures
+    return compensate_motion(captures, rig.settings.captures.moving_board)
 
 
 def _read_timeline(

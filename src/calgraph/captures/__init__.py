@@ -15,6 +15,7 @@ from calgraph.captures.from_detections import GivenDetections, captures_from_det
 from calgraph.captures.holds import Hold, find_holds
 from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.captures.motion_detection import ActivityMeter
+from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.plausibility import check_background, check_intrinsics
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
@@ -26,8 +27,8 @@ __all__ = [
     "ActivityMeter", "CaptureSet", "DetectionMethod", "Detector", "EmptyStart", "GivenDetections", "Hold",
     "InputFinding", "InputMonitor", "PreviewSize", "RecognizedMode", "RecordingTimeline", "SensorCapture",
     "SensorTimes", "build_timeline", "captures_from_detections", "check_background", "check_intrinsics",
-    "check_timeline", "collect_detections", "detect_by_sensors", "detect_in_holds", "draw_seeds",
-    "find_empty_start", "find_holds", "is_snapshot_recording", "learn_backgrounds", "limit_messages",
-    "make_detectors", "measure_activity", "plan_previews", "read_timeline", "recognize_mode",
+    "check_timeline", "collect_detections", "compensate_motion", "detect_by_sensors", "detect_in_holds",
+    "draw_seeds", "find_empty_start", "find_holds", "is_snapshot_recording", "learn_backgrounds",
+    "limit_messages", "make_detectors", "measure_activity", "plan_previews", "read_timeline", "recognize_mode",
     "resolve_background", "to_scans",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, to_beams
@@ -32,6 +33,12 @@ DETECTIONS: Mapping[type[Detection], Table] = {
     }),
 }  # fmt: skip
 
+_MOTIONS = Table("motions", {**_PLACE, "twist": Column((6,))})
+"""Velocities of moving boards; files of boards at rest have none."""
+_BEAM_TIMES = Table("beam_times", {**_PLACE, "times": Column(ragged=True)})
+"""Times of the beams of single messages; files without them have none."""
+_OPTIONAL = (_MOTIONS, "twist"), (_BEAM_TIMES, "times")
+
 
 def pack_detections(detections: Mapping[str, Mapping[int, Sequence[Detection]]]) -> dict[str, NDArray[Any]]:
     """The columns of detections, given by sensor and capture."""
@@ -45,6 +52,15 @@ def pack_detections(detections: Mapping[str, Mapping[int, Sequence[Detection]]])
             for capture, found in by_capture.items()
             for k, detection in enumerate(found) if isinstance(detection, kind)
         ])  # fmt: skip
+    for table, field in _OPTIONAL:
+        rows = [
+            {"sensor": number[name], "capture": capture, "candidate": k, field: value}
+            for name, by_capture in detections.items()
+            for capture, found in by_capture.items()
+            for k, detection in enumerate(found)
+            if np.any(value := getattr(detection, field, np.zeros(0)))
+        ]
+        arrays |= table.pack(rows) if rows else {}
     return arrays
 
 
@@ -59,10 +75,16 @@ def unpack_detections(arrays: Arrays, sensors: Sequence[str]) -> dict[str, dict[
         InputError: a column is missing, or its values do not fit the others.
     """
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in sensors}
+    optional: dict[tuple[str, int, int], dict[str, Any]] = {}
+    for table, field in _OPTIONAL:
+        if any(name.startswith(f"{table.name}/") for name in arrays):
+            for row in table.unpack_named(arrays, sensors):
+                optional.setdefault((row["sensor"], row["capture"], row["candidate"]), {})[field] = row[field]
     for kind, table in DETECTIONS.items():
         for row in _unpack_rows(table, arrays, sensors):
-            by_capture = detections[row.pop("sensor")]
-            capture, candidate = row.pop("capture"), row.pop("candidate")
+            sensor, capture, candidate = row.pop("sensor"), row.pop("capture"), row.pop("candidate")
+            by_capture = detections[sensor]
+            row.update(optional.get((sensor, capture, candidate), {}))
             before = by_capture.get(capture, ())
             if candidate != len(before):
                 raise InputError(

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from calgraph.captures.beam_times import add_beam_times
 from calgraph.captures.detect import Detector
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import DetectionSettings
@@ -117,18 +118,20 @@ def make_detectors(
 def _detect_patches(
     messages: Sequence[PointCloud], rig: Rig, spec: Lidar3dSpec, background: CloudBackground | None, seed: int
 ) -> DetectionResult:
-    return find_patches(
+    found = find_patches(
         messages, rig.boards, spec.noise, background, _make_generator(seed, messages), rig.settings.detection
     )
+    return found if isinstance(found, Rejected) else add_beam_times(found, messages)
 
 
 def _detect_segments(
     messages: Sequence[Message], rig: Rig, spec: Lidar2dSpec, background: ScanBackground | None, seed: int
 ) -> DetectionResult:
     scans = to_scans(messages)
-    return find_segments(
+    found = find_segments(
         scans, rig.boards, spec.noise, background, _make_generator(seed, scans), rig.settings.detection
     )
+    return found if isinstance(found, Rejected) else add_beam_times(found, scans)
 
 
 def _make_generator(seed: int, messages: Sequence[PointCloud | LaserScan]) -> np.random.Generator:

@@ -6,6 +6,7 @@ import numpy as np
 
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.holds import Hold
+from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
@@ -22,14 +23,17 @@ def captures_from_detections(
     rig: Rig,
     detections: Mapping[str, Mapping[int, GivenDetections]],
     cameras: Mapping[str, CameraModel] | None = None,
+    stamps: Mapping[str, Mapping[int, float]] | None = None,
 ) -> CaptureSet:
     """Builds the captures of a rig from detections made outside calgraph.
 
     Args:
         rig: sensors and board. Topics do not matter.
         detections: by sensor, and by capture: all sensors' detections under one number are of the same resting
-            board.
+            board, or of a moving board at nearly the same time.
         cameras: intrinsics by camera; those of the rig if left out.
+        stamps: of a moving board, by sensor and capture, when each sensor measured it, s. Captures follow each
+            other within fractions of a second: the sensor's own detections before and after show the motion.
 
     Raises:
         InputError: a sensor is not the rig's, a detection does not fit the sensor's kind, or a camera has no
@@ -50,8 +54,17 @@ def captures_from_detections(
     ]
     no_times = np.zeros(0)
     times = {name: SensorTimes(no_times, 0.0, no_times, spec.frame_id or "") for name, spec in rig.sensors.items()}
-    holds = [Hold(capture, 0.0, 0.0) for capture in captures]
-    return collect_detections(rig, RecordingTimeline(0.0, times, no_times), holds, sensor_captures, cameras)
+    holds = [Hold(capture, 0.0, 0.0) if stamps is None else _hold_of(capture, stamps) for capture in captures]
+    found = collect_detections(rig, RecordingTimeline(0.0, times, no_times), holds, sensor_captures, cameras)
+    return found if stamps is None else compensate_motion(found, rig.settings.captures.moving_board)
+
+
+def _hold_of(capture: int, stamps: Mapping[str, Mapping[int, float]]) -> Hold:
+    measured = {name: np.array([of[capture]]) for name, of in stamps.items() if capture in of}
+    if not measured:
+        raise InputError(f"stamps: must have one of a sensor for every capture, has none of capture {capture}")
+    values = [float(one[0]) for one in measured.values()]
+    return Hold(capture, min(values), max(values), measured)
 
 
 def _to_candidates(rig: Rig, name: str, capture: int, result: GivenDetections | None) -> DetectionResult:

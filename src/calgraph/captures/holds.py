@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from calgraph.captures.capture_mode import find_frame_sets, find_snapshots, recognize_mode
+from calgraph.captures.frame_selection import find_neighbours, select_frame_sets
 from calgraph.captures.stamp_groups import StampGroup
 from calgraph.captures.stillness import find_rests
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
@@ -26,12 +27,14 @@ class Hold:
     """s, header time."""
     stamps: Mapping[str, Array] = field(default_factory=dict)
     """By sensor, the stamps of the messages measured entirely within the hold."""
+    auxiliary: bool = False
+    """Whether it only shows the velocity of the board in another capture, and is none itself."""
 
 
 def find_holds(
     timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
 ) -> tuple[Hold, ...]:
-    """Finds the holds: by trigger, from separate snapshots, or by stillness.
+    """Finds the holds: by trigger, from separate snapshots, by stillness, or each set of synchronized frames.
 
     Args:
         timeline: when the sensors measured, and when captures were triggered.
@@ -39,29 +42,36 @@ def find_holds(
         settings: of the search.
 
     Returns:
-        The holds in order of time, each with the messages to use.
+        The holds in order of time, each with the messages to use; auxiliary ones after all others.
 
     Raises:
         CalibrationError: there is none.
     """
     mode = recognize_mode(timeline, capture, settings).mode
-    if capture.trigger:
-        candidates = _select_messages(timeline, _find_spans_by_trigger(timeline))
-    elif mode == "synchronized":
-        candidates = _holds_of_groups(timeline, find_frame_sets(timeline, capture, settings))
-    elif mode == "snapshots":
-        candidates = _holds_of_groups(timeline, find_snapshots(timeline, capture, settings))
+    if mode == "synchronized":
+        frames = [
+            group
+            for group in find_frame_sets(timeline, capture, settings)
+            if _is_allowed(group.start, group.end, timeline, capture)
+        ]
+        found = _hold_frames(frames, timeline, settings.moving_board.max_captures)
     else:
-        candidates = _select_messages(timeline, find_rests(timeline, settings))
-    excluded = [*capture.exclude, *([capture.background] if capture.background else [])]
-    allowed = [
-        hold
-        for hold in candidates
-        if not any(hold.start - timeline.start < b and hold.end - timeline.start > a for a, b in excluded)
-    ]
-    if not allowed:
+        if capture.trigger:
+            candidates = _select_messages(timeline, _find_spans_by_trigger(timeline))
+        elif mode == "snapshots":
+            candidates = _hold_groups(find_snapshots(timeline, capture, settings), timeline)
+        else:
+            candidates = _select_messages(timeline, find_rests(timeline, settings))
+        found = [hold for hold in candidates if _is_allowed(hold.start, hold.end, timeline, capture)]
+    if not found:
         raise CalibrationError(_explain_no_holds(timeline, capture))
-    return tuple(replace(hold, index=i) for i, hold in enumerate(allowed))
+    return tuple(replace(hold, index=i) for i, hold in enumerate(found))
+
+
+def _is_allowed(start: float, end: float, timeline: RecordingTimeline, capture: Capture) -> bool:
+    """Whether an interval lies in no window without captures."""
+    excluded = [*capture.exclude, *([capture.background] if capture.background else [])]
+    return not any(start - timeline.start < b and end - timeline.start > a for a, b in excluded)
 
 
 def _select_messages(timeline: RecordingTimeline, spans: list[tuple[float, float]]) -> list[Hold]:
@@ -70,13 +80,26 @@ def _select_messages(timeline: RecordingTimeline, spans: list[tuple[float, float
     return [Hold(0, a, b, {name: _select_stamps(times, a, b) for name, times in sensors}) for a, b in spans]
 
 
-def _holds_of_groups(timeline: RecordingTimeline, groups: list[StampGroup]) -> list[Hold]:
+def _hold_groups(groups: list[StampGroup], timeline: RecordingTimeline, *, auxiliary: bool = False) -> list[Hold]:
     """One hold a group, with all of its messages."""
     none = np.zeros(0)
     return [
-        Hold(0, group.start, group.end, {name: group.stamps.get(name, none) for name in timeline.sensors})
+        Hold(
+            0,
+            group.start,
+            group.end,
+            {name: group.stamps.get(name, none) for name in timeline.sensors},
+            auxiliary=auxiliary,
+        )
         for group in groups
     ]
+
+
+def _hold_frames(frames: list[StampGroup], timeline: RecordingTimeline, limit: int) -> list[Hold]:
+    """The sets of frames that are captures, and after them those that show the velocity of the board."""
+    chosen = select_frame_sets(frames, timeline, limit)
+    neighbours = find_neighbours(chosen, timeline)
+    return [*_hold_groups(chosen, timeline), *_hold_groups(neighbours, timeline, auxiliary=True)]
 
 
 def _explain_no_holds(timeline: RecordingTimeline, capture: Capture) -> str:

@@ -20,7 +20,7 @@ from calgraph.sensors import CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)
 
-_DETECTIONS = "detections/1"
+_DETECTIONS = "detections/2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def detect_by_sensors(
         RecordingError: the content of a message is unusable.
         CalibrationError: a process was killed.
     """
-    previews = plan_previews(holds, rig)
+    previews = plan_previews([hold for hold in holds if not hold.auxiliary], rig)
     inputs = {name: _list_inputs(name, rig, holds, method, previews) for name in rig.sensors}
     found: dict[str, _SensorDetections] = {
         name: kept

@@ -26,6 +26,12 @@ class PlanePatch:
     """Score, 0 to 1, of its outline against a board of the known size."""
     edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
     """(M, 2, 3) its edges: unit vectors of the last beam on the board and the first one past it."""
+    times: Array = field(default_factory=lambda: np.zeros(0))
+    """(N,) when each beam was measured, s after the stamp of its message; empty where that is not known, or of
+    several messages."""
+    twist: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
+    rotation, rad/s; sensor frame."""
 
     @property
     def points(self) -> Array:
@@ -49,6 +55,12 @@ class Segment:
     """Score, 0 to 1, of its length, straightness and ends against a board of the known size."""
     edges: Array = field(default_factory=lambda: np.empty((0, 2, 3)))
     """(M, 2, 3) its edges: unit vectors of the last beam on the board and the first one past it."""
+    times: Array = field(default_factory=lambda: np.zeros(0))
+    """(N,) when each beam was measured, s after the stamp of its message; empty where that is not known, or of
+    several messages."""
+    twist: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
+    rotation, rad/s; sensor frame."""
 
     @property
     def center(self) -> Array:
@@ -84,6 +96,9 @@ class BoardCorners:
     """Index of the board among the rig's boards."""
     outlier_tags: tuple[int, ...] = ()
     """Ids of the board's tags that were detected, but not where the others imply. Not saved with a problem."""
+    twist: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
+    rotation, rad/s; sensor frame."""
 
     @property
     def center(self) -> Array:

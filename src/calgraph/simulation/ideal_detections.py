@@ -50,6 +50,12 @@ class IdealDetectorOptions:
     settings: DetectionSettings = DetectionSettings()
     """Of the fits to corners and beams."""
 
+    def stated_noise(self, sensor: RobotSensor) -> PixelNoise | RangeNoise:
+        """The noise of a sensor in rig.yaml."""
+        if isinstance(sensor, MountedCamera):
+            return PixelNoise(pixel=self.stated_noise_factor * self.pixel)
+        return _range_noise(sensor, self)
+
 
 def simulate_detections(
     world: World, seed: int, options: IdealDetectorOptions | None = None, errors: ModelErrors | None = None
@@ -76,7 +82,7 @@ def simulate_detections(
     errors.check(world.robot)
     rig, t0 = world_rig(world), world.scenario.start_time
     sensors = {
-        sensor.name: rig.sensors[sensor.name].model_copy(update={"noise": _stated_noise(sensor, options)})
+        sensor.name: rig.sensors[sensor.name].model_copy(update={"noise": options.stated_noise(sensor)})
         for sensor in world.robot
     }
     times = {s.name: SensorTimes(np.zeros(0), 0.0, np.zeros(0), s.frame_id) for s in world.robot}
@@ -98,7 +104,7 @@ def _simulate_observations(
     world: World, seed: int, options: IdealDetectorOptions, errors: ModelErrors
 ) -> Iterator[SensorCapture]:
     for k, sensor in enumerate(world.robot):
-        detect = _detector(sensor, world.scenario.board, options, errors)
+        detect = make_ideal_detector(sensor, world.scenario.board, options, errors)
         of_sensor = errors.of_sensor(sensor)
         messages = 1 if isinstance(sensor, MountedCamera) else options.scans_per_hold
         for i, hold in enumerate(world.trajectory.holds):
@@ -122,7 +128,7 @@ def _draw_motion(board: BoardErrors, delay: float, messages: int, key: tuple[int
     return np.asarray(motion)
 
 
-def _detector(
+def make_ideal_detector(
     sensor: RobotSensor, board: Board, options: IdealDetectorOptions, errors: ModelErrors
 ) -> Callable[[Array, float, np.random.Generator], DetectionResult]:
     """The detector of a sensor.
@@ -135,14 +141,6 @@ def _detector(
         return partial(_detect_corners, sensor.camera, lens, board, errors.board, options)
     beams = IdealBeams(sensor, errors.of_scanner(sensor.name), board, errors.board, options.angle)
     return partial(_detect_segment if sensor.kind == "lidar2d" else _detect_plane, beams, options)
-
-
-def _stated_noise(sensor: RobotSensor, options: IdealDetectorOptions) -> PixelNoise | RangeNoise:
-    return (
-        PixelNoise(pixel=options.stated_noise_factor * options.pixel)
-        if isinstance(sensor, MountedCamera)
-        else _range_noise(sensor, options)
-    )
 
 
 def _range_noise(scanner: MountedScanner, options: IdealDetectorOptions) -> RangeNoise:

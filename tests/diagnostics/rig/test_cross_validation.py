@@ -136,7 +136,7 @@ def test_the_expected_error_of_a_view_contains_its_bias(first: int) -> None:
     With biases of 20 mm and 2°, everything else is negligible: half of the six degrees of freedom have an error.
     """
     exact = scene(boards=40)
-    stddevs = np.array([1e-4, 0.02, 1e-4])[:, None] * [1, 1 / LEVER, 0]
+    stddevs = np.array([1e-4, 0.02, 1e-4])[:, None] * [1, 1 / LEVER, 0, 0]
     bundle = replace(exact.bundle, bias_variance=stddevs**2)
     signs = np.zeros((40, 6))
     signs[:, first : first + 3] = np.random.default_rng(0).choice([-1, 1], (40, 3))

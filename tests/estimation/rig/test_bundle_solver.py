@@ -140,7 +140,7 @@ def test_a_sensor_without_views_stays_and_has_no_influence(rng: np.random.Genera
     bundle = exact.measured(rng)
     blind = replace(bundle, views=(*bundle.views[:2], bundle.views[2].select(np.zeros(8, dtype=bool))))
     with_blind = minimize_bundle(blind, exact.truth)
-    pair = Bundle(("lidar", "camera"), bundle.views[:2], np.arange(2), np.zeros((2, 3)), bundle.lever)
+    pair = Bundle(("lidar", "camera"), bundle.views[:2], np.arange(2), np.zeros((2, 4)), bundle.lever)
     without = minimize_bundle(pair, replace(exact.truth, T_root_sensor=exact.truth.T_root_sensor[:2]))
     np.testing.assert_allclose(with_blind.state.T_root_sensor[:2], without.state.T_root_sensor, atol=1e-6)
     np.testing.assert_allclose(with_blind.state.T_root_sensor[2], exact.truth.T_root_sensor[2], atol=1e-12)

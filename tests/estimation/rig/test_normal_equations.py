@@ -9,10 +9,10 @@ from calgraph.config.settings import RigEstimationSettings
 from calgraph.estimation.rig.normal_equations import (
     accumulate,
     accumulate_biased,
-    consistency_statistic,
     huber_variance_factor,
 )
 from calgraph.estimation.rig.observations import LinearizedResiduals
+from calgraph.estimation.rig.whitening import consistency_statistic
 from calgraph.geometry import Array, Index
 
 HUBER_THRESHOLD = RigEstimationSettings().huber_threshold
@@ -28,8 +28,8 @@ def random_residuals(rng: np.random.Generator, k: int, q: int, p: int, size: flo
 
 
 def marginalized(linearized: LinearizedResiduals, start: Index, view_bias: Array) -> tuple[Array, Array, Array]:
-    """Along the sensor's axes, with variances (6,) of the bias of a view, and none of rings."""
-    variances = np.append(view_bias, 0.0)
+    """Along the sensor's axes, with variances (6,) of the bias of a view, none of rings and of the stamp."""
+    variances = np.append(view_bias, [0.0, 0.0])
     equations = accumulate_biased(linearized, start, variances, HUBER_THRESHOLD)
     information, gradient, costs = equations.marginalize_bias(variances)
     turned = np.swapaxes(linearized.local_jacobian, -1, -2)

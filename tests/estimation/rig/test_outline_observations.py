@@ -149,7 +149,7 @@ def test_errors_with_outlines_are_consistent_with_the_covariance() -> None:
             outlines=outlines,
             outline_sensor=(0, 1),
             extra_parameters=footprints,
-            bias_variance=np.zeros((4, 3)),
+            bias_variance=np.zeros((4, 4)),
         )
         solution = minimize_bundle(bundle, state)
         spread = pose_covariance(bundle, solution.state, solution.equations)[6:, 6:]

@@ -159,8 +159,8 @@ def test_what_is_solved_lies_in_memory_as_what_comes_from_a_file(problem: Proble
 def test_every_field_of_a_detection_has_its_column(kind: type[Detection]) -> None:
     fields = {field.name for field in dataclasses.fields(kind)}
     derived = {"points"} if "ranges" in fields else set()
-    # What follows from tags that are outliers is saved with the findings.
-    assert set(DETECTIONS[kind].columns) == fields - {"outlier_tags"} | derived | {
+    # What follows from tags that are outliers is saved with the findings; velocities have a table of their own.
+    assert set(DETECTIONS[kind].columns) == fields - {"outlier_tags", "twist", "times"} | derived | {
         "sensor",
         "capture",
         "candidate",

@@ -15,7 +15,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import linearize_views
 from calgraph.geometry import Array, se3, so3
 
-STILL, NO_BIAS = np.zeros(0), np.zeros(7)
+STILL, NO_BIAS = np.zeros(0), np.zeros(8)
 LIMITS = ExtrapolationSettings()
 
 
@@ -82,8 +82,8 @@ def test_extrapolation_is_limited(step: list[float], rng: np.random.Generator) -
 def test_a_range_bias_is_extrapolated(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     views, zero, biased = with_range_bias(views), np.zeros(1), np.array([0.002])
-    extrapolated = linearize_views(views, T, zero, np.zeros(7), 2.5).extrapolate(views, T, biased, LIMITS)
-    exact_equations = linearize_views(views, T, biased, np.zeros(7), 2.5).equations
+    extrapolated = linearize_views(views, T, zero, np.zeros(8), 2.5).extrapolate(views, T, biased, LIMITS)
+    exact_equations = linearize_views(views, T, biased, np.zeros(8), 2.5).equations
     assert extrapolated is not None
     assert np.abs(gradients(extrapolated) - gradients(exact_equations)).max() < 0.1
 

@@ -83,7 +83,7 @@ def test_noise_is_estimated_from_the_scatter_among_views(noise: float) -> None:
         measured = exact.measured(np.random.default_rng(seed), noise)
         bundle = replace(measured, views=(*measured.views[:2], with_two_beams(measured.views[2])))
         bundle, _ = settled(exact, bundle)
-        displacement, rotation, _ = bundle.bias_variance[2]
+        displacement, rotation, *_ = bundle.bias_variance[2]
         # The ends of a line are some 0.55 m from the middle of the board.
         of_bias = (displacement + 0.55**2 * rotation) / RANGE.range**2
         found.append(np.sqrt(bundle.views[2].noise_scale ** 2 + of_bias))
@@ -150,7 +150,7 @@ def test_few_views_do_not_suffice_for_a_view_bias_of_zero() -> None:
     usual = scene().bundle.settings.variances.usual_view_bias
     for seed in range(SEEDS):
         bundle, _ = settled(exact, exact.measured(np.random.default_rng(seed)))
-        displacement, rotation, _ = np.sqrt(bundle.bias_variance).T
+        displacement, rotation, *_ = np.sqrt(bundle.bias_variance).T
         assert min(displacement.min(), LEVER * rotation.min()) > 0.3 * usual
 
 
@@ -159,7 +159,7 @@ def test_the_usual_view_bias_is_assumed_if_its_weight_is_large() -> None:
     bundle, _ = settled(exact, with_weight(exact.measured(np.random.default_rng(0), view_bias=0.005), 1e6))
     usual = bundle.settings.variances.usual_view_bias
     np.testing.assert_allclose(
-        np.sqrt(bundle.bias_variance), np.tile([usual, usual / LEVER, 0], (3, 1)), rtol=0.02
+        np.sqrt(bundle.bias_variance), np.tile([usual, usual / LEVER, 0, 0], (3, 1)), rtol=0.02
     )
 
 

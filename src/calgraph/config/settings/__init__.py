@@ -9,6 +9,7 @@ from calgraph.config.settings.captures import (
     MaxMessageSettings,
     MisplacedTagSettings,
     MotionDetectionSettings,
+    MovingBoardSettings,
 )
 from calgraph.config.settings.detection import (
     BoardEdgeSettings,
@@ -122,10 +123,12 @@ __all__ = [
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
     "LimitSettings",
-    "MaxMessageSettings", "MisplacedTagSettings",
+    "MaxMessageSettings",
+    "MisplacedTagSettings",
     "ModelErrorSettings",
     "MotionDetectionSettings",
     "MotionSettings",
+    "MovingBoardSettings",
     "NetworkDiagnosticsSettings",
     "NetworkEstimationSettings",
     "NetworkModelSettings",

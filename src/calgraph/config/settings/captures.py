@@ -111,6 +111,21 @@ class MisplacedTagSettings(StrictModel):
     in which the others are the majority, or in half where two tags contradict each other."""
 
 
+class MovingBoardSettings(StrictModel):
+    """Synchronized frames of a moving board."""
+
+    max_captures: int = Field(default=120, ge=1)
+    """Maximum number of sets of frames that are used, spread over the recording: consecutive frames show almost
+    the same pose, and each costs three detections a sensor."""
+    max_interval: float = Field(default=0.3, gt=0)
+    """Maximum time between a measurement and the one that shows the velocity of the board, s: within it, the
+    motion of a hand is a parabola to some millimetres."""
+    max_speed: float = Field(default=3.0, gt=0)
+    """Maximum speed of a board, m/s: operators walk and turn at half of it; more is a wrong detection."""
+    max_rotation_rate: float = Field(default=6.0, gt=0)
+    """Maximum rotation rate of a board, rad/s: more is the second solution of a plane's pose."""
+
+
 class CaptureSettings(StrictModel):
     """When the board rests, and which messages of a capture are used."""
 
@@ -120,6 +135,7 @@ class CaptureSettings(StrictModel):
     input_checks: InputCheckSettings = InputCheckSettings()
     empty_start: EmptyStartSettings = EmptyStartSettings()
     misplaced_tags: MisplacedTagSettings = MisplacedTagSettings()
+    moving_board: MovingBoardSettings = MovingBoardSettings()
     min_hold: float = Field(default=0.5, gt=0)
     """Minimum duration of a hold found by stillness, s: shorter rests are turning points of a moving board."""
     max_motion_period: float = Field(default=0.5, gt=0)

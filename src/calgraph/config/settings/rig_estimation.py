@@ -17,6 +17,12 @@ class VarianceComponentSettings(StrictModel):
     """Usual standard deviation of a view's displacement, of its edges' by a tilt, and of a ring's ranges, m:
     boards are flat, and ranges of one material right, to 1 to 2 mm. Estimates from few views are drawn towards
     it."""
+    initial_stamp_error: float = Field(default=0.005, gt=0)
+    """Initial standard deviation of the stamps of a moving board's views, s: of the size of exposure times and of
+    the delays of drivers, so that few views are outliers before it is estimated."""
+    usual_stamp_error: float = Field(default=0.002, gt=0)
+    """Usual standard deviation of the stamps of a moving board's views, s: half of an exposure. Estimates from few
+    views are drawn towards it."""
     usual_bias_weight: float = Field(default=2.0, ge=0)
     """Weight of the usual view bias, in degrees of freedom: as much as one or two views."""
     max_rounds: int = Field(default=24, ge=1)

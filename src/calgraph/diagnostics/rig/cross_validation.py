@@ -30,7 +30,7 @@ from calgraph.estimation.rig.bundle_solver import (
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.normal_equations import accumulate
-from calgraph.estimation.rig.observations import BoardViews, relative_poses
+from calgraph.estimation.rig.observations import BoardViews, relative_poses, velocity_along_sensor
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
@@ -164,6 +164,10 @@ def _compare_with_prediction(
     x, X = _predict_boards(bundle, state, equations, covariance, sensor)
     X, free = _split_predicted(X * meters * meters[:, None], settings.predicted_board_stddev)
     X += np.diag(_bias_variances(bundle, sensor) * meters**2)
+    velocity = velocity_along_sensor(views.twist, T_board)
+    if velocity is not None:
+        moved = velocity * meters[:6]
+        X[:, :6, :6] += bundle.bias_variances(sensor)[7] * moved[:, :, None] * moved[:, None]
     # Along directions that the others do not predict, the board follows the sensor itself.
     least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)

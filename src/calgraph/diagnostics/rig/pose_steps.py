@@ -21,9 +21,9 @@ from calgraph.estimation.rig.bundle_solver import (
     minimize_bundle,
 )
 from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
-from calgraph.estimation.rig.normal_equations import whitening
 from calgraph.estimation.rig.settling import settle_variances
 from calgraph.estimation.rig.variance_components import measure_consistency
+from calgraph.estimation.rig.whitening import whitening
 from calgraph.geometry import Array, Index, se3, se_n
 
 # Prior information (m⁻², rad⁻²) on a step: makes directions that no view measures invertible.

@@ -8,8 +8,8 @@ from scipy.special import chdtri
 
 from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, linearize_bundle
 from calgraph.estimation.rig.covariances import parameter_covariance, pose_covariance
-from calgraph.estimation.rig.normal_equations import consistency_statistic
 from calgraph.estimation.rig.priors import RigidGroup
+from calgraph.estimation.rig.whitening import consistency_statistic
 from calgraph.geometry import Array, se3
 
 # Singular values below this belong to directions that the prior alone determines (numerical rank).

@@ -73,7 +73,7 @@ def add_outlines(
         else of_sensor
         for of_sensor, T in zip(bundle.views, state.T_root_sensor, strict=True)
     ]
-    bias_variances = np.zeros((len(outlines), 3))
+    bias_variances = np.zeros((len(outlines), bundle.bias_variance.shape[1]))
     bias_variances[:, 0] = bias_variance
     with_outlines = replace(
         bundle,

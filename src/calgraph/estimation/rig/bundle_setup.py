@@ -9,9 +9,9 @@ from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number, initial_board_pose
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, stack_poses
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.observations import BoardViews, relative_poses
+from calgraph.estimation.rig.observations import BoardViews, relative_poses, stack_poses
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.systematic_parameters import add_systematic_parameters
 from calgraph.geometry import Array
@@ -27,14 +27,15 @@ def build_bundle(
         names,
         views,
         body=np.arange(len(names)),
-        bias_variance=np.zeros((len(names), 3)),
+        bias_variance=np.zeros((len(names), 4)),
         lever=0.5 * max(rig.board_size),
         settings=rig.settings.estimation.rig,
     )
-    initial = bundle.settings.variances.initial_view_bias
+    initial, stamp = bundle.settings.variances.initial_view_bias, bundle.settings.variances.initial_stamp_error
     for k in range(len(names)):
         components = list(bundle.bias_components(k))
-        bundle.bias_variance[k, components] = (initial * np.array([1, 1 / bundle.lever, 1])[components]) ** 2
+        of_view = np.array([initial, initial / bundle.lever, initial, stamp])
+        bundle.bias_variance[k, components] = of_view[components] ** 2
     state = BundleState(
         stack_poses([T_root_sensor[name] for name in names]),
         stack_poses([initial_board_pose(board, captured.detections, T_root_sensor) for board in boards]),

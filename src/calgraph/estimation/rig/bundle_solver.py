@@ -40,8 +40,9 @@ class Bundle:
     body: Index
     """(S,) index of each sensor's rigid body; 0 is the root's, which does not move."""
     bias_variance: Array
-    """(K, 3) variances of the view bias: of the displacement (m²) and rotation (rad²) of the board before the
-    sensor along each axis, and of the bias of each ring (m²). Of all S sensors' views, then of the outlines."""
+    """(K, 4) variances of the view bias: of the displacement (m²) and rotation (rad²) of the board before the
+    sensor along each axis, of the bias of each ring (m²), and of the stamp of a view of a moving board (s²). Of
+    all S sensors' views, then of the outlines."""
     lever: float
     """Half the size of a board, m: rotations times it compare with displacements."""
     priors: tuple[SensorPrior, ...] = ()
@@ -112,24 +113,24 @@ class Bundle:
         return weights
 
     def bias_components(self, k: int) -> tuple[int, ...]:
-        """Columns of ``bias_variance`` that views k have: a displacement, for sensors a rotation, and rings."""
+        """Columns of ``bias_variance`` that views k have: a displacement, a rotation, rings, and the stamp."""
         views = self.all_views[k]
-        return (0, 1, *([2] if views.ring_count else []))
+        return (0, 1, *([2] if views.ring_count else []), *([3] if len(views.twist) else []))
 
     @property
     def usual_bias_variance(self) -> Array:
-        """(3,) prior variances of the view bias, in the columns of ``bias_variance``."""
-        usual = self.settings.variances.usual_view_bias
-        return np.array([usual, usual / self.lever, usual]) ** 2
+        """(4,) prior variances of the view bias, in the columns of ``bias_variance``."""
+        usual, stamp = self.settings.variances.usual_view_bias, self.settings.variances.usual_stamp_error
+        return np.array([usual, usual / self.lever, usual, stamp]) ** 2
 
     def least_bias_variance(self, k: int) -> Array:
-        """(3,) least variances of the bias of views k, in the columns of ``bias_variance``."""
+        """(4,) least variances of the bias of views k, in the columns of ``bias_variance``."""
         least = self.settings.outlines.min_view_bias if k >= len(self.views) else 0.0
-        return np.array([least, least / self.lever, least]) ** 2
+        return np.array([least, least / self.lever, least, 0.0]) ** 2
 
     def bias_variances(self, k: int) -> Array:
-        """(7,) variances of the bias of a view in k: of the board along the sensor's axes, and of each ring."""
-        return np.repeat(self.bias_variance[k], [3, 3, 1])
+        """(8,) variances of the bias of a view in k: along the sensor's axes, of rings, and of the stamp."""
+        return np.repeat(self.bias_variance[k], [3, 3, 1, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,8 +394,3 @@ def _damp(H: Array, damping: float) -> Array:
     """Matrices (..., n, n) with Marquardt's damping of their diagonals."""
     size = H.shape[-1]
     return H * (1 + damping * np.eye(size))
-
-
-def stack_poses(parts: Sequence[Array]) -> Array:
-    """Array (n, 4, 4) of a sequence of poses, which may be empty."""
-    return np.array(parts, dtype=np.float64).reshape(-1, 4, 4)

@@ -16,7 +16,10 @@ from calgraph.estimation.rig.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
+    select_twists,
+    stack_twists,
     start_indices,
+    velocity_along_sensor,
     view_indices,
 )
 from calgraph.geometry import Array, Index, so3
@@ -103,6 +106,8 @@ class CornerObservations:
     """(V, m) index of the local parameters after the pose in the sensor's extra parameters; -1 for exact ones.
     m = 0 if all are exact."""
     extra_count: int = 0
+    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     ring_count: ClassVar[int] = 0
     dimension: ClassVar[int] = 2
 
@@ -121,6 +126,7 @@ class CornerObservations:
             camera,
             noise,
             extra_of_local=no_extra(len(board)),
+            twist=stack_twists(detections),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -143,7 +149,8 @@ class CornerObservations:
             derivatives += [_project_by_lens(self.camera, camera, points), by_point @ R @ by_print]
         sigma = self.noise_scale * self.noise.pixel
         residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(derivatives, axis=-1) / sigma
-        return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6)
+        velocity = velocity_along_sensor(self.twist, T_sensor_board)
+        return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6, velocity=velocity)
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
         """See :class:`BoardViews`: the pose itself, and the extra parameters that each view depends on."""
@@ -169,6 +176,7 @@ class CornerObservations:
             printed=self.printed.select(kept),
             pixels=self.pixels[kept],
             extra_of_local=self.extra_of_local[keep],
+            twist=select_twists(self.twist, keep),
         )
 
 

@@ -16,10 +16,9 @@ from calgraph.estimation.rig.bundle_solver import (
     MinimizedBundle,
     linearize_bundle,
     minimize_bundle,
-    stack_poses,
 )
 from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.observations import relative_poses, stack_poses
 from calgraph.estimation.rig.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
 from calgraph.estimation.rig.settling import settle_variances
 from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution, SolvedBundle

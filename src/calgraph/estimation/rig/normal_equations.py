@@ -9,15 +9,13 @@ from scipy.special import chdtr, chdtrc, gammaln
 
 from calgraph.estimation.marginalization import compute_bias_covariance, marginalize_bias
 from calgraph.estimation.rig.observations import LinearizedResiduals, view_indices
+from calgraph.estimation.rig.whitening import whitening
 from calgraph.geometry import Array, Index, se_n
 
 # Limit on the robust weights' iterations, which hardly ever binds.
 _MAX_REWEIGHTINGS = 3
 # They stop where a view's fit moves by less than this share of its standard deviations, root mean square.
 _REWEIGHTING_TOLERANCE = 1e-2
-# Directions with less than this share of a view's largest information count as not measured by it: a numerical
-# rank.
-_RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +38,8 @@ class ViewNormalEquations:
     """Number of local parameters of the pose, the first ones."""
     ring_count: int = 0
     """Number R of the last local parameters that are biased from view to view, each of different measurements."""
+    velocity: Array | None = None
+    """(V, 6) as of :class:`LinearizedResiduals`."""
 
     @property
     def information(self) -> Array:
@@ -94,6 +94,7 @@ class ViewNormalEquations:
             self.residual_count[keep],
             self.pose_count,
             self.ring_count,
+            None if self.velocity is None else self.velocity[keep],
         )
 
     def squared_change(self, change: Array) -> Array:
@@ -114,10 +115,12 @@ class ViewNormalEquations:
 
         A bent board, a range error on one material, a late stamp: the errors of one view's measurements are
         correlated, and do not average out. The bias is modelled as a displacement of the board before the sensor,
-        and of each ring's ranges, with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``.
+        and of each ring's ranges, with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``. An error of the stamp
+        displaces a moving board along its velocity.
 
         Args:
-            variance: (7,) of the displacement and rotation along the sensor's axes, and of the bias of a ring.
+            variance: (8,) of the displacement and rotation along the sensor's axes, of the bias of a ring, and of
+                the stamp (s²).
 
         Returns:
             (V, q, q), (V, q) and (V,).
@@ -140,7 +143,7 @@ class ViewNormalEquations:
         return marginalize_bias(A, b, cost, self._pose_bias_prior(variance))
 
     def estimate_bias(self, variance: Array) -> Array:
-        """(V, q) most likely bias, for its variances (7,)."""
+        """(V, q) most likely bias, for its variances (8,)."""
         p, shift = self.pose_count, np.zeros_like(self.Jtr)
         A, b = self.JtJ[:, :p, :p], self.Jtr[:, :p]
         if variance[6]:
@@ -169,7 +172,11 @@ class ViewNormalEquations:
     def _pose_bias_prior(self, variance: Array) -> Array:
         """(V, p, p) covariance of the displacement of the local parameters of the pose."""
         J = self.local_jacobian[:, : self.pose_count, :6]
-        return np.asarray((J * variance[:6]) @ se_n.transpose(J))
+        Q = (J * variance[:6]) @ se_n.transpose(J)
+        if self.velocity is not None and variance[7]:
+            moved = J @ self.velocity[..., None]
+            Q = Q + variance[7] * moved @ se_n.transpose(moved)
+        return np.asarray(Q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +246,7 @@ def accumulate(
 def accumulate_biased(
     residuals: LinearizedResiduals, start: Index, variance: Array, huber_threshold: float
 ) -> ViewNormalEquations:
-    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (7,)."""
+    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (8,)."""
     return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(variance))
 
 
@@ -286,6 +293,7 @@ def _accumulate_unweighted(
         groups.sum_by_view(groups.count.astype(np.float64)).astype(np.intp),
         residuals.pose_count,
         residuals.ring_count,
+        residuals.velocity,
     )
 
 
@@ -340,51 +348,6 @@ def _residual_norms(residual: Array) -> Array:
 def _matvec(A: Array, x: Array) -> Array:
     """Matrices (V, n, p) times vectors (V, p)."""
     return np.asarray((A @ x[..., None])[..., 0])
-
-
-def whitening(information: Array, scale: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
-    """``L`` (V, p, p) with ``L @ A @ L.T`` of information A the identity where it is measured, (V, p).
-
-    Args:
-        information: (V, p, p) A.
-        scale: (V, p) diagonal relative to which a direction counts as measured; that of A if left out.
-    """
-    # Metres and radians do not compare: scale to a unit diagonal first.
-    diagonal = np.diagonal(information, axis1=-2, axis2=-1) if scale is None else scale
-    size = np.sqrt(np.maximum(diagonal, 0))
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(information / size[..., :, None] / size[..., None, :])
-    measured = values > _RANK_TOLERANCE * np.maximum(values[..., -1:], 0 if scale is None else 1)
-    root = np.where(measured, values, 1.0) ** -0.5 * measured
-    return root[..., :, None] * se_n.transpose(vectors) / size[..., None, :], measured
-
-
-def consistency_statistic(
-    information: Array, reduction: Array, gradient: Array, min_redundancy: float, *, predicted: bool = False
-) -> tuple[Array, NDArray[np.intp]]:
-    """Test statistic of each view against the solution that it is part of, or that predicts it.
-
-    Source: Baarda, "A testing procedure for use in geodetic networks", 1968.
-
-    Args:
-        information: (V, p, p) A of each view.
-        reduction: (V, p, p) A P A, with the covariance P of the solution in the view's parameters.
-        gradient: (V, p) of each view at the solution; its covariance is A - A P A, or A + A P A if predicted.
-        min_redundancy: least redundancy number of a direction, its share of A that the other views determine.
-        predicted: whether the solution is without the views' contributions.
-
-    Returns:
-        Squared Mahalanobis distances (V,) of the gradients from zero, and their degrees of freedom (V,), without
-        directions of smaller redundancy.
-    """
-    whiten, measured = whitening(information)
-    by_solution = whiten @ reduction @ se_n.transpose(whiten)
-    redundancy = measured[..., :, None] * np.eye(measured.shape[-1]) + (by_solution if predicted else -by_solution)
-    values, axes = np.linalg.eigh((redundancy + se_n.transpose(redundancy)) / 2)
-    checked = values > min_redundancy
-    along = (se_n.transpose(axes) @ whiten @ gradient[..., None])[..., 0]
-    squared = np.sum(checked * along**2 / np.where(checked, values, 1.0), axis=-1)
-    return squared, np.asarray(checked.sum(axis=-1), dtype=np.intp)
 
 
 def huber_variance_factor(dimension: int, huber_threshold: float) -> float:

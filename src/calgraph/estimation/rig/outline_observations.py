@@ -20,7 +20,10 @@ from calgraph.estimation.rig.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
+    select_twists,
+    stack_twists,
     start_indices,
+    velocity_along_sensor,
     view_indices,
 )
 from calgraph.geometry import Array, Index, se3, se_n, so3
@@ -69,6 +72,8 @@ class OutlineObservations:
     extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
     """(V, 8) or (V, 0) index of ``OUTLINE_PARAMETERS`` in the scanner's extra parameters; -1 for exact ones."""
     extra_count: int = 0
+    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -92,6 +97,7 @@ class OutlineObservations:
             np.zeros(len(edges)),
             settings,
             extra_of_local=no_extra(len(board)),
+            twist=stack_twists(detections),
         )
 
     @property
@@ -142,7 +148,12 @@ class OutlineObservations:
             ]))  # fmt: skip
         jacobian = np.concatenate(by_local, axis=-1)[:, None]
         return LinearizedResiduals(
-            angle / sigma, jacobian, self.local_jacobian(T_sensor_board), 6, ring_count=self.ring_count
+            angle / sigma,
+            jacobian,
+            self.local_jacobian(T_sensor_board),
+            6,
+            ring_count=self.ring_count,
+            velocity=velocity_along_sensor(self.twist, T_sensor_board),
         )
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
@@ -210,6 +221,7 @@ class OutlineObservations:
             across=self.across[kept],
             along=self.along[kept],
             extra_of_local=self.extra_of_local[keep],
+            twist=select_twists(self.twist, keep),
         )
 
     def edge_points(self, T_sensor_board: Array) -> tuple[Index, Array]:

@@ -12,7 +12,8 @@ from calgraph.config.settings import BoardPairSettings
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_parameters import SensorPrior
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, stack_poses
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
+from calgraph.estimation.rig.observations import stack_poses
 from calgraph.geometry import Array, Index, se3
 from calgraph.graph import SpanningTree, grow_tree
 from calgraph.pairwise import PairwiseEstimate

@@ -15,7 +15,10 @@ from calgraph.estimation.rig.observations import (
     no_extra,
     select_extra,
     select_measurements,
+    select_twists,
+    stack_twists,
     start_indices,
+    velocity_along_sensor,
     view_indices,
 )
 from calgraph.geometry import Array, Index, se3, so3
@@ -61,6 +64,8 @@ class RangeObservations:
     extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
     """(V, m) as of :class:`calgraph.estimation.rig.corner_observations.CornerObservations`."""
     extra_count: int = 0
+    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -83,6 +88,7 @@ class RangeObservations:
             np.full(len(ranges), noise.range),
             min_cosine,
             extra_of_local=no_extra(len(board)),
+            twist=stack_twists(detections),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -91,6 +97,7 @@ class RangeObservations:
         The plane changes this by ``u @ (n dh - h dn) / (n @ u)²``; the share ``z / h`` of a bow z in it, below
         0.01, is neglected.
         """
+        velocity = velocity_along_sensor(self.twist, T_sensor_board)
         local, view = gather_extra(self.extra_of_local, extra), view_indices(self.start, len(self.ranges))
         if not local.shape[1]:
             h, cosine = self._intersect_planes(T_sensor_board)
@@ -99,9 +106,8 @@ class RangeObservations:
             columns = np.empty((3, len(self.ranges)))
             np.multiply(self.directions.T, 1 / (cosine**2 * self.sigma), out=columns)
             residual = (distance - self.ranges) / self.sigma
-            return LinearizedResiduals(
-                residual[:, None], columns.T[:, None], self.local_jacobian(T_sensor_board), 3
-            )
+            by_plane = self.local_jacobian(T_sensor_board)
+            return LinearizedResiduals(residual[:, None], columns.T[:, None], by_plane, 3, velocity=velocity)
         shared = local[0] if len(local) else np.zeros(local.shape[1])
         bias, scale = shared[:2]
         directions, by_azimuth = self.directions, None
@@ -135,6 +141,7 @@ class RangeObservations:
             self.ring,
             self.ring_count,
             BIAS_COLUMN,
+            velocity,
         )
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:
@@ -189,6 +196,7 @@ class RangeObservations:
             half_size=self.half_size[keep] if len(self.half_size) else self.half_size,
             bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
             extra_of_local=self.extra_of_local[keep],
+            twist=select_twists(self.twist, keep),
         )
 
     def with_rings(self, ring: Index, count: int) -> "RangeObservations":
@@ -221,6 +229,7 @@ class RangeObservations:
             half_size=self.half_size[first] if len(self.half_size) else self.half_size,
             bow_shape=None,
             extra_of_local=self.extra_of_local[first],
+            twist=np.zeros((0, 6)),
         )
         if self.ring is None:
             return beams

@@ -52,7 +52,7 @@ def linearize_views(
         views: of one sensor.
         T_sensor_board: (V, 4, 4) the state.
         extra: (e,) the sensor's extra parameters.
-        bias_variance: (7,) variances of a view's bias, as of :meth:`Bundle.bias_variances`.
+        bias_variance: (8,) variances of a view's bias, as of :meth:`Bundle.bias_variances`.
         huber_threshold: of whitened residuals.
     """
     residuals = views.linearize(T_sensor_board, extra)

@@ -19,7 +19,9 @@ class MeasuredNoise:
     view_tilt: float = 0.0
     """of the rotation common to them, rad;"""
     ring_bias: float = 0.0
-    """and of the range bias common to those of one ring in one view, m."""
+    """of the range bias common to those of one ring in one view, m;"""
+    stamp_error: float = 0.0
+    """and of the stamps of views of a moving board, s."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ from scipy.special import chdtr, chdtri
 
 from calgraph.config.settings import VarianceComponentSettings
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, MarginalizedViews, MinimizedBundle
-from calgraph.estimation.rig.normal_equations import consistency_statistic, huber_variance_factor
+from calgraph.estimation.rig.normal_equations import huber_variance_factor
 from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.whitening import consistency_statistic
 from calgraph.geometry import Array, Index, se_n
 
 
@@ -90,7 +91,7 @@ class _ViewStatistics:
     """(c - 1,) columns of :attr:`Bundle.bias_variance`."""
     of_variance: Array
     """(V, c, m) weights of the squares along m directions for each variance: of those where noise has unit
-    covariance, of displacements and rotations, and of rings."""
+    covariance, of displacements and rotations, of rings, and of stamps."""
     solution_factors: Array
     """(V, m, r) factors of the reduction of the gradients' covariance by the solution, in these directions."""
     score: Array
@@ -110,13 +111,18 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     by_pose, q = se_n.transpose(at.local_jacobian[..., :6]), at.information.shape[-1]
     whiten, rings = unmarginalized.whiten_views()[0], np.arange(q - R, q)
     by_ring = np.broadcast_to(np.eye(q)[rings], (len(views.board), R, q))
-    directions = np.concatenate([whiten[:, :p], by_pose, by_ring], axis=1)
+    # A board at rest is not displaced by an error of the stamp.
+    velocity = unmarginalized.velocity
+    by_stamp = np.zeros((len(views.board), 0, q)) if velocity is None else velocity[:, None] @ by_pose
+    directions = np.concatenate([whiten[:, :p], by_pose, by_ring, by_stamp], axis=1)
     of_variance = np.zeros((len(views.board), 1 + len(components), directions.shape[1]))
     of_variance[:, 0, :p] = 1
     # Noise has unit covariance along the rings, too, where these are scaled.
-    of_variance[:, 0, p + 6 :] = whiten[:, p + np.arange(R), rings] ** 2
-    for i, part in enumerate((slice(p, p + 3), slice(p + 3, p + 6), slice(p + 6, None))[: len(components)], 1):
-        of_variance[:, i, part] = 1
+    of_variance[:, 0, p + 6 : p + 6 + R] = whiten[:, p + np.arange(R), rings] ** 2
+    end = p + 6 + R
+    parts = slice(p, p + 3), slice(p + 3, p + 6), slice(p + 6, end), slice(end, None)
+    for i, component in enumerate(components, 1):
+        of_variance[:, i, parts[component]] = 1
     weighted = directions @ at.information
     solution_factors = weighted @ factors
     W = weighted @ se_n.transpose(directions)

@@ -1,0 +1,53 @@
+"""When each beam of a detection was measured."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.detection import Detection, PlanePatch, Segment
+from calgraph.geometry import Array
+from calgraph.sensors import LaserScan, PointCloud
+
+
+def add_beam_times(
+    detections: Sequence[Detection], messages: Sequence[PointCloud | LaserScan]
+) -> tuple[Detection, ...]:
+    """The detections in one message with the times of their beams; unchanged where these are not known.
+
+    Args:
+        detections: of a scanner.
+        messages: that they were found in.
+    """
+    beams = _find_timed_beams(messages[0]) if len(messages) == 1 else None
+    if beams is None:
+        return tuple(detections)
+    directions, times = beams
+    return tuple(
+        replace(one, times=_select_times(one.directions, directions, times))
+        if isinstance(one, PlanePatch | Segment)
+        else one
+        for one in detections
+    )
+
+
+def _find_timed_beams(message: PointCloud | LaserScan) -> tuple[Array, Array] | None:
+    """Directions (N, 3) and times (N,) of the beams with a measurement; None without times."""
+    if isinstance(message, LaserScan):
+        if message.time_increment == 0:
+            return None
+        angles = message.angles
+        directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
+        return directions, np.arange(len(angles), dtype=np.float64) * message.time_increment
+    if message.times is None:
+        return None
+    norm = np.asarray(np.linalg.norm(message.points, axis=1), dtype=np.float64)
+    some = norm > 0
+    return np.asarray(message.points[some] / norm[some, None], dtype=np.float64), message.times[some]
+
+
+def _select_times(wanted: Array, directions: Array, times: Array) -> Array:
+    """(M,) times of the beams that are nearest to the wanted directions (M, 3)."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(times[cKDTree(directions).query(wanted)[1]], dtype=np.float64)
